@@ -1,0 +1,37 @@
+# The two commands are `make demo` and `make test`; each installs into .venv first, once.
+
+PYTHON ?= $(shell command -v python3.11 || command -v python3)
+DEMO   ?= python -m hrl_escape.cli room --preset clutter --demo
+JOBS   ?= 2
+
+VENV  := .venv
+STAMP := $(VENV)/.installed
+export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint clean
+
+help: ## show this list
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
+
+# Asking pyright for its version fetches its node package now rather than within a test.
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
+	pyright --version
+	touch $@
+
+demo: $(STAMP) ## make a room, escape from it, leave a picture
+	$(DEMO)
+
+test: $(STAMP) ## every test but those marked slow or gpu
+	python -m pytest tests -n $(JOBS) -m "not slow and not gpu"
+
+lint: $(STAMP) ## style, types and which way imports run
+	ruff check .
+	pyright --pythonpath $(VENV)/bin/python
+	lint-imports --no-cache
+
+clean: ## remove .venv and every cache
+	rm -rf $(VENV) build dist .benchmarks .hypothesis .import_linter_cache .pytest_cache .ruff_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
