@@ -14,11 +14,9 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 help: ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
 
-# Asking pyright for its version fetches its node package now rather than within a test.
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
 	python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
-	pyright --version
 	touch $@
 
 demo: $(STAMP) ## make a room, escape from it, leave a picture
