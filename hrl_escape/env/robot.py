@@ -1,0 +1,363 @@
+"""The robot: a wheeled base with an arm, as one URDF text that every engine and planner loads.
+
+A generated arm, two arms that ship with pybullet_data, or the user's own URDF is mounted on
+the base. The kinematic chain to the hand is read back from that same text, so the hand's
+position here, in Bullet and in Pinocchio is one and the same. Frame `base`: origin on the
+floor below the base's axis, x ahead, z up. Metres, radians.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import math
+from functools import lru_cache
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hrl_escape.env.config import RobotConfig
+from hrl_escape.errors import RobotError
+
+__all__ = ["BASE_LINK", "Robot", "load_urdf", "make_robot", "sample_hand_positions"]
+
+BASE_LINK = "mobile-base"
+_MOUNT_JOINT = "mobile-base-mount"
+_HAND = "hand"
+_MOVING = ("revolute", "continuous", "prismatic")
+_SHIPPED = {  # kind: (file in pybullet_data, hand link)
+    "kuka-iiwa": ("kuka_iiwa/model.urdf", "lbr_iiwa_link_7"),
+    "franka-panda": ("franka_panda/panda.urdf", "panda_grasptarget"),
+}
+_ARM_AXES = ("0 0 1", "0 -1 0", "0 -1 0", "1 0 0", "0 -1 0", "0 0 1", "0 -1 0")
+
+
+@dataclasses.dataclass(frozen=True)
+class _Joint:
+    """One joint of the chain from the base to the hand."""
+
+    name: str
+    kind: str
+    origin: NDArray[np.float64]  # (4, 4) placement in the parent link
+    axis: NDArray[np.float64]  # (3,) unit
+    low: float
+    high: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Robot:
+    """A robot ready for use; joint arrays are in the order of the action space.
+
+    Attributes:
+        urdf: the whole robot as URDF text; its root link is `BASE_LINK`.
+        joint_names: the joints that primitives move.
+        hand_link: the link whose origin is the hand.
+        home: joint angles at the start of an episode, rad.
+        step: angle of one joint primitive, rad.
+        step_low: fewest joint steps from home that stay within the limits (<= 0).
+        step_high: most joint steps from home that stay within the limits (>= 0).
+        limits: (low, high) of each joint, rad.
+        chain: joints from the base to the hand, moving or not.
+        rest: angles of the moving joints that no primitive moves, by name, rad (or m).
+    """
+
+    urdf: str
+    joint_names: tuple[str, ...]
+    hand_link: str
+    home: tuple[float, ...]
+    step: float
+    step_low: tuple[int, ...]
+    step_high: tuple[int, ...]
+    limits: tuple[tuple[float, float], ...]
+    chain: tuple[_Joint, ...]
+    rest: dict[str, float]
+
+    def compute_angles(self, joint_steps: tuple[int, ...],
+                       joint_offsets: tuple[float, ...] = ()) -> tuple[float, ...]:
+        """Joint angles in rad after whole steps from home (and noise's offsets)."""
+        offsets = joint_offsets or (0.0,) * len(joint_steps)
+        return tuple(home + n * self.step + extra
+                     for home, n, extra in zip(self.home, joint_steps, offsets, strict=True))
+
+    def compute_hand(self, angles: ArrayLike) -> NDArray[np.float64]:
+        """Hand position in the base frame.
+
+        Args:
+            angles: joint angles in rad, shape (..., joints).
+
+        Returns:
+            Shape (..., 3), float64, metres.
+        """
+        q = np.asarray(angles, dtype=np.float64)
+        lead = q.shape[:-1]
+        rotation = np.broadcast_to(np.eye(3), (*lead, 3, 3))
+        position = np.zeros((*lead, 3))
+        for joint in self.chain:
+            position = position + rotation @ joint.origin[:3, 3]
+            rotation = rotation @ joint.origin[:3, :3]
+            if joint.kind == "fixed":
+                continue
+            if joint.name in self.joint_names:
+                value = q[..., self.joint_names.index(joint.name)]
+            else:
+                value = np.full(lead, self.rest[joint.name])
+            if joint.kind == "prismatic":
+                position = position + (rotation @ joint.axis) * value[..., None]
+            else:
+                rotation = rotation @ _rotate_about(joint.axis, value)
+        return position
+
+
+def sample_hand_positions(robot: Robot, count: int) -> NDArray[np.float64]:
+    """Where the hand gets to on the joint lattice: every configuration, or a fixed sample of them.
+
+    The same robot and count give the same positions in any process.
+
+    Args:
+        robot: the robot.
+        count: most configurations to try; a lattice with no more than that is enumerated whole.
+
+    Returns:
+        Hand positions in the base frame, shape (configurations, 3), float64, metres.
+    """
+    low, high = np.array(robot.step_low, dtype=np.int64), np.array(robot.step_high, dtype=np.int64)
+    sizes = (high - low + 1).tolist()
+    total = math.prod(sizes)
+    if total <= count:
+        indices = np.unravel_index(np.arange(total), sizes) if sizes else ()
+        steps = low + np.stack(indices, axis=-1) if sizes else np.zeros((1, 0), dtype=np.int64)
+    else:
+        rng = np.random.default_rng(0)
+        steps = rng.integers(low, high + 1, size=(count, len(sizes)))
+    return robot.compute_hand(np.array(robot.home) + robot.step * steps)
+
+
+def _rotate_about(axis: NDArray[np.float64], angle: ArrayLike) -> NDArray[np.float64]:
+    """Rotation matrices (..., 3, 3) about a unit axis (Rodrigues)."""
+    x, y, z = axis
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    sine, cosine = np.sin(angle)[..., None, None], np.cos(angle)[..., None, None]
+    return np.eye(3) + sine * cross + (1.0 - cosine) * (cross @ cross)
+
+
+def load_urdf(path: str | Path) -> str:
+    """Read a user's arm for `RobotConfig(kind="urdf", urdf=...)`, mesh paths made absolute.
+
+    Raises:
+        RobotError: the file is missing or is not URDF.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text()
+    except (OSError, UnicodeDecodeError) as error:
+        raise RobotError(f"cannot read the URDF {path}: {error}") from None
+    root = _parse(text, str(path))
+    for mesh in root.iter("mesh"):
+        mesh.set("filename", str(_find_mesh(path, mesh.get("filename", ""))))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _find_mesh(urdf: Path, name: str) -> Path:
+    """A mesh by its path beside the URDF, or (a ROS package) beside any folder above it."""
+    tail = name.removeprefix("package://").removeprefix("file://")
+    for folder in urdf.resolve().parents:
+        if (folder / tail).is_file():
+            return folder / tail
+    raise RobotError(f"the URDF {urdf} shows the mesh {name!r}, which is not in its folder nor in one above")
+
+
+def _parse(text: str, where: str) -> ElementTree.Element:
+    try:
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise RobotError(f"{where} is not XML: {error}") from None
+    if root.tag != "robot" or root.find("link") is None:
+        raise RobotError(f"{where} is not a URDF: no <robot> with links in it")
+    return root
+
+
+def _find_shipped(file: str) -> Path:
+    spec = importlib.util.find_spec("pybullet_data")
+    if spec is None or spec.origin is None:
+        raise RobotError("pybullet_data is not installed; it comes with pybullet")
+    return Path(spec.origin).parent / file
+
+
+@lru_cache(maxsize=64)
+def make_robot(config: RobotConfig) -> Robot:
+    """Build the robot of a schematic; the same config gives the same object.
+
+    Raises:
+        RobotError: the arm's URDF lacks the hand link, or has fewer moving joints than asked for.
+    """
+    if config.kind in _SHIPPED:
+        file, hand = _SHIPPED[config.kind]
+        arm = _parse(load_urdf(_find_shipped(file)), config.kind)
+        hand = config.hand_link or hand
+    elif config.kind == "urdf":
+        arm = _parse(config.urdf or "", "robot.urdf")
+        hand = config.hand_link or arm.findall("link")[-1].get("name", "")
+    else:
+        arm = _make_arm(config)
+        hand = config.hand_link or (_HAND if config.joints else BASE_LINK)
+    whole = _mount(config, arm)
+    return _assemble(config, whole, hand)
+
+
+def _cylinder_link(name: str, mass: float, radius: float, length: float, xyz: str,
+                   rpy: str) -> ElementTree.Element:
+    side = mass * (3 * radius**2 + length**2) / 12
+    place = f'<origin xyz="{xyz}" rpy="{rpy}"/>'
+    shape = f'{place}<geometry><cylinder radius="{radius!r}" length="{length!r}"/></geometry>'
+    return ElementTree.fromstring(
+        f'<link name="{name}"><inertial>{place}<mass value="{mass!r}"/>'
+        f'<inertia ixx="{side!r}" iyy="{side!r}" izz="{mass * radius**2 / 2!r}" ixy="0" ixz="0" iyz="0"/>'
+        f"</inertial><visual>{shape}</visual><collision>{shape}</collision></link>"
+    )
+
+
+def _joint(name: str, kind: str, parent: str, child: str, xyz: str, axis: str = "",
+           limit: float = 0.0) -> ElementTree.Element:
+    inside = ""
+    if axis:
+        limits = f'lower="{-limit!r}" upper="{limit!r}" effort="500" velocity="10"'
+        inside = f'<axis xyz="{axis}"/><limit {limits}/>'
+    return ElementTree.fromstring(
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}" rpy="0 0 0"/>{inside}</joint>'
+    )
+
+
+def _make_arm(config: RobotConfig) -> ElementTree.Element:
+    """Links in a row along x: a yaw joint, then pitch joints, with a roll and a yaw among seven."""
+    arm = ElementTree.Element("robot", name="arm")
+    if not config.joints:
+        return arm
+    length = config.link_length
+    thickness = min(0.05, length / 4)
+    limit = math.radians(config.joint_limit_deg)
+    arm.append(ElementTree.fromstring('<link name="shoulder"/>'))
+    parent, xyz = "shoulder", "0 0 0"
+    for i in range(config.joints):
+        link = f"arm-{i + 1}"
+        arm.append(_joint(f"joint-{i + 1}", "revolute", parent, link, xyz, _ARM_AXES[i], limit))
+        middle, lying = f"{length / 2!r} 0 0", f"0 {math.pi / 2!r} 0"
+        arm.append(_cylinder_link(link, 0.5, thickness, length, middle, lying))
+        parent, xyz = link, f"{length!r} 0 0"
+    arm.append(ElementTree.fromstring(f'<link name="{_HAND}"/>'))
+    arm.append(_joint("wrist", "fixed", parent, _HAND, xyz))
+    return arm
+
+
+def _mount(config: RobotConfig, arm: ElementTree.Element) -> ElementTree.Element:
+    whole = ElementTree.Element("robot", name="escape-robot")
+    for material in arm.findall("material"):
+        whole.append(material)
+    middle = f"0 0 {config.body_height / 2!r}"
+    whole.append(_cylinder_link(BASE_LINK, 50.0, config.body_radius, config.body_height, middle, "0 0 0"))
+    links = {link.get("name", "") for link in arm.findall("link")}
+    if links:
+        children = {child.get("link") for child in arm.iterfind("joint/child")}
+        roots = sorted(links - children)
+        if len(roots) != 1:
+            raise RobotError(f"the arm's URDF must have one root link, not {roots or 'a circle of joints'}")
+        taken = [name for name in (BASE_LINK, _MOUNT_JOINT) if arm.find(f"*[@name='{name}']") is not None]
+        if taken:
+            raise RobotError(f"the arm's URDF uses the name {taken[0]!r}, the mobile base's own: rename it")
+        place = f"{config.mount_forward!r} 0 {config.body_height!r}"
+        whole.append(_joint(_MOUNT_JOINT, "fixed", BASE_LINK, roots[0], place))
+        whole.extend([*arm.findall("link"), *arm.findall("joint")])
+    return whole
+
+
+def _read_joint(element: ElementTree.Element) -> tuple[str, _Joint]:
+    """Read a joint; returns the parent link's name beside it."""
+    name, kind = element.get("name", ""), element.get("type", "fixed")
+    if kind not in ("fixed", *_MOVING):
+        raise RobotError(f"joint {name!r} of the URDF is {kind!r}; valid are fixed, {', '.join(_MOVING)}")
+    placement = np.eye(4)
+    roll, pitch, yaw = _read_vector(element, "origin", "rpy", "0 0 0")
+    for axis, angle in zip(np.eye(3), (roll, pitch, yaw), strict=True):
+        placement[:3, :3] = _rotate_about(axis, angle) @ placement[:3, :3]
+    placement[:3, 3] = _read_vector(element, "origin", "xyz", "0 0 0")
+    axis = _read_vector(element, "axis", "xyz", "1 0 0")
+    if kind != "fixed":
+        length = float(np.linalg.norm(axis))
+        if length == 0.0:
+            raise RobotError(f"joint {name!r} of the URDF moves about the axis 0 0 0")
+        axis = axis / length
+    low, high = -math.pi, math.pi
+    limit = element.find("limit")
+    if limit is not None and kind != "continuous":
+        low, high = (_read_numbers(name, limit.get(side, "0"), 1)[0] for side in ("lower", "upper"))
+        if not low <= high:
+            raise RobotError(f"joint {name!r} of the URDF: lower limit {low:g} is above upper {high:g}")
+    parent = element.find("parent")
+    above = parent.get("link", "") if parent is not None else ""
+    return above, _Joint(name, kind, placement, axis, low, high)
+
+
+def _read_vector(joint: ElementTree.Element, tag: str, key: str, default: str) -> NDArray[np.float64]:
+    element = joint.find(tag)
+    text = default if element is None else element.get(key, default)
+    return np.array(_read_numbers(joint.get("name", ""), text, 3))
+
+
+def _read_numbers(joint: str, text: str, count: int) -> list[float]:
+    try:
+        values = [float(word) for word in text.split()]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise RobotError(f"joint {joint!r} of the URDF has {text!r} where {count} numbers belong")
+    return values
+
+
+def _find_chain(whole: ElementTree.Element, hand: str) -> tuple[list[_Joint], list[_Joint]]:
+    """Joints from the base to the hand, and all joints."""
+    links = [link.get("name", "") for link in whole.findall("link")]
+    if hand not in links:
+        raise RobotError(f"robot.hand_link: no link {hand!r} in the URDF; its links are {', '.join(links)}")
+    above: dict[str, tuple[str, _Joint]] = {}
+    for element in whole.findall("joint"):
+        child = element.find("child")
+        above[child.get("link", "") if child is not None else ""] = _read_joint(element)
+    chain: list[_Joint] = []
+    link = hand
+    while link != BASE_LINK:
+        if link not in above or len(chain) > len(above):
+            raise RobotError(f"robot.hand_link: no joints lead from the URDF's root link to {hand!r}")
+        link, joint = above[link]
+        chain.insert(0, joint)
+    return chain, [joint for _, joint in above.values()]
+
+
+def _assemble(config: RobotConfig, whole: ElementTree.Element, hand: str) -> Robot:
+    chain, joints = _find_chain(whole, hand)
+    moving = [joint for joint in chain if joint.kind in _MOVING]
+    if len(moving) < config.joints:
+        raise RobotError(f"robot.joints = {config.joints}: only {len(moving)} joints move {hand!r}")
+    used = moving[: config.joints]
+    step = math.radians(config.joint_step_deg)
+    rest = {joint.name: _find_home(joint) for joint in joints if joint.kind in _MOVING}
+    home = tuple(rest.pop(joint.name) for joint in used)
+    slack = 1e-9  # a limit that is a whole number of steps away can be reached
+    return Robot(
+        urdf=ElementTree.tostring(whole, encoding="unicode"),
+        joint_names=tuple(joint.name for joint in used),
+        hand_link=hand,
+        home=home,
+        step=step,
+        step_low=tuple(math.ceil((j.low - at - slack) / step) for j, at in zip(used, home, strict=True)),
+        step_high=tuple(math.floor((j.high - at + slack) / step) for j, at in zip(used, home, strict=True)),
+        limits=tuple((j.low, j.high) for j in used),
+        chain=tuple(chain),
+        rest=rest,
+    )
+
+
+def _find_home(joint: _Joint) -> float:
+    """Zero where the limits allow it, else the middle."""
+    return 0.0 if joint.low <= 0.0 <= joint.high else (joint.low + joint.high) / 2
