@@ -1,0 +1,1 @@
+"""What a room is and how it moves; knows no options and no agents."""

@@ -1,0 +1,218 @@
+"""Exact planar geometry of a disc among boxes and cylinders: distances, first contact, rays.
+
+Pure functions, no engine. The body is an upright cylinder and every solid an upright
+prism, so contact is decided in the floor plane. Scalar functions serve single steps;
+the `*_many` ones take arrays of points for planners, generation and lidar. Metres, radians.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.settings import Settings, knob
+
+__all__ = [
+    "Footprint",
+    "Solid",
+    "cast_rays",
+    "compute_distance",
+    "compute_distance_many",
+    "compute_first_contact",
+    "make_footprint",
+    "stack_footprints",
+]
+
+FAR = 1e6
+
+
+@dataclasses.dataclass(frozen=True)
+class Solid(Settings):
+    """An upright box or cylinder standing on the floor, in the room frame."""
+
+    _section = "solid"
+    shape: str = knob("box", "Box or cylinder.", choices=("box", "cylinder"))
+    x: float = knob(0.0, "Centre.", "m", -FAR, FAR)
+    y: float = knob(0.0, "Centre.", "m", -FAR, FAR)
+    half_x: float = knob(0.5, "Half size along its own x; a cylinder's radius.", "m", 0, FAR)
+    half_y: float = knob(0.5, "Half size along its own y; a cylinder's radius.", "m", 0, FAR)
+    yaw: float = knob(0.0, "Direction of its own x.", "rad", -10, 10)
+    height: float = knob(1.0, "Height above the floor.", "m", 0, FAR)
+    role: str = knob("obstacle", "What it is.", choices=("wall", "obstacle", "door"))
+
+
+class Footprint(NamedTuple):
+    """A solid's outline on the floor, ready for scalar arithmetic."""
+
+    is_disc: bool
+    x: float
+    y: float
+    cos: float
+    sin: float
+    half_x: float
+    half_y: float
+
+
+def make_footprint(x: float, y: float, half_x: float, half_y: float, yaw: float = 0.0,
+                   is_disc: bool = False) -> Footprint:
+    """Build a footprint; quarter turns get exact sines, so that aligned boxes stay aligned."""
+    return Footprint(is_disc, x, y, round(math.cos(yaw), 15), round(math.sin(yaw), 15), half_x, half_y)
+
+
+def compute_distance(x: float, y: float, shape: Footprint) -> float:
+    """Distance from a point to a footprint; 0 inside."""
+    is_disc, cx, cy, cos, sin, half_x, half_y = shape
+    dx, dy = x - cx, y - cy
+    if is_disc:
+        return max(math.hypot(dx, dy) - half_x, 0.0)
+    qx = abs(cos * dx + sin * dy) - half_x
+    qy = abs(cos * dy - sin * dx) - half_y
+    if qx <= 0.0:
+        return qy if qy > 0.0 else 0.0
+    return qx if qy <= 0.0 else math.hypot(qx, qy)
+
+
+_GRAZE = 1e-9
+
+
+def compute_first_contact(x: float, y: float, dx: float, dy: float, radius: float, shape: Footprint) -> float:
+    """Fraction of a displacement at which a moving disc first meets a footprint.
+
+    Args:
+        x: disc centre.
+        y: disc centre.
+        dx: displacement.
+        dy: displacement.
+        radius: disc radius, clearance included.
+        shape: what may be hit.
+
+    Returns:
+        The fraction in [0, 1), or infinity if the disc gets by. A disc that touches already
+        is stopped (0) only if it moves towards the shape; sliding along it is free. The
+        set of touching centres is convex, so its boundary is met at most once.
+    """
+    is_disc, cx, cy, cos, sin, half_x, half_y = shape
+    px, py = x - cx, y - cy
+    if is_disc:
+        return _meet_circle(px, py, dx, dy, half_x + radius)
+    ox, oy = cos * px + sin * py, cos * py - sin * px
+    vx, vy = cos * dx + sin * dy, cos * dy - sin * dx
+    if ox < 0.0:  # mirror into the quadrant where the centre lies
+        ox, vx = -ox, -vx
+    if oy < 0.0:
+        oy, vy = -oy, -vy
+    qx, qy = ox - half_x, oy - half_y
+    if qx > 0.0 and qy > 0.0:
+        if qx * qx + qy * qy <= radius * radius:
+            return _meet_circle(qx, qy, vx, vy, radius)
+    elif max(qx, qy) <= radius:
+        return 0.0 if (vx if qx > qy else vy) < -_GRAZE * (abs(vx) + abs(vy)) else math.inf
+    # outside: enter the box grown by the radius, then look whether it was at a rounded corner
+    wide, high = half_x + radius, half_y + radius
+    enter, leave, side = 0.0, 1.0, -1
+    if ox > wide or abs(vx) > 0.0:
+        if vx == 0.0:
+            return math.inf
+        near, far = ((wide - ox) / vx, (-wide - ox) / vx) if vx < 0.0 else ((-wide - ox) / vx, (wide - ox) / vx)
+        if near > enter:
+            enter, side = near, 0
+        leave = min(leave, far)
+    if oy > high or abs(vy) > 0.0:
+        if vy == 0.0:
+            return math.inf
+        near, far = ((high - oy) / vy, (-high - oy) / vy) if vy < 0.0 else ((-high - oy) / vy, (high - oy) / vy)
+        if near > enter:
+            enter, side = near, 1
+        leave = min(leave, far)
+    if enter > leave:
+        return math.inf
+    ex, ey = ox + enter * vx, oy + enter * vy
+    corner_x, corner_y = abs(ex) - half_x, abs(ey) - half_y
+    if corner_x > 0.0 and corner_y > 0.0:
+        return _meet_circle(ox - math.copysign(half_x, ex), oy - math.copysign(half_y, ey), vx, vy, radius)
+    if side < 0 or abs(vx if side == 0 else vy) < _GRAZE * (abs(vx) + abs(vy)):
+        return math.inf
+    return enter
+
+
+def _meet_circle(px: float, py: float, vx: float, vy: float, radius: float) -> float:
+    """First fraction at which p + t v is within a circle round the origin."""
+    along = px * vx + py * vy
+    if along >= 0.0:
+        return math.inf
+    square = vx * vx + vy * vy
+    gap = px * px + py * py - radius * radius
+    if gap <= 0.0:
+        return 0.0 if along < -_GRAZE * radius * math.sqrt(square) else math.inf
+    root = along * along - square * gap
+    if root <= _GRAZE * _GRAZE * radius * radius * square:
+        return math.inf
+    fraction = gap / (-along + math.sqrt(root))
+    return fraction if fraction < 1.0 else math.inf
+
+
+def stack_footprints(shapes: Sequence[Footprint]) -> NDArray[np.float64]:
+    """Stack footprints into rows (is_disc, x, y, cos, sin, half_x, half_y); shape (n, 7), float64."""
+    return np.array(shapes, dtype=np.float64).reshape(-1, 7)
+
+
+def compute_distance_many(points: NDArray[np.float64], shapes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Distance from each point to the nearest of several footprints.
+
+    Args:
+        points: shape (n, 2), float64.
+        shapes: rows of `stack_footprints`.
+
+    Returns:
+        Shape (n,), float64; 0 inside a footprint, infinity where there are none.
+    """
+    best = np.full(len(points), np.inf)
+    for is_disc, cx, cy, cos, sin, half_x, half_y in shapes.tolist():
+        dx, dy = points[:, 0] - cx, points[:, 1] - cy
+        if is_disc:
+            distance = np.maximum(np.hypot(dx, dy) - half_x, 0.0)
+        else:
+            qx = np.maximum(np.abs(cos * dx + sin * dy) - half_x, 0.0)
+            qy = np.maximum(np.abs(cos * dy - sin * dx) - half_y, 0.0)
+            distance = np.hypot(qx, qy)
+        np.minimum(best, distance, out=best)
+    return best
+
+
+def cast_rays(x: float, y: float, angles: NDArray[np.float64], shapes: NDArray[np.float64],
+              longest: float) -> NDArray[np.float64]:
+    """Range of each ray from a point to the first footprint it meets.
+
+    Args:
+        x: origin.
+        y: origin.
+        angles: directions in the room frame, shape (rays,).
+        shapes: rows of `stack_footprints`.
+        longest: range reported where nothing is met.
+
+    Returns:
+        Shape (rays,), float64, in metres.
+    """
+    if not len(shapes):
+        return np.full(len(angles), longest)
+    is_disc, cx, cy, cos, sin, half_x, half_y = shapes.T[:, :, None]
+    ray_x, ray_y = np.cos(angles)[None, :], np.sin(angles)[None, :]
+    px, py = x - cx, y - cy
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = px * ray_x + py * ray_y
+        root = along**2 - (px**2 + py**2 - half_x**2)
+        disc = np.where((root >= 0.0) & (along < 0.0), -along - np.sqrt(np.maximum(root, 0.0)), np.inf)
+        ox, oy = cos * px + sin * py, cos * py - sin * px
+        vx, vy = cos * ray_x + sin * ray_y, cos * ray_y - sin * ray_x
+        x1, x2 = (-half_x - ox) / vx, (half_x - ox) / vx
+        y1, y2 = (-half_y - oy) / vy, (half_y - oy) / vy
+        enter = np.fmax(np.fmin(x1, x2), np.fmin(y1, y2))
+        leave = np.fmin(np.fmax(x1, x2), np.fmax(y1, y2))
+        box = np.where((enter <= leave) & (leave >= 0.0), enter, np.inf)
+    ranges = np.where(is_disc > 0.5, disc, box)
+    return np.clip(ranges.min(axis=0), 0.0, longest)

@@ -1,0 +1,328 @@
+"""The kinematic Escape Room MDP as pure rules: one state and one primitive give the next state.
+
+`Kinematics` compiles an instance into tables and steps it exactly; it holds no state of an
+episode. The Bullet engine steps with it and planners simulate with it, so that a plan's
+predicted states are the executed ones. `Rules` holds what every dynamics shares: presses,
+puzzle, reward, exit and horizon.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable
+from typing import Any, NamedTuple
+
+from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact, make_footprint
+from hrl_escape.env.instance import RoomInstance, Start, Target
+from hrl_escape.env.noise import compute_noise
+from hrl_escape.env.primitives import make_primitives
+from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.robot import make_robot
+
+__all__ = ["Kinematics", "RoomState", "Rules", "Transition", "compute_heading"]
+
+
+class RoomState(NamedTuple):
+    """Everything that decides the future of an episode; hashable and comparable.
+
+    Attributes:
+        x: position of the body's axis, m.
+        y: position of the body's axis, m.
+        heading_steps: whole turn steps, from 0 to 360 / turn_step_deg - 1.
+        heading_offset: heading beyond whole steps, rad (noise, physics, start).
+        joint_steps: whole joint steps from home.
+        joint_offsets: joint angles beyond whole steps, rad; empty where all are zero.
+        puzzle: the puzzle's own state.
+        touching: bit i is set while target i is touched.
+        primitives: primitives since the episode began.
+        noise_key: 64-bit key of the episode's noise.
+        z: height of the base above the floor, m (physics).
+        pitch: rad (physics).
+        roll: rad (physics).
+        physics: the engine's own saved state (physics), else None.
+    """
+
+    x: float
+    y: float
+    heading_steps: int
+    heading_offset: float
+    joint_steps: tuple[int, ...]
+    joint_offsets: tuple[float, ...]
+    puzzle: Hashable
+    touching: int
+    primitives: int
+    noise_key: int
+    z: float = 0.0
+    pitch: float = 0.0
+    roll: float = 0.0
+    physics: Any = None
+
+
+class Transition(NamedTuple):
+    """What one primitive did."""
+
+    state: RoomState
+    reward: float
+    terminated: bool
+    truncated: bool
+    pressed: tuple[int, ...]
+
+
+def compute_heading(steps: int, offset: float, turn_step: float) -> float:
+    """Heading in [-pi, pi): the same steps give the same float, however they were made."""
+    return (steps * turn_step + offset + math.pi) % math.tau - math.pi
+
+
+class Rules:
+    """What every dynamics shares: touching, presses, the puzzle, reward, exit and horizon.
+
+    Attributes:
+        instance: the room.
+        robot: its robot.
+        primitives: the action table.
+    """
+
+    def __init__(self, instance: RoomInstance) -> None:
+        self.instance = instance
+        self.robot = make_robot(instance.robot)
+        self.primitives = make_primitives(instance.robot.joints)
+        self.headings = round(360 / instance.robot.turn_step_deg)
+        self.turn_step = math.tau / self.headings
+        self._angles = tuple(compute_heading(n, 0.0, self.turn_step) for n in range(self.headings))
+        self._rotations = tuple((round(math.cos(a), 15), round(math.sin(a), 15)) for a in self._angles)
+        self._puzzle = instance.puzzle
+        self._exit = instance.exit
+        reward = instance.reward
+        self._step_reward = reward.step
+        self._exit_reward = reward.exit if reward.exit_replaces_step else reward.step + reward.exit
+        self._horizon = instance.horizon
+        self._by_hand = instance.dynamics.press_with == "hand"
+        self._hands: dict[tuple[int, ...], tuple[float, float, float]] = {}
+        self._reaches = tuple((i, t.footprint, self._compute_reach(t), t) for i, t in enumerate(instance.targets))
+        self._target_cells: dict[tuple[int, int], tuple] = {}
+
+    # --- poses -----------------------------------------------------------------------
+
+    def get_heading(self, state: RoomState) -> float:
+        """Heading of the base in rad, within [-pi, pi)."""
+        if state.heading_offset == 0.0:
+            return self._angles[state.heading_steps]
+        return compute_heading(state.heading_steps, state.heading_offset, self.turn_step)
+
+    def get_rotation(self, steps: int, offset: float) -> tuple[float, float]:
+        """Cosine and sine of a heading; exact at quarter turns."""
+        if offset == 0.0:
+            return self._rotations[steps]
+        angle = compute_heading(steps, offset, self.turn_step)
+        return math.cos(angle), math.sin(angle)
+
+    def get_angles(self, state: RoomState) -> tuple[float, ...]:
+        """Joint angles in rad."""
+        return self.robot.compute_angles(state.joint_steps, state.joint_offsets)
+
+    def get_hand_in_base(self, joint_steps: tuple[int, ...],
+                         joint_offsets: tuple[float, ...] = ()) -> tuple[float, float, float]:
+        """Hand position in the base frame, m; whole-step configurations are remembered."""
+        if joint_offsets:
+            return tuple(self.robot.compute_hand(self.robot.compute_angles(joint_steps, joint_offsets)).tolist())
+        hand = self._hands.get(joint_steps)
+        if hand is None:
+            if len(self._hands) > 200_000:
+                self._hands.clear()
+            hand = tuple(self.robot.compute_hand(self.robot.compute_angles(joint_steps)).tolist())
+            self._hands[joint_steps] = hand
+        return hand
+
+    def get_hand(self, state: RoomState) -> tuple[float, float, float]:
+        """Hand position in the room frame, m."""
+        hand_x, hand_y, hand_z = self.get_hand_in_base(state.joint_steps, state.joint_offsets)
+        cos, sin = self.get_rotation(state.heading_steps, state.heading_offset)
+        return state.x + cos * hand_x - sin * hand_y, state.y + sin * hand_x + cos * hand_y, state.z + hand_z
+
+    # --- touching --------------------------------------------------------------------
+
+    def _compute_reach(self, target: Target) -> float:
+        """Largest floor distance from the body's axis at which the body touches; -1 if never."""
+        margin = self.instance.dynamics.press_margin
+        gap = max(0.0, target.z - target.half_z - self.instance.robot.body_height, -(target.z + target.half_z))
+        return -1.0 if gap > margin else self.instance.robot.body_radius + math.sqrt(margin**2 - gap**2)
+
+    def compute_touching(self, x: float, y: float, heading_steps: int, heading_offset: float,
+                         joint_steps: tuple[int, ...], joint_offsets: tuple[float, ...]) -> int:
+        """Bits of the targets that the presser touches at a pose of base and arm."""
+        touching = 0
+        if not self._by_hand:
+            for i, footprint, reach, _ in self._get_near_targets(x, y):
+                if compute_distance(x, y, footprint) <= reach:
+                    touching |= 1 << i
+            return touching
+        hand_x, hand_y, hand_z = self.get_hand_in_base(joint_steps, joint_offsets)
+        cos, sin = self.get_rotation(heading_steps, heading_offset)
+        at_x, at_y = x + cos * hand_x - sin * hand_y, y + sin * hand_x + cos * hand_y
+        limit = self.instance.robot.hand_radius + self.instance.dynamics.press_margin
+        for i, footprint, _, target in self._get_near_targets(at_x, at_y):
+            flat = compute_distance(at_x, at_y, footprint)
+            if flat <= limit and math.hypot(flat, max(abs(hand_z - target.z) - target.half_z, 0.0)) <= limit:
+                touching |= 1 << i
+        return touching
+
+    def _get_near_targets(self, x: float, y: float) -> tuple:
+        """Targets that could be touched from a floor cell of one metre."""
+        cell = (math.floor(x), math.floor(y))
+        near = self._target_cells.get(cell)
+        if near is None:
+            margin = self.instance.robot.hand_radius + self.instance.dynamics.press_margin
+            near = tuple(
+                entry for entry in self._reaches
+                if (reach := margin if self._by_hand else entry[2]) >= 0.0
+                and compute_distance(cell[0] + 0.5, cell[1] + 0.5, entry[1]) <= reach + 0.75
+            )
+            self._target_cells[cell] = near
+        return near
+
+    # --- the episode -----------------------------------------------------------------
+
+    def make_state(self, start: Start, noise_key: int = 0) -> RoomState:
+        """State at the beginning of an episode; what is touched there counts as touched before."""
+        steps = (0,) * self.instance.robot.joints
+        touching = self.compute_touching(start.x, start.y, start.heading_steps, start.heading_offset, steps, ())
+        return RoomState(start.x, start.y, start.heading_steps, start.heading_offset, steps, (),
+                         self._puzzle.make_state(), touching, 0, noise_key)
+
+    def judge(self, before: RoomState, moved: RoomState,
+              prop_poses: tuple[tuple[float, float, float], ...] = ()) -> Transition:
+        """Complete a motion: presses, puzzle, reward, exit and horizon.
+
+        Args:
+            before: state before the primitive.
+            moved: state after its motion, with what is touched now; its puzzle state and
+                primitive count are still those of `before`.
+            prop_poses: where the props are now (physics).
+        """
+        pressed: tuple[int, ...] = ()
+        puzzle = before.puzzle
+        begun = moved.touching & ~before.touching
+        if begun:
+            pressed = tuple(i for i in range(begun.bit_length()) if begun >> i & 1)
+        if begun or prop_poses:
+            puzzle = self._puzzle.update(puzzle, Contacts(pressed, prop_poses))
+        count = before.primitives + 1
+        terminated = self._exit.contains(moved.x, moved.y) and self._puzzle.is_solved(puzzle)
+        state = moved._replace(puzzle=puzzle, primitives=count)
+        reward = self._exit_reward if terminated else self._step_reward
+        return Transition(state, reward, terminated, not terminated and count >= self._horizon, pressed)
+
+
+class Kinematics(Rules):
+    """The kinematic MDP of an instance: exact first contact, no sliding, arms pass through."""
+
+    def __init__(self, instance: RoomInstance) -> None:
+        super().__init__(instance)
+        robot, dynamics = instance.robot, instance.dynamics
+        self._radius = robot.body_radius + CONTACT_SKIN
+        self._noise, self._slip = dynamics.noise, dynamics.slip
+        self.footprints = tuple(
+            make_footprint(s.x, s.y, s.half_x, s.half_y, s.yaw, s.shape == "cylinder") for s in instance.solids
+        )
+        door = instance.door
+        self._door = door and make_footprint(door.x, door.y, door.half_x, door.half_y, door.yaw)
+        self._span = robot.move_step * (2.0 if dynamics.noise else 1.0)
+        self._solid_cells: dict[tuple[int, int], tuple[Footprint, ...]] = {}
+        step = robot.move_step
+        self._moves = tuple(
+            tuple((step * (p.forward * cos - p.left * sin), step * (p.forward * sin + p.left * cos))
+                  for cos, sin in self._rotations)
+            for p in self.primitives
+        )
+
+    def step(self, state: RoomState, action: int) -> Transition:
+        """Apply one primitive. Pure: the same state and action give the same transition."""
+        primitive = self.primitives[action]
+        scale = 1.0
+        if self._noise or self._slip:
+            normal, uniform = compute_noise(state.noise_key, state.primitives)
+            if uniform < self._slip:
+                return self.judge(state, state)
+            scale += self._noise * normal
+        if primitive.joint >= 0:
+            moved = self._move_joint(state, primitive.joint, primitive.joint_change, scale)
+        elif primitive.turn:
+            moved = self._turn(state, primitive.turn, scale)
+        else:
+            moved = self._translate(state, action, scale)
+        return self.judge(state, moved)
+
+    def _translate(self, state: RoomState, action: int, scale: float) -> RoomState:
+        x, y, steps, offset = state[:4]
+        if offset == 0.0:
+            dx, dy = self._moves[action][steps]
+        else:
+            cos, sin = self.get_rotation(steps, offset)
+            p, length = self.primitives[action], self.instance.robot.move_step
+            dx, dy = length * (p.forward * cos - p.left * sin), length * (p.forward * sin + p.left * cos)
+        if scale != 1.0:
+            dx, dy = scale * dx, scale * dy
+        fraction = self.compute_free_fraction(x, y, dx, dy, state.puzzle)
+        if fraction < 1.0:
+            dx, dy = fraction * dx, fraction * dy
+        x, y = x + dx, y + dy
+        touching = self.compute_touching(x, y, steps, offset, state.joint_steps, state.joint_offsets)
+        return state._replace(x=x, y=y, touching=touching)
+
+    def compute_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable) -> float:
+        """Share in [0, 1] of a displacement that the body can make, with its clearance kept."""
+        fraction = 1.0
+        near = self._get_near_solids(x, y) if abs(dx) + abs(dy) <= 1.5 * self._span else self.footprints
+        for footprint in near:
+            met = compute_first_contact(x, y, dx, dy, self._radius, footprint)
+            if met < fraction:
+                fraction = met
+        if self._door is not None and self.is_door_shut(x, y, puzzle):
+            fraction = min(fraction, compute_first_contact(x, y, dx, dy, self._radius, self._door))
+        return fraction
+
+    def is_door_shut(self, x: float, y: float, puzzle: Hashable) -> bool:
+        """Say whether the exit has a door that is shut; it cannot close on a robot standing in it."""
+        if self._door is None or self._puzzle.is_solved(puzzle):
+            return False
+        return compute_distance(x, y, self._door) >= self._radius - 1e-6
+
+    def _get_near_solids(self, x: float, y: float) -> tuple[Footprint, ...]:
+        """Solids that a step from a floor cell of one metre could meet."""
+        cell = (math.floor(x), math.floor(y))
+        near = self._solid_cells.get(cell)
+        if near is None:
+            limit = self._radius + 1.5 * self._span + 0.75
+            near = tuple(f for f in self.footprints if compute_distance(cell[0] + 0.5, cell[1] + 0.5, f) <= limit)
+            self._solid_cells[cell] = near
+        return near
+
+    def _turn(self, state: RoomState, turn: int, scale: float) -> RoomState:
+        steps = (state.heading_steps + turn) % self.headings
+        offset = state.heading_offset
+        if scale != 1.0:
+            offset = (offset + (scale - 1.0) * turn * self.turn_step + math.pi) % math.tau - math.pi
+        touching = state.touching
+        if self._by_hand:
+            touching = self.compute_touching(state.x, state.y, steps, offset, state.joint_steps, state.joint_offsets)
+        return state._replace(heading_steps=steps, heading_offset=offset, touching=touching)
+
+    def _move_joint(self, state: RoomState, joint: int, change: int, scale: float) -> RoomState:
+        steps, offsets = list(state.joint_steps), state.joint_offsets
+        steps[joint] += change
+        if scale == 1.0 and not offsets:
+            if not self.robot.step_low[joint] <= steps[joint] <= self.robot.step_high[joint]:
+                return state
+        else:
+            extra = list(offsets or (0.0,) * len(steps))
+            extra[joint] += (scale - 1.0) * change * self.robot.step
+            offsets = tuple(extra)
+            low, high = self.robot.limits[joint]
+            if not low - 1e-9 <= self.robot.compute_angles(tuple(steps), offsets)[joint] <= high + 1e-9:
+                return state
+        touching = state.touching
+        if self._by_hand:
+            touching = self.compute_touching(state.x, state.y, state.heading_steps, state.heading_offset,
+                                             tuple(steps), offsets)
+        return state._replace(joint_steps=tuple(steps), joint_offsets=offsets, touching=touching)

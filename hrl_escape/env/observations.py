@@ -1,0 +1,159 @@
+"""What an agent sees: one class a kind of observation, from state to numbers.
+
+`state`: float32, `6 + N_p + N_j`: x, y, z (m), heading, pitch, roll (rad), the puzzle's
+numbers, joint angles (rad). The paper's state vector (section 4.1).
+
+`features`: float32 in [-1, 1], `4 + N_j + N_p`: x and y over the floor's half size, sine and
+cosine of the heading, joint angles over their limits, the puzzle's numbers (rescaled to
+[-1, 1] where they are not bits).
+
+`egocentric`: float32 in [-1, 1], `4 * targets + 3 + rays`: per target range over the room's
+diagonal, sine and cosine of the bearing, 1 if lit; range, sine and cosine for the exit; then
+lidar ranges over the diagonal, from straight ahead counter-clockwise.
+
+`pixels`: uint8, (84, 84, 3), from the robot's camera; rendered by the engine.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.geometry import cast_rays, make_footprint, stack_footprints
+from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.errors import UnknownNameError
+
+__all__ = ["LIDAR_RAYS", "OBSERVATIONS", "PIXELS", "Observer", "make_observer"]
+
+LIDAR_RAYS = 16
+PIXELS = (84, 84)
+
+
+class Observer(ABC):
+    """Turns states of one instance into observations of one kind.
+
+    Attributes:
+        names: what each number is, in order.
+        low: smallest value of each number, float32.
+        high: largest value of each number, float32.
+    """
+
+    names: tuple[str, ...]
+    low: NDArray[np.float32]
+    high: NDArray[np.float32]
+
+    def __init__(self, rules: Rules) -> None:
+        self._rules = rules
+        self._instance = rules.instance
+        self._puzzle = rules.instance.puzzle
+        self._puzzle_names = tuple(f"puzzle-{i + 1}" for i in range(len(self._puzzle.bounds)))
+        self._joint_names = tuple(f"joint-{i + 1}" for i in range(rules.instance.robot.joints))
+
+    @abstractmethod
+    def observe(self, state: RoomState) -> NDArray[np.float32]:
+        """Return a fresh float32 array, one number a name."""
+
+
+class StateObserver(Observer):
+    """The paper's state vector in natural units."""
+
+    def __init__(self, rules: Rules) -> None:
+        super().__init__(rules)
+        instance = self._instance
+        self.names = ("x", "y", "z", "heading", "pitch", "roll", *self._puzzle_names, *self._joint_names)
+        top = instance.wall_height + instance.robot.body_height
+        limits = [(-instance.reach_x, instance.reach_x), (-instance.reach_y, instance.reach_y), (-1.0, top),
+                  *[(-math.pi, math.pi)] * 3, *self._puzzle.bounds, *rules.robot.limits]
+        self.low, self.high = np.array(limits, dtype=np.float32).T.copy()
+
+    def observe(self, state: RoomState) -> NDArray[np.float32]:
+        """See the module's first lines for the layout."""
+        rules = self._rules
+        angles = rules.get_angles(state) if state.joint_steps else ()
+        return np.array((state.x, state.y, state.z, rules.get_heading(state), state.pitch, state.roll,
+                         *self._puzzle.observe(state.puzzle), *angles), dtype=np.float32)
+
+
+class FeatureObserver(Observer):
+    """Everything scaled into [-1, 1]; the default of the training scripts."""
+
+    def __init__(self, rules: Rules) -> None:
+        super().__init__(rules)
+        self.names = ("x", "y", "sin-heading", "cos-heading", *self._joint_names, *self._puzzle_names)
+        self._scale = [(low, high) for low, high in self._puzzle.bounds]
+        self._bits = all(bound == (0.0, 1.0) for bound in self._scale)
+        self._limits = [max(abs(low), abs(high)) for low, high in rules.robot.limits]
+        self.high = np.ones(len(self.names), dtype=np.float32)
+        self.low = -self.high
+
+    def observe(self, state: RoomState) -> NDArray[np.float32]:
+        """See the module's first lines for the layout."""
+        rules, instance = self._rules, self._instance
+        cos, sin = rules.get_rotation(state.heading_steps, state.heading_offset)
+        joints = ()
+        if state.joint_steps:
+            joints = tuple(a / m for a, m in zip(rules.get_angles(state), self._limits, strict=True))
+        puzzle = self._puzzle.observe(state.puzzle)
+        if not self._bits:
+            puzzle = tuple(v if bound == (0.0, 1.0) else 2 * (v - bound[0]) / (bound[1] - bound[0]) - 1
+                           for v, bound in zip(puzzle, self._scale, strict=True))
+        numbers = (state.x / instance.reach_x, state.y / instance.reach_y, sin, cos, *joints, *puzzle)
+        return np.array([min(1.0, max(-1.0, v)) for v in numbers], dtype=np.float32)
+
+
+class EgocentricObserver(Observer):
+    """Ranges and bearings from the robot's own place, and a ring of lidar."""
+
+    def __init__(self, rules: Rules) -> None:
+        super().__init__(rules)
+        instance = self._instance
+        per_target = tuple(f"{t.name}-{word}" for t in instance.targets for word in ("range", "sin", "cos", "lit"))
+        rays = tuple(f"lidar-{i}" for i in range(LIDAR_RAYS))
+        self.names = (*per_target, "exit-range", "exit-sin", "exit-cos", *rays)
+        self._points = np.array([(t.x, t.y) for t in instance.targets] + [instance.exit.centre], dtype=np.float64)
+        self._diagonal = 2 * math.hypot(instance.reach_x, instance.reach_y)
+        self._rays = np.arange(LIDAR_RAYS) * (math.tau / LIDAR_RAYS)
+        shapes = [make_footprint(s.x, s.y, s.half_x, s.half_y, s.yaw, s.shape == "cylinder") for s in instance.solids]
+        door = instance.door
+        shut = [make_footprint(door.x, door.y, door.half_x, door.half_y, door.yaw)] if door else []
+        self._open_shapes, self._shut_shapes = stack_footprints(shapes), stack_footprints(shapes + shut)
+        self.high = np.ones(len(self.names), dtype=np.float32)
+        self.low = -self.high
+
+    def observe(self, state: RoomState) -> NDArray[np.float32]:
+        """See the module's first lines for the layout."""
+        heading = self._rules.get_heading(state)
+        away = self._points - (state.x, state.y)
+        bearing = np.arctan2(away[:, 1], away[:, 0]) - heading
+        ranges = np.hypot(away[:, 0], away[:, 1]) / self._diagonal
+        lit = np.array([*self._puzzle.get_lit(state.puzzle), 0.0])
+        seen = np.stack([ranges, np.sin(bearing), np.cos(bearing), lit], axis=1).ravel()[:-1]
+        shapes = self._open_shapes if self._puzzle.is_solved(state.puzzle) else self._shut_shapes
+        angles = np.asarray(heading + self._rays, dtype=np.float64)
+        lidar = cast_rays(state.x, state.y, angles, shapes, self._diagonal) / self._diagonal
+        return np.clip(np.concatenate([seen, lidar]), -1.0, 1.0).astype(np.float32)
+
+
+OBSERVATIONS: dict[str, str] = {
+    "state": "the paper's state vector: pose, puzzle, joints, in natural units",
+    "features": "position, heading, joints and puzzle scaled into [-1, 1]",
+    "egocentric": "range and bearing of buttons and exit, and a ring of lidar",
+    "pixels": "84 x 84 RGB from the robot's camera",
+}
+_OBSERVERS = {"state": StateObserver, "features": FeatureObserver, "egocentric": EgocentricObserver}
+
+
+def make_observer(kind: str, rules: Rules) -> Observer | None:
+    """Make an observer by name; None for `pixels`, which the engine renders.
+
+    Raises:
+        UnknownNameError: no observation of that name.
+    """
+    if kind not in OBSERVATIONS:
+        raise UnknownNameError("observation", kind, OBSERVATIONS)
+    return None if kind == "pixels" else _OBSERVERS[kind](rules)
+
+

@@ -1,0 +1,136 @@
+"""Named schematics: the paper's rooms, the published 2019 code's, and a ladder of difficulty.
+
+A preset is a function that returns a `RoomConfig`; `larg-2019` takes arguments. Each is
+registered with Gymnasium under its name in CamelCase, `hrl_escape/PaperTwoButton-v0`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from hrl_escape.env.config import (
+    DynamicsConfig,
+    ExitConfig,
+    ObstaclesConfig,
+    RewardConfig,
+    RobotConfig,
+    RoomConfig,
+    ShapeConfig,
+    StartConfig,
+)
+from hrl_escape.env.puzzles.base import Panels, Place
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.errors import ConfigError, UnknownNameError
+
+__all__ = ["PRESETS", "get_preset", "make_env_name"]
+
+
+def paper_room(buttons: int) -> RoomConfig:
+    """The paper's text: 20 x 20 m, 1 m and 10 degrees, large buttons, start in the middle.
+
+    The best returns are 91 (one button: nine strafes left) and 86 or less (two buttons).
+    """
+    side = 10.0 if buttons == 1 else 6.0
+    return RoomConfig(
+        name="paper-one-button" if buttons == 1 else "paper-two-button",
+        room=ShapeConfig(width=20, depth=20, wall_height=3),
+        robot=RobotConfig(body_radius=0.75),
+        puzzle=ButtonsConfig(
+            count=buttons,
+            buttons=Panels(width=side, height=side, thickness=0.1, centre_height=side / 2, inset=1.0, places="paper"),
+        ),
+        start=StartConfig(place="fixed"),
+        exit=ExitConfig(place="fixed", x=9.5 - side / 2, y=9.0 - side / 2, width=side, depth=side),
+    )
+
+
+def larg_2019(size: int = 2, seed: int = 14, handicap: float = 6.0) -> RoomConfig:
+    """The published 2019 code as measured: geometry, displacements, graph, reset rule, reward and cap.
+
+    Args:
+        size: number of buttons, 1 to 4.
+        seed: seed of the button graph.
+        handicap: side in metres of buttons and exit.
+    """
+    if not isinstance(size, int) or not 1 <= size <= 4:
+        raise ConfigError("larg-2019 size", size, "a whole number from 1 to 4")
+    places = (Place(0, 9, 0), Place(-9, 0, 90), Place(9, -5, 90), Place(0, -9, 0))
+    return RoomConfig(
+        name="larg-2019",
+        room=ShapeConfig(width=18, depth=18, wall_height=3, wall_thickness=1),
+        robot=RobotConfig(body_radius=0.75, joints=1, link_length=7.05, move_step=0.75, turn_step_deg=15,
+                          joint_step_deg=3),
+        puzzle=ButtonsConfig(
+            count=size,
+            graph=GraphConfig(kind="larg-2019", max_parents=1, seed=seed),
+            on_violation="reset",
+            buttons=Panels(width=handicap, height=handicap, thickness=0.1 * handicap, centre_height=handicap / 2,
+                           places=places),
+        ),
+        start=StartConfig(place="fixed"),
+        exit=ExitConfig(place="fixed", x=9.5 - handicap / 2, y=9.0 - handicap / 2, width=handicap, depth=handicap),
+        reward=RewardConfig(exit_replaces_step=True),
+        horizon=1001,
+    )
+
+
+def ladder_room(name: str, count: int, graph: GraphConfig, size: float = 20.0, **parts: Any) -> RoomConfig:
+    """A rung of the ladder: small buttons anywhere on the walls, random start and exit."""
+    puzzle = ButtonsConfig(count=count, graph=graph, buttons=Panels(width=1.5))
+    settings: dict[str, Any] = {"robot": RobotConfig(body_radius=0.5), "puzzle": puzzle,
+                                "room": ShapeConfig(width=size, depth=size)}
+    return RoomConfig(name=name, **(settings | parts))
+
+
+def clutter() -> RoomConfig:
+    """Obstacles and two interior walls: four buttons in three rooms, a door at the exit."""
+    return ladder_room(
+        "clutter", 4, GraphConfig(kind="layered", max_parents=2),
+        room=ShapeConfig(width=20, depth=20, rooms=3), obstacles=ObstaclesConfig(count=15),
+        exit=ExitConfig(door=True, width=2.5, depth=1.5),
+    )
+
+
+def arm_two_button() -> RoomConfig:
+    """Two small buttons at different heights that only the hand of a 3-joint arm presses."""
+    return RoomConfig(
+        name="arm-two-button",
+        room=ShapeConfig(width=12, depth=12),
+        robot=RobotConfig(body_radius=0.4, body_height=0.8, joints=3, link_length=0.5),
+        puzzle=ButtonsConfig(count=2, buttons=Panels(width=0.4, height=0.4, centre_height=1.2, height_spread=0.5)),
+        dynamics=DynamicsConfig(press_with="hand"),
+    )
+
+
+PRESETS: dict[str, Callable[..., RoomConfig]] = {
+    "paper-one-button": lambda: paper_room(1),
+    "paper-two-button": lambda: paper_room(2),
+    "larg-2019": larg_2019,
+    "four-button-chain": lambda: ladder_room("four-button-chain", 4, GraphConfig(kind="chain")),
+    "arm-two-button": arm_two_button,
+    "clutter": clutter,
+    "ten-button": lambda: ladder_room("ten-button", 10, GraphConfig(kind="layered", max_parents=2)),
+    "twenty-button": lambda: ladder_room("twenty-button", 20, GraphConfig(kind="layered", max_parents=2), 30.0),
+}
+
+
+def get_preset(name: str, **arguments: Any) -> RoomConfig:
+    """Return a named schematic.
+
+    Raises:
+        UnknownNameError: no preset of that name.
+        ConfigError: the preset takes no such argument, or not that value.
+    """
+    if name not in PRESETS:
+        raise UnknownNameError("preset", name, PRESETS)
+    try:
+        return PRESETS[name](**arguments)
+    except TypeError as error:
+        raise ConfigError(f"preset {name!r}", arguments, str(error)) from None
+
+
+def make_env_name(preset: str) -> str:
+    """CamelCase name of a preset's environment id: `paper-two-button` gives `PaperTwoButton`."""
+    return "".join(word.capitalize() for word in preset.split("-"))

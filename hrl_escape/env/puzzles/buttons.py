@@ -1,0 +1,147 @@
+"""The button puzzle (paper, section 5.2): binary buttons that depend on each other along a DAG.
+
+A press turns a button on only if all its parents are on. One button is the goal: while
+it is on, the exit is open. The state is an integer whose bit i is button i.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+
+import numpy as np
+
+from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel
+from hrl_escape.env.puzzles.graphs import GraphConfig, compute_order, sample_graph
+from hrl_escape.env.settings import knob
+from hrl_escape.errors import ConfigError
+
+__all__ = ["ButtonsConfig", "ButtonsPuzzle"]
+
+VIOLATION_RULES = ("ignore", "reset")
+
+
+@dataclasses.dataclass(frozen=True)
+class ButtonsConfig(PuzzleConfig):
+    """Schematic of the button puzzle."""
+
+    kind = "buttons"
+    count: int = knob(2, "Number of buttons.", "", 1, 64)
+    graph: GraphConfig = knob(factory=GraphConfig, doc="Dependencies between buttons.")
+    on_violation: str = knob("ignore", "A press with unmet parents is ignored, or turns all buttons off.",
+                             choices=VIOLATION_RULES)
+    allow_off: bool = knob(False, "Pressing a button that is on turns it off.")
+    goal: int | None = knob(None, "Number of the goal button from 0 (None: last in topological order).", "", 0, 63)
+    buttons: Panels = knob(factory=Panels, doc="Sizes and places.")
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        if self.goal is not None and self.goal >= self.count:
+            raise ConfigError("puzzle.goal", self.goal, f"a button from 0 to {self.count - 1}")
+        if self.graph.kind == "edges":
+            compute_order(self.count, self.graph.edges)
+        places = self.buttons.places
+        if places == "paper" and self.count > 4:
+            raise ConfigError("puzzle.count", self.count, "at most 4 with buttons.places = 'paper'")
+        if isinstance(places, tuple) and len(places) < self.count:
+            raise ConfigError("panels.places", len(places), f"at least puzzle.count = {self.count} places")
+
+    @property
+    def panels(self) -> Panels:
+        """Sizes and places of the buttons."""
+        return self.buttons
+
+    def make_puzzle(self, rng: np.random.Generator) -> ButtonsPuzzle:
+        """Sample the dependency graph."""
+        edges = sample_graph(self.graph, self.count, rng)
+        goal = compute_order(self.count, edges)[-1] if self.goal is None else self.goal
+        return ButtonsPuzzle(self.count, edges, goal, self.on_violation, self.allow_off)
+
+
+@dataclasses.dataclass(frozen=True)
+class ButtonsPuzzle(Puzzle):
+    """A concrete button puzzle. Button i is called `button-<i+1>`."""
+
+    kind = "buttons"
+    count: int = knob(1, "Number of buttons.", "", 1, 64)
+    edge_list: tuple[tuple[int, int], ...] = knob((), "Dependencies (parent, child).", "", 0, 63)
+    goal: int = knob(0, "Number of the goal button from 0.", "", 0, 63)
+    on_violation: str = knob("ignore", "What a press with unmet parents does.", choices=VIOLATION_RULES)
+    allow_off: bool = knob(False, "Pressing a button that is on turns it off.")
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        compute_order(self.count, self.edge_list)
+        if self.goal >= self.count:
+            raise ConfigError("puzzle.goal", self.goal, f"a button from 0 to {self.count - 1}")
+
+    @cached_property
+    def parent_masks(self) -> tuple[int, ...]:
+        """For each button, the bits of its parents."""
+        masks = [0] * self.count
+        for parent, child in self.edge_list:
+            masks[child] |= 1 << parent
+        return tuple(masks)
+
+    @property
+    def edges(self) -> tuple[tuple[int, int], ...]:
+        """Dependencies (parent, child)."""
+        return self.edge_list
+
+    @property
+    def goal_targets(self) -> tuple[int, ...]:
+        """The goal button."""
+        return (self.goal,)
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """`button-1` to `button-<count>`."""
+        return tuple(f"button-{i + 1}" for i in range(self.count))
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Every number is 0 or 1."""
+        return ((0.0, 1.0),) * self.count
+
+    def make_state(self) -> int:
+        """All buttons off."""
+        return 0
+
+    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+        """Apply presses in index order."""
+        for button in contacts.pressed:
+            bit = 1 << button
+            if state & bit:
+                if self.allow_off:
+                    state &= ~bit
+            elif self.parent_masks[button] & ~state == 0:
+                state |= bit
+            elif self.on_violation == "reset":
+                state = 0
+        return state
+
+    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+        """The goal button is on."""
+        return bool(state >> self.goal & 1)
+
+    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
+        """One number a button: 1 on, 0 off."""
+        return tuple(float(state >> i & 1) for i in range(self.count))
+
+    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
+        """Which buttons are on."""
+        return tuple(bool(state >> i & 1) for i in range(self.count))
+
+    def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]
+        """`on(button-i)` for every button that is on."""
+        return frozenset(f"on({name})" for i, name in enumerate(self.target_names) if state >> i & 1)
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """One operator a button, applicable when its parents are on and it is off."""
+        fact = [f"on({name})" for name in self.target_names]
+        operators = []
+        for i, name in enumerate(self.target_names):
+            parents = frozenset(fact[p] for p, child in self.edge_list if child == i)
+            operators.append(Operator(f"press-{name}", name, "press", parents, frozenset({fact[i]}),
+                                      frozenset({fact[i]}), frozenset()))
+        return SymbolicModel(tuple(fact), tuple(operators), frozenset({fact[self.goal]}))

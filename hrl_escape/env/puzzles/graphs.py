@@ -1,0 +1,155 @@
+"""Generators of button-dependency graphs: every DAG family of the schematic.
+
+Pure functions of a generator; a graph is a tuple of (parent, child) index pairs. The
+`larg-2019` family reproduces the graphs of the published 2019 code, Python 2's
+`random` included.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import random
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+
+from hrl_escape.env.settings import Settings, knob
+from hrl_escape.errors import ConfigError
+
+__all__ = ["Edges", "GraphConfig", "compute_order", "sample_graph", "sample_larg_graph"]
+
+Edges = tuple[tuple[int, int], ...]
+
+GRAPH_KINDS = ("chain", "tree", "layered", "random", "larg-2019", "edges")
+
+
+@dataclasses.dataclass(frozen=True)
+class GraphConfig(Settings):
+    """Which directed acyclic graph makes buttons depend on each other."""
+
+    _section = "graph"
+    kind: str = knob("chain", "Family of graphs; 'edges' takes them from `edges`.", choices=GRAPH_KINDS)
+    max_parents: int = knob(1, "Most parents of a button (the paper's complexity): layered, random, larg-2019.",
+                            "", 1, 63)
+    edge_probability: float = knob(0.5, "Chance of each possible edge (random).", "", 0, 1)
+    seed: int | None = knob(None, "Seed of the graph alone (larg-2019; None: the instance's seed).",
+                            "", 0, 2**63 - 1)
+    edges: tuple[tuple[int, int], ...] = knob((), "Explicit (parent, child) pairs of button numbers from 0.",
+                                              "", 0, 63)
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        if self.edges and self.kind != "edges":
+            raise ConfigError("graph.edges", self.edges, "empty unless graph.kind is 'edges'")
+
+
+def compute_order(count: int, edges: Edges) -> tuple[int, ...]:
+    """Return a topological order of `count` nodes, smallest number first among the free.
+
+    Raises:
+        ConfigError: an edge names no node, or the edges form a cycle (which is shown).
+    """
+    parents: list[set[int]] = [set() for _ in range(count)]
+    for parent, child in edges:
+        if not (0 <= parent < count and 0 <= child < count):
+            raise ConfigError("graph.edges", (parent, child), f"pairs of button numbers from 0 to {count - 1}")
+        parents[child].add(parent)
+    order: list[int] = []
+    left = set(range(count))
+    while left:
+        free = [node for node in sorted(left) if not parents[node] & left]
+        if not free:
+            raise ConfigError("graph.edges", sorted(left), "a graph without cycles; these buttons wait for each other")
+        order.append(free[0])
+        left.remove(free[0])
+    return tuple(order)
+
+
+def sample_graph(config: GraphConfig, count: int, rng: np.random.Generator) -> Edges:
+    """Sample the edges of a DAG over `count` buttons; parents have smaller numbers.
+
+    The families: `chain` 0 -> 1 -> ...; `tree` one random earlier parent each; `layered`
+    layers of random width, each button with 1 to max_parents parents in the layer before
+    (the published generator's shape); `random` every earlier button a parent with
+    `edge_probability`, at most max_parents; `larg-2019` the published graphs; `edges`.
+    """
+    if config.kind == "edges":
+        return config.edges
+    if config.kind == "chain":
+        return tuple((i, i + 1) for i in range(count - 1))
+    if config.kind == "tree":
+        return tuple((int(rng.integers(i)), i) for i in range(1, count))
+    if config.kind == "larg-2019":
+        seed = int(rng.integers(2**31)) if config.seed is None else config.seed
+        return sample_larg_graph(count, seed, config.max_parents)
+    if config.kind == "layered":
+        return _sample_layered(config, count, rng)
+    edges: list[tuple[int, int]] = []
+    for child in range(1, count):
+        wanted = np.flatnonzero(rng.random(child) < config.edge_probability)
+        if len(wanted) > config.max_parents:
+            wanted = np.sort(rng.choice(wanted, config.max_parents, replace=False))
+        edges.extend((int(parent), child) for parent in wanted)
+    return tuple(edges)
+
+
+def _sample_layered(config: GraphConfig, count: int, rng: np.random.Generator) -> Edges:
+    edges: list[tuple[int, int]] = []
+    above: list[int] = []
+    first = 0
+    while first < count:
+        left = count - first
+        width = int(rng.integers(1, min(4, left) // 2 + 2))
+        layer = list(range(first, first + width))
+        if above:
+            for child in layer:
+                number = int(rng.integers(1, min(len(above), config.max_parents) + 1))
+                chosen = rng.choice(above, number, replace=False)
+                edges.extend((int(parent), child) for parent in sorted(chosen))
+        above, first = layer, first + width
+    return tuple(edges)
+
+
+def sample_larg_graph(count: int, seed: int, max_parents: int) -> Edges:
+    """Reproduce the button graph that the published 2019 code draws for a seed.
+
+    It seeds Python 2's `random` and draws layers of `randint(1, min(4, left)//2 + 1)`
+    nodes, each with `randint(1, min(|previous layer|, max_parents))` parents drawn by
+    `random.sample`, again and again until some button has at least `max_parents - 1`
+    parents (as far as such layers can have them). Python 2 draws both as
+    `int(random() * n)`; the Mersenne Twister behind `random()` is the same in Python 3.
+    """
+    uniform = random.Random(seed).random
+    wanted = min(max_parents - 1, 3, count - 1)
+    while True:
+        edges = _draw_larg_layers(count, max_parents, uniform)
+        degrees = Counter(child for _, child in edges)
+        if max(degrees.values(), default=0) >= wanted:
+            return edges
+
+
+def _draw_larg_layers(count: int, max_parents: int, uniform: Callable[[], float]) -> Edges:
+    edges: list[tuple[int, int]] = []
+    above: list[int] = []
+    first = 0
+    while first < count:
+        width = 1 + int(uniform() * (min(4, count - first) // 2 + 1))
+        layer = list(range(first, min(first + width, count)))
+        if above:
+            for child in layer:
+                number = 1 + int(uniform() * min(len(above), max_parents))
+                edges.extend((parent, child) for parent in _sample_as_python2(above, number, uniform))
+        above, first = layer, first + len(layer)
+    return tuple(edges)
+
+
+def _sample_as_python2(population: list[int], number: int, uniform: Callable[[], float]) -> list[int]:
+    pool = list(population)
+    size = len(pool)
+    chosen = []
+    for i in range(number):
+        j = int(uniform() * (size - i))
+        chosen.append(pool[j])
+        pool[j] = pool[size - i - 1]
+    return chosen

@@ -1,0 +1,200 @@
+"""Every exception a user of hrl_escape can meet, one class a cause.
+
+Each message says what was wrong, where, and what would be valid. All derive from
+`EscapeError`, so that one `except` catches whatever this package raises on purpose.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+
+
+class EscapeError(Exception):
+    """Base of every error that hrl_escape raises on purpose."""
+
+
+# --- rooms -----------------------------------------------------------------------------
+
+
+class ConfigError(EscapeError, ValueError):
+    """A value in a schematic is impossible.
+
+    Attributes:
+        field: dotted path of the field, such as `robot.body_radius`.
+        value: the offending value.
+        allowed: what would have been valid, in words.
+    """
+
+    def __init__(self, field: str, value: object, allowed: str) -> None:
+        self.field, self.value, self.allowed = field, value, allowed
+        super().__init__(f"{field} = {value!r} is not possible: {allowed}")
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (self.field, self.value, self.allowed)
+
+
+class GenerationError(EscapeError, RuntimeError):
+    """No solvable room was found for a schematic within the bounded number of tries.
+
+    Attributes:
+        constraint: the constraint that failed last.
+        tries: how many rooms were sampled.
+    """
+
+    def __init__(self, constraint: str, tries: int, advice: str) -> None:
+        self.constraint, self.tries, self.advice = constraint, tries, advice
+        super().__init__(f"no solvable room in {tries} tries; the last failed at: {constraint}. {advice}")
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (self.constraint, self.tries, self.advice)
+
+
+class InstanceFileError(EscapeError, ValueError):
+    """A file does not hold a room instance this version can read."""
+
+
+class RobotError(EscapeError, ValueError):
+    """A robot's URDF is missing, unreadable, or lacks what the room needs of it."""
+
+
+class UnknownNameError(EscapeError, KeyError):
+    """A name is not registered; the message lists what is, closest first."""
+
+    def __init__(self, what: str, name: object, known: Iterable[str]) -> None:
+        self.what, self.name, self.known = what, name, tuple(sorted(known))
+        close = difflib.get_close_matches(str(name), self.known, n=1)
+        hint = f" Perhaps you meant {close[0]!r}." if close else ""
+        self.message = f"unknown {what} {name!r}.{hint} Known: {', '.join(self.known) or 'none'}"
+        super().__init__(self.message)
+
+    def __str__(self) -> str:
+        return self.message
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (self.what, self.name, self.known)
+
+
+class ActionError(EscapeError, ValueError):
+    """An action is outside the action space."""
+
+    def __init__(self, action: object, count: int) -> None:
+        self.action, self.count = action, count
+        super().__init__(f"action {action!r} is not one of 0 to {count - 1}")
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (self.action, self.count)
+
+
+class ResetNeededError(EscapeError, RuntimeError):
+    """`step` was called before the first `reset`, or after an episode ended."""
+
+
+class StateError(EscapeError, ValueError):
+    """A state does not belong to this room."""
+
+
+class ClosedError(EscapeError, RuntimeError):
+    """The room was closed and can no longer be used."""
+
+
+class UnsupportedError(EscapeError, ValueError):
+    """Two valid settings do not go together; the message names what to use instead."""
+
+
+class MissingExtraError(EscapeError, ImportError):
+    """An optional package is not installed; the message names the extra that brings it."""
+
+    def __init__(self, package: str, extra: str, purpose: str) -> None:
+        self.package, self.extra, self.purpose = package, extra, purpose
+        super().__init__(f"{purpose} needs {package}: pip install 'hrl-escape[{extra}]'")
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (self.package, self.extra, self.purpose)
+
+
+class FileWriteError(EscapeError, OSError):
+    """A file could not be written (full disk, unwritable folder); nothing was half written."""
+
+
+class FileReadError(EscapeError, OSError):
+    """A file is missing, truncated or not what its name says."""
+
+
+# --- agents and training ---------------------------------------------------------------
+
+
+class AgentSettingsError(ConfigError):
+    """A setting of an agent or of a training run is impossible."""
+
+
+class UnsupportedSpaceError(EscapeError, ValueError):
+    """An agent cannot act in this observation or action space; the message says what it can."""
+
+
+class StepContractError(EscapeError, ValueError):
+    """What an environment's `step` or `reset` returned breaks the SMDP contract of `info`."""
+
+
+class DiscountMismatchError(EscapeError, ValueError):
+    """The environment discounts by another gamma than the agent learns with.
+
+    Attributes:
+        agent_gamma: the agent's discount per primitive.
+        env_discount: `info["discount"]` as given.
+        duration: primitives in that step.
+    """
+
+    def __init__(self, agent_gamma: float, env_discount: float, duration: int) -> None:
+        self.agent_gamma, self.env_discount, self.duration = agent_gamma, env_discount, duration
+        env_gamma = max(env_discount, 0.0) ** (1 / duration)
+        super().__init__(
+            f"the agent's gamma is {agent_gamma:g} but the environment discounts by {env_gamma:g} per primitive "
+            f"(info['discount'] = {env_discount:g} after {duration}). Give both the same gamma, or let the "
+            "environment put the primitive rewards into info['rewards'], which suits any gamma"
+        )
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (self.agent_gamma, self.env_discount, self.duration)
+
+
+class DivergenceError(EscapeError, ArithmeticError):
+    """A loss became NaN or infinite: the agent cannot go on learning.
+
+    Attributes:
+        agent: the algorithm's name.
+        updates: gradient steps made before it happened.
+        run: which run, once known.
+        primitives: primitives trained for, once known.
+    """
+
+    def __init__(self, agent: str, updates: int, run: str = "", primitives: int | None = None) -> None:
+        self.agent, self.updates, self.run, self.primitives = agent, updates, run, primitives
+        where = f"{run}: " if run else ""
+        when = "" if primitives is None else f", primitive {primitives}"
+        super().__init__(
+            f"{where}the loss of {agent} is no longer a finite number (update {updates}{when}). "
+            "Lower learning_rate, set max_grad_norm, or look for rewards and observations of extreme size"
+        )
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (self.agent, self.updates, self.run, self.primitives)
+
+
+class CheckpointError(FileReadError):
+    """A checkpoint or log of a run is damaged, or was written by something else."""
+
+
+class RunMismatchError(EscapeError, ValueError):
+    """A run's folder already holds a run with other settings."""
+
+
+class RunBusyError(EscapeError, RuntimeError):
+    """Another process is training into the same folder."""
+
+
+# --- options and planners --------------------------------------------------------------
+
+
+class GoalError(EscapeError, ValueError):
+    """What a planner was asked to reach is no goal: the message says how goals are written."""
