@@ -7,6 +7,7 @@ Each message says what was wrong, where, and what would be valid. All derive fro
 from __future__ import annotations
 
 import difflib
+import enum
 from collections.abc import Iterable
 
 
@@ -198,3 +199,58 @@ class RunBusyError(EscapeError, RuntimeError):
 
 class GoalError(EscapeError, ValueError):
     """What a planner was asked to reach is no goal: the message says how goals are written."""
+
+
+class OptionError(EscapeError, ValueError):
+    """An option, or a set of options, cannot be what it claims; the message says why."""
+
+
+class PlanningReason(str, enum.Enum):
+    """Why a plan could not be made; the whole list."""
+
+    START_INVALID = "start invalid"
+    GOAL_INVALID = "goal invalid"
+    UNREACHABLE_PROVEN = "unreachable, proven"
+    UNREACHABLE_AT_RESOLUTION = "unreachable at this resolution"
+    NO_POSTURE = "no posture"
+    TIMEOUT = "timeout"
+    BUDGET_EXHAUSTED = "budget exhausted"
+    PRECONDITION_UNMET = "puzzle precondition unmet"
+
+
+class PlanningFailed(EscapeError, RuntimeError):  # noqa: N818  # an outcome that callers handle, not a defect
+    """A planner found no plan.
+
+    Attributes:
+        reason: why, one of `PlanningReason`.
+        goal: what was asked for, in words.
+        start: pose (x, y, heading) it was asked from, m and rad.
+        seconds: wall time spent.
+        planners: the planners that were tried, in order.
+        nearest: what came closest, in words; empty where nothing is known.
+        advice: what to do about it.
+    """
+
+    def __init__(
+        self,
+        reason: PlanningReason,
+        goal: str,
+        start: tuple[float, float, float],
+        seconds: float = 0.0,
+        planners: tuple[str, ...] = (),
+        nearest: str = "",
+        advice: str = "",
+    ) -> None:
+        self.reason, self.goal, self.start, self.seconds = PlanningReason(reason), goal, start, seconds
+        self.planners, self.nearest, self.advice = planners, nearest, advice
+        x, y, heading = start
+        tried = f"; tried {', '.join(planners)} for {seconds:.2f} s" if planners else ""
+        super().__init__(
+            f"no plan to {goal} from ({x:.2f}, {y:.2f}) heading {heading:.2f} rad: {self.reason.value}{tried}"
+            + (f"; nearest: {nearest}" if nearest else "")
+            + (f". {advice}" if advice else "")
+        )
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (self.reason, self.goal, self.start, self.seconds, self.planners, self.nearest,
+                            self.advice)
