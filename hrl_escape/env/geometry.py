@@ -112,20 +112,21 @@ def compute_first_contact(x: float, y: float, dx: float, dy: float, radius: floa
             return _meet_circle(qx, qy, vx, vy, radius)
     elif max(qx, qy) <= radius:
         return 0.0 if (vx if qx > qy else vy) < -_GRAZE * (abs(vx) + abs(vy)) else math.inf
-    # outside: enter the box grown by the radius, then look whether it was at a rounded corner
+    # outside: enter the box grown by the radius, then look whether it was at a rounded corner; distances are
+    # the ones compared above (radius - qx, not wide - ox), or rounding could take a touching disc for one inside
     wide, high = half_x + radius, half_y + radius
     enter, leave, side = 0.0, 1.0, -1
-    if ox > wide or abs(vx) > 0.0:
+    if qx > radius or abs(vx) > 0.0:
         if vx == 0.0:
             return math.inf
-        near, far = ((wide - ox) / vx, (-wide - ox) / vx) if vx < 0.0 else ((-wide - ox) / vx, (wide - ox) / vx)
+        near, far = ((radius - qx) / vx, (-wide - ox) / vx) if vx < 0.0 else ((-wide - ox) / vx, (radius - qx) / vx)
         if near > enter:
             enter, side = near, 0
         leave = min(leave, far)
-    if oy > high or abs(vy) > 0.0:
+    if qy > radius or abs(vy) > 0.0:
         if vy == 0.0:
             return math.inf
-        near, far = ((high - oy) / vy, (-high - oy) / vy) if vy < 0.0 else ((-high - oy) / vy, (high - oy) / vy)
+        near, far = ((radius - qy) / vy, (-high - oy) / vy) if vy < 0.0 else ((-high - oy) / vy, (radius - qy) / vy)
         if near > enter:
             enter, side = near, 1
         leave = min(leave, far)
