@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import math
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -44,6 +44,16 @@ class _Joint:
     axis: NDArray[np.float64]  # (3,) unit
     low: float
     high: float
+
+    @cached_property
+    def rows(self) -> tuple[tuple[float, ...], ...]:
+        """Rotation and position, three rows of four numbers."""
+        return tuple(tuple(row) for row in self.origin[:3].tolist())
+
+    @cached_property
+    def direction(self) -> tuple[float, ...]:
+        """The axis as numbers."""
+        return tuple(self.axis.tolist())
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,23 +101,26 @@ class Robot:
             Shape (..., 3), float64, metres.
         """
         q = np.asarray(angles, dtype=np.float64)
-        lead = q.shape[:-1]
-        rotation = np.broadcast_to(np.eye(3), (*lead, 3, 3))
-        position = np.zeros((*lead, 3))
-        for joint in self.chain:
-            position = position + rotation @ joint.origin[:3, 3]
-            rotation = rotation @ joint.origin[:3, :3]
-            if joint.kind == "fixed":
-                continue
-            if joint.name in self.joint_names:
-                value = q[..., self.joint_names.index(joint.name)]
-            else:
-                value = np.full(lead, self.rest[joint.name])
-            if joint.kind == "prismatic":
-                position = position + (rotation @ joint.axis) * value[..., None]
-            else:
-                rotation = rotation @ _rotate_about(joint.axis, value)
-        return position
+        x, y, z = 0.0, 0.0, 0.0
+        for joint in reversed(self.chain):  # the hand in the frame before each joint
+            if joint.kind != "fixed":
+                used = joint.name in self.joint_names
+                value = q[..., self.joint_names.index(joint.name)] if used else self.rest[joint.name]
+                a, b, c = joint.direction
+                if joint.kind == "prismatic":
+                    x, y, z = x + a * value, y + b * value, z + c * value
+                else:  # Rodrigues
+                    cos, sin = np.cos(value), np.sin(value)
+                    along = (a * x + b * y + c * z) * (1.0 - cos)
+                    x, y, z = (x * cos + (b * z - c * y) * sin + a * along,
+                               y * cos + (c * x - a * z) * sin + b * along,
+                               z * cos + (a * y - b * x) * sin + c * along)
+            (r00, r01, r02, px), (r10, r11, r12, py), (r20, r21, r22, pz) = joint.rows
+            x, y, z = (r00 * x + r01 * y + r02 * z + px, r10 * x + r11 * y + r12 * z + py,
+                       r20 * x + r21 * y + r22 * z + pz)
+        hand = np.empty((*q.shape[:-1], 3))
+        hand[..., 0], hand[..., 1], hand[..., 2] = x, y, z
+        return hand
 
 
 def sample_hand_positions(robot: Robot, count: int) -> NDArray[np.float64]:

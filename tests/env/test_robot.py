@@ -1,0 +1,251 @@
+"""The robot's own kinematics against Pinocchio and Bullet, its joint lattice, and what a URDF may lack."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pinocchio
+import pybullet
+import pytest
+
+from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.robot import BASE_LINK, Robot, load_urdf, make_robot, sample_hand_positions
+from hrl_escape.errors import ConfigError, RobotError
+
+# every trap at once: turned and shifted fixed joints, an axis that is not of unit length, a continuous and a
+# prismatic joint, a joint that no primitive moves, a branch beside the chain, limits that leave out zero
+USER_URDF = """
+<robot name="mine">
+  <link name="base"/><link name="turned"/><link name="upper"/><link name="lower"/><link name="slide"/>
+  <link name="wrist"/><link name="tool"/><link name="lamp"/>
+  <joint name="foot" type="fixed"><parent link="base"/><child link="turned"/>
+    <origin xyz="0.1 -0.2 0.3" rpy="0.4 -0.5 0.6"/></joint>
+  <joint name="a" type="revolute"><parent link="turned"/><child link="upper"/>
+    <origin xyz="0.05 0 0.1" rpy="0 0.3 0"/><axis xyz="1 2 2"/>
+    <limit lower="-1" upper="2" effort="1" velocity="1"/></joint>
+  <joint name="b" type="continuous"><parent link="upper"/><child link="lower"/>
+    <origin xyz="0.4 0 0"/><axis xyz="0 -1 0"/></joint>
+  <joint name="c" type="prismatic"><parent link="lower"/><child link="slide"/>
+    <origin xyz="0.3 0.1 0" rpy="0.2 0 1.1"/><axis xyz="0 0 1"/>
+    <limit lower="0.2" upper="0.6" effort="1" velocity="1"/></joint>
+  <joint name="d" type="revolute"><parent link="slide"/><child link="wrist"/>
+    <origin xyz="0.2 0 0"/><limit lower="0.5" upper="1.5" effort="1" velocity="1"/></joint>
+  <joint name="e" type="fixed"><parent link="wrist"/><child link="tool"/><origin xyz="0 0.3 0.1"/></joint>
+  <joint name="f" type="revolute"><parent link="upper"/><child link="lamp"/>
+    <origin xyz="0 0 1"/><axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>
+"""
+
+ROBOTS = {
+    "1 joint": RobotConfig(joints=1, link_length=0.8),
+    "3 joints": RobotConfig(joints=3, mount_forward=0.3),
+    "6 joints": RobotConfig(joints=6, body_height=0.7),
+    "7 joints": RobotConfig(joints=7, joint_limit_deg=170),
+    "kuka-iiwa": RobotConfig(kind="kuka-iiwa", joints=7),
+    "franka-panda": RobotConfig(kind="franka-panda", joints=7),
+    "franka-panda, 3 of its joints": RobotConfig(kind="franka-panda", joints=3, mount_forward=-0.2),
+    "user's": RobotConfig(kind="urdf", joints=4, urdf=USER_URDF, hand_link="tool"),
+    "user's, 3 of its joints": RobotConfig(kind="urdf", joints=3, urdf=USER_URDF, hand_link="tool"),
+}
+
+
+def sample_angles(robot: Robot, count: int) -> np.ndarray:
+    low, high = np.array(robot.limits).T
+    return np.random.default_rng(5).uniform(low, high, size=(count, len(low)))
+
+
+def find_hands_by_pinocchio(robot: Robot, angles: np.ndarray) -> np.ndarray:
+    model = pinocchio.buildModelFromXML(robot.urdf)
+    data, frame = model.createData(), model.getFrameId(robot.hand_link)
+    hands = []
+    for row in angles:
+        q = pinocchio.neutral(model)
+        for name, angle in robot.rest.items() | dict(zip(robot.joint_names, row, strict=True)).items():
+            joint = model.joints[model.getJointId(name)]
+            q[joint.idx_q : joint.idx_q + joint.nq] = angle if joint.nq == 1 else (math.cos(angle), math.sin(angle))
+        pinocchio.framesForwardKinematics(model, data, q)
+        hands.append(data.oMf[frame].translation.copy())
+    return np.array(hands)
+
+
+def find_hands_by_bullet(robot: Robot, angles: np.ndarray, folder: Path) -> np.ndarray:
+    file = folder / "robot.urdf"
+    file.write_text(robot.urdf)
+    client = pybullet.connect(pybullet.DIRECT)
+    try:
+        body = pybullet.loadURDF(str(file), useFixedBase=True, physicsClientId=client)
+        infos = [pybullet.getJointInfo(body, i, physicsClientId=client)
+                 for i in range(pybullet.getNumJoints(body, physicsClientId=client))]
+        joints, links = ({info[k].decode(): info[0] for info in infos} for k in (1, 12))
+        middle = pybullet.getBasePositionAndOrientation(body, physicsClientId=client)[0]
+        offset = pybullet.getDynamicsInfo(body, -1, physicsClientId=client)[3]  # where its inertia sits in the link
+        hands = []
+        for row in angles:
+            for name, angle in robot.rest.items() | dict(zip(robot.joint_names, row, strict=True)).items():
+                pybullet.resetJointState(body, joints[name], angle, physicsClientId=client)
+            state = pybullet.getLinkState(body, links[robot.hand_link], computeForwardKinematics=True,
+                                          physicsClientId=client)
+            hands.append(np.array(state[4]) - middle + offset)
+    finally:
+        pybullet.disconnect(client)
+    return np.array(hands)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_hand_is_where_pinocchio_and_bullet_have_it(name: str, tmp_path: Path):
+    robot = make_robot(ROBOTS[name])
+    angles = sample_angles(robot, 40)
+    own = robot.compute_hand(angles)
+    assert np.ptp(own, axis=0).max() > 0.1  # the hand does move
+    np.testing.assert_allclose(own, find_hands_by_pinocchio(robot, angles), rtol=0, atol=1e-6)
+    np.testing.assert_allclose(own, find_hands_by_bullet(robot, angles, tmp_path), rtol=0, atol=1e-6)
+
+
+def test_hand_of_one_configuration_is_that_of_many_at_once():
+    robot = make_robot(ROBOTS["kuka-iiwa"])
+    angles = sample_angles(robot, 20)
+    alone = np.array([robot.compute_hand(row) for row in angles])
+    np.testing.assert_allclose(robot.compute_hand(angles), alone, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(robot.compute_hand(angles.reshape(4, 5, -1)).reshape(20, 3), alone, rtol=0, atol=1e-15)
+
+
+def test_generated_arm_at_home_stretches_ahead_of_its_mount():
+    robot = make_robot(RobotConfig(joints=3, link_length=0.4, mount_forward=0.2, body_height=0.9))
+    np.testing.assert_allclose(robot.compute_hand((0.0, 0.0, 0.0)), (1.4, 0.0, 0.9), atol=1e-15)
+    # first joint: yaw to the left; second: pitch up (table of joints in the generated arm)
+    np.testing.assert_allclose(robot.compute_hand((math.pi / 2, 0.0, 0.0)), (0.2, 1.2, 0.9), atol=1e-15)
+    np.testing.assert_allclose(robot.compute_hand((0.0, math.pi / 2, 0.0)), (0.6, 0.0, 1.7), atol=1e-15)
+
+
+def test_robot_without_an_arm_has_its_hand_at_the_base():
+    robot = make_robot(RobotConfig())
+    assert (robot.joint_names, robot.hand_link) == ((), BASE_LINK)
+    np.testing.assert_array_equal(robot.compute_hand(()), np.zeros(3))
+    np.testing.assert_array_equal(sample_hand_positions(robot, 10), np.zeros((1, 3)))
+
+
+# --- the lattice of joint steps --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_step_range_is_every_whole_step_within_the_limits(name: str):
+    robot = make_robot(ROBOTS[name])
+    ranges = zip(robot.step_low, robot.step_high, robot.home, robot.limits, strict=True)
+    for least, most, home, (low, high) in ranges:
+        inside = [n for n in range(-400, 401) if low - 1e-6 <= home + n * robot.step <= high + 1e-6]
+        assert (least, most) == (inside[0], inside[-1]) and 0 in inside
+
+
+def test_limit_a_whole_number_of_steps_away_can_be_reached():
+    for limit in (30.0, 60.0, 70.0, 110.0):
+        robot = make_robot(RobotConfig(joints=2, joint_limit_deg=limit))
+        assert robot.step_high == (limit // 10,) * 2 and robot.step_low == (-(limit // 10),) * 2
+
+
+def test_home_is_the_middle_of_limits_that_leave_out_zero():
+    robot = make_robot(ROBOTS["user's"])
+    assert robot.home == pytest.approx((0.0, 0.0, 0.4, 1.0))
+    assert robot.rest == {"f": 0.0}
+
+
+def test_hand_positions_of_a_small_lattice_are_all_of_them():
+    robot = make_robot(RobotConfig(joints=2, joint_step_deg=20.0))
+    steps = itertools.product(range(-3, 4), repeat=2)
+    every = {tuple(np.round(robot.compute_hand(robot.compute_angles(q)), 12)) for q in steps}
+    assert {tuple(row) for row in np.round(sample_hand_positions(robot, 49), 12)} == every
+    assert sample_hand_positions(robot, 49).shape == (49, 3)
+    assert sample_hand_positions(robot, 48).shape == (48, 3)
+
+
+def test_sampled_hand_positions_lie_on_the_lattice_and_spread_over_it():
+    robot = make_robot(RobotConfig(joints=3, joint_step_deg=20.0))
+    every = {tuple(np.round(robot.compute_hand(robot.compute_angles(q)), 9) + 0.0)
+             for q in itertools.product(range(-3, 4), repeat=3)}
+    sampled = {tuple(row + 0.0) for row in np.round(sample_hand_positions(robot, 300), 9)}
+    assert sampled <= every and len(sampled) > 150
+
+
+def test_sampled_hand_positions_are_the_same_in_every_process():
+    code = ("from hrl_escape.env.config import RobotConfig;"
+            "from hrl_escape.env.robot import make_robot, sample_hand_positions;"
+            "print(sample_hand_positions(make_robot(RobotConfig(joints=7)), 500).tobytes().hex())")
+    runs = {subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+            for _ in range(2)}
+    assert len(runs) == 1
+
+
+# --- a user's URDF ---------------------------------------------------------------------------
+
+
+def test_last_link_is_the_hand_unless_one_is_named():
+    config = RobotConfig(kind="urdf", joints=2, urdf=USER_URDF)
+    assert make_robot(config).hand_link == "lamp"
+    assert make_robot(dataclasses.replace(config, hand_link="wrist")).hand_link == "wrist"
+
+
+@pytest.mark.parametrize(("change", "message"), [
+    ({"hand_link": "claw"}, "no link 'claw' in the URDF; its links are mobile-base, base, turned"),
+    ({"joints": 5, "hand_link": "tool"}, "robot.joints = 5: only 4 joints move 'tool'"),
+    ({"urdf": "not XML"}, "not XML"),
+    ({"urdf": "<sdf/>"}, "not a URDF"),
+    ({"urdf": USER_URDF.replace("</robot>", '<link name="x"/></robot>')}, "one root link, not ['base', 'x']"),
+    ({"urdf": USER_URDF.replace('parent link="base"', 'parent link="y"')}, "no joints lead from the URDF's root link"),
+    ({"urdf": USER_URDF.replace('"base"', f'"{BASE_LINK}"')}, "rename it"),
+    ({"urdf": USER_URDF.replace("1 2 2", "0 0 0")}, "joint 'a' of the URDF moves about the axis 0 0 0"),
+    ({"urdf": USER_URDF.replace("1 2 2", "1 2")}, "joint 'a' of the URDF has '1 2' where 3 numbers belong"),
+    ({"urdf": USER_URDF.replace('lower="-1" upper="2"', 'lower="3" upper="2"')}, "lower limit 3 is above upper 2"),
+    ({"urdf": USER_URDF.replace("continuous", "floating")}, "joint 'b' of the URDF is 'floating'; valid are fixed"),
+])
+def test_urdf_that_lacks_something_gives_one_clear_error(change: dict, message: str):
+    config = RobotConfig(**{"kind": "urdf", "joints": 2, "urdf": USER_URDF} | change)
+    with pytest.raises(RobotError) as error:
+        make_robot(config)
+    assert message in str(error.value)
+
+
+def test_hand_link_of_a_generated_arm_is_checked_too():
+    with pytest.raises(RobotError, match="no link 'claw'"):
+        make_robot(RobotConfig(joints=2, hand_link="claw"))
+
+
+def test_user_s_robot_without_a_urdf_is_no_schematic():
+    with pytest.raises(ConfigError, match=r"robot\.urdf"):
+        RobotConfig(kind="urdf", joints=2)
+
+
+def test_circle_of_joints_is_refused():
+    circle = """<robot name="o"><link name="a"/><link name="b"/><link name="c"/>
+      <joint name="1" type="revolute"><parent link="b"/><child link="c"/></joint>
+      <joint name="2" type="revolute"><parent link="c"/><child link="b"/></joint></robot>"""
+    with pytest.raises(RobotError, match="no joints lead from the URDF's root link to 'c'"):
+        make_robot(RobotConfig(kind="urdf", joints=1, urdf=circle))
+
+
+def test_load_urdf_says_what_it_cannot_read(tmp_path: Path):
+    with pytest.raises(RobotError, match=r"cannot read the URDF .*missing\.urdf"):
+        load_urdf(tmp_path / "missing.urdf")
+    (tmp_path / "broken.urdf").write_text("<robot>")
+    with pytest.raises(RobotError, match=r"broken\.urdf is not XML"):
+        load_urdf(tmp_path / "broken.urdf")
+
+
+def test_load_urdf_finds_meshes_beside_it_and_in_the_package_above(tmp_path: Path):
+    (tmp_path / "arm_description" / "meshes").mkdir(parents=True)
+    mesh = tmp_path / "arm_description" / "meshes" / "link.stl"
+    mesh.touch()
+    (tmp_path / "arm_description" / "urdf").mkdir()
+    file = tmp_path / "arm_description" / "urdf" / "arm.urdf"
+    for name in ("package://arm_description/meshes/link.stl", "../meshes/link.stl", f"file://{mesh}"):
+        file.write_text(f'<robot name="r"><link name="l"><visual><geometry><mesh filename="{name}"/></geometry>'
+                        "</visual></link></robot>")
+        found = load_urdf(file).split('filename="')[1].split('"')[0]
+        assert Path(found).resolve() == mesh
+    file.write_text(file.read_text().replace("link.stl", "gone.stl"))
+    with pytest.raises(RobotError, match=r"gone\.stl"):
+        load_urdf(file)
