@@ -19,6 +19,7 @@ from hrl_escape.errors import ConfigError
 
 __all__ = [
     "CONTACT_SKIN",
+    "PASSAGE_SLACK",
     "DynamicsConfig",
     "ExitConfig",
     "ObstaclesConfig",
@@ -27,10 +28,24 @@ __all__ = [
     "RoomConfig",
     "ShapeConfig",
     "StartConfig",
+    "compute_resolution",
 ]
 
 CONTACT_SKIN = 1e-3
 """Clearance in metres that the body keeps from every solid."""
+
+PASSAGE_SLACK = 0.15
+"""Free metres on each side of the body in every passage that a room's certificate counts on,
+so that whole primitives find their way through."""
+
+FINEST_CELL = 0.1
+MOST_CELLS_A_SIDE = 800
+
+
+def compute_resolution(half_x: float, half_y: float) -> float:
+    """Cell size in metres of the certificate's grid over a floor of given half sizes."""
+    return max(FINEST_CELL, 2 * max(half_x, half_y) / MOST_CELLS_A_SIDE)
+
 
 ROBOT_KINDS = ("arm", "kuka-iiwa", "franka-panda", "urdf")
 
@@ -46,6 +61,11 @@ class ShapeConfig(Settings):
     wall_thickness: float = knob(0.2, "Thickness of all walls.", "m", 0.02, 2)
     rooms: int = knob(1, "Rooms that interior walls divide the floor into.", "", 1, 16)
     doorway_width: float = knob(2.5, "Width of the doorway in each interior wall.", "m", 0.2, 50)
+
+    @property
+    def resolution(self) -> float:
+        """Cell size in metres of the grid on which rooms of this size are certified."""
+        return compute_resolution(self.width / 2, self.depth / 2)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -177,14 +197,14 @@ class RoomConfig(Settings):
 
     def check(self) -> None:
         """Check what spans several parts."""
-        body = 2 * (self.robot.body_radius + CONTACT_SKIN)
+        body = 2 * (self.robot.body_radius + CONTACT_SKIN + PASSAGE_SLACK + self.room.resolution)
         if self.room.rooms > 1 and self.room.doorway_width <= body:
             raise ConfigError("room.doorway_width", self.room.doorway_width,
-                              f"more than the robot's {body:g} m (2 * robot.body_radius + skin)")
+                              f"more than the {body:g} m that the robot needs to pass")
         if body >= min(self.room.width, self.room.depth):
             raise ConfigError("robot.body_radius", self.robot.body_radius, "a body that fits into the room")
         if self.exit.door and self.exit.width <= body:
-            raise ConfigError("exit.width", self.exit.width, f"more than the robot's {body:g} m with exit.door")
+            raise ConfigError("exit.width", self.exit.width, f"more than the {body:g} m that the robot needs to pass")
         if self.dynamics.press_with == "hand" and self.robot.joints == 0:
             raise ConfigError("dynamics.press_with", "hand", "'body', or a robot with robot.joints >= 1")
         if self.puzzle.needs_physics and self.dynamics.kind != "physics":

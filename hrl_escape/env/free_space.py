@@ -1,7 +1,8 @@
 """Where the body can be and get to: a conservative grid over the floor, with exact links.
 
-Two neighbouring free cells are joined by a straight move that truly keeps the clearance, so
-whatever the grid calls connected is connected. Generation certifies instances with it.
+Two neighbouring free cells are joined by a straight move that truly keeps the clearance and
+some slack besides, so whatever the grid calls connected is connected. Generation certifies
+instances with it.
 """
 
 from __future__ import annotations
@@ -12,21 +13,17 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.config import CONTACT_SKIN, PASSAGE_SLACK, compute_resolution
 from hrl_escape.env.geometry import (
     Footprint,
     Solid,
     compute_distance,
     compute_distance_many,
     compute_first_contact,
-    make_footprint,
     stack_footprints,
 )
 
 __all__ = ["FreeSpace"]
-
-FINEST = 0.1
-MOST_CELLS_A_SIDE = 800
 
 
 class FreeSpace:
@@ -41,9 +38,9 @@ class FreeSpace:
 
     def __init__(self, reach_x: float, reach_y: float, body_radius: float, solids: Sequence[Solid]) -> None:
         self.radius = body_radius + CONTACT_SKIN
-        self.resolution = max(FINEST, 2 * max(reach_x, reach_y) / MOST_CELLS_A_SIDE)
+        self.resolution = compute_resolution(reach_x, reach_y)
         self._low = np.array([-reach_x, -reach_y])
-        self.footprints = [make_footprint(s.x, s.y, s.half_x, s.half_y, s.yaw, s.shape == "cylinder") for s in solids]
+        self.footprints = [solid.footprint for solid in solids]
         shape = tuple(max(1, math.ceil(2 * reach / self.resolution)) for reach in (reach_x, reach_y))
         self.free = np.ones(shape, dtype=bool)
         for footprint in self.footprints:
@@ -51,7 +48,7 @@ class FreeSpace:
         self.labels = self._label()
 
     def _carve(self, footprint: Footprint) -> None:
-        need = self.radius + self.resolution / 2
+        need = self.radius + PASSAGE_SLACK + self.resolution / 2
         around = math.hypot(footprint.half_x, footprint.half_y) if not footprint.is_disc else footprint.half_x
         box = [footprint.x - around - need, footprint.x + around + need]
         i0, i1 = ((np.array(box) - self._low[0]) / self.resolution).astype(int)
@@ -96,7 +93,7 @@ class FreeSpace:
         if not self.is_clear(np.array([[x, y]]))[0]:
             return 0
         at = ((np.array([x, y]) - self._low) / self.resolution).astype(int)
-        span = 3 + math.ceil(0.3 / self.resolution)
+        span = 3 + math.ceil((PASSAGE_SLACK + 0.3) / self.resolution)
         i, j = np.mgrid[at[0] - span : at[0] + span + 1, at[1] - span : at[1] + span + 1]
         cells = np.stack([i.ravel(), j.ravel()], axis=1)
         inside = ((cells >= 0) & (cells < self.free.shape)).all(axis=1)

@@ -24,7 +24,7 @@ from hrl_escape.errors import ConfigError, GenerationError
 
 __all__ = ["find_unmet_constraint", "generate"]
 
-TRIES = 60
+TRIES = 30
 _ADVICE = "Make the room larger, or ask for fewer or smaller things in it."
 
 
@@ -263,8 +263,7 @@ def _place_props(instance: RoomInstance, rng: np.random.Generator) -> RoomInstan
     if not instance.props:
         return instance
     taken = [(s.x, s.y, instance.robot.body_radius) for s in instance.starts[:1]]
-    walls = stack_footprints([make_footprint(s.x, s.y, s.half_x, s.half_y, s.yaw, s.shape == "cylinder")
-                              for s in instance.solids])
+    walls = stack_footprints([solid.footprint for solid in instance.solids])
     placed = []
     for entry in instance.props:
         size = entry.prop.half_size * math.sqrt(2)
@@ -299,7 +298,7 @@ def _place_obstacles(config: RoomConfig, instance: RoomInstance, rng: np.random.
             batch = max(1, number // 2)
             continue
         failures += 1
-        if failures > 100:
+        if failures > 40:
             raise Rejected(f"{config.obstacles.count} obstacles must leave the way free "
                            f"(only {config.obstacles.count - left} did)")
     return instance
@@ -312,6 +311,7 @@ def _sample_obstacle(config: RoomConfig, instance: RoomInstance, rng: np.random.
     keep = [(s.x, s.y, body) for s in instance.starts]
     keep += [(p.x, p.y, p.prop.half_size * 1.5 + 2.2 * body) for p in instance.props]
     keep.append((*instance.exit.centre, body))
+    standing = stack_footprints([solid.footprint for solid in instance.solids])
     for _ in range(200):
         is_cylinder = bool(rng.random() < settings.cylinder_share)
         half_x, half_y = (float(v) / 2 for v in rng.uniform(settings.size_min, settings.size_max, 2))
@@ -326,5 +326,7 @@ def _sample_obstacle(config: RoomConfig, instance: RoomInstance, rng: np.random.
         around = math.hypot(half_x, half_y)
         if any(compute_distance(x, y, t.footprint) < around for t in instance.targets):
             continue
+        if (compute_distance_many(np.array([[x, y]]), standing) < 0.5 * min(half_x, half_y)).any():
+            continue  # obstacles may touch, but none hides in another or in a wall
         return Solid("cylinder" if is_cylinder else "box", x, y, half_x, half_y, yaw, settings.height, "obstacle")
     raise Rejected("obstacles must find places beside the start, buttons, props and exit")

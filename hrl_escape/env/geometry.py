@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -31,21 +32,6 @@ __all__ = [
 FAR = 1e6
 
 
-@dataclasses.dataclass(frozen=True)
-class Solid(Settings):
-    """An upright box or cylinder standing on the floor, in the room frame."""
-
-    _section = "solid"
-    shape: str = knob("box", "Box or cylinder.", choices=("box", "cylinder"))
-    x: float = knob(0.0, "Centre.", "m", -FAR, FAR)
-    y: float = knob(0.0, "Centre.", "m", -FAR, FAR)
-    half_x: float = knob(0.5, "Half size along its own x; a cylinder's radius.", "m", 0, FAR)
-    half_y: float = knob(0.5, "Half size along its own y; a cylinder's radius.", "m", 0, FAR)
-    yaw: float = knob(0.0, "Direction of its own x.", "rad", -10, 10)
-    height: float = knob(1.0, "Height above the floor.", "m", 0, FAR)
-    role: str = knob("obstacle", "What it is.", choices=("wall", "obstacle", "door"))
-
-
 class Footprint(NamedTuple):
     """A solid's outline on the floor, ready for scalar arithmetic."""
 
@@ -62,6 +48,26 @@ def make_footprint(x: float, y: float, half_x: float, half_y: float, yaw: float 
                    is_disc: bool = False) -> Footprint:
     """Build a footprint; quarter turns get exact sines, so that aligned boxes stay aligned."""
     return Footprint(is_disc, x, y, round(math.cos(yaw), 15), round(math.sin(yaw), 15), half_x, half_y)
+
+
+@dataclasses.dataclass(frozen=True)
+class Solid(Settings):
+    """An upright box or cylinder standing on the floor, in the room frame."""
+
+    _section = "solid"
+    shape: str = knob("box", "Box or cylinder.", choices=("box", "cylinder"))
+    x: float = knob(0.0, "Centre.", "m", -FAR, FAR)
+    y: float = knob(0.0, "Centre.", "m", -FAR, FAR)
+    half_x: float = knob(0.5, "Half size along its own x; a cylinder's radius.", "m", 0, FAR)
+    half_y: float = knob(0.5, "Half size along its own y; a cylinder's radius.", "m", 0, FAR)
+    yaw: float = knob(0.0, "Direction of its own x.", "rad", -10, 10)
+    height: float = knob(1.0, "Height above the floor.", "m", 0, FAR)
+    role: str = knob("obstacle", "What it is.", choices=("wall", "obstacle", "door"))
+
+    @cached_property
+    def footprint(self) -> Footprint:
+        """Its outline on the floor."""
+        return make_footprint(self.x, self.y, self.half_x, self.half_y, self.yaw, self.shape == "cylinder")
 
 
 def compute_distance(x: float, y: float, shape: Footprint) -> float:

@@ -13,7 +13,7 @@ from collections.abc import Hashable
 from typing import Any, NamedTuple
 
 from hrl_escape.env.config import CONTACT_SKIN
-from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact, make_footprint
+from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 from hrl_escape.env.instance import RoomInstance, Start, Target
 from hrl_escape.env.noise import compute_noise
 from hrl_escape.env.primitives import make_primitives
@@ -222,11 +222,8 @@ class Kinematics(Rules):
         robot, dynamics = instance.robot, instance.dynamics
         self._radius = robot.body_radius + CONTACT_SKIN
         self._noise, self._slip = dynamics.noise, dynamics.slip
-        self.footprints = tuple(
-            make_footprint(s.x, s.y, s.half_x, s.half_y, s.yaw, s.shape == "cylinder") for s in instance.solids
-        )
-        door = instance.door
-        self._door = door and make_footprint(door.x, door.y, door.half_x, door.half_y, door.yaw)
+        self.footprints = tuple(solid.footprint for solid in instance.solids)
+        self._door = instance.door and instance.door.footprint
         self._span = robot.move_step * (2.0 if dynamics.noise else 1.0)
         self._solid_cells: dict[tuple[int, int], tuple[Footprint, ...]] = {}
         step = robot.move_step

@@ -22,7 +22,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.env.geometry import cast_rays, make_footprint, stack_footprints
+from hrl_escape.env.geometry import cast_rays, stack_footprints
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.errors import UnknownNameError
 
@@ -116,9 +116,8 @@ class EgocentricObserver(Observer):
         self._points = np.array([(t.x, t.y) for t in instance.targets] + [instance.exit.centre], dtype=np.float64)
         self._diagonal = 2 * math.hypot(instance.reach_x, instance.reach_y)
         self._rays = np.arange(LIDAR_RAYS) * (math.tau / LIDAR_RAYS)
-        shapes = [make_footprint(s.x, s.y, s.half_x, s.half_y, s.yaw, s.shape == "cylinder") for s in instance.solids]
-        door = instance.door
-        shut = [make_footprint(door.x, door.y, door.half_x, door.half_y, door.yaw)] if door else []
+        shapes = [solid.footprint for solid in instance.solids]
+        shut = [instance.door.footprint] if instance.door else []
         self._open_shapes, self._shut_shapes = stack_footprints(shapes), stack_footprints(shapes + shut)
         self.high = np.ones(len(self.names), dtype=np.float32)
         self.low = -self.high
