@@ -221,8 +221,8 @@ def test_environments_pickle_and_start_the_same_room():
 def test_an_instance_can_be_given_as_object_or_file(tmp_path):
     instance = generate(get_preset("clutter"), 2)
     instance.save(tmp_path / "room.json")
-    for given in (instance, tmp_path / "room.json", str(tmp_path / "room.json")):
-        env = EscapeRoomEnv(instance=given)
+    for source in (instance, tmp_path / "room.json", str(tmp_path / "room.json")):
+        env = EscapeRoomEnv(instance=source)
         assert env.instance == instance
         env.close()
     with pytest.raises(ConfigError, match="resample_instance"):
