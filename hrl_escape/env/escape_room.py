@@ -243,8 +243,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         lit = self._lit.get(state.puzzle)
         if lit is None:
             lit = np.array(self.instance.puzzle.get_lit(state.puzzle), dtype=np.int8)
-            lit.setflags(write=False)
             if len(self._lit) < 4096:
                 self._lit[state.puzzle] = lit
-        return {"instance": self.instance.id, "primitives": state.primitives, "buttons_on": lit,
+        return {"instance": self.instance.id, "primitives": state.primitives, "buttons_on": lit.copy(),
                 "pressed": pressed, "success": success}

@@ -7,6 +7,7 @@ instances with it.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 
@@ -40,11 +41,22 @@ class FreeSpace:
         self.radius = body_radius + CONTACT_SKIN
         self.resolution = compute_resolution(reach_x, reach_y)
         self._low = np.array([-reach_x, -reach_y])
-        self.footprints = [solid.footprint for solid in solids]
+        self.footprints: list[Footprint] = []
         shape = tuple(max(1, math.ceil(2 * reach / self.resolution)) for reach in (reach_x, reach_y))
         self.free = np.ones(shape, dtype=bool)
-        for footprint in self.footprints:
-            self._carve(footprint)
+        self._add(solids)
+
+    def extend(self, solids: Sequence[Solid]) -> FreeSpace:
+        """The same floor with more solids on it; this one stays as it is."""
+        other = copy.copy(self)
+        other.free, other.footprints = self.free.copy(), list(self.footprints)
+        other._add(solids)
+        return other
+
+    def _add(self, solids: Sequence[Solid]) -> None:
+        for solid in solids:
+            self.footprints.append(solid.footprint)
+            self._carve(solid.footprint)
         self.labels = self._label()
 
     def _carve(self, footprint: Footprint) -> None:

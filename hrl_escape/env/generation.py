@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,13 +52,33 @@ def generate(config: RoomConfig, seed: int) -> RoomInstance:
     raise GenerationError(constraint, TRIES, _ADVICE)
 
 
+class _Floors(NamedTuple):
+    """Free space with the exit door shut, and with it open (the same where there is no door)."""
+
+    shut: FreeSpace
+    opened: FreeSpace
+
+    def extend(self, solids: Sequence[Solid]) -> _Floors:
+        shut = self.shut.extend(solids)
+        return _Floors(shut, shut if self.opened is self.shut else self.opened.extend(solids))
+
+
+def _make_floors(instance: RoomInstance) -> _Floors:
+    opened = FreeSpace(instance.reach_x, instance.reach_y, instance.robot.body_radius, instance.solids)
+    return _Floors(opened.extend((instance.door,)) if instance.door else opened, opened)
+
+
 def find_unmet_constraint(instance: RoomInstance) -> str | None:
     """Say which part of the solvability certificate an instance breaks; None if it holds.
 
     The certificate is about this room's geometry: connected floor for start, touching and
     exit. It does not search for a sequence of primitives.
     """
-    shut = _make_space(instance, door_shut=True)
+    return _find_unmet(instance, _make_floors(instance))
+
+
+def _find_unmet(instance: RoomInstance, floors: _Floors) -> str | None:
+    shut, opened = floors
     labels = {shut.find_label(start.x, start.y) for start in instance.starts}
     if 0 in labels or len(labels) != 1:
         return "every start must be free and on one connected floor"
@@ -64,17 +86,11 @@ def find_unmet_constraint(instance: RoomInstance) -> str | None:
     for index, target in enumerate(instance.targets):
         if not _can_touch(instance, index, shut, label):
             return f"{target.name} must be touchable from floor connected with the start"
-    opened = _make_space(instance, door_shut=False) if instance.door else shut
     start = instance.starts[0]
     label = opened.find_label(start.x, start.y)
     if not any(opened.find_label(x, y) == label for x, y in _points_in(instance.exit)):
         return "the exit must be connected with the start"
     return None
-
-
-def _make_space(instance: RoomInstance, door_shut: bool) -> FreeSpace:
-    door = (instance.door,) if instance.door and door_shut else ()
-    return FreeSpace(instance.reach_x, instance.reach_y, instance.robot.body_radius, (*instance.solids, *door))
 
 
 def _points_in(area: Rectangle) -> list[tuple[float, float]]:
@@ -234,7 +250,7 @@ def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorpla
 def _place_start(config: RoomConfig, instance: RoomInstance, rng: np.random.Generator) -> RoomInstance:
     if config.start.place == "fixed":
         return instance
-    space = _make_space(instance, door_shut=True)
+    space = _make_floors(instance).shut
     labels, counts = np.unique(space.labels[space.labels > 0], return_counts=True)
     if not len(labels):
         raise Rejected("the body must fit somewhere")
@@ -286,13 +302,17 @@ def _place_props(instance: RoomInstance, rng: np.random.Generator) -> RoomInstan
 
 def _place_obstacles(config: RoomConfig, instance: RoomInstance, rng: np.random.Generator) -> RoomInstance:
     """Add obstacles in batches; a batch that breaks the certificate is halved, a single one is drawn anew."""
+    floors = _make_floors(instance)
     left, batch, failures = config.obstacles.count, max(1, config.obstacles.count // 4), 0
     while left:
         number = min(batch, left)
-        candidate = dataclasses.replace(instance, solids=instance.solids + tuple(
-            _sample_obstacle(config, instance, rng) for _ in range(number)))
-        if find_unmet_constraint(candidate) is None:
-            instance, left = candidate, left - number
+        obstacles: list[Solid] = []
+        for _ in range(number):
+            obstacles.append(_sample_obstacle(config, instance, obstacles, rng))
+        candidate = dataclasses.replace(instance, solids=(*instance.solids, *obstacles))
+        crowded = floors.extend(obstacles)
+        if _find_unmet(candidate, crowded) is None:
+            instance, floors, left = candidate, crowded, left - number
             continue
         if number > 1:
             batch = max(1, number // 2)
@@ -304,14 +324,15 @@ def _place_obstacles(config: RoomConfig, instance: RoomInstance, rng: np.random.
     return instance
 
 
-def _sample_obstacle(config: RoomConfig, instance: RoomInstance, rng: np.random.Generator) -> Solid:
+def _sample_obstacle(config: RoomConfig, instance: RoomInstance, others: list[Solid],
+                     rng: np.random.Generator) -> Solid:
     """One obstacle that does not stand on a start, a prop, a target or the middle of the exit."""
     settings = config.obstacles
     body = instance.robot.body_radius + 0.05
     keep = [(s.x, s.y, body) for s in instance.starts]
     keep += [(p.x, p.y, p.prop.half_size * 1.5 + 2.2 * body) for p in instance.props]
     keep.append((*instance.exit.centre, body))
-    standing = stack_footprints([solid.footprint for solid in instance.solids])
+    standing = stack_footprints([solid.footprint for solid in (*instance.solids, *others)])
     for _ in range(200):
         is_cylinder = bool(rng.random() < settings.cylinder_share)
         half_x, half_y = (float(v) / 2 for v in rng.uniform(settings.size_min, settings.size_max, 2))
