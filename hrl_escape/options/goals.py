@@ -26,6 +26,7 @@ __all__ = [
     "find_push",
     "get_region",
     "is_reached",
+    "make_goal",
     "parse_goal",
 ]
 
@@ -172,6 +173,14 @@ def is_reached(goal: Goal, before: RoomState, after: RoomState, rules: Rules) ->
         return region.x_min <= after.x <= region.x_max and region.y_min <= after.y <= region.y_max
     puzzle = rules.instance.puzzle
     return find_push(goal, rules.instance).add <= puzzle.get_facts(after.puzzle)
+
+
+def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
+    """What carrying out an operator of the puzzle's symbolic model means in the room."""
+    if operator.action == "push":
+        props = [placed.prop.name for placed in instance.props]
+        return PushGoal(props.index(operator.target), props.index(operator.destination or ""))
+    return PressGoal(instance.puzzle.target_names.index(operator.target))
 
 
 def find_push(goal: PushGoal, instance: RoomInstance) -> Operator:

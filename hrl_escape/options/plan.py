@@ -1,0 +1,218 @@
+"""`Plan`: primitives with the states they lead to, in named parts; a value that runs and draws itself.
+
+Made by `planner.py`. The states are what the room's own kinematics give without noise and
+slip, so without these an executed plan meets them exactly.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.primitives import make_primitives
+from hrl_escape.errors import EscapeError
+from hrl_escape.options.goals import Goal, describe_goal
+
+__all__ = ["Execution", "Plan", "PlanPart"]
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanPart:
+    """One leg of a plan.
+
+    Attributes:
+        name: such as `press-button-2` or `exit`.
+        goal: what it reaches.
+        start: index of its first primitive.
+        stop: index after its last primitive.
+        also_pressed: names of other targets that it presses on the way because it must.
+    """
+
+    name: str
+    goal: Goal
+    start: int
+    stop: int
+    also_pressed: tuple[str, ...] = ()
+
+
+class Execution(NamedTuple):
+    """What happened when a plan was run.
+
+    Attributes:
+        states: the states met, the first one included.
+        rewards: one a primitive that ran.
+        terminated: the robot escaped.
+        truncated: the episode was cut off.
+        as_predicted: every state was the predicted one.
+    """
+
+    states: tuple[RoomState, ...]
+    rewards: tuple[float, ...]
+    terminated: bool
+    truncated: bool
+    as_predicted: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A sequence of primitives that reaches a goal.
+
+    Attributes:
+        instance: the room.
+        name: what it reaches, in words.
+        primitives: actions, in order.
+        states: predicted states, one more than primitives; the first is where it starts.
+        parts: its legs, in order; they cover all primitives.
+        planner: which planner made it.
+        expansions: search nodes expanded for it.
+        seconds: wall time of planning it.
+        lower_bound: no plan needs fewer primitives; None where no bound is known.
+    """
+
+    instance: RoomInstance
+    name: str
+    primitives: tuple[int, ...]
+    states: tuple[RoomState, ...]
+    parts: tuple[PlanPart, ...]
+    planner: str
+    expansions: int = 0
+    seconds: float = 0.0
+    lower_bound: int | None = None
+
+    @property
+    def cost(self) -> int:
+        """Number of primitives."""
+        return len(self.primitives)
+
+    @property
+    def path(self) -> NDArray[np.float64]:
+        """Positions of the body's axis, shape (primitives + 1, 2), m."""
+        return np.array([(state.x, state.y) for state in self.states], dtype=np.float64).reshape(-1, 2)
+
+    @property
+    def postures(self) -> tuple[tuple[int, ...], ...]:
+        """Joint steps from home at the end of each part."""
+        return tuple(self.states[part.stop].joint_steps for part in self.parts)
+
+    @property
+    def also_pressed(self) -> tuple[str, ...]:
+        """Names of targets that are pressed on the way because they must be."""
+        return tuple(name for part in self.parts for name in part.also_pressed)
+
+    def compute_return(self) -> float:
+        """Undiscounted sum of rewards from its start, if all goes as predicted; the horizon is not looked at."""
+        reward, last = self.instance.reward, self.states[-1]
+        escapes = self.instance.exit.contains(last.x, last.y) and self.instance.puzzle.is_solved(last.puzzle)
+        if not escapes:
+            return reward.step * self.cost
+        bonus = reward.exit if reward.exit_replaces_step else reward.step + reward.exit
+        return reward.step * (self.cost - 1) + bonus
+
+    def execute(self, env: gymnasium.Env) -> Execution:
+        """Step an environment through the primitives, whatever happens, until the episode ends.
+
+        With noise, slip or physics use an option, which watches where it is and plans anew.
+
+        Args:
+            env: a flat environment of this room, wrapped or not, in the state where the plan starts.
+
+        Raises:
+            EscapeError: the environment holds another room, or is elsewhere.
+        """
+        room: Any = env.unwrapped
+        if room.instance.id != self.instance.id:
+            raise EscapeError(f"this plan is for room {self.instance.id}, the environment holds {room.instance.id}")
+        states, rewards = [room.get_state()], []
+        if strip(states[0]) != strip(self.states[0]):
+            raise EscapeError(f"this plan starts at {_describe_pose(self.states[0])}, the environment is at "
+                              f"{_describe_pose(states[0])}: plan from env.unwrapped.get_state()")
+        terminated = truncated = False
+        for primitive in self.primitives:
+            _, reward, terminated, truncated, _ = env.step(primitive)
+            states.append(room.get_state())
+            rewards.append(float(reward))
+            if terminated or truncated:
+                break
+        exact = len(states) == len(self.states) and all(map(_is_same, states, self.states))
+        return Execution(tuple(states), tuple(rewards), terminated, truncated, exact)
+
+    def draw(self, path: str | Path | None = None) -> Any:
+        """Draw the plan on the room's map.
+
+        Args:
+            path: PNG, SVG or PDF to write; None to only return the figure.
+
+        Returns:
+            The matplotlib figure.
+        """
+        from hrl_escape.env.rendering import Trajectory, make_map, save_figure  # brings matplotlib in
+
+        points = self.path
+        legs = [Trajectory(points[part.start : part.stop + 1], f"{part.name} ({part.stop - part.start})")
+                for part in self.parts]
+        figure = make_map(self.instance, self.states[0], legs)
+        if path is not None:
+            save_figure(path, figure)
+        return figure
+
+    def format_table(self) -> str:
+        """The parts as a plain text table: primitives of each, from where to where."""
+        names = [primitive.name for primitive in make_primitives(self.instance.robot.joints)]
+        rows = [("part", "primitives", "ends at", "what it does")]
+        for part in self.parts:
+            actions = self.primitives[part.start : part.stop]
+            counts = ", ".join(f"{count} {names[a]}" for a, count in Counter(actions).items())
+            note = f"; also presses {', '.join(part.also_pressed)}" if part.also_pressed else ""
+            rows.append((part.name, str(len(actions)), _describe_pose(self.states[part.stop]), counts + note))
+        rows.append(("total", str(self.cost), "", f"return {self.compute_return():g}"))
+        widths = [max(len(row[i]) for row in rows) for i in range(3)]
+        return "\n".join("  ".join((*(cell.ljust(wide) for cell, wide in zip(row[:3], widths, strict=True)), row[3]))
+                         for row in rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON: primitives, poses, parts, cost and how it was made."""
+        return {
+            "instance": self.instance.id,
+            "name": self.name,
+            "cost": self.cost,
+            "lower_bound": self.lower_bound,
+            "return": self.compute_return(),
+            "primitives": list(self.primitives),
+            "poses": [[s.x, s.y, s.heading_steps, *s.joint_steps] for s in self.states],
+            "parts": [{"name": part.name, "goal": describe_goal(part.goal, self.instance), "start": part.start,
+                       "stop": part.stop, "also_pressed": list(part.also_pressed)} for part in self.parts],
+            "planner": self.planner,
+            "expansions": self.expansions,
+            "seconds": self.seconds,
+        }
+
+
+def strip(state: RoomState) -> RoomState:
+    """The part of a state that decides how a room without noise goes on."""
+    return state._replace(primitives=0, noise_key=0, physics=None)
+
+
+def _is_same(met: RoomState, predicted: RoomState) -> bool:
+    return strip(met) == strip(predicted)
+
+
+def _describe_pose(state: RoomState) -> str:
+    return f"({state.x:.2f}, {state.y:.2f}) heading step {state.heading_steps}"
+
+
+def join_parts(legs: Sequence[Plan]) -> tuple[PlanPart, ...]:
+    """The parts of plans that follow each other, as parts of one plan."""
+    parts, offset = [], 0
+    for leg in legs:
+        parts += [dataclasses.replace(p, start=p.start + offset, stop=p.stop + offset) for p in leg.parts]
+        offset += leg.cost
+    return tuple(parts)
