@@ -99,6 +99,7 @@ class Rules:
         self._horizon = instance.horizon
         self._by_hand = instance.dynamics.press_with == "hand"
         self._hands: dict[tuple[int, ...], tuple[float, float, float]] = {}
+        self._arms: dict[tuple[int, ...], tuple[float, ...]] = {}
         self._reaches = tuple((i, t.footprint, self._compute_reach(t), t) for i, t in enumerate(instance.targets))
         self._target_cells: dict[tuple[int, int], tuple] = {}
 
@@ -118,8 +119,15 @@ class Rules:
         return math.cos(angle), math.sin(angle)
 
     def get_angles(self, state: RoomState) -> tuple[float, ...]:
-        """Joint angles in rad."""
-        return self.robot.compute_angles(state.joint_steps, state.joint_offsets)
+        """Joint angles in rad; whole-step configurations are remembered."""
+        if state.joint_offsets:
+            return self.robot.compute_angles(state.joint_steps, state.joint_offsets)
+        angles = self._arms.get(state.joint_steps)
+        if angles is None:
+            if len(self._arms) > 200_000:
+                self._arms.clear()
+            angles = self._arms[state.joint_steps] = self.robot.compute_angles(state.joint_steps)
+        return angles
 
     def get_hand_in_base(self, joint_steps: tuple[int, ...],
                          joint_offsets: tuple[float, ...] = ()) -> tuple[float, float, float]:
@@ -187,8 +195,11 @@ class Rules:
         """State at the beginning of an episode; what is touched there counts as touched before."""
         steps = (0,) * self.instance.robot.joints
         touching = self.compute_touching(start.x, start.y, start.heading_steps, start.heading_offset, steps, ())
+        puzzle = self._puzzle.make_state()
+        if self.instance.props:
+            puzzle = self._puzzle.update(puzzle, Contacts((), tuple((p.x, p.y, p.yaw) for p in self.instance.props)))
         return RoomState(start.x, start.y, start.heading_steps, start.heading_offset, steps, (),
-                         self._puzzle.make_state(), touching, 0, noise_key)
+                         puzzle, touching, 0, noise_key)
 
     def judge(self, before: RoomState, moved: RoomState,
               prop_poses: tuple[tuple[float, float, float], ...] = ()) -> Transition:
@@ -209,7 +220,7 @@ class Rules:
             puzzle = self._puzzle.update(puzzle, Contacts(pressed, prop_poses))
         count = before.primitives + 1
         terminated = self._exit.contains(moved.x, moved.y) and self._puzzle.is_solved(puzzle)
-        state = moved._replace(puzzle=puzzle, primitives=count)
+        state = RoomState(*moved[:6], puzzle, moved.touching, count, *moved[9:])
         reward = self._exit_reward if terminated else self._step_reward
         return Transition(state, reward, terminated, not terminated and count >= self._horizon, pressed)
 
@@ -265,7 +276,7 @@ class Kinematics(Rules):
             dx, dy = fraction * dx, fraction * dy
         x, y = x + dx, y + dy
         touching = self.compute_touching(x, y, steps, offset, state.joint_steps, state.joint_offsets)
-        return state._replace(x=x, y=y, touching=touching)
+        return RoomState(x, y, *state[2:7], touching, *state[8:])
 
     def compute_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable) -> float:
         """Share in [0, 1] of a displacement that the body can make, with its clearance kept."""
@@ -303,7 +314,7 @@ class Kinematics(Rules):
         touching = state.touching
         if self._by_hand:
             touching = self.compute_touching(state.x, state.y, steps, offset, state.joint_steps, state.joint_offsets)
-        return state._replace(heading_steps=steps, heading_offset=offset, touching=touching)
+        return RoomState(state.x, state.y, steps, offset, *state[4:7], touching, *state[8:])
 
     def _move_joint(self, state: RoomState, joint: int, change: int, scale: float) -> RoomState:
         steps, offsets = list(state.joint_steps), state.joint_offsets
@@ -322,4 +333,4 @@ class Kinematics(Rules):
         if self._by_hand:
             touching = self.compute_touching(state.x, state.y, state.heading_steps, state.heading_offset,
                                              tuple(steps), offsets)
-        return state._replace(joint_steps=tuple(steps), joint_offsets=offsets, touching=touching)
+        return RoomState(*state[:4], tuple(steps), offsets, state.puzzle, touching, *state[8:])

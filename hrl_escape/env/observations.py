@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,9 +53,23 @@ class Observer(ABC):
         self._puzzle_names = tuple(f"puzzle-{i + 1}" for i in range(len(self._puzzle.bounds)))
         self._joint_names = tuple(f"joint-{i + 1}" for i in range(rules.instance.robot.joints))
 
+        self._seen: dict[Any, tuple[float, ...]] = {}
+
     @abstractmethod
     def observe(self, state: RoomState) -> NDArray[np.float32]:
         """Return a fresh float32 array, one number a name."""
+
+    def _get_puzzle(self, state: RoomState) -> tuple[float, ...]:
+        """The puzzle's numbers as this kind shows them; remembered, for a puzzle changes rarely."""
+        numbers = self._seen.get(state.puzzle)
+        if numbers is None:
+            if len(self._seen) > 4096:  # a continuous puzzle never repeats itself
+                self._seen.clear()
+            numbers = self._seen[state.puzzle] = self._scale_puzzle(self._puzzle.observe(state.puzzle))
+        return numbers
+
+    def _scale_puzzle(self, numbers: tuple[float, ...]) -> tuple[float, ...]:
+        return numbers
 
 
 class StateObserver(Observer):
@@ -72,9 +87,12 @@ class StateObserver(Observer):
     def observe(self, state: RoomState) -> NDArray[np.float32]:
         """See the module's first lines for the layout."""
         rules = self._rules
-        angles = rules.get_angles(state) if state.joint_steps else ()
         return np.array((state.x, state.y, state.z, rules.get_heading(state), state.pitch, state.roll,
-                         *self._puzzle.observe(state.puzzle), *angles), dtype=np.float32)
+                         *self._get_puzzle(state), *rules.get_angles(state)), dtype=np.float32)
+
+
+def _clip(value: float) -> float:
+    return -1.0 if value < -1.0 else 1.0 if value > 1.0 else value
 
 
 class FeatureObserver(Observer):
@@ -83,25 +101,22 @@ class FeatureObserver(Observer):
     def __init__(self, rules: Rules) -> None:
         super().__init__(rules)
         self.names = ("x", "y", "sin-heading", "cos-heading", *self._joint_names, *self._puzzle_names)
-        self._scale = [(low, high) for low, high in self._puzzle.bounds]
-        self._bits = all(bound == (0.0, 1.0) for bound in self._scale)
         self._limits = [max(abs(low), abs(high)) for low, high in rules.robot.limits]
+        self._reach = rules.instance.reach_x, rules.instance.reach_y
         self.high = np.ones(len(self.names), dtype=np.float32)
         self.low = -self.high
 
     def observe(self, state: RoomState) -> NDArray[np.float32]:
         """See the module's first lines for the layout."""
-        rules, instance = self._rules, self._instance
+        rules = self._rules
         cos, sin = rules.get_rotation(state.heading_steps, state.heading_offset)
-        joints = ()
-        if state.joint_steps:
-            joints = tuple(a / m for a, m in zip(rules.get_angles(state), self._limits, strict=True))
-        puzzle = self._puzzle.observe(state.puzzle)
-        if not self._bits:
-            puzzle = tuple(v if bound == (0.0, 1.0) else 2 * (v - bound[0]) / (bound[1] - bound[0]) - 1
-                           for v, bound in zip(puzzle, self._scale, strict=True))
-        numbers = (state.x / instance.reach_x, state.y / instance.reach_y, sin, cos, *joints, *puzzle)
-        return np.array([min(1.0, max(-1.0, v)) for v in numbers], dtype=np.float32)
+        joints = [_clip(a / m) for a, m in zip(rules.get_angles(state), self._limits, strict=True)]
+        x, y = _clip(state.x / self._reach[0]), _clip(state.y / self._reach[1])
+        return np.array((x, y, sin, cos, *joints, *self._get_puzzle(state)), dtype=np.float32)
+
+    def _scale_puzzle(self, numbers: tuple[float, ...]) -> tuple[float, ...]:
+        return tuple(value if (low, high) == (0.0, 1.0) else _clip(2 * (value - low) / (high - low) - 1)
+                     for value, (low, high) in zip(numbers, self._puzzle.bounds, strict=True))
 
 
 class EgocentricObserver(Observer):
