@@ -92,8 +92,8 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     `info["option"]` has `name`, `index` and `ended`: `reached` (its termination fired; always so for a
     primitive), `interrupted` (see `interruptible`), `timeout` (`max_duration`), `episode-over` (by exit or
     truncation) or `planning-failed`; then `planner_seconds`, `planner_calls`, `cache_hits`, `replans`,
-    `also_pressed` (names of other targets pressed on the way), `unavoidable` (those that the plan had to
-    press) and `reason` (why planning failed, else empty).
+    `cache_hit_rate` (of all calls of this environment), `also_pressed` (names of other targets pressed on
+    the way), `unavoidable` (those that the plan had to press) and `reason` (why planning failed, else empty).
 
     A decision for an option that is masked or whose planning fails costs one primitive: the robot turns left.
 
@@ -140,6 +140,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._discounted, self._tracing = discounted_reward, trace
         self._source = options if options is not None else _make_synthesiser(flavour)
         self._rng = np.random.default_rng()
+        self._calls = self._hits = 0
         self._run: Run | None = None
         self._observation: Any = None  # the wrapped environment's, at the present state
         self._shown: Any = None  # the same as the agent saw it
@@ -272,6 +273,8 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         own = self.options[index - self._primitives].targets if index >= self._primitives else None
         targets = self._instance.targets
         others = () if own is None else tuple(targets[i].name for i in decision.pressed if i not in own)
+        self._calls += outcome.report.planner_calls
+        self._hits += outcome.report.cache_hits
         info = {
             **decision.info,
             "duration": len(decision.rewards),
@@ -281,7 +284,8 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             "pressed": tuple(decision.pressed),
             "action_mask": mask,
             "option": {"name": self.action_names[index], "index": index, "ended": outcome.ended,
-                       **dataclasses.asdict(outcome.report), "also_pressed": others, "reason": outcome.reason},
+                       **dataclasses.asdict(outcome.report), "cache_hit_rate": self._hits / max(self._calls, 1),
+                       "also_pressed": others, "reason": outcome.reason},
         }
         if self._tracing:
             info["trace"] = self._make_trace(decision, mask)
