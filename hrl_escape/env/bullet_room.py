@@ -15,6 +15,7 @@ import weakref
 
 import pybullet
 
+from hrl_escape.env.bullet_physics import PhysicsDynamics
 from hrl_escape.env.bullet_scene import Scene, build_scene, show_door, show_exit, show_lit
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules, Transition
@@ -48,11 +49,13 @@ class BulletRoom:
         self.instance = instance
         self.client = _connect(gui)
         self._release = weakref.finalize(self, _disconnect, self.client)
-        self.rules: Rules = Kinematics(instance)
+        physics = instance.dynamics.kind == "physics"
+        self.rules: Rules = Rules(instance) if physics else Kinematics(instance)
         self.scene: Scene = build_scene(self.client, instance, self.rules.robot)
         if gui:
             pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_RENDERING, 1, physicsClientId=self.client)
-        self._dynamics = _KinematicDynamics(self.client, self.scene, self.rules)
+        dynamics = PhysicsDynamics if physics else _KinematicDynamics
+        self._dynamics = dynamics(self.client, self.scene, self.rules)
         self._looks = _Looks(self.client, instance, self.scene)
         self._next_frame = 0.0
         self.state = self.reset(instance.starts[0])
@@ -105,7 +108,7 @@ class BulletRoom:
 
     def _enter(self, state: RoomState) -> None:
         self._dynamics.place(state)
-        self._looks.show(state, self.rules)
+        self._looks.show(state)
         self.state = state
 
     def show(self, rate: float) -> None:
@@ -127,7 +130,7 @@ class BulletRoom:
         instance, best = self.instance, math.inf
         furthest = 3.0 * (instance.reach_x + instance.reach_y)
         bodies = [(solid, -1) for solid in self.scene.solids]
-        if self.scene.door is not None and not self._looks.door_open:
+        if self.scene.door is not None and self._dynamics.door_is_solid:
             bodies.append((self.scene.door, 0))
         for body, link in bodies:
             points = pybullet.getClosestPoints(self.scene.robot, body, furthest, self.scene.base_link, link,
@@ -163,6 +166,8 @@ class _KinematicDynamics:
         self._pose: tuple[float, ...] = ()
         self._angles = [math.nan] * len(scene.joints)
         self._arm: tuple = ()
+        self._door = scene.door
+        self.door_is_solid = True
 
     def place(self, state: RoomState) -> None:
         """Put the robot where the state says, as far as it is not there yet."""
@@ -179,20 +184,24 @@ class _KinematicDynamics:
                 if angle != self._angles[i]:
                     self._angles[i] = angle
                     pybullet.resetJointState(self._robot, self._joints[i], angle, 0.0, self._client)
+        if self._door is not None:
+            is_shut = self._rules.is_door_shut(state.x, state.y, state.puzzle)
+            if is_shut != self.door_is_solid:
+                self.door_is_solid = is_shut
+                show_door(self._client, self._rules.instance, self._door, not is_shut)
 
 
 class _Looks:
-    """What shows the puzzle: lit targets, the exit's colour, a kinematic room's door."""
+    """What shows the puzzle: lit targets and the exit's colour."""
 
     def __init__(self, client: int, instance: RoomInstance, scene: Scene) -> None:
         self._client, self._instance, self._scene = client, instance, scene
         self._puzzle: object = None
         self._lit = (False,) * len(instance.targets)
         self._solved = False
-        self.door_open = False
 
-    def show(self, state: RoomState, rules: Rules) -> None:
-        """Recolour and swing what has changed."""
+    def show(self, state: RoomState) -> None:
+        """Recolour what has changed."""
         if state.puzzle != self._puzzle:
             self._puzzle = state.puzzle
             puzzle = self._instance.puzzle
@@ -205,12 +214,6 @@ class _Looks:
             if solved != self._solved:
                 self._solved = solved
                 show_exit(self._client, self._scene, solved)
-        if self._scene.door is not None:
-            assert isinstance(rules, Kinematics)
-            is_open = not rules.is_door_shut(state.x, state.y, state.puzzle)
-            if is_open != self.door_open:
-                self.door_open = is_open
-                show_door(self._client, self._instance, self._scene.door, is_open)
 
 
 def _make_quaternion(heading: float) -> tuple[float, float, float, float]:

@@ -14,10 +14,10 @@ from xml.etree import ElementTree
 
 import pybullet
 
-from hrl_escape.env import palette
+from hrl_escape.env import looks
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Solid
-from hrl_escape.env.instance import PlacedProp, RoomInstance, Target
+from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance, Target
 from hrl_escape.env.robot import BASE_LINK, Robot
 
 __all__ = ["DRIVE_JOINTS", "HINGE_LIMIT", "Scene", "build_scene", "show_door", "show_exit", "show_lit"]
@@ -47,7 +47,7 @@ class Scene:
         targets: in the puzzle's order.
         props: in the puzzle's order.
         exit: the coloured region on the floor.
-        floor: the floor.
+        floors: the room's floor, and that of the alcove behind a door.
     """
 
     robot: int
@@ -62,24 +62,25 @@ class Scene:
     targets: tuple[int, ...]
     props: tuple[int, ...]
     exit: int
-    floor: int
+    floors: tuple[int, ...]
 
 
 def build_scene(client: int, instance: RoomInstance, robot: Robot) -> Scene:
     """Build the room in an empty Bullet world; puzzle unsolved, everything in its first place."""
     physics = instance.dynamics.kind == "physics"
-    floor = (instance.reach_x + 1.0, instance.reach_y + 1.0, 0.5)
-    floor_id = _add_box(client, floor, (0.0, 0.0, -0.5), 0.0, palette.FLOOR, _GROUND, _FREE)
+    # 0: two things collide only where each lets the other; Bullet's default is that one does
+    pybullet.setPhysicsEngineParameter(collisionFilterMode=0, physicsClientId=client)
+    floors = tuple(_add_floor(client, area) for area in looks.compute_floors(instance))
     solids = tuple(_add_solid(client, solid) for solid in instance.solids)
     door = instance.door and _add_door(client, instance, instance.door)
     targets = tuple(_add_target(client, target, physics) for target in instance.targets)
     props = tuple(_add_prop(client, placed, physics) for placed in instance.props)
     area, (x, y) = instance.exit, instance.exit.centre
     half = (area.x_max - x, area.y_max - y, _MARK / 2)
-    exit_id = _add_box(client, half, (x, y, _MARK / 2), 0.0, palette.EXIT_LOCKED)
+    exit_id = _add_box(client, half, (x, y, _MARK / 2), 0.0, looks.EXIT_LOCKED)
     return Scene(
         **_add_robot(client, instance, robot),
-        solids=solids, door=door, targets=targets, props=props, exit=exit_id, floor=floor_id,
+        solids=solids, door=door, targets=targets, props=props, exit=exit_id, floors=floors,
     )
 
 
@@ -88,12 +89,12 @@ def build_scene(client: int, instance: RoomInstance, robot: Robot) -> Scene:
 
 def show_lit(client: int, target: int, is_lit: bool) -> None:
     """Light a target, or put it out."""
-    _paint(client, target, -1, palette.TARGET_LIT if is_lit else palette.TARGET_OFF)
+    _paint(client, target, -1, looks.LIT.fill if is_lit else looks.OFF.fill)
 
 
 def show_exit(client: int, scene: Scene, is_open: bool) -> None:
     """Colour the exit region."""
-    _paint(client, scene.exit, -1, palette.EXIT_OPEN if is_open else palette.EXIT_LOCKED)
+    _paint(client, scene.exit, -1, looks.EXIT_OPEN if is_open else looks.EXIT_LOCKED)
 
 
 def show_door(client: int, instance: RoomInstance, door: int, is_open: bool) -> None:
@@ -112,7 +113,7 @@ def _find_outward(instance: RoomInstance, door: Solid) -> float:
 
 
 def _paint(client: int, body: int, link: int, colour: str) -> None:
-    pybullet.changeVisualShape(body, link, rgbaColor=(*palette.to_rgb(colour), 1.0), physicsClientId=client)
+    pybullet.changeVisualShape(body, link, rgbaColor=(*looks.to_rgb(colour), 1.0), physicsClientId=client)
 
 
 # --- bodies --------------------------------------------------------------------------------
@@ -140,8 +141,14 @@ def _add_body(client: int, shape: int, look: int, at: tuple[float, float, float]
     return body
 
 
+def _add_floor(client: int, area: Rectangle) -> int:
+    x, y = area.centre
+    half = (area.x_max - x, area.y_max - y, 0.5)
+    return _add_box(client, half, (x, y, -0.5), 0.0, looks.FLOOR, _GROUND, _FREE)
+
+
 def _add_solid(client: int, solid: Solid) -> int:
-    colour = palette.WALL if solid.role == "wall" else palette.OBSTACLE
+    colour = looks.WALL if solid.role == "wall" else looks.OBSTACLE
     at = (solid.x, solid.y, solid.height / 2)
     if solid.shape == "box":
         half = (solid.half_x, solid.half_y, solid.height / 2)
@@ -173,7 +180,7 @@ def _add_door(client: int, instance: RoomInstance, door: Solid) -> int:
     pybullet.changeDynamics(body, 0, collisionMargin=0.0, jointLowerLimit=-HINGE_LIMIT, jointUpperLimit=HINGE_LIMIT,
                             physicsClientId=client)
     pybullet.setCollisionFilterGroupMask(body, 0, _FIXED, _FREE, physicsClientId=client)
-    _paint(client, body, 0, palette.DOOR)
+    _paint(client, body, 0, looks.DOOR)
     return body
 
 
@@ -181,16 +188,16 @@ def _add_target(client: int, target: Target, physics: bool) -> int:
     """A panel: solid under physics; in kinematic rooms it collides with nothing but can be queried."""
     half = (target.half_x, target.half_y, target.half_z)
     at = (target.x, target.y, target.z)
-    return _add_box(client, half, at, target.yaw, palette.TARGET_OFF, _FIXED, _FREE if physics else 0)
+    return _add_box(client, half, at, target.yaw, looks.OFF.fill, _FIXED, _FREE if physics else 0)
 
 
 def _add_prop(client: int, placed: PlacedProp, physics: bool) -> int:
     prop = placed.prop
     if prop.kind == "plate":
         half = (prop.half_size, prop.half_size, _MARK / 2)
-        return _add_box(client, half, (placed.x, placed.y, _MARK / 2), placed.yaw, palette.PLATE)
+        return _add_box(client, half, (placed.x, placed.y, _MARK / 2), placed.yaw, looks.PLATE)
     half = (prop.half_size, prop.half_size, prop.height / 2)
-    return _add_box(client, half, (placed.x, placed.y, prop.height / 2), placed.yaw, palette.PROP, _FREE,
+    return _add_box(client, half, (placed.x, placed.y, prop.height / 2), placed.yaw, looks.PROP, _FREE,
                     _FREE | _FIXED | _GROUND if physics else 0, prop.mass if physics else 0.0)
 
 
@@ -215,9 +222,9 @@ def _add_robot(client: int, instance: RoomInstance, robot: Robot) -> dict:
     base, hand = links.get(BASE_LINK, -1), links.get(robot.hand_link, -1)
     if instance.robot.kind == "arm":
         for link in range(-1, len(joints)):
-            _paint(client, body, link, palette.ARM)
-        _paint(client, body, hand, palette.HAND)
-    _paint(client, body, base, palette.BODY)
+            _paint(client, body, link, looks.ARM)
+        _paint(client, body, hand, looks.HAND)
+    _paint(client, body, base, looks.BODY)
     pybullet.changeDynamics(body, base, collisionMargin=0.0, physicsClientId=client)
     # the arm may lean on the ground; the base is carried, so its friction there would count twice
     for link in range(-1, len(joints)):

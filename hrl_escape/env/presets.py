@@ -20,8 +20,10 @@ from hrl_escape.env.config import (
     StartConfig,
 )
 from hrl_escape.env.puzzles.base import Panels, Place
+from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.puzzles.push_block import PushBlockConfig
 from hrl_escape.errors import ConfigError, UnknownNameError
 
 __all__ = ["PRESETS", "get_preset", "make_env_name"]
@@ -104,6 +106,17 @@ def arm_two_button() -> RoomConfig:
     )
 
 
+def push_block() -> RoomConfig:
+    """A block to be pushed onto a plate, which takes rigid-body physics."""
+    return RoomConfig(
+        name="push-block",
+        room=ShapeConfig(width=12, depth=12),
+        robot=RobotConfig(body_radius=0.4),
+        puzzle=PushBlockConfig(),
+        dynamics=DynamicsConfig(kind="physics"),
+    )
+
+
 PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "paper-one-button": lambda: paper_room(1),
     "paper-two-button": lambda: paper_room(2),
@@ -113,6 +126,9 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "clutter": clutter,
     "ten-button": lambda: ladder_room("ten-button", 10, GraphConfig(kind="layered", max_parents=2)),
     "twenty-button": lambda: ladder_room("twenty-button", 20, GraphConfig(kind="layered", max_parents=2), 30.0),
+    "bit-flip": lambda: RoomConfig(name="bit-flip", puzzle=BitFlipConfig(buttons=Panels(width=1.5)),
+                                   robot=RobotConfig(body_radius=0.5)),
+    "push-block": push_block,
 }
 
 

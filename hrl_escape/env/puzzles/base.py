@@ -43,7 +43,8 @@ class Contacts(NamedTuple):
     Attributes:
         pressed: indices of targets whose touching began at this primitive's end, ascending.
         prop_poses: (x, y, yaw) of each prop in the room frame, metres and radians; they
-            move under physics dynamics only.
+            move under physics dynamics only. A puzzle with props is told where they stand
+            once before the first primitive, with nothing pressed.
     """
 
     pressed: tuple[int, ...]
@@ -120,6 +121,17 @@ class Panels(Settings):
     places: str | tuple[Place, ...] = knob(
         "random", "Anywhere on the walls, the paper's four places, or explicit ones.", choices=("random", "paper")
     )
+
+    def check_places(self, count: int) -> None:
+        """Check that there are places for a number of panels.
+
+        Raises:
+            ConfigError: there are fewer.
+        """
+        if self.places == "paper" and count > 4:
+            raise ConfigError("puzzle.count", count, "at most 4 with panels.places = 'paper'")
+        if isinstance(self.places, tuple) and len(self.places) < count:
+            raise ConfigError("panels.places", len(self.places), f"at least puzzle.count = {count} places")
 
 
 @dataclasses.dataclass(frozen=True)

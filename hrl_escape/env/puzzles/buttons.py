@@ -40,11 +40,7 @@ class ButtonsConfig(PuzzleConfig):
             raise ConfigError("puzzle.goal", self.goal, f"a button from 0 to {self.count - 1}")
         if self.graph.kind == "edges":
             compute_order(self.count, self.graph.edges)
-        places = self.buttons.places
-        if places == "paper" and self.count > 4:
-            raise ConfigError("puzzle.count", self.count, "at most 4 with buttons.places = 'paper'")
-        if isinstance(places, tuple) and len(places) < self.count:
-            raise ConfigError("panels.places", len(places), f"at least puzzle.count = {self.count} places")
+        self.buttons.check_places(self.count)
 
     @property
     def panels(self) -> Panels:

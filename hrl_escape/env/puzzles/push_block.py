@@ -1,0 +1,140 @@
+"""Push blocks onto plates: a puzzle with continuous state that only physics dynamics can solve.
+
+Each block has a plate of its own on the floor; while every block's centre is over its plate the
+exit is open. Pushing it off again shuts the exit. The state is where each block is, seen from its
+plate. Nothing hangs on the walls.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hrl_escape.env.puzzles.base import Contacts, Operator, Prop, Puzzle, PuzzleConfig, SymbolicModel
+from hrl_escape.env.settings import knob
+from hrl_escape.errors import ConfigError
+
+__all__ = ["FAR", "BlockPose", "PushBlockConfig", "PushBlockPuzzle"]
+
+FAR = 300.0
+"""Observed offsets are cut at this distance, m; no room is as large."""
+
+
+class BlockPose(NamedTuple):
+    """Placement of a block in the frame of its plate.
+
+    Attributes:
+        x: m.
+        y: m.
+        yaw: rad, in [-pi/4, pi/4): a square looks the same after a quarter turn.
+    """
+
+    x: float
+    y: float
+    yaw: float
+
+
+@dataclasses.dataclass(frozen=True)
+class PushBlockConfig(PuzzleConfig):
+    """Schematic of the pushing puzzle."""
+
+    kind = "push-block"
+    needs_physics = True
+    count: int = knob(1, "Number of blocks, each with a plate.", "", 1, 16)
+    block_size: float = knob(0.6, "Side of a block.", "m", 0.1, 10)
+    block_height: float = knob(0.4, "Height of a block.", "m", 0.05, 5)
+    block_mass: float = knob(5.0, "Mass of a block; the robot pushes with 20 N a kg of its own mass.", "kg",
+                             0.01, 10_000)
+    plate_size: float = knob(1.5, "Side of a plate; smaller is harder.", "m", 0.1, 20)
+
+    def make_puzzle(self, rng: np.random.Generator) -> PushBlockPuzzle:
+        """Nothing is random; the room places the props."""
+        props = []
+        for i in range(self.count):
+            props.append(Prop(f"block-{i + 1}", "block", self.block_size / 2, self.block_height, self.block_mass))
+            props.append(Prop(f"plate-{i + 1}", "plate", self.plate_size / 2))
+        return PushBlockPuzzle(tuple(props))
+
+
+@dataclasses.dataclass(frozen=True)
+class PushBlockPuzzle(Puzzle):
+    """A concrete pushing puzzle: `block-<i>` belongs onto `plate-<i>`."""
+
+    kind = "push-block"
+    things: tuple[Prop, ...] = knob((Prop(), Prop("plate", "plate")), "A block, its plate, the next block, and so on.")
+
+    def check(self) -> None:
+        """Check that blocks and plates come in pairs."""
+        kinds = tuple(prop.kind for prop in self.things)
+        if not kinds or kinds != ("block", "plate") * (len(kinds) // 2):
+            raise ConfigError("puzzle.things", kinds, "block, plate, block, plate, ...")
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Nothing is pressed."""
+        return ()
+
+    @property
+    def props(self) -> tuple[Prop, ...]:
+        """Blocks and plates."""
+        return self.things
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Of offset x and y, yaw, and whether it is on the plate."""
+        return ((-FAR, FAR), (-FAR, FAR), (-math.pi / 4, math.pi / 4), (0.0, 1.0)) * (len(self.things) // 2)
+
+    def make_state(self) -> tuple[BlockPose, ...]:
+        """Out of sight, until the room says where the blocks stand."""
+        return (BlockPose(FAR, FAR, 0.0),) * (len(self.things) // 2)
+
+    def update(self, state: tuple[BlockPose, ...], contacts: Contacts) -> tuple[BlockPose, ...]:  # type: ignore[override]
+        """Look where the blocks are now."""
+        poses = contacts.prop_poses
+        if not poses:
+            return state
+        return tuple(_see_from(plate, block) for block, plate in zip(poses[::2], poses[1::2], strict=True))
+
+    def _list_on_plate(self, state: tuple[BlockPose, ...]) -> tuple[bool, ...]:
+        return tuple(max(abs(block.x), abs(block.y)) <= plate.half_size
+                     for block, plate in zip(state, self.things[1::2], strict=True))
+
+    def is_solved(self, state: tuple[BlockPose, ...]) -> bool:  # type: ignore[override]
+        """Every block's centre is over its plate, edges included."""
+        return all(self._list_on_plate(state))
+
+    def observe(self, state: tuple[BlockPose, ...]) -> tuple[float, ...]:  # type: ignore[override]
+        """Four numbers a block: offset from its plate (m, plate frame), yaw (rad), 1 on the plate."""
+        numbers: list[float] = []
+        for block, is_on in zip(state, self._list_on_plate(state), strict=True):
+            numbers += [min(max(block.x, -FAR), FAR), min(max(block.y, -FAR), FAR), block.yaw, float(is_on)]
+        return tuple(numbers)
+
+    def get_lit(self, state: tuple[BlockPose, ...]) -> tuple[bool, ...]:  # type: ignore[override]
+        """There are no targets."""
+        return ()
+
+    def get_facts(self, state: tuple[BlockPose, ...]) -> frozenset[str]:  # type: ignore[override]
+        """`on-plate(block-i)` for every block on its plate."""
+        return frozenset(f"on-plate({block.name})"
+                         for block, is_on in zip(self.things[::2], self._list_on_plate(state), strict=True) if is_on)
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """One operator a block: push it onto its plate."""
+        operators = []
+        for block, plate in zip(self.things[::2], self.things[1::2], strict=True):
+            fact = frozenset({f"on-plate({block.name})"})
+            operators.append(Operator(f"push-{block.name}-onto-{plate.name}", block.name, "push", frozenset(), fact,
+                                      fact, frozenset(), plate.name))
+        facts = tuple(f"on-plate({block.name})" for block in self.things[::2])
+        return SymbolicModel(facts, tuple(operators), frozenset(facts))
+
+
+def _see_from(plate: tuple[float, float, float], block: tuple[float, float, float]) -> BlockPose:
+    dx, dy, yaw = (b - p for b, p in zip(block, plate, strict=True))
+    cos, sin = math.cos(plate[2]), math.sin(plate[2])
+    quarter = math.pi / 2
+    return BlockPose(cos * dx + sin * dy, cos * dy - sin * dx, (yaw + quarter / 2) % quarter - quarter / 2)
