@@ -21,8 +21,10 @@ from hrl_escape.env.config import (
 )
 from hrl_escape.env.puzzles.base import Panels, Place
 from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
+from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.puzzles.push_block import PushBlockConfig
 from hrl_escape.env.puzzles.push_block import PushBlockConfig
 from hrl_escape.errors import ConfigError, UnknownNameError
 
@@ -117,6 +119,18 @@ def push_block() -> RoomConfig:
     )
 
 
+def bit_flip() -> RoomConfig:
+    """BitFlip (Diuk et al. 2006) with four bits on wall panels."""
+    return RoomConfig(name="bit-flip", puzzle=BitFlipConfig(), robot=RobotConfig(body_radius=0.5),
+                      room=ShapeConfig(width=12, depth=12))
+
+
+def push_block() -> RoomConfig:
+    """Push a block onto a plate: continuous puzzle state that only physics dynamics can change."""
+    return RoomConfig(name="push-block", puzzle=PushBlockConfig(), robot=RobotConfig(body_radius=0.4, move_step=0.5),
+                      room=ShapeConfig(width=10, depth=10), dynamics=DynamicsConfig(kind="physics"))
+
+
 PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "paper-one-button": lambda: paper_room(1),
     "paper-two-button": lambda: paper_room(2),
@@ -126,6 +140,8 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "clutter": clutter,
     "ten-button": lambda: ladder_room("ten-button", 10, GraphConfig(kind="layered", max_parents=2)),
     "twenty-button": lambda: ladder_room("twenty-button", 20, GraphConfig(kind="layered", max_parents=2), 30.0),
+    "bit-flip": bit_flip,
+    "push-block": push_block,
     "bit-flip": lambda: RoomConfig(name="bit-flip", puzzle=BitFlipConfig(buttons=Panels(width=1.5)),
                                    robot=RobotConfig(body_radius=0.5)),
     "push-block": push_block,
