@@ -7,13 +7,15 @@ vision can tell apart.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Hashable
 from typing import NamedTuple
 
-from hrl_escape.env.instance import Rectangle, RoomInstance
+from hrl_escape.env.geometry import compute_distance, make_footprint
+from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.puzzles.base import Puzzle
 
-__all__ = ["TargetLook", "compute_floors", "get_target_look", "to_rgb"]
+__all__ = ["TargetLook", "compute_floors", "find_front", "get_target_look", "to_rgb"]
 
 BACKGROUND = "#ffffff"
 FLOOR = "#f4f1ea"
@@ -25,6 +27,7 @@ BODY, BODY_EDGE = "#2f6db5", "#1d4474"
 ARM, HAND = "#1c3f6b", "#f08c2e"
 PROP, PROP_EDGE, PLATE = "#8e6bb0", "#5d4380", "#cdbfe0"
 INK, MUTED = "#22262e", "#7b818c"
+TRAIL = "#0072b2"
 LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 
 
@@ -67,6 +70,20 @@ def compute_floors(instance: RoomInstance) -> tuple[Rectangle, ...]:
         area.y_max + deep if high_y else -half_y if low_y else area.y_max,
     )
     return room, alcove
+
+
+def find_front(instance: RoomInstance, target: Target) -> tuple[float, float]:
+    """Unit vector from a target towards the side it is pressed from: the one further from walls."""
+    normal = (-math.sin(target.yaw), math.cos(target.yaw))
+    walls = [make_footprint(s.x, s.y, s.half_x, s.half_y, s.yaw) for s in instance.solids if s.role == "wall"]
+
+    def compute_room(sign: int) -> float:
+        x, y = target.x + 0.5 * sign * normal[0], target.y + 0.5 * sign * normal[1]
+        inside = abs(x) <= instance.half_width and abs(y) <= instance.half_depth
+        return inside * min((compute_distance(x, y, wall) for wall in walls), default=1.0)
+
+    sign = 1 if compute_room(1) >= compute_room(-1) else -1
+    return sign * normal[0], sign * normal[1]
 
 
 def to_rgb(colour: str) -> tuple[float, float, float]:

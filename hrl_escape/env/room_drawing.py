@@ -249,7 +249,7 @@ def _draw_names(axes: Axes, instance: RoomInstance, state: RoomState, side: str,
         style["weight"] = "bold" if index in instance.puzzle.goal_targets else "normal"
         gap = 12 / scale
         if side == "inside":
-            behind = (round(math.sin(target.yaw)), -round(math.cos(target.yaw)))  # the room is left of the width
+            behind = [-round(part) for part in looks.find_front(instance, target)]
             axes.annotate(name, (target.x, target.y), (12 * behind[0], 12 * behind[1]), textcoords="offset points",
                           annotation_clip=False, ha=("center", "left", "right")[behind[0]],
                           va=("center", "bottom", "top")[behind[1]], **style)
