@@ -46,7 +46,7 @@ class DDPGSettings(NetworkSettings, EpsilonSettings, LearningSettings):
 
     relaxation: Literal["one-hot", "linear"] = "one-hot"
     """What the critic sees of an action. `one-hot`: the action that ran, and for the actor's gradient a
-    straight-through softmax. `linear`: the actor's unbounded outputs with their noise, as in the paper."""
+    straight-through Gumbel softmax. `linear`: the actor's unbounded outputs with their noise, as in the paper."""
     exploration: Literal["epsilon-greedy", "ornstein-uhlenbeck"] = "epsilon-greedy"
     """`epsilon-greedy`: a random legal action with probability epsilon. `ornstein-uhlenbeck`: noise with memory on the
     actor's outputs."""
@@ -60,9 +60,9 @@ class DDPGSettings(NetworkSettings, EpsilonSettings, LearningSettings):
     """Steps of the clock before the critic's first update."""
     actor_warmup: Annotated[int, Range(0)] = 1_000
     """Steps of the clock before the actor's first update."""
-    updates_per_step: Annotated[float, Range(0)] = 0.5
+    updates_per_step: Annotated[float, Range(0)] = 0.25
     """Updates for each step of the clock."""
-    entropy_weight: Annotated[float, Range(0)] = 0.01
+    entropy_weight: Annotated[float, Range(0)] = 0.05
     """Weight of the actor's entropy in its loss, which keeps the softmax's gradient alive; `one-hot` only."""
     loss: Literal["huber", "squared"] = "huber"
     """The critic's loss: Huber with threshold 1 (in scaled rewards), or half the squared error."""
@@ -94,8 +94,9 @@ class DDPG:
     """Critic: minimise the mean of loss(R + b Q'(s', mu'(s')) - Q(s, a)). Actor: maximise the mean of Q(s, mu(s)).
 
     R = sum gamma^i r_i, b = gamma^k (1 - terminated), primes are target networks. The action that runs is the
-    argmax of the actor's outputs over legal actions. With `relaxation="one-hot"`, a and mu' are one-hot
-    vectors of legal actions and mu is one-hot with the gradient of the softmax over legal actions.
+    argmax of the actor's outputs over legal actions. With `relaxation="one-hot"`, a and mu' are one-hot vectors of
+    legal actions and mu is a legal action drawn from the softmax of the outputs, one-hot, with that softmax's gradient
+    (Jang, Gu and Poole 2017), as is usual for discrete actions since Lowe et al. (2017).
     """
 
     Settings: ClassVar[type] = DDPGSettings
@@ -195,7 +196,8 @@ class DDPG:
             metrics["loss"] = self._critic_learner.minimise(self.compute_critic_loss(batch))
             blend_parameters(self.target_critic, self.critic, self.settings.target_rate)
         if self._steps > self.settings.actor_warmup:
-            metrics["actor_loss"] = self._actor_learner.minimise(self.compute_actor_loss(batch))
+            noise = self._replay_rng.gumbel(size=batch.mask.shape).astype(np.float32)
+            metrics["actor_loss"] = self._actor_learner.minimise(self.compute_actor_loss(batch, noise))
             blend_parameters(self.target_actor, self.actor, self.settings.target_rate)
         return metrics
 
@@ -211,16 +213,22 @@ class DDPG:
             return functional.smooth_l1_loss(value, targets)
         return 0.5 * functional.mse_loss(value, targets)
 
-    def compute_actor_loss(self, batch: Experience) -> torch.Tensor:
-        """Minus the mean of Q(s, mu(s)), less the weighted entropy, over a batch of numpy arrays."""
+    def compute_actor_loss(self, batch: Experience, noise: NDArray[np.float32]) -> torch.Tensor:
+        """Minus the mean of Q(s, mu(s)), less the weighted entropy.
+
+        Args:
+            batch: numpy arrays.
+            noise: (batch, actions), standard Gumbel; not used with `relaxation="linear"`.
+        """
         observation, mask = torch.from_numpy(batch.observation), torch.from_numpy(batch.mask)
         outputs = self.actor(observation)
-        action = relax(outputs, mask, self.settings.relaxation)
-        loss = -self.critic(torch.cat((observation, action), dim=1)).mean()
-        if self.settings.relaxation == "one-hot" and self.settings.entropy_weight:
-            log_policy = functional.log_softmax(outputs.masked_fill(~mask, -1e9), dim=1)
-            loss = loss + self.settings.entropy_weight * (log_policy.exp() * log_policy).sum(dim=1).mean()
-        return loss
+        if self.settings.relaxation == "linear":
+            return -self.critic(torch.cat((observation, outputs), dim=1)).mean()
+        action = relax(outputs + torch.from_numpy(noise), mask, "one-hot")
+        log_policy = functional.log_softmax(outputs.masked_fill(~mask, -1e9), dim=1)
+        entropy = -(log_policy.exp() * log_policy).sum(dim=1).mean()
+        value = self.critic(torch.cat((observation, action), dim=1)).mean()
+        return -value - self.settings.entropy_weight * entropy
 
     def state_dict(self) -> StateTree:
         """Networks, optimisers, replay, counters, noise, generators."""

@@ -53,7 +53,7 @@ class DQNSettings(NetworkSettings, ExplorationSettings, LearningSettings):
     """Decisions in an update."""
     warmup: Annotated[int, Range(0)] = 500
     """Steps of the clock before the first update."""
-    updates_per_step: Annotated[float, Range(0)] = 0.5
+    updates_per_step: Annotated[float, Range(0)] = 0.25
     """Updates for each step of the clock; an option of 16 primitives is followed by 16 times as many."""
     n_step: Annotated[int, Range(1)] = 1
     """Decisions joined into one backup; above 1 it is off-policy by the share of exploration."""

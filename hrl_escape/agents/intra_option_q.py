@@ -105,12 +105,15 @@ class IntraOptionQ:
         return {"td_error": abs(error), "epsilon": epsilon, "states": len(self.table)}
 
     def _learn_primitive(self, item: Any, transition: SMDPTransition, is_last: bool) -> None:
+        consistent = _get_consistent(item)
+        if not consistent:
+            return
         observation, _, reward, next_observation = item[:4]
         mask = transition.next_action_mask if is_last else getattr(item, "next_action_mask", None)
         key = self._discretise(observation)
         next_values = self.compute_values(next_observation)
         ended = transition.terminated or (transition.truncated and not self.settings.bootstrap_on_truncation)
-        for option, beta in _get_consistent(item):
+        for option, beta in consistent:
             value = 0.0
             if not (is_last and ended):
                 if mask is None and beta > 0:

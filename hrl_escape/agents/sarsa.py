@@ -57,7 +57,7 @@ class SarsaSettings(NetworkSettings, ExplorationSettings, LearningSettings):
     """Decisions in an update from replay."""
     warmup: Annotated[int, Range(0)] = 500
     """Steps of the clock before the first update."""
-    updates_per_step: Annotated[float, Range(0)] = 0.5
+    updates_per_step: Annotated[float, Range(0)] = 0.25
     """Updates from replay for each step of the clock; without replay there is one a decision."""
     loss: Literal["huber", "squared"] = "huber"
     """Huber loss with threshold 1 (in scaled rewards), or half the squared error."""

@@ -246,7 +246,7 @@ class _Run:
             "train/decisions": tally.decisions,
             "train/success": int(tally.success),
             "train/end": end,
-            **tally.compute_means(),
+            **tally.make_row(),
             "option/planner_calls": self.planner_calls,
             "time/planner_seconds": self.planner_seconds,
             "time/seconds": self.seconds,
@@ -322,7 +322,9 @@ class _Tally:
         self.episode_return = self.planner_seconds = 0.0
         self.length = self.decisions = self.planner_calls = 0
         self.success = False
-        self._options = self._option_primitives = self._failures = 0
+        self._choices: dict[str, int] = {}
+        self._choice_primitives: dict[str, int] = {}
+        self._failures = 0
         self._sums: dict[str, float] = {}
         self._counts: dict[str, int] = {}
 
@@ -334,8 +336,9 @@ class _Tally:
         if transition.terminated or transition.truncated:
             self.success = bool(info.get("is_success", transition.terminated))
         if (option := info.get("option")) is not None:
-            self._options += 1
-            self._option_primitives += transition.duration
+            name = option["name"]
+            self._choices[name] = self._choices.get(name, 0) + 1
+            self._choice_primitives[name] = self._choice_primitives.get(name, 0) + transition.duration
             self._failures += option.get("ended") == "planning-failed"
             self.planner_calls += option.get("planner_calls", 0)
             self.planner_seconds += option.get("planner_seconds", 0.0)
@@ -343,11 +346,11 @@ class _Tally:
             self._sums[name] = self._sums.get(name, 0.0) + value
             self._counts[name] = self._counts.get(name, 0) + 1
 
-    def compute_means(self) -> dict[str, float]:
-        """The agent's numbers and the options' use, under their logged names."""
-        means: dict[str, float] = {f"train/{name}": total / self._counts[name] for name, total in self._sums.items()}
-        means["option/share"] = self._options / self.decisions
-        if self._options:
-            means["option/duration"] = self._option_primitives / self._options
-            means["option/failures"] = self._failures
-        return means
+    def make_row(self) -> dict[str, Any]:
+        """The agent's numbers and what was chosen, under their logged names."""
+        row: dict[str, Any] = {f"train/{name}": total / self._counts[name] for name, total in self._sums.items()}
+        if self._choices:
+            row["option/choices"] = self._choices
+            row["option/primitives"] = self._choice_primitives
+            row["option/failures"] = self._failures
+        return row

@@ -1,0 +1,107 @@
+"""What a step of an environment means to a learner: rewards, discounts, masks, ends."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hrl_escape.agents.agent import compute_backup, make_transition, read_action_mask
+from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.errors import DiscountMismatchError, StepContractError
+
+MASK = np.ones(3, np.bool_)
+
+
+def read(info, reward=0.0, terminated=False, truncated=False, gamma=0.9):
+    return make_transition("s", 1, MASK, ("s'", reward, terminated, truncated, info), gamma)
+
+
+def test_a_plain_gymnasium_step_is_a_transition_of_one_primitive():
+    transition = read({}, reward=-2.5)
+    assert (transition.reward, transition.summed_reward, transition.duration) == (-2.5, -2.5, 1)
+    assert transition.discount == 0.9
+    assert transition.next_action_mask.tolist() == [True, True, True]
+
+
+def test_trap_1_an_option_of_k_primitives_at_minus_one_is_worth_the_geometric_sum():
+    transition = read({"duration": 16, "rewards": [-1.0] * 16}, reward=-16.0, terminated=True)
+    reward, bootstrap = compute_backup(transition, LearningSettings(gamma=0.9))
+    assert reward == pytest.approx(-(1 - 0.9**16) / (1 - 0.9), abs=1e-12)
+    assert bootstrap == 0
+    assert transition.summed_reward == -16.0
+
+
+def test_trap_3_a_cap_inside_an_option_counts_what_ran_and_still_bootstraps():
+    transition = read({"duration": 5, "rewards": [-1.0] * 5}, reward=-5.0, truncated=True)
+    reward, bootstrap = compute_backup(transition, LearningSettings(gamma=0.9))
+    assert reward == pytest.approx(-(1 - 0.9**5) / 0.1, abs=1e-12)
+    assert bootstrap == pytest.approx(0.9**5, abs=1e-15)
+
+
+def test_trap_4_an_exit_inside_an_option_keeps_its_bonus_at_gamma_to_the_k_minus_1():
+    transition = read({"duration": 4, "rewards": [-1, -1, -1, 99]}, reward=96.0, terminated=True)
+    reward, bootstrap = compute_backup(transition, LearningSettings(gamma=0.9))
+    assert reward == pytest.approx(-1 - 0.9 - 0.9**2 + 99 * 0.9**3, abs=1e-12)
+    assert bootstrap == 0
+
+
+def test_trap_14_an_action_that_costs_no_primitive_is_refused():
+    with pytest.raises(StepContractError, match="took 0 primitives"):
+        read({"duration": 0, "rewards": []})
+
+
+def test_trap_10_a_mask_without_a_legal_action_is_refused():
+    with pytest.raises(StepContractError, match="all zero"):
+        read_action_mask({"action_mask": np.zeros(3, np.int8)}, 3)
+
+
+def test_a_mask_of_the_wrong_length_is_refused():
+    with pytest.raises(StepContractError, match=r"shape \(2,\)"):
+        read_action_mask({"action_mask": np.ones(2, np.int8)}, 3)
+
+
+def test_the_papers_treatment_sums_rewards_discounts_once_and_ends_at_the_cap():
+    transition = read({"duration": 5, "rewards": [-1.0] * 5}, reward=-5.0, truncated=True)
+    settings = LearningSettings(gamma=0.9, discounting="decision", bootstrap_on_truncation=False)
+    assert compute_backup(transition, settings) == (-5.0, 0.0)
+    assert compute_backup(transition._replace(truncated=False), settings) == (-5.0, 0.9)
+
+
+def test_a_discounted_reward_is_taken_where_primitive_rewards_are_not_given():
+    info = {"duration": 3, "discounted_reward": -2.71, "discount": 0.9**3}
+    assert read(info, reward=-3.0).reward == -2.71
+
+
+def test_a_discounted_reward_of_another_gamma_is_refused_with_both_gammas():
+    info = {"duration": 3, "discounted_reward": -2.9, "discount": 0.99**3}
+    with pytest.raises(DiscountMismatchError, match=r"gamma is 0.9 but the environment discounts by 0.99"):
+        read(info, reward=-3.0)
+
+
+def test_a_long_action_of_unknown_discounted_reward_is_refused():
+    with pytest.raises(StepContractError, match="'rewards'"):
+        read({"duration": 3}, reward=-3.0)
+
+
+def test_rewards_that_do_not_match_the_duration_are_refused():
+    with pytest.raises(StepContractError, match="2 entries for a duration of 3"):
+        read({"duration": 3, "rewards": [-1, -1]}, reward=-2.0)
+
+
+@given(
+    rewards=st.lists(st.floats(-100, 100), min_size=2, max_size=40),
+    cut=st.integers(1, 39),
+    gamma=st.floats(0, 1),
+    value=st.floats(-100, 100),
+)
+def test_trap_2_cutting_an_option_in_two_does_not_change_its_value(rewards, cut, gamma, value):
+    cut = min(cut, len(rewards) - 1)
+    settings = LearningSettings(gamma=gamma)
+
+    def back_up(part, value):
+        info = {"duration": len(part), "rewards": part}
+        reward, bootstrap = compute_backup(read(info, reward=sum(part), gamma=gamma), settings)
+        return reward + bootstrap * value
+
+    in_two = back_up(rewards[:cut], back_up(rewards[cut:], value))
+    assert back_up(rewards, value) == pytest.approx(in_two, rel=1e-9, abs=1e-9)
