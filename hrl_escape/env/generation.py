@@ -111,11 +111,9 @@ def _can_touch(instance: RoomInstance, index: int, space: FreeSpace, label: int)
 
 def _can_touch_by_body(instance: RoomInstance, target: Target, space: FreeSpace, label: int) -> bool:
     """Look for a touching stretch round the target, a few neighbouring places long."""
-    margin, radius = instance.dynamics.press_margin, instance.robot.body_radius
-    gap = max(0.0, target.z - target.half_z - instance.robot.body_height, -(target.z + target.half_z))
-    if gap > margin:
+    reach = instance.compute_press_reach(target)
+    if reach < 0.0:
         raise Rejected(f"{target.name} must hang low enough for the body to touch it")
-    reach = radius + math.sqrt(margin**2 - gap**2)
     good = 0
     for share in (0.999, 0.9, 0.5, 0.0):
         points = _outline(target, reach * share if share else 1e-6)

@@ -137,6 +137,24 @@ class RoomInstance(Settings):
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:16]
 
+    def compute_press_reach(self, target: Target, hand_height: float = 0.0) -> float:
+        """Largest floor distance from which the presser touches a target; -1 where it never does.
+
+        Args:
+            target: what is to be touched.
+            hand_height: height of the hand above the floor, m, where the hand presses.
+
+        Returns:
+            Metres from the body's axis (or from the hand) to the target's footprint.
+        """
+        if self.dynamics.press_with == "hand":
+            gap = max(abs(hand_height - target.z) - target.half_z, 0.0)
+            limit, extra = self.robot.hand_radius + self.dynamics.press_margin, 0.0
+        else:
+            gap = max(0.0, target.z - target.half_z - self.robot.body_height, -(target.z + target.half_z))
+            limit, extra = self.dynamics.press_margin, self.robot.body_radius
+        return extra + math.sqrt(limit**2 - gap**2) if gap <= limit else -1.0
+
     @property
     def reach_x(self) -> float:
         """Largest |x| the floor has, the alcove behind a door included."""

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
-from hrl_escape.env.instance import RoomInstance, Start, Target
+from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.noise import compute_noise
 from hrl_escape.env.primitives import make_primitives
 from hrl_escape.env.puzzles.base import Contacts
@@ -100,7 +100,7 @@ class Rules:
         self._by_hand = instance.dynamics.press_with == "hand"
         self._hands: dict[tuple[int, ...], tuple[float, float, float]] = {}
         self._arms: dict[tuple[int, ...], tuple[float, ...]] = {}
-        self._reaches = tuple((i, t.footprint, self._compute_reach(t), t) for i, t in enumerate(instance.targets))
+        self._reaches = tuple((i, t.footprint, instance.compute_press_reach(t), t) for i, t in enumerate(instance.targets))
         self._target_cells: dict[tuple[int, int], tuple] = {}
 
     # --- poses -----------------------------------------------------------------------
@@ -150,12 +150,6 @@ class Rules:
 
     # --- touching --------------------------------------------------------------------
 
-    def _compute_reach(self, target: Target) -> float:
-        """Largest floor distance from the body's axis at which the body touches; -1 if never."""
-        margin = self.instance.dynamics.press_margin
-        gap = max(0.0, target.z - target.half_z - self.instance.robot.body_height, -(target.z + target.half_z))
-        return -1.0 if gap > margin else self.instance.robot.body_radius + math.sqrt(margin**2 - gap**2)
-
     def compute_touching(self, x: float, y: float, heading_steps: int, heading_offset: float,
                          joint_steps: tuple[int, ...], joint_offsets: tuple[float, ...]) -> int:
         """Bits of the targets that the presser touches at a pose of base and arm."""
@@ -168,10 +162,8 @@ class Rules:
         hand_x, hand_y, hand_z = self.get_hand_in_base(joint_steps, joint_offsets)
         cos, sin = self.get_rotation(heading_steps, heading_offset)
         at_x, at_y = x + cos * hand_x - sin * hand_y, y + sin * hand_x + cos * hand_y
-        limit = self.instance.robot.hand_radius + self.instance.dynamics.press_margin
         for i, footprint, _, target in self._get_near_targets(at_x, at_y):
-            flat = compute_distance(at_x, at_y, footprint)
-            if flat <= limit and math.hypot(flat, max(abs(hand_z - target.z) - target.half_z, 0.0)) <= limit:
+            if compute_distance(at_x, at_y, footprint) <= self.instance.compute_press_reach(target, hand_z):
                 touching |= 1 << i
         return touching
 
