@@ -23,7 +23,7 @@ _PUBLIC = {
     "get_preset": "hrl_escape.env.presets",
     "OptionsEnv": "hrl_escape.options.options_env",
     "RoomPlanner": "hrl_escape.options.planner",
-    "make_agent": "hrl_escape.agents.agent",
+    "make_agent": "hrl_escape.agents.registry",
     "train": "hrl_escape.agents.training",
 }
 __all__ = ["__version__", *_PUBLIC]

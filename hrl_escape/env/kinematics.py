@@ -100,7 +100,8 @@ class Rules:
         self._by_hand = instance.dynamics.press_with == "hand"
         self._hands: dict[tuple[int, ...], tuple[float, float, float]] = {}
         self._arms: dict[tuple[int, ...], tuple[float, ...]] = {}
-        self._reaches = tuple((i, t.footprint, instance.compute_press_reach(t), t) for i, t in enumerate(instance.targets))
+        reach = instance.compute_press_reach
+        self._reaches = tuple((i, t.footprint, reach(t), t) for i, t in enumerate(instance.targets))
         self._target_cells: dict[tuple[int, int], tuple] = {}
 
     # --- poses -----------------------------------------------------------------------

@@ -151,8 +151,8 @@ def _check(path: str, value: Any, hint: Any, rule: Knob) -> Any:
             raise ConfigError(path, value, f"a list of {len(kinds)} values")
         items = dataclasses.replace(rule, optional=False)
         return tuple(_check(f"{path}[{i}]", v, k, items) for i, (v, k) in enumerate(zip(value, kinds, strict=True)))
-    kind = parts[0]
-    allowed = rule.describe(kind)
+    kind = typing.get_origin(parts[0]) or parts[0]
+    allowed = rule.describe(kind) if kind is not tuple else "a list"
     if kind is float and type(value) is int and abs(value) < 2**53:
         value = float(value)
     if not (isinstance(value, kind) and (kind is bool or not isinstance(value, bool))):
