@@ -22,7 +22,7 @@ from hrl_escape.env.antialias import soften_edges
 from hrl_escape.env.bullet_room import BulletRoom
 from hrl_escape.env.bullet_stage import SUN, Stage, Standing
 from hrl_escape.env.geometry import make_footprint
-from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.errors import ClosedError, ConfigError, UnknownNameError
 
 __all__ = ["CAMERAS", "check_camera", "render_camera"]
 
@@ -81,13 +81,15 @@ def render_camera(room: BulletRoom, camera: str, width: int, height: int, *,
     for name, pixels in (("width", width), ("height", height)):
         if not 8 <= pixels <= LARGEST_SIDE:
             raise ConfigError(f"render_size.{name}", pixels, f"a whole number from 8 to {LARGEST_SIDE} pixels")
+    if room.client < 0:
+        raise ClosedError("this room is closed; make a new one")
     stage = _STAGES.get(room)
     if stage is None:
         stage = _STAGES[room] = Stage(room.instance, room.rules.robot)
     stage.follow(room)
     view = _VIEWS[camera](room, width / height)
     for standing in stage.standing:
-        stage.set_cut(standing, camera == "chase" and _hides(standing, view, room.instance.robot.body_radius))
+        stage.set_cut(standing, camera == "chase" and _hides(standing, room, view.eye))
     return _take(stage.client, view, width, height, trail, 0.2 * room.instance.robot.body_radius)
 
 
@@ -131,25 +133,25 @@ def _reach(room: BulletRoom) -> float:
     return 2.2 * math.hypot(instance.reach_x + 1.0, instance.reach_y + 1.0, instance.wall_height)
 
 
-def _hides(standing: Standing, view: _View, radius: float) -> bool:
-    """Whether something stands between the eye and the robot (its target), or near enough to disturb."""
-    solid = standing.solid
+def _hides(standing: Standing, room: BulletRoom, eye: tuple[float, float, float]) -> bool:
+    """Whether something stands between the eye and the robot, whose near side counts."""
+    solid, radius = standing.solid, room.instance.robot.body_radius
     shape = make_footprint(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
-    (ex, ey, ez), (tx, ty, tz) = view.eye, view.target
+    (ex, ey, ez), x, y = eye, room.state.x, room.state.y
+    near = 1.0 - 1.2 * radius / math.dist((ex, ey), (x, y))
+    dx, dy, drop = near * (x - ex), near * (y - ey), ez - room.state.z
     enter, leave = 0.0, 1.0
     for axis_x, axis_y, half in ((shape.cos, shape.sin, shape.half_x), (-shape.sin, shape.cos, shape.half_y)):
         at = axis_x * (ex - shape.x) + axis_y * (ey - shape.y)
-        move = axis_x * (tx - ex) + axis_y * (ty - ey)
-        wide = half + 1.2 * radius
+        move = axis_x * dx + axis_y * dy
+        wide = half + 0.7 * radius
         if abs(move) < 1e-12:
             if abs(at) > wide:
                 return False
             continue
         low, high = sorted(((-wide - at) / move, (wide - at) / move))
         enter, leave = max(enter, low), min(leave, high)
-    if enter > leave or leave <= 0.0:
-        return False
-    return solid.height > ez + leave * (tz - ez)
+    return enter <= leave and solid.height > ez - leave * near * drop
 
 
 # --- pixels --------------------------------------------------------------------------------

@@ -118,9 +118,11 @@ class Stage:
             self._place(self._arm, at, turn)
             for joint, angle in zip(self._joints, rules.get_angles(state), strict=True):
                 pybullet.resetJointState(self._arm, joint, angle, physicsClientId=self.client)
-        for body, original, placed in zip(self._props, room.scene.props, self._instance.props, strict=True):
+        for (body, shadow), original in zip(self._props, room.scene.props, strict=True):
             (x, y, z), turn = pybullet.getBasePositionAndOrientation(original, physicsClientId=room.client)
-            self._place(body, (x, y, z if placed.prop.kind == "block" else 0.0), turn)
+            self._place(body, (x, y, 0.0 if shadow is None else z), turn)
+            if shadow is not None:
+                self._place(shadow, (x, y, 0.0), _STILL)
         puzzle = self._instance.puzzle
         for lamp, is_lit in zip(self._lamps, puzzle.get_lit(state.puzzle), strict=True):
             self._light(lamp, is_lit)
@@ -189,7 +191,7 @@ class Stage:
                 shape = make_prism(outline, 0.0, height)
             parts = [self._add(shape, _WALL if wall else _OBSTACLE, shown)]
             if wall:  # a darker top makes the floor plan readable from above
-                parts.append(self._add(make_flat(outline, height + _LAYER), _WALL_TOP, shown))
+                parts.append(self._add(make_prism(outline, height, height + 2 * _LAYER), _WALL_TOP, shown))
             bodies.append(parts)
         return Standing(solid, bodies[0], bodies[1])
 
@@ -242,12 +244,15 @@ class Stage:
             pybullet.resetJointState(body, numbers[name], angle, physicsClientId=self.client)
         return body, tuple(numbers[name] for name in robot.joint_names)
 
-    def _add_prop(self, placed: PlacedProp) -> int:
+    def _add_prop(self, placed: PlacedProp) -> tuple[int, int | None]:
+        """A plate, or a block and its shadow (a disc's, which suits however the block is turned)."""
         prop = placed.prop
         outline = rotate_box(0.0, 0.0, prop.half_size, prop.half_size, 0.0)
         if prop.kind == "plate":
-            return self._add(make_flat(outline, 3 * _LAYER), looks.PLATE)
-        return self._add(make_prism(outline, -prop.height / 2, prop.height / 2), looks.PROP)
+            return self._add(make_flat(outline, 3 * _LAYER), looks.PLATE), None
+        disc = compute_outline(Solid("cylinder", 0.0, 0.0, 1.1 * prop.half_size, 1.1 * prop.half_size))
+        shadow = self._add(make_shadow(disc, prop.height, 4 * _LAYER), _SHADE)
+        return self._add(make_prism(outline, -prop.height / 2, prop.height / 2), looks.PROP), shadow
 
     def _add_door(self, door: Solid) -> Standing:
         """The leaf in the frame of its hinge."""
