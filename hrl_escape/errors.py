@@ -122,6 +122,27 @@ class FileReadError(EscapeError, OSError):
     """A file is missing, truncated or not what its name says."""
 
 
+class PluginError(EscapeError, ImportError):
+    """An installed package offers something through an entry point that cannot be loaded."""
+
+
+class ContractError(EscapeError, AssertionError):
+    """A check found that an implementation breaks its interface's contract.
+
+    Attributes:
+        what: the implementation that was checked.
+        claim: what must hold.
+        seen: what was found instead.
+    """
+
+    def __init__(self, what: str, claim: str, seen: str) -> None:
+        self.what, self.claim, self.seen = what, claim, seen
+        super().__init__(f"{what} breaks its contract: {claim}; found {seen}")
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (self.what, self.claim, self.seen)
+
+
 # --- agents and training ---------------------------------------------------------------
 
 
@@ -205,6 +226,10 @@ class OptionError(EscapeError, ValueError):
     """An option, or a set of options, cannot be what it claims; the message says why."""
 
 
+class PathPlannerError(EscapeError, RuntimeError):
+    """A path planner failed, returned something that is no path, or was registered under a name in use."""
+
+
 class PlanningReason(str, enum.Enum):
     """Why a plan could not be made; the whole list."""
 
@@ -254,3 +279,33 @@ class PlanningFailed(EscapeError, RuntimeError):  # noqa: N818  # an outcome tha
     def __reduce__(self) -> tuple[type, tuple]:
         return type(self), (self.reason, self.goal, self.start, self.seconds, self.planners, self.nearest,
                             self.advice)
+
+
+# --- the batched engine ----------------------------------------------------------------
+
+
+class BatchError(EscapeError, ValueError):
+    """A tensor given to the batched engine has another shape, dtype or device than the batch.
+
+    Attributes:
+        name: which argument.
+        given: what it was, in words.
+        allowed: what would have been valid.
+    """
+
+    def __init__(self, name: str, value: object, allowed: str) -> None:
+        self.name, self.value, self.allowed = name, value, allowed
+        shape, dtype, device = (getattr(value, word, None) for word in ("shape", "dtype", "device"))
+        self.given = f"a {type(value).__name__}" if shape is None else f"{tuple(shape)}, {dtype}, on {device}"  # type: ignore[arg-type]
+        super().__init__(f"{name} is {self.given}; the batch takes {allowed}")
+
+
+# --- experiments -----------------------------------------------------------------------
+
+
+class GridError(EscapeError, ValueError):
+    """A comparison cannot be what it says: nothing to run, the same thing twice, or an unreadable file."""
+
+
+class ComparisonError(EscapeError, RuntimeError):
+    """A comparison has no result to report: every run failed, or a room has no known best return."""

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from hrl_escape.env.settings import Settings, knob
-from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.errors import ConfigError, PluginError, UnknownNameError
 
 __all__ = [
     "Contacts",
@@ -278,4 +278,10 @@ def list_puzzles() -> tuple[str, ...]:
 
 def _load_entry_points() -> None:
     for point in entry_points(group=_ENTRY_POINTS):
-        register_puzzle(*point.load())
+        try:
+            config_type, puzzle_type = point.load()
+        except Exception as error:  # whatever a stranger's module raises
+            package = point.dist.name if point.dist else "an unknown package"
+            raise PluginError(f"the puzzle {point.name!r} of package {package!r} cannot be loaded from "
+                              f"{point.value!r}, which must be a pair (config type, puzzle type): {error}") from error
+        register_puzzle(config_type, puzzle_type)
