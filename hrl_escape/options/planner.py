@@ -9,12 +9,13 @@ and changes nothing.
 from __future__ import annotations
 
 import dataclasses
+import math
 import threading
 import time
 from collections import OrderedDict
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
@@ -22,6 +23,7 @@ from hrl_escape.env.primitives import BASE_PRIMITIVES
 from hrl_escape.env.puzzles.base import Contacts, Operator
 from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.options.bounds import LegBounds
+from hrl_escape.options.fields import FieldMaker
 from hrl_escape.options.goals import ExitGoal, Goal, PressGoal, describe_goal, is_reached, make_goal, parse_goal
 from hrl_escape.options.option import OptionReport
 from hrl_escape.options.plan import Plan, PlanPart, join_parts
@@ -77,6 +79,8 @@ class RoomPlanner:
         instance: the room as given.
         rules: its kinematics without noise and slip, by which plans are checked.
     """
+
+    _has_searched: ClassVar[bool] = False
 
     def __init__(self, instance: RoomInstance, method: str = "fields", budget: int = 300_000,
                  time_limit: float = 10.0) -> None:
@@ -153,6 +157,11 @@ class RoomPlanner:
         return Plan(self.instance, name, route.primitives, tuple(states), (part,), self.method, route.expansions,
                     seconds)
 
+    def get_fields(self, door_shut: bool) -> FieldMaker:
+        """The grid on which costs to go are worked out, with the exit door shut or open."""
+        with self._lock:
+            return self._search.get_maker(door_shut)
+
     # --- routes: what options follow ------------------------------------------------------
 
     def can_start(self, state: RoomState, goal: Goal) -> bool:
@@ -218,11 +227,13 @@ class RoomPlanner:
     def _search_route(self, state: RoomState, goal: Goal) -> Route | PlanningFailed:
         begin = state._replace(primitives=0, noise_key=0, z=0.0, pitch=0.0, roll=0.0, physics=None)
         began = time.perf_counter()
-        result = self._search.search(begin, goal)
+        limit = self.time_limit if RoomPlanner._has_searched else math.inf  # the first one may have to compile
+        result = self._search.search(begin, goal, method=self.method, budget_expansions=self.budget, deadline=limit)
+        RoomPlanner._has_searched = True
         if not result.is_reached:
             return self.make_failure(
                 PlanningReason(result.status), state, goal, seconds=time.perf_counter() - began,
-                planners=(self.method,), nearest=str(result.nearest or ""),
+                planners=(self.method,), nearest=_describe_place(result.nearest),
             )
         route = self.replay(begin, result.primitives, goal)
         assert route is not None, "a search must return what its own replay reaches"
@@ -266,7 +277,9 @@ class RoomPlanner:
                     route = self.find_route(here, make_goal(op, self.instance), report)
                 else:
                     route = self.find_route(here, last, report) if last else self._find_exit(here, here is not state)
-            except PlanningFailed:
+            except PlanningFailed as failure:
+                if failure.reason is PlanningReason.TIMEOUT:
+                    raise  # the clock says nothing about the room: no other order is better for it
                 return None
             end = self._follow(here, route)
             return Leg(len(route.primitives), end, puzzle.get_facts(end.puzzle))
@@ -332,6 +345,10 @@ class RoomPlanner:
                 return failure
         return self.make_failure(PlanningReason.PRECONDITION_UNMET, state, None, seconds=seconds,
                                  planners=(self.method,), advice="No order of the puzzle's operators opens the exit")
+
+
+def _describe_place(place: tuple[float, float] | None) -> str:
+    return "" if place is None else f"({place[0]:.2f}, {place[1]:.2f})"
 
 
 _PLANNERS: OrderedDict[str, RoomPlanner] = OrderedDict()
