@@ -260,7 +260,9 @@ class Sarsa:
             "steps": self._steps,
             "updates_due": self._updates_due,
             "next_action": self._next_action,
-            "waiting": None if self._waiting is None else self._waiting._asdict(),
+            "waiting": None
+            if self._waiting is None
+            else {name: np.asarray(field) for name, field in self._waiting._asdict().items()},
             "action_rng": self._action_rng.bit_generator.state,
             "replay_rng": self._replay_rng.bit_generator.state,
         }

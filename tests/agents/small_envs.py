@@ -154,8 +154,8 @@ def make_random_smdp(seed: int, states: int = 6, actions: int = 4, branches: int
 class ButtonGrid(gymnasium.Env):
     """A 13 x 13 grid: press two buttons in order, then leave; four moves and an option to each place.
 
-    Reward -1 a primitive and 100 more at the exit; truncated at 200 primitives. Options walk straight to their place and
-    are functions of the state; with `trace` they say so primitive by primitive.
+    Reward -1 a primitive and 100 more at the exit; truncated at 200 primitives. Options walk straight to their place
+    and are functions of the state; with `trace` they say so primitive by primitive.
     """
 
     PLACES = ((12, 6), (6, 12), (0, 0))  # button 1, button 2, exit

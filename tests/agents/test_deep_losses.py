@@ -99,7 +99,9 @@ def test_dqn_loss_equals_torchrls(double):
         action_space="categorical",
         action_mask_key="action_mask",
     )
-    reference = DQNLoss(actor, loss_function="smooth_l1", double_dqn=double, delay_value=True, action_space="categorical")
+    reference = DQNLoss(
+        actor, loss_function="smooth_l1", double_dqn=double, delay_value=True, action_space="categorical"
+    )
     reference.make_value_estimator(ValueEstimators.TD0, gamma=GAMMA)
     for name, parameter in agent.target.named_parameters():
         # The actor holds the network as its first module; its parameters keep their names below it.
