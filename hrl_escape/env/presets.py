@@ -34,7 +34,7 @@ __all__ = ["PRESETS", "get_preset", "make_env_name"]
 def paper_room(buttons: int) -> RoomConfig:
     """The paper's text: 20 x 20 m, 1 m and 10 degrees, large buttons, start in the middle.
 
-    The best returns are 91 (one button: nine strafes left) and 86 or less (two buttons).
+    The best known returns are 91 (one button: nine strafes left) and 63 (two buttons: 37 primitives).
     """
     side = 10.0 if buttons == 1 else 6.0
     return RoomConfig(
