@@ -21,10 +21,8 @@ from hrl_escape.env.config import (
 )
 from hrl_escape.env.puzzles.base import Panels, Place
 from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
-from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
-from hrl_escape.env.puzzles.push_block import PushBlockConfig
 from hrl_escape.env.puzzles.push_block import PushBlockConfig
 from hrl_escape.errors import ConfigError, UnknownNameError
 
@@ -108,17 +106,6 @@ def arm_two_button() -> RoomConfig:
     )
 
 
-def push_block() -> RoomConfig:
-    """A block to be pushed onto a plate, which takes rigid-body physics."""
-    return RoomConfig(
-        name="push-block",
-        room=ShapeConfig(width=12, depth=12),
-        robot=RobotConfig(body_radius=0.4),
-        puzzle=PushBlockConfig(),
-        dynamics=DynamicsConfig(kind="physics"),
-    )
-
-
 def bit_flip() -> RoomConfig:
     """BitFlip (Diuk et al. 2006) with four bits on wall panels."""
     return RoomConfig(name="bit-flip", puzzle=BitFlipConfig(), robot=RobotConfig(body_radius=0.5),
@@ -141,9 +128,6 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "ten-button": lambda: ladder_room("ten-button", 10, GraphConfig(kind="layered", max_parents=2)),
     "twenty-button": lambda: ladder_room("twenty-button", 20, GraphConfig(kind="layered", max_parents=2), 30.0),
     "bit-flip": bit_flip,
-    "push-block": push_block,
-    "bit-flip": lambda: RoomConfig(name="bit-flip", puzzle=BitFlipConfig(buttons=Panels(width=1.5)),
-                                   robot=RobotConfig(body_radius=0.5)),
     "push-block": push_block,
 }
 
