@@ -1,7 +1,7 @@
 # The two commands are `make demo` and `make test`; each installs into .venv first, once.
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
-DEMO   ?= python -m hrl_escape.cli room --preset clutter --demo
+DEMO   ?= hrl-escape demo
 JOBS   ?= 2
 
 VENV  := .venv

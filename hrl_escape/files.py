@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -16,6 +17,11 @@ from pathlib import Path
 from typing import IO, Any
 
 from hrl_escape.errors import FileReadError, FileWriteError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # type: ignore[import-not-found]  # a dependency there
 
 TEMPORARY_PREFIX = ".writing-"
 
@@ -118,6 +124,19 @@ def read_json(path: str | os.PathLike[str], what: str = "JSON file") -> Any:
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise FileReadError(f"{path}: this {what} is truncated or not JSON: {error.msg} at {where}") from error
+
+
+def read_toml(path: str | os.PathLike[str], what: str = "TOML file") -> dict[str, Any]:
+    """Read a TOML document.
+
+    Raises:
+        FileReadError: the file is missing, unreadable or not TOML; the message gives line and column.
+    """
+    text = read_text(path, what)
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise FileReadError(f"{path}: this {what} is not TOML: {error}") from error
 
 
 def describe_write_failure(path: str | os.PathLike[str], error: OSError) -> str:

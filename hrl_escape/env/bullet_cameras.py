@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,9 +22,11 @@ from hrl_escape.env.antialias import soften_edges
 from hrl_escape.env.bullet_room import BulletRoom
 from hrl_escape.env.bullet_stage import SUN, Stage, Standing
 from hrl_escape.env.geometry import make_footprint
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import ClosedError, ConfigError, UnknownNameError
 
-__all__ = ["CAMERAS", "check_camera", "render_camera"]
+__all__ = ["CAMERAS", "check_camera", "film", "render_camera"]
 
 CAMERAS: dict[str, str] = {
     "chase": "follows the robot from behind and above; walls in the way are cut open",
@@ -91,6 +93,31 @@ def render_camera(room: BulletRoom, camera: str, width: int, height: int, *,
     for standing in stage.standing:
         stage.set_cut(standing, camera == "chase" and _hides(standing, room, view.eye))
     return _take(stage.client, view, width, height, trail, 0.2 * room.instance.robot.body_radius)
+
+
+def film(instance: RoomInstance, states: Iterable[RoomState], camera: str = "chase", width: int = 480,
+         height: int = 360, *, trail: bool = True) -> Iterator[NDArray[np.uint8]]:
+    """Take a picture of each of an episode's states, for `save_video` and `make_filmstrip`.
+
+    Args:
+        instance: the room.
+        states: as an environment's `get_state` gave them.
+        camera: a name in `CAMERAS`.
+        width: pixels.
+        height: pixels.
+        trail: draw the path so far.
+
+    Yields:
+        Frames (height, width, 3), uint8.
+    """
+    room, points = BulletRoom(instance), []
+    try:
+        for state in states:
+            room.set_state(state)
+            points.append((state.x, state.y))
+            yield render_camera(room, camera, width, height, trail=points if trail else ())
+    finally:
+        room.close()
 
 
 # --- cameras -------------------------------------------------------------------------------

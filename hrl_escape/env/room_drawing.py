@@ -17,6 +17,7 @@ from matplotlib.patches import Circle, Patch, Polygon
 from matplotlib.patches import Rectangle as RectanglePatch
 from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import isotonic_regression
 
 from hrl_escape.env import looks
 from hrl_escape.env.geometry import Solid
@@ -270,20 +271,9 @@ def _name_target(instance: RoomInstance, index: int) -> str:
 
 
 def _spread(places: Sequence[float], gap: float) -> list[float]:
-    """Move labels on a line as little as possible (least squares) so that they keep a gap.
-
-    Pool adjacent violators (isotonic regression) on the places less their rank times the gap.
-    """
-    order = sorted(range(len(places)), key=places.__getitem__)
-    blocks: list[tuple[float, int]] = []  # (mean, size)
-    for rank, index in enumerate(order):
-        mean, size = places[index] - rank * gap, 1
-        while blocks and blocks[-1][0] > mean:
-            other, count = blocks.pop()
-            mean, size = (mean * size + other * count) / (size + count), size + count
-        blocks.append((mean, size))
-    means = [mean for mean, size in blocks for _ in range(size)]
-    moved = [0.0] * len(places)
-    for rank, index in enumerate(order):
-        moved[index] = means[rank] + rank * gap
-    return moved
+    """Move labels on a line as little as possible (least squares) so that they keep order and a gap."""
+    order = np.argsort(places, kind="stable")
+    ranks = gap * np.arange(len(places))
+    moved = np.empty(len(places))
+    moved[order] = isotonic_regression(np.asarray(places)[order] - ranks).x + ranks
+    return moved.tolist()

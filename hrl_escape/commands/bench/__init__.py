@@ -1,0 +1,1 @@
+"""Measure: how fast environments, planners, agents and batches are, beside others in the same run."""

@@ -1,0 +1,123 @@
+"""Drive a room by primitives written as text, and report what happened. Not a command."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.primitives import make_primitives
+from hrl_escape.errors import ConfigError, UnknownNameError
+
+__all__ = ["Drive", "drive_room", "get_names", "parse_primitives"]
+
+RANDOM = "random"
+MOST_REPEATS = 1_000_000
+
+
+@dataclasses.dataclass(frozen=True)
+class Drive:
+    """What happened in one episode.
+
+    Attributes:
+        primitives: names, in order, as far as the episode went.
+        states: one more than primitives.
+        rewards: one a primitive.
+        pressed: number of the primitive, from 1, and the names of the targets it pressed.
+        terminated: the robot escaped.
+        truncated: the horizon was reached.
+    """
+
+    primitives: tuple[str, ...]
+    states: tuple[RoomState, ...]
+    rewards: tuple[float, ...]
+    pressed: tuple[tuple[int, tuple[str, ...]], ...]
+    terminated: bool
+    truncated: bool
+
+    @property
+    def total(self) -> float:
+        """Undiscounted return."""
+        return float(sum(self.rewards))
+
+    @property
+    def path(self) -> list[tuple[float, float]]:
+        """Positions of the body's axis, m."""
+        return [(state.x, state.y) for state in self.states]
+
+    def describe_end(self) -> str:
+        """Say how the episode stands."""
+        return "escaped" if self.terminated else "out of time" if self.truncated else "still inside"
+
+    def to_dict(self) -> dict[str, Any]:
+        """What is worth writing down, as plain values."""
+        return {"primitives": list(self.primitives), "return": self.total, "terminated": self.terminated,
+                "truncated": self.truncated, "path": self.path,
+                "pressed": [{"primitive": at, "targets": list(names)} for at, names in self.pressed]}
+
+
+def parse_primitives(text: str, instance: RoomInstance, seed: int = 0) -> list[int]:
+    """Read primitives such as "forward*3, turn-left random*20".
+
+    Args:
+        text: names or action numbers, separated by spaces or commas; `*n` repeats, `random` draws.
+        instance: the room whose robot they are for.
+        seed: of the random primitives.
+
+    Returns:
+        Action numbers.
+
+    Raises:
+        UnknownNameError: no such primitive.
+        ConfigError: not a number of repetitions.
+    """
+    names, rng = get_names(instance), np.random.default_rng(seed)
+    actions: list[int] = []
+    for word in filter(None, re.split(r"[\s,]+", text)):
+        name, star, times = word.partition("*")
+        if star and not (times.isdigit() and 0 < int(times) <= MOST_REPEATS):
+            raise ConfigError("primitives", word, f"name*n with n from 1 to {MOST_REPEATS}")
+        if name.isdigit() and int(name) < len(names):
+            name = names[int(name)]
+        if name not in (*names, RANDOM):
+            raise UnknownNameError("primitive", name, (*names, RANDOM))
+        count = int(times) if star else 1
+        actions += rng.integers(len(names), size=count).tolist() if name == RANDOM else [names.index(name)] * count
+    return actions
+
+
+def get_names(instance: RoomInstance) -> list[str]:
+    """Names of the room's primitives, in action order."""
+    return [primitive.name for primitive in make_primitives(instance.robot.joints)]
+
+
+def drive_room(instance: RoomInstance, actions: Sequence[int], seed: int = 0) -> Drive:
+    """Run primitives from the start until they or the episode end.
+
+    Args:
+        instance: the room.
+        actions: action numbers.
+        seed: episode seed: which start, which noise.
+    """
+    env = EscapeRoomEnv(instance=instance)
+    env.reset(seed=seed)
+    states, rewards, pressed = [env.get_state()], [], []
+    terminated = truncated = False
+    for number, action in enumerate(actions, start=1):
+        _, reward, terminated, truncated, info = env.step(action)
+        states.append(env.get_state())
+        rewards.append(float(reward))
+        if info["pressed"]:
+            pressed.append((number, tuple(instance.targets[target].name for target in info["pressed"])))
+        if terminated or truncated:
+            break
+    env.close()
+    names = get_names(instance)
+    done = tuple(names[action] for action in actions[: len(rewards)])
+    return Drive(done, tuple(states), tuple(rewards), tuple(pressed), terminated, truncated)

@@ -1,0 +1,151 @@
+"""Make a room: generate or load it, check it, drive it, draw it, save it.
+
+Examples:
+    hrl-escape room --preset clutter --seed 3 --draw room.svg --save room.json --check
+    hrl-escape room --preset larg-2019 --arguments size=4 seed=3
+    hrl-escape room --set room.width=30 obstacles.count=40 --draw room.png
+    hrl-escape room --preset paper-one-button --drive "strafe-left*9" --draw path.svg drive.gif
+    hrl-escape room --load room.json --json
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+from hrl_escape.commands.driving import Drive, drive_room, parse_primitives
+from hrl_escape.commands.room_choice import RoomChoice
+from hrl_escape.env.bullet_cameras import check_camera, film
+from hrl_escape.env.generation import find_unmet_constraint
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.puzzles.base import SymbolicModel
+from hrl_escape.env.rendering import FORMATS, Trajectory, save_map
+from hrl_escape.env.video import VIDEO_FORMATS, save_picture, save_video
+from hrl_escape.errors import UnsupportedError
+
+
+@dataclasses.dataclass(frozen=True)
+class RoomArgs(RoomChoice):
+    """Options of `hrl-escape room`."""
+
+    check: bool = False
+    """Verify that the room can be solved: floor connects start, targets and exit, and the puzzle has a way to its goal.
+    Exit code 1 if not."""
+    drive: str = ""
+    """Primitives to run from the start, by name or number; * repeats, random draws: "forward*3 turn-left random*20"."""
+    episode_seed: int = 0
+    """Seed of the episode that is driven: its start, its noise and its random primitives."""
+    draw: tuple[Path, ...] = ()
+    """Pictures to make: .svg, .pdf or .png for the map, .gif or .mp4 for a video of the drive."""
+    camera: str | None = None
+    """Take .png pictures through this camera instead of drawing the map; videos default to chase."""
+    save: Path | None = None
+    """Write the instance to this file, as JSON."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def run(args: RoomArgs) -> int:
+    """Do what the options ask for; the exit code is 1 if a check fails."""
+    for path in args.draw:
+        if path.suffix.lower().lstrip(".") not in (*FORMATS, *VIDEO_FORMATS):
+            known = ", ".join(f".{ending}" for ending in (*FORMATS, *VIDEO_FORMATS))
+            raise UnsupportedError(f"{path}: a picture's name must end in {known}")
+    if args.camera is not None:
+        check_camera(args.camera)
+    instance = args.make_instance()
+    report = _describe(instance)
+    problem = None
+    if args.check:
+        problem = find_unmet_constraint(instance) or _find_dead_end(instance.puzzle.make_symbolic_model())
+        report["check"] = problem or "solvable"
+    drive = drive_room(instance, parse_primitives(args.drive, instance, args.episode_seed), args.episode_seed)
+    if args.drive:
+        report["drive"] = drive.to_dict()
+    if args.save is not None:
+        instance.save(args.save)
+    for path in args.draw:
+        _draw(path, instance, drive, args.camera)
+    report["files"] = [str(path) for path in (*([args.save] if args.save else []), *args.draw)]
+    print(json.dumps(report, indent=2)) if args.json else _print(report, drive)
+    return 1 if problem else 0
+
+
+def _describe(instance: RoomInstance) -> dict[str, Any]:
+    """What the room is like, as plain values."""
+    puzzle, robot = instance.puzzle, instance.robot
+    return {
+        "name": instance.name,
+        "seed": instance.seed,
+        "id": instance.id,
+        "size": [2 * instance.half_width, 2 * instance.half_depth],
+        "walls": sum(solid.role == "wall" for solid in instance.solids),
+        "obstacles": sum(solid.role == "obstacle" for solid in instance.solids),
+        "exit": {"x": instance.exit.centre[0], "y": instance.exit.centre[1], "door": instance.door is not None},
+        "starts": len(instance.starts),
+        "puzzle": puzzle.kind,
+        "targets": [{"name": t.name, "x": t.x, "y": t.y, "z": t.z} for t in instance.targets],
+        "edges": [[puzzle.target_names[a], puzzle.target_names[b]] for a, b in puzzle.edges],
+        "goal": [puzzle.target_names[i] for i in puzzle.goal_targets],
+        "robot": robot.kind if robot.joints else "base",
+        "joints": robot.joints,
+        "dynamics": instance.dynamics.kind,
+        "press_with": instance.dynamics.press_with,
+        "horizon": instance.horizon,
+    }
+
+
+def _find_dead_end(model: SymbolicModel) -> str | None:
+    """Say which goal no order of operators can reach, even if nothing ever became false again; None if none."""
+    facts: set[str] = set(model.propositions) - {fact for operator in model.operators for fact in operator.add}
+    while True:
+        reached = {fact for o in model.operators if o.preconditions <= facts for fact in o.add} - facts
+        if not reached:
+            break
+        facts |= reached
+    lost = sorted(model.goal - facts)
+    return f"the puzzle cannot reach {', '.join(lost)}" if lost else None
+
+
+def _draw(path: Path, instance: RoomInstance, drive: Drive, camera: str | None) -> None:
+    kind = path.suffix.lower().lstrip(".")
+    if kind in VIDEO_FORMATS:
+        save_video(path, film(instance, drive.states, camera or "chase"))
+    elif kind == "png" and camera is not None:
+        (frame,) = film(instance, drive.states[-1:], camera, 960, 720)
+        save_picture(path, frame)
+    else:
+        paths = [Trajectory(drive.path, f"{len(drive.primitives)} primitives")] if drive.primitives else []
+        save_map(path, instance, drive.states[-1], paths)
+
+
+def _print(report: dict[str, Any], drive: Drive) -> None:
+    table = Table(show_header=False, box=None, padding=(0, 2), pad_edge=False)
+    table.add_column(style="dim")
+    wide, deep = report["size"]
+    seed = "" if report["seed"] is None else f", seed {report['seed']}"
+    table.add_row("room", f"[bold]{report['name']}[/bold]{seed}, id {report['id']}")
+    table.add_row("floor", f"{wide:g} x {deep:g} m, {report['walls']} walls, {report['obstacles']} obstacles")
+    targets = f" x {len(report['targets'])}" if report["targets"] else ""
+    goal = f", goal {', '.join(report['goal'])}" if report["goal"] else ""
+    table.add_row("puzzle", f"{report['puzzle']}{targets}{goal}")
+    if report["edges"]:
+        table.add_row("order", ", ".join(f"{parent} before {child}" for parent, child in report["edges"]))
+    arm = f", {report['joints']} joints" if report["joints"] else ""
+    table.add_row("robot", f"{report['robot']}{arm}, presses with its {report['press_with']}, {report['dynamics']}")
+    table.add_row("exit", f"({report['exit']['x']:.2f}, {report['exit']['y']:.2f}) m"
+                  + (", behind a door" if report["exit"]["door"] else ""))
+    if "check" in report:
+        table.add_row("check", report["check"])
+    if drive.primitives:
+        table.add_row("drive", f"{len(drive.primitives)} primitives, return {drive.total:g}, {drive.describe_end()}")
+        for number, names in drive.pressed:
+            table.add_row("", f"primitive {number} pressed {', '.join(names)}")
+    for path in report["files"]:
+        table.add_row("wrote", path)
+    Console(soft_wrap=True).print(table)
