@@ -7,27 +7,48 @@ the names below are fetched from their modules when first used.
 from __future__ import annotations
 
 from importlib import import_module
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium
 
 from hrl_escape.env.presets import PRESETS, make_env_name
 
+if TYPE_CHECKING:
+    from hrl_escape.agents.registry import make_agent
+    from hrl_escape.agents.training import train
+    from hrl_escape.env.config import RoomConfig
+    from hrl_escape.env.escape_room import EscapeRoomEnv
+    from hrl_escape.env.generation import generate
+    from hrl_escape.env.instance import RoomInstance
+    from hrl_escape.env.presets import get_preset
+    from hrl_escape.options.options_env import OptionsEnv
+    from hrl_escape.options.planner import RoomPlanner
+
+__all__ = [
+    "EscapeRoomEnv",
+    "OptionsEnv",
+    "RoomConfig",
+    "RoomInstance",
+    "RoomPlanner",
+    "__version__",
+    "generate",
+    "get_preset",
+    "make_agent",
+    "train",
+]
 __version__ = "0.1.0"
 
-_PUBLIC = {
+_HOMES = {
     "EscapeRoomEnv": "hrl_escape.env.escape_room",
+    "OptionsEnv": "hrl_escape.options.options_env",
     "RoomConfig": "hrl_escape.env.config",
     "RoomInstance": "hrl_escape.env.instance",
+    "RoomPlanner": "hrl_escape.options.planner",
     "generate": "hrl_escape.env.generation",
     "get_preset": "hrl_escape.env.presets",
-    "OptionsEnv": "hrl_escape.options.options_env",
-    "RoomPlanner": "hrl_escape.options.planner",
     "make_agent": "hrl_escape.agents.registry",
     "train": "hrl_escape.agents.training",
 }
-__all__ = ["__version__", *_PUBLIC]
-
 _ENTRY_POINT = "hrl_escape.env.escape_room:EscapeRoomEnv"
 
 gymnasium.register("hrl_escape/EscapeRoom-v0", _ENTRY_POINT)
@@ -36,9 +57,9 @@ for _name in PRESETS:
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _PUBLIC:
+    if name not in _HOMES:
         raise AttributeError(f"module 'hrl_escape' has no attribute {name!r}")
-    return getattr(import_module(_PUBLIC[name]), name)
+    return getattr(import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:
