@@ -1,0 +1,1 @@
+"""Temporally extended actions, and the planners that synthesise them from an instance."""
