@@ -1,0 +1,189 @@
+"""Where the body fits: a grid of clearances that brackets the exact distance, and the exact test.
+
+A `CollisionMap` answers from the grid wherever the grid is sure and from `geometry.py` near
+surfaces, so its answers are exact at the cost of a lookup. It also proves, by optimistic
+connectivity, that two places cannot be joined. It plans nothing.
+"""
+
+from __future__ import annotations
+
+import array
+import math
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.geometry import (
+    Footprint,
+    compute_distance,
+    compute_distance_many,
+    compute_first_contact,
+    stack_footprints,
+)
+from hrl_escape.env.instance import RoomInstance
+
+__all__ = ["CollisionMap", "list_cells"]
+
+FINEST = 0.02
+MOST_CELLS = 1_000_000
+TOUCH = 1e-9
+
+
+def list_cells(low: Any, high: Any) -> NDArray[np.int64]:
+    """Cells (n, 2) from a corner (i, j) to below another one, row-major."""
+    sides = np.maximum(np.subtract(high, low), 0)
+    return np.indices(tuple(sides)).reshape(2, -1).T + np.asarray(low)
+
+
+class CollisionMap:
+    """Clearances of one room with its exit door either shut or gone; immutable and picklable.
+
+    The floor's bounding box (the alcove behind a door included) is cut into square cells.
+    For every cell the distance from its centre to the nearest solid is kept, capped at
+    `horizon`; the distance anywhere in the cell is within `slack` of it.
+
+    Attributes:
+        radius: body radius plus contact skin, m.
+        low: corner of the grid with the smallest coordinates, shape (2,), m.
+        resolution: side of a cell, m: a sixth of the body's radius, at most 0.125, coarser in
+            rooms of more than a million such cells.
+        slack: half a cell's diagonal, m.
+        distance: shape (columns, rows), float32, m.
+        horizon: largest distance that is told apart, m.
+        solids: rows of `stack_footprints`, shape (n, 7); the door comes last where it is shut.
+    """
+
+    def __init__(self, instance: RoomInstance, *, door_shut: bool, reach: float = 0.0) -> None:
+        """Build the map.
+
+        Args:
+            instance: the room.
+            door_shut: whether the exit door, if there is one, stands.
+            reach: distances up to the body's radius plus this are told apart, m.
+        """
+        solids = (*instance.solids, instance.door) if instance.door and door_shut else instance.solids
+        self.radius = instance.robot.body_radius + CONTACT_SKIN
+        self.footprints: tuple[Footprint, ...] = tuple(solid.footprint for solid in solids)
+        self.solids = stack_footprints(self.footprints)
+        width, depth = 2 * instance.reach_x, 2 * instance.reach_y
+        finest = max(FINEST, min(0.125, instance.robot.body_radius / 6))
+        self.resolution = max(finest, math.sqrt(width * depth / MOST_CELLS))
+        self.slack = self.resolution * math.sqrt(0.5) + 1e-5  # and what float32 rounds away
+        self.horizon = self.radius + max(reach, self.resolution) + 2 * self.slack
+        self.low = np.array([-instance.reach_x, -instance.reach_y])
+        self._low_x, self._low_y, self._per_metre = -instance.reach_x, -instance.reach_y, 1.0 / self.resolution
+        shape = tuple(max(1, math.ceil(side / self.resolution)) for side in (width, depth))
+        self.distance = np.full(shape, self.horizon, dtype=np.float32)
+        for footprint in self.footprints:
+            self._lower(footprint)
+        self._distances = array.array("f", self.distance.tobytes())  # scalar look-ups are ten times numpy's
+        self._near: dict[int, tuple[Footprint, ...]] = {}
+
+    def _lower(self, footprint: Footprint) -> None:
+        around = footprint.half_x if footprint.is_disc else math.hypot(footprint.half_x, footprint.half_y)
+        middle, extent = np.array([footprint.x, footprint.y]), around + self.horizon
+        i0, j0 = np.maximum(np.floor((middle - extent - self.low) / self.resolution).astype(int), 0)
+        i1, j1 = np.minimum(np.ceil((middle + extent - self.low) / self.resolution).astype(int), self.distance.shape)
+        if i0 >= i1 or j0 >= j1:
+            return
+        part = self.distance[i0:i1, j0:j1]
+        points = self.get_centres(list_cells((i0, j0), (i1, j1)))
+        away = compute_distance_many(points, stack_footprints([footprint])).reshape(part.shape)
+        np.minimum(part, away, out=part, casting="same_kind")
+
+    def get_centres(self, cells: NDArray[np.int_]) -> NDArray[np.float64]:
+        """Centres (n, 2) of cells (n, 2), m."""
+        return np.add(self.low, (cells + 0.5) * self.resolution, dtype=np.float64)
+
+    def _find_cell(self, x: float, y: float) -> int:
+        """Number of the cell that holds a place; -1 off the floor."""
+        i = (x - self._low_x) * self._per_metre
+        j = (y - self._low_y) * self._per_metre
+        columns, rows = self.distance.shape
+        return int(i) * rows + int(j) if 0.0 <= i < columns and 0.0 <= j < rows else -1
+
+    # --- exact answers -----------------------------------------------------------------
+
+    def is_clear(self, x: float, y: float, need: float) -> bool:
+        """Say whether a place on the floor is at least `need` metres (at most `horizon`) from every solid. Exact."""
+        cell = self._find_cell(x, y)
+        if cell < 0:
+            return False
+        middle = self._distances[cell]
+        if middle - self.slack >= need:
+            return True
+        if middle + self.slack < need:
+            return False
+        near = self._near.get(cell)
+        if near is None:
+            i, j = divmod(cell, self.distance.shape[1])
+            at_x, at_y = self._low_x + (i + 0.5) * self.resolution, self._low_y + (j + 0.5) * self.resolution
+            limit = self.horizon + self.slack
+            near = tuple(f for f in self.footprints if compute_distance(at_x, at_y, f) <= limit)
+            self._near[cell] = near
+        return all(compute_distance(x, y, f) >= need for f in near)
+
+    def is_free(self, x: float, y: float) -> bool:
+        """Say whether the body, with its clearance, fits at a place on the floor. Exact."""
+        return self.is_clear(x, y, self.radius - TOUCH)
+
+    def are_free(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """`is_free` of each of the points (n, 2)."""
+        return np.array([self.is_free(x, y) for x, y in points.tolist()], dtype=bool)
+
+    def get_clearance(self, x: float, y: float) -> float:
+        """Exact distance from a place to the nearest solid, m; infinity in a room without any."""
+        return min((compute_distance(x, y, f) for f in self.footprints), default=math.inf)
+
+    def is_move_free(self, x: float, y: float, to_x: float, to_y: float) -> bool:
+        """Say whether the body can go straight from one free place to another. Exact."""
+        dx, dy = to_x - x, to_y - y
+        need = self.radius - TOUCH
+        return self.is_free(x, y) and self.is_free(to_x, to_y) and not any(
+            compute_first_contact(x, y, dx, dy, need, f) < 1.0 for f in self.footprints
+        )
+
+    # --- connectivity ------------------------------------------------------------------
+
+    @cached_property
+    def _labels(self) -> NDArray[np.int32]:
+        """Parts of the floor by cells that may hold a free place; a true path cannot change part."""
+        from scipy import ndimage  # costs 0.1 s, and only questions of reachability need it
+
+        labels = np.zeros(self.distance.shape, dtype=np.int32)
+        ndimage.label(self.distance >= self.radius - self.slack, structure=np.ones((3, 3)), output=labels)
+        return labels
+
+    def get_parts(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Part of the floor each of the points (n, 2) lies in; 0 where the body cannot be.
+
+        Between places in different parts there is no way; within a part there usually is.
+        """
+        cells = np.floor((points.reshape(-1, 2) - self.low) / self.resolution).astype(int)
+        inside = ((cells >= 0) & (cells < self.distance.shape)).all(axis=1)
+        cells[~inside] = 0
+        return np.where(inside, self._labels[cells[:, 0], cells[:, 1]], 0)
+
+    def find_proof(self, x: float, y: float, goal: Footprint, reach: float) -> Literal["solid", "apart"] | None:
+        """Look for a proof that the body cannot get from a place to within `reach` of a footprint.
+
+        Returns:
+            `"solid"` where the body fits nowhere there, `"apart"` where no way leads there, None
+            where this grid holds no proof.
+        """
+        around = (goal.half_x if goal.is_disc else math.hypot(goal.half_x, goal.half_y)) + reach + self.slack
+        middle = np.array([goal.x, goal.y])
+        low = np.maximum(np.floor((middle - around - self.low) / self.resolution).astype(int), 0)
+        high = np.minimum(np.ceil((middle + around - self.low) / self.resolution).astype(int), self.distance.shape)
+        if reach < 0.0 or (low >= high).any():
+            return "solid"
+        points = self.get_centres(list_cells(low, high))
+        near = compute_distance_many(points, stack_footprints([goal])) <= reach + self.slack
+        there = self._labels[low[0] : high[0], low[1] : high[1]].ravel()[near]
+        if not there.any():
+            return "solid"
+        here = int(self.get_parts(np.array([x, y]))[0])
+        return None if here == 0 or (there == here).any() else "apart"

@@ -1,0 +1,243 @@
+"""Compiled loops of cost-to-go fields: representative places, links between cells, prices spread over them.
+
+Arrays in, arrays out; what they mean and where they are kept is `fields.py`. Kernels are
+compiled when first called and kept on disk.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from hrl_escape.options.sweeps import get_shape, measure_clearance, measure_distance, sweep
+
+__all__ = ["fill_gaps", "find_last_moves", "link_cells", "place_points", "spread_costs"]
+
+
+@njit
+def _find_cell(points, standing, columns, rows, i, j, x, y):
+    """The cell (i, j) if the body fits there, else its neighbour whose place is nearest; -1 if none."""
+    if 0 <= i < columns and 0 <= j < rows and standing[i * rows + j]:
+        return i * rows + j
+    best, nearest = -1, 1e18
+    for near_i in range(max(i - 1, 0), min(i + 2, columns)):
+        for near_j in range(max(j - 1, 0), min(j + 2, rows)):
+            other = near_i * rows + near_j
+            if standing[other]:
+                away = (points[other, 0] - x) ** 2 + (points[other, 1] - y) ** 2
+                if away < nearest:
+                    best, nearest = other, away
+    return best
+
+
+@njit(cache=True)
+def place_points(scene, low, size, columns, rows):
+    """A representative place in each cell of a grid, and whether the body fits there.
+
+    It is the middle where the body fits, else the roomiest of 5 x 5 places.
+
+    Returns:
+        points (columns * rows, 2), m; standing (columns * rows,), bool.
+    """
+    points = np.empty((columns * rows, 2))
+    standing = np.zeros(columns * rows, dtype=np.bool_)
+    for i in range(columns):
+        for j in range(rows):
+            x, y = low[0] + (i + 0.5) * size, low[1] + (j + 0.5) * size
+            best_x, best_y, widest = x, y, measure_clearance(scene, x, y)
+            if widest < scene.radius and widest + size > scene.radius:
+                for k in range(25):
+                    try_x, try_y = x + (k // 5 - 2) * size / 5, y + (k % 5 - 2) * size / 5
+                    clearance = measure_clearance(scene, try_x, try_y)
+                    if clearance > widest:
+                        best_x, best_y, widest = try_x, try_y, clearance
+            cell = i * rows + j
+            points[cell, 0], points[cell, 1] = best_x, best_y
+            standing[cell] = widest >= scene.radius
+    return points, standing
+
+
+@njit(cache=True)
+def link_cells(scene, points, standing, cells_a_row, low, size, moves, steps):
+    """Where moves lead from each cell, turned round: for each state, the states that lead to it.
+
+    Args:
+        scene: the room.
+        points: a representative place in each cell, shape (cells, 2).
+        standing: whether the body fits there, shape (cells,).
+        cells_a_row: cells along y; a cell's index is i * cells_a_row + j.
+        low: corner of the grid, shape (2,).
+        size: side of a cell, m.
+        moves: displacements, shape (classes, 4, 2), m.
+        steps: primitives that a whole displacement takes.
+
+    Returns:
+        starts (cells * classes + 1,), sources (links,), costs (links,): state (cell, class) is
+        entered from `sources[starts[s]:starts[s + 1]]` (cells, same class) at those costs.
+    """
+    cells, classes = points.shape[0], moves.shape[0]
+    columns = cells // cells_a_row
+    landing = np.full(cells * classes * 4, -1, dtype=np.int32)
+    price = np.zeros(cells * classes * 4, dtype=np.int16)
+    starts = np.zeros(cells * classes + 1, dtype=np.int64)
+    length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
+    for cell in range(cells):
+        if not standing[cell]:
+            continue
+        x, y = points[cell, 0], points[cell, 1]
+        for c in range(classes):
+            for m in range(4):
+                dx, dy = moves[c, m, 0], moves[c, m, 1]
+                fraction = sweep(scene, x, y, dx, dy, length)
+                ex, ey = x + fraction * dx, y + fraction * dy
+                i, j = int(math.floor((ex - low[0]) / size)), int(math.floor((ey - low[1]) / size))
+                best = _find_cell(points, standing, columns, cells_a_row, i, j, ex, ey)
+                if best >= 0 and best != cell:
+                    at = (cell * classes + c) * 4 + m
+                    landing[at] = best
+                    price[at] = max(1, int(math.ceil(fraction * steps - 1e-9)))
+                    starts[best * classes + c + 1] += 1
+    for s in range(cells * classes):
+        starts[s + 1] += starts[s]
+    sources = np.empty(starts[-1], dtype=np.int32)
+    costs = np.empty(starts[-1], dtype=np.int16)
+    fill = starts[:-1].copy()
+    for cell in range(cells):
+        for c in range(classes):
+            for m in range(4):
+                at = (cell * classes + c) * 4 + m
+                if landing[at] >= 0:
+                    state = landing[at] * classes + c
+                    sources[fill[state]] = cell
+                    costs[fill[state]] = price[at]
+                    fill[state] += 1
+    return starts, sources, costs
+
+
+@njit(cache=True)
+def find_last_moves(scene, points, candidates, moves, steps, goal, reach):
+    """Cells from which one displacement ends in the goal; shape (candidates, classes), its cost or 0."""
+    classes = moves.shape[0]
+    price = np.zeros((candidates.shape[0], classes), dtype=np.int32)
+    length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
+    shape = get_shape(goal)
+    for n in range(candidates.shape[0]):
+        x, y = points[candidates[n], 0], points[candidates[n], 1]
+        for c in range(classes):
+            for m in range(4):
+                dx, dy = moves[c, m, 0], moves[c, m, 1]
+                fraction = sweep(scene, x, y, dx, dy, length)
+                if measure_distance(x + fraction * dx, y + fraction * dy, shape) <= reach:
+                    cost = max(1, int(math.ceil(fraction * steps - 1e-9)))
+                    if price[n, c] == 0 or cost < price[n, c]:
+                        price[n, c] = cost
+    return price
+
+
+@njit(cache=True)
+def spread_costs(starts, sources, costs, classes, headings, allowed, seeds, seed_costs):
+    """Fewest primitives from every (cell, heading) to the nearest seed: Dijkstra with buckets (Dial 1969).
+
+    Args:
+        starts: from `link_cells`.
+        sources: from `link_cells`.
+        costs: from `link_cells`.
+        classes: heading classes of the links.
+        headings: headings told apart here, a multiple of `classes` or equal to it.
+        allowed: cells that may be used, shape (cells,), bool.
+        seeds: states cell * headings + heading, shape (seeds,).
+        seed_costs: what remains to be paid there, shape (seeds,).
+
+    Returns:
+        Shape (cells * headings,), int16; -1 where no seed can be reached.
+    """
+    cells = (starts.shape[0] - 1) // classes
+    best = np.full(cells * headings, 32000, dtype=np.int16)
+    wide = 2
+    for k in range(costs.shape[0]):
+        wide = max(wide, costs[k] + 1)
+    for k in range(seed_costs.shape[0]):
+        wide = max(wide, seed_costs[k] + 1)
+    heads = np.full(wide, -1, dtype=np.int32)
+    room = max(1024, 2 * best.shape[0])
+    states = np.empty(room, dtype=np.int32)
+    links = np.empty(room, dtype=np.int32)
+    used, waiting = 0, 0
+    for k in range(seeds.shape[0]):
+        if allowed[seeds[k] // headings] and seed_costs[k] < best[seeds[k]]:
+            best[seeds[k]] = seed_costs[k]
+            if used == room:
+                room *= 2
+                states, links = _enlarge(states, room), _enlarge(links, room)
+            states[used], links[used] = seeds[k], heads[seed_costs[k]]
+            heads[seed_costs[k]] = used
+            used += 1
+            waiting += 1
+    level = 0
+    while waiting > 0 and level < 31000:
+        slot = level % wide
+        while heads[slot] >= 0:
+            entry = heads[slot]
+            heads[slot] = links[entry]
+            waiting -= 1
+            state = states[entry]
+            if best[state] != level:
+                continue
+            cell = state // headings
+            heading = state - cell * headings
+            known = cell * classes + (heading if headings == classes else heading % classes)
+            first, last = starts[known], starts[known + 1]
+            for k in range(first - 2, last):
+                if k == first - 2:
+                    before, cost = (state + 1 if heading + 1 < headings else state + 1 - headings), level + 1
+                elif k == first - 1:
+                    before, cost = (state - 1 if heading > 0 else state - 1 + headings), level + 1
+                else:
+                    if not allowed[sources[k]]:
+                        continue
+                    before, cost = sources[k] * headings + heading, level + costs[k]
+                if cost < best[before]:
+                    best[before] = cost
+                    if used == room:
+                        room *= 2
+                        states, links = _enlarge(states, room), _enlarge(links, room)
+                    states[used], links[used] = before, heads[cost % wide]
+                    heads[cost % wide] = used
+                    used += 1
+                    waiting += 1
+        level += 1
+    for state in range(best.shape[0]):
+        if best[state] >= 31000:
+            best[state] = -1
+    return best
+
+
+@njit(cache=True)
+def fill_gaps(field, known, headings, rows):
+    """Give cells that are not `known` the least price among their neighbours; changes `field`."""
+    columns = known.shape[0] // rows
+    for i in range(columns):
+        for j in range(rows):
+            cell = i * rows + j
+            if known[cell]:
+                continue
+            for heading in range(headings):
+                least = -1
+                for near_i in range(max(i - 1, 0), min(i + 2, columns)):
+                    for near_j in range(max(j - 1, 0), min(j + 2, rows)):
+                        other = near_i * rows + near_j
+                        cost = field[other * headings + heading]
+                        if known[other] and cost >= 0 and (least < 0 or cost < least):
+                            least = cost
+                field[cell * headings + heading] = least
+    return field
+
+
+@njit
+def _enlarge(array: Any, size: int) -> Any:
+    larger = np.empty(size, dtype=array.dtype)
+    larger[: array.shape[0]] = array
+    return larger
