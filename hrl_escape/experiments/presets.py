@@ -1,0 +1,64 @@
+"""The comparisons that come with the package, by name: data only."""
+
+from __future__ import annotations
+
+from hrl_escape.errors import UnknownNameError
+from hrl_escape.experiments.grid import AgentSpec, Grid, RoomSpec
+
+__all__ = ["GRIDS", "get_grid"]
+
+
+def _parse_agents(*texts: str) -> tuple[AgentSpec, ...]:
+    return tuple(AgentSpec.parse(text) for text in texts)
+
+
+def _parse_rooms(*texts: str) -> tuple[RoomSpec, ...]:
+    return tuple(RoomSpec.parse(text) for text in texts)
+
+
+GRIDS: dict[str, Grid] = {
+    grid.name: grid
+    for grid in (
+        Grid(
+            name="quickstart",
+            description="Do options help in a room with two buttons, and does learning add to what they know?",
+            agents=_parse_agents("random", "dqn", "smdp-random", "smdp-q-learning", "smdp-dqn"),
+            rooms=_parse_rooms("paper-two-button"),
+            runs=5,
+            primitives=10_000,
+            eval_episodes=3,
+        ),
+        Grid(
+            name="paper",
+            description="The three algorithms of Menashe and Stone (2019) as they were, with and without "
+            "meta-actions, in the paper's two rooms.",
+            agents=_parse_agents(
+                "random", "dqn@paper", "sarsa@paper", "ddpg@paper",
+                "smdp-random", "smdp-dqn@paper", "smdp-sarsa@paper", "smdp-ddpg@paper",
+            ),
+            rooms=_parse_rooms("paper-one-button", "paper-two-button"),
+            runs=10,
+            primitives=20_000,
+        ),
+        Grid(
+            name="ladder",
+            description="From one button to ten: who still escapes as rooms grow harder?",
+            agents=_parse_agents("random", "dqn", "ppo", "smdp-random", "smdp-q-learning", "smdp-dqn", "smdp-ppo"),
+            rooms=_parse_rooms("paper-one-button", "paper-two-button", "four-button-chain", "clutter", "ten-button"),
+            runs=10,
+            primitives=50_000,
+        ),
+    )
+}
+"""Name -> grid."""
+
+
+def get_grid(name: str) -> Grid:
+    """A grid by name.
+
+    Raises:
+        UnknownNameError: there is none; the message names the closest.
+    """
+    if name not in GRIDS:
+        raise UnknownNameError("comparison", name, GRIDS)
+    return GRIDS[name]
