@@ -7,6 +7,7 @@ once. Nothing here learns; nothing here knows rooms or options, only Gymnasium a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
@@ -168,10 +169,12 @@ def make_transition(
         gamma: discount per primitive.
 
     Raises:
-        StepContractError: the duration is below 1 or the rewards do not match it.
+        StepContractError: the reward is not finite, the duration below 1, or the rewards do not match it.
         DiscountMismatchError: only `discounted_reward` is given and for another gamma.
     """
     next_observation, reward, terminated, truncated, info = step
+    if not math.isfinite(reward):
+        raise StepContractError(f"the reward of action {action} is {reward}; rewards must be finite numbers")
     duration = int(info.get("duration", 1))
     if duration == 1:
         discounted = summed = float(reward)

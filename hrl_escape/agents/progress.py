@@ -1,4 +1,7 @@
-"""The progress line of a training run: rate, last returns, time left. Silent where nobody watches."""
+"""The progress line of a training run: primitives, rate, returns, time left.
+
+Silent where nobody watches.
+"""
 
 from __future__ import annotations
 
@@ -37,14 +40,13 @@ def show_progress(name: str, total: int, done: int, show: bool | None) -> Iterat
     if not (console.is_terminal if show is None else show):
         yield lambda primitives, words: None
         return
-    columns = (
+    columns = (  # fits 80 characters
         TextColumn("{task.description}"),
-        BarColumn(bar_width=24),
-        TextColumn("{task.completed:,.0f}/{task.total:,.0f} primitives"),
+        BarColumn(bar_width=8),
+        TextColumn("{task.completed:,.0f}/{task.total:,.0f}"),
         TextColumn("{task.fields[rate]}"),
         TextColumn("{task.fields[words]}"),
         TimeRemainingColumn(compact=True),
-        TextColumn("left"),
     )
     with Progress(*columns, console=console) as progress:
         task = progress.add_task(name, total=total, completed=done, rate="", words="")

@@ -122,7 +122,7 @@ def train(
             run.load_state_dict(folder.state, folder.rows)
             if (finished := folder.result) is not None:
                 return TrainResult.from_json(finished, learner)
-        with show_progress(f"{name}, seed {seed}", primitives, run.primitives, progress) as report:
+        with show_progress(f"{name} seed {seed}", primitives, run.primitives, progress) as report:
             run.train(folder, checkpoint_seconds, report)
         result = run.make_result(chosen)
         if folder is not None:
@@ -257,11 +257,11 @@ class _Run:
 
     def _describe(self) -> str:
         """Latest returns, for the progress line."""
-        words = ""
-        if self.episodes:
-            recent = [record.episode_return for record in self.episodes[-10:]]
-            words = f"return {sum(recent) / len(recent):.1f}"
-        return f"{words}, evaluated {self.evaluations[-1].mean_return:.1f}" if self.evaluations else words
+        recent = [record.episode_return for record in self.episodes[-10:]]
+        words = [f"return {sum(recent) / len(recent):.1f}"] if recent else []
+        if self.evaluations:
+            words.append(f"eval {self.evaluations[-1].mean_return:.1f}")
+        return " ".join(words)
 
     def _evaluate(self, folder: RunFolder | None) -> None:
         if not self.plan.eval_episodes:

@@ -55,6 +55,12 @@ def test_trap_10_a_mask_without_a_legal_action_is_refused():
         read_action_mask({"action_mask": np.zeros(3, np.int8)}, 3)
 
 
+@pytest.mark.parametrize("reward", [float("nan"), float("inf")])
+def test_a_reward_that_is_no_number_is_refused(reward):
+    with pytest.raises(StepContractError, match="reward of action 1 is"):
+        read({}, reward=reward)
+
+
 def test_a_mask_of_the_wrong_length_is_refused():
     with pytest.raises(StepContractError, match=r"shape \(2,\)"):
         read_action_mask({"action_mask": np.ones(2, np.int8)}, 3)

@@ -1,0 +1,184 @@
+"""Agents by name: prefixes, recipes, settings, strangers; and what every registered agent must do."""
+
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+from hrl_escape.agents import Agent, get_recipe, list_agents, make_agent
+from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class
+from hrl_escape.errors import AgentSettingsError, UnknownNameError, UnsupportedSpaceError
+from tests.agents.running import interact
+from tests.agents.small_envs import ButtonGrid, SmdpEnv, make_random_smdp
+from tests.agents.test_resuming import SMALL
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("name", list_agents())
+def test_the_prefix_names_the_same_implementation_and_the_same_recommended_settings(name):
+    assert get_agent_class(SMDP_PREFIX + name) is get_agent_class(name)
+    assert get_recipe(SMDP_PREFIX + name) == get_recipe(name)
+
+
+@pytest.mark.parametrize("name", list_agents())
+def test_every_agent_keeps_the_protocol(name):
+    env = ButtonGrid(trace=True)
+    agent = make_agent(name, env.observation_space, env.action_space, 0)
+    assert isinstance(agent, Agent)
+    assert agent.gamma == agent.settings.gamma
+
+
+@pytest.mark.parametrize("name", list_agents())
+def test_trap_11_no_agent_ever_takes_an_illegal_action(name):
+    """The environment asserts it; a third of the actions are illegal, differently in each state."""
+    smdp = make_random_smdp(1, actions=6, branches=1)
+    changes = SMALL.get(name, {}) if name != "intra-option-q" else {}
+    env = ButtonGrid(trace=True) if name == "intra-option-q" else SmdpEnv(smdp, start=None, one_hot=True, horizon=60)
+    agent = make_agent(name, env.observation_space, env.action_space, 0, **changes)
+    rng = np.random.default_rng(0)
+    for transition in interact(agent, env, 300):
+        assert transition.action_mask[transition.action]
+        greedy = agent.act_greedy(transition.next_observation, transition.next_action_mask, rng)
+        assert transition.next_action_mask[greedy]
+
+
+@pytest.mark.parametrize("name", list_agents())
+def test_every_setting_has_its_sentence(name):
+    """The command line shows it; here it must stand under the field, in its own class or the one that brings it."""
+    import inspect
+
+    settings = get_agent_class(name).Settings
+    source = "\n".join(inspect.getsource(c) for c in settings.__mro__ if c.__module__.startswith("hrl_escape"))
+    lines = source.splitlines()
+    for field in fields(settings):
+        declared = [i for i, line in enumerate(lines) if line.startswith(f"    {field.name}: ")]
+        assert declared, field.name
+        assert all(lines[i + 1].strip().startswith('"""') for i in declared), field.name
+
+
+def test_the_paper_recipe_is_what_the_published_program_did():
+    dqn, sarsa, ddpg = (get_recipe(name, "paper") for name in ("dqn", "sarsa", "ddpg"))
+    for settings in (dqn, sarsa, ddpg):
+        assert (settings.discounting, settings.bootstrap_on_truncation, settings.clock) == (
+            "decision",
+            False,
+            "decision",
+        )
+        assert (settings.learning_rate, settings.hidden, settings.gamma) == (1e-3, (16, 16, 16), 0.99)
+    assert (sarsa.replay_capacity, sarsa.target_rate, sarsa.expected, sarsa.late_terminal) == (0, 1.0, False, True)
+    assert (dqn.exploration, dqn.temperature, sarsa.exploration) == ("boltzmann", 1.0, "boltzmann")
+    assert (dqn.warmup, dqn.replay_capacity, dqn.target_rate, dqn.batch_size) == (1_000, 50_000, 0.01, 32)
+    assert (ddpg.warmup, ddpg.actor_warmup, ddpg.target_rate, ddpg.max_grad_norm) == (1_000, 100, 1e-3, 1.0)
+    widths = [get_recipe(f"smdp-{name}", "paper").hidden[0] for name in ("dqn", "sarsa", "ddpg")]
+    assert widths == [3, 32, 4], "the program's widths with meta-actions on"
+
+
+def test_an_unknown_agent_is_answered_with_the_closest():
+    with pytest.raises(UnknownNameError, match="Perhaps you meant 'smdp-sarsa'"):
+        get_agent_class("smdp-sarsaa")
+
+
+def test_an_unknown_recipe_or_setting_is_answered_with_what_there_is():
+    env = ButtonGrid()
+    with pytest.raises(UnknownNameError, match="corrected, paper"):
+        get_recipe("smdp-dqn", "papr")
+    with pytest.raises(UnknownNameError, match="Perhaps you meant 'learning_rate'"):
+        make_agent("dqn", env.observation_space, env.action_space, 0, learning_rte=1)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"gamma": 1.5}, r"DQNSettings.gamma = 1.5 is not possible: it must be from 0 to 1"),
+        ({"hidden": (64, 0)}, r"hidden = \(64, 0\) is not possible: it must be 1 or more"),
+        ({"hidden": 64}, r"hidden = 64"),
+        ({"loss": "l1"}, r"one of 'huber', 'squared'"),
+        ({"batch_size": 2.5}, r"whole number"),
+        ({"double": 1}, r"true or false"),
+        ({"learning_rate": float("nan")}, r"finite number"),
+        ({"learning_rate": 0}, r"above 0"),
+    ],
+)
+def test_an_impossible_setting_names_field_value_and_range(changes, message):
+    env = ButtonGrid()
+    with pytest.raises(AgentSettingsError, match=message):
+        make_agent("dqn", env.observation_space, env.action_space, 0, **changes)
+
+
+def test_settings_that_exclude_each_other_are_refused():
+    env = ButtonGrid()
+    with pytest.raises(AgentSettingsError, match="replay_capacity 0 only"):
+        make_agent("sarsa", env.observation_space, env.action_space, 0, late_terminal=True)
+
+
+@pytest.mark.parametrize("name", list_agents())
+def test_continuous_actions_are_refused(name):
+    box = gymnasium.spaces.Box(-1, 1, (3,))
+    with pytest.raises(UnsupportedSpaceError, match=r"Discrete\(n\) actions"):
+        make_agent(name, box, box, 0)
+
+
+STRANGER = '''
+from dataclasses import dataclass
+
+@dataclass(frozen=True)
+class AlwaysSettings:
+    gamma: float = 0.99
+    action: int = 0
+    """Which action to take."""
+
+class Always:
+    Settings = AlwaysSettings
+    def __init__(self, observation_space, action_space, seed, settings):
+        self.settings = settings
+    @property
+    def gamma(self):
+        return self.settings.gamma
+    def act(self, observation, action_mask):
+        return self.settings.action
+    def act_greedy(self, observation, action_mask, rng):
+        return self.settings.action
+    def observe(self, transition):
+        return {}
+    def state_dict(self):
+        return {}
+    def load_state_dict(self, state):
+        pass
+'''
+
+USE_STRANGER = """
+from hrl_escape.agents import list_agents, train
+from tests.agents.small_envs import ButtonGrid
+assert "always" in list_agents()
+result = train("smdp-always", ButtonGrid(), primitives=30, settings={"action": 4}, eval_episodes=1)
+print(result.settings, result.evaluations[-1].lengths)
+"""
+
+
+def test_a_strangers_agent_arrives_through_its_entry_point(tmp_path):
+    (tmp_path / "stranger.py").write_text(STRANGER)
+    info = tmp_path / "stranger-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[hrl_escape.agents]\nalways = stranger:Always\n")
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n" + USE_STRANGER
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("{'gamma': 0.99, 'action': 4}")
+
+
+def test_tables_and_names_load_no_torch():
+    code = """
+import sys
+from hrl_escape.agents import list_agents, train
+from tests.agents.small_envs import ButtonGrid
+list_agents(); train("q-learning", ButtonGrid(), primitives=50); train("random", ButtonGrid(), primitives=50)
+print("torch" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"

@@ -1,0 +1,102 @@
+"""Files are whole or not there."""
+
+import os
+import stat
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hrl_escape.errors import FileReadError, FileWriteError
+from hrl_escape.files import atomic_writer, read_bytes, read_json, read_text, write_bytes, write_json, write_text
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(), inner, max_size=4),
+)
+
+
+@given(value=JSON)
+def test_json_comes_back_bit_for_bit(tmp_path_factory, value):
+    path = tmp_path_factory.mktemp("json") / "deep" / "x.json"
+    write_json(path, value)
+    assert repr(read_json(path)) == repr(value)
+
+
+def test_json_refuses_what_json_cannot_hold(tmp_path):
+    for value in (float("nan"), {1, 2}):
+        with pytest.raises((ValueError, TypeError)):
+            write_json(tmp_path / "x.json", value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_write_that_fails_leaves_the_old_file_and_no_other(tmp_path):
+    path = tmp_path / "x.txt"
+    write_text(path, "old")
+
+    def write_half():
+        with atomic_writer(path) as file:
+            file.write(b"half")
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_half()
+    assert read_text(path) == "old"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_files_have_ordinary_permissions(tmp_path):
+    write_text(tmp_path / "atomic", "x")
+    (tmp_path / "plain").write_text("x")
+    modes = {stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("atomic", "plain")}
+    assert len(modes) == 1
+
+
+def test_a_process_killed_while_writing_leaves_a_whole_file(tmp_path):
+    path = tmp_path / "x.bin"
+    code = (
+        "import sys; from hrl_escape.files import write_bytes\n"
+        "while True:\n  for b in b'ab': write_bytes(sys.argv[1], bytes([b]) * 3_000_000)"
+    )
+    for round_ in range(4):
+        process = subprocess.Popen([sys.executable, "-c", code, path], cwd=Path(__file__).parents[1])
+        while not path.exists():
+            time.sleep(0.005)
+        time.sleep(0.02 + 0.013 * round_)
+        process.kill()
+        process.wait()
+        content = read_bytes(path)
+        assert len(content) == 3_000_000 and len(set(content)) == 1
+        path.unlink()
+
+
+def test_a_folder_in_the_way_is_named(tmp_path):
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(FileWriteError, match=r"cannot write .*file/x\.json.*choose a folder"):
+        write_json(tmp_path / "file" / "x.json", 1)
+    with pytest.raises(FileWriteError, match="cannot write"):
+        write_bytes(tmp_path, b"x")
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may write anywhere")
+def test_an_unwritable_folder_is_named(tmp_path):
+    tmp_path.chmod(0o500)
+    with pytest.raises(FileWriteError, match="Permission denied"):
+        write_json(tmp_path / "x.json", 1)
+
+
+def test_missing_broken_and_binary_files_are_told_apart(tmp_path):
+    with pytest.raises(FileReadError, match=r"none\.json: no such room"):
+        read_json(tmp_path / "none.json", "room")
+    write_text(tmp_path / "cut.json", '{"a": [1,\n 2')
+    with pytest.raises(FileReadError, match=r"truncated or not JSON: .* at line 2, column"):
+        read_json(tmp_path / "cut.json")
+    write_bytes(tmp_path / "binary.json", b"\xff\xfe\x00")
+    with pytest.raises(FileReadError, match="not UTF-8"):
+        read_json(tmp_path / "binary.json")
+    with pytest.raises(FileReadError, match="cannot read this file"):
+        read_bytes(tmp_path)
