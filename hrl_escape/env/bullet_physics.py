@@ -37,10 +37,11 @@ PRESS_FORCE = 5.0
 _SPEED, _TURN_SPEED = 1.0, math.pi / 2  # mean speed of the base, m/s; of turns and joints, rad/s
 _SHORTEST, _SETTLE = 0.25, 0.1  # shortest motion and the time to come to rest after it, s
 _RAMP = 0.2  # share of a motion spent speeding up, and again slowing down
-_ACCELERATION = 20.0  # the carriage pushes with the robot's mass times this, m/s^2
+_ACCELERATION = 20.0  # the carriage pushes with the robot's mass times this, m/s^2, and turns on a lever of 1 m
 _LIMIT_SLACK = 1e-3  # rad that a joint may be off its lattice at its limit
 _JOINT_EFFORT = 500.0  # N m, where the URDF states none
-_HINGE_FRICTION, _HINGE_CLOSER, _HINGE_LOCK = 2.0, 40.0, 1e4  # N m
+_HINGE_FRICTION, _HINGE_CLOSER, _HINGE_LOCK = 2.0, 200.0, 1e4  # N m
+_CLOSING_SPEED = 0.5  # rad/s
 _LOCKED_WITHIN = math.radians(2)
 _FRICTION = 0.8  # of blocks and floor
 _POSITION_GAIN = 0.3  # share of a joint's error that its motor makes good in one sub-step
@@ -96,7 +97,7 @@ class PhysicsDynamics:
                                     physicsClientId=client)
             mass += pybullet.getDynamicsInfo(scene.robot, link, physicsClientId=client)[0]
         force = mass * _ACCELERATION
-        self._drive_forces = (force, force, force * self._instance.robot.body_radius)
+        self._drive_forces = (force, force, force)
         efforts = (pybullet.getJointInfo(scene.robot, joint, physicsClientId=client)[10] for joint in scene.joints)
         self._efforts = tuple(effort or _JOINT_EFFORT for effort in efforts)
         for body in (*(body for body, _ in self._blocks), *scene.floors):
@@ -224,7 +225,7 @@ class PhysicsDynamics:
             else:
                 force = _HINGE_LOCK if abs(angle) < _LOCKED_WITHIN else _HINGE_CLOSER
                 pybullet.setJointMotorControl2(scene.door, 0, pybullet.POSITION_CONTROL, 0.0, 0.0, force,
-                                               0.1, 1.0, 2.0, physicsClientId=client)
+                                               0.1, 1.0, _CLOSING_SPEED, physicsClientId=client)
 
     def _drive(self, state: RoomState, primitive: Primitive, scale: float) -> int:
         cos, sin = self._rules.get_rotation(state.heading_steps, state.heading_offset)

@@ -76,8 +76,12 @@ class BulletRoom:
     def set_state(self, state: RoomState) -> None:
         """Continue from a state; stepping from it is identical to stepping from the original.
 
+        States are plain values: they may come from another room of the same instance, or another
+        process. Under physics, one without `physics` (a planner's, say) is at rest at its pose
+        with props and door where they begin.
+
         Raises:
-            StateError: a state of another robot or puzzle.
+            StateError: a state of another robot, or with other props.
         """
         self._require_open()
         if len(state.joint_steps) != self.instance.robot.joints:
@@ -85,6 +89,9 @@ class BulletRoom:
                              f"has {self.instance.robot.joints}")
         if not 0 <= state.heading_steps < self.rules.headings:
             raise StateError(f"heading_steps = {state.heading_steps} is not one of 0 to {self.rules.headings - 1}")
+        if state.physics is not None and len(state.physics.props) != len(self.instance.props):
+            raise StateError(f"the state has {len(state.physics.props)} props, this room "
+                             f"has {len(self.instance.props)}")
         self._enter(state)
 
     def step(self, action: int) -> Transition:
