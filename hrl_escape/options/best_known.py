@@ -28,7 +28,8 @@ from hrl_escape.options.execution import Run
 from hrl_escape.options.goals import ExitGoal, PressGoal
 from hrl_escape.options.joint import find_joint_plan
 from hrl_escape.options.option import Option
-from hrl_escape.options.planner import Pose, RoomPlanner, get_planner, get_pose
+from hrl_escape.options.planner import RoomPlanner, get_planner
+from hrl_escape.options.routes import Pose, get_pose
 from hrl_escape.options.synthesis import FLAVOURS, AncestorsOption, PlannedOption, make_meta_options
 from hrl_escape.options.tasks import Leg, TaskSearch
 

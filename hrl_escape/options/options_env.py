@@ -200,13 +200,27 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         observation, info = self.env.reset(seed=seed, options=options)
         if seed is not None:
             self._rng = np.random.default_rng([seed, 0x0971])
+        mask = self._begin(observation)
+        return self._show(observation, mask), {**info, "action_mask": mask}
+
+    def resume(self, observation: Any = None) -> NDArray[np.int8]:
+        """Take over an episode that the wrapped environment is in already, instead of `reset`.
+
+        Args:
+            observation: what the wrapped environment showed last, for the first step's trace.
+
+        Returns:
+            The legal actions, int8 (actions,).
+        """
+        return self._begin(observation)
+
+    def _begin(self, observation: Any) -> NDArray[np.int8]:
         instance = self._room.instance
         if instance is not self._instance and instance.id != self._instance.id:
             self._enter(instance)
         self._run, self._can_step = None, True
         self._observation = observation
-        mask = self._compute_mask(self._room.get_state())
-        return self._show(observation, mask), {**info, "action_mask": mask}
+        return self._compute_mask(self._room.get_state())
 
     def _enter(self, instance: RoomInstance) -> None:
         made = self._make_options(instance)

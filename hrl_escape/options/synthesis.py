@@ -12,11 +12,12 @@ import math
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import PlanningReason, UnknownNameError
-from hrl_escape.options.goals import ExitGoal, Goal, PressGoal, is_reached, make_goal
+from hrl_escape.options.goals import ExitGoal, Goal, PressGoal, PushGoal, is_reached, make_goal
 from hrl_escape.options.option import Decision, Option
-from hrl_escape.options.planner import RoomPlanner, get_planner, get_pose
+from hrl_escape.options.planner import RoomPlanner, get_planner
+from hrl_escape.options.routes import get_pose
 
-__all__ = ["FLAVOURS", "AncestorsOption", "PlannedOption", "make_meta_options"]
+__all__ = ["FLAVOURS", "AncestorsOption", "PlannedOption", "list_goals", "make_meta_options"]
 
 FLAVOURS = ("press", "press-with-ancestors")
 PATIENCE = 40
@@ -119,14 +120,14 @@ class AncestorsOption(Option):
         parts: the plain option for each goal that an operator can have.
     """
 
-    def __init__(self, name: str, planner: RoomPlanner, goal: Goal, parts: dict[Goal, PlannedOption]) -> None:
+    def __init__(self, name: str, planner: RoomPlanner, goal: Goal, parts: dict[Goal, Option]) -> None:
         super().__init__(name)
         self.instance = planner.instance
         self.goal = goal
         self._planner, self._parts = planner, parts
         self.targets = tuple(i for i in range(len(planner.instance.targets)) if PressGoal(i) in parts)
         self._order: list[Goal] = []
-        self._part: PlannedOption = parts[goal]
+        self._part = parts[goal]
 
     def initiation(self, state: RoomState) -> bool:
         """Where its first part may start, or the goal itself where there is no way to tell cheaply."""
@@ -148,7 +149,7 @@ class AncestorsOption(Option):
         return float(not self._order)
 
 
-def _list_goals(instance: RoomInstance) -> list[Goal]:
+def list_goals(instance: RoomInstance) -> list[Goal]:
     """What there is to do in a room: every target, then what is to be pushed, in the model's order."""
     goals: list[Goal] = [PressGoal(i) for i in range(len(instance.targets))]
     for op in instance.puzzle.make_symbolic_model().operators:
@@ -156,6 +157,14 @@ def _list_goals(instance: RoomInstance) -> list[Goal]:
         if goal not in goals:
             goals.append(goal)
     return goals
+
+
+def _make_part(name: str, planner: RoomPlanner, goal: Goal) -> Option:
+    if isinstance(goal, PushGoal):
+        from hrl_escape.options.pushing import PushOption  # brings scipy in, which pressing does without
+
+        return PushOption(name, planner, goal)
+    return PlannedOption(name, planner, goal)
 
 
 def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: RoomPlanner | None = None
@@ -174,8 +183,8 @@ def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: R
     if flavour not in FLAVOURS:
         raise UnknownNameError("flavour", flavour, FLAVOURS)
     planner = planner or get_planner(instance)
-    goals = _list_goals(instance)
-    parts = {goal: PlannedOption(f"meta-{n:02d}", planner, goal) for n, goal in enumerate(goals, 1)}
+    goals = list_goals(instance)
+    parts = {goal: _make_part(f"meta-{n:02d}", planner, goal) for n, goal in enumerate(goals, 1)}
     options: list[Option] = list(parts.values())
     if flavour == "press-with-ancestors":
         options = [AncestorsOption(option.name, planner, goal, parts) for goal, option in parts.items()]

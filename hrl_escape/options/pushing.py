@@ -1,0 +1,233 @@
+"""Pushing a block onto a plate under rigid-body physics: closed loop, one primitive at a time.
+
+A cost-to-go field over the block's places tells from which side to push next: the body must fit
+behind the block there, and changing sides costs a drive round it. Between pushes the
+base is planned to stand behind the block with the blocks kept out of its way. How the block
+really moved is seen after every primitive; nothing is predicted.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import dijkstra
+
+from hrl_escape.env.geometry import Footprint, compute_distance_many, make_footprint, stack_footprints
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.primitives import BASE_PRIMITIVES
+from hrl_escape.errors import PlanningFailed, PlanningReason
+from hrl_escape.options.goals import PoseGoal, PushGoal, find_push
+from hrl_escape.options.option import Option
+from hrl_escape.options.planner import RoomPlanner
+from hrl_escape.options.routes import Route, get_prop_poses
+
+__all__ = ["PushOption", "PushField"]
+
+CELL = 0.25
+SIDES = tuple((i, j) for i in range(-2, 3) for j in range(-2, 3) if math.gcd(i, j) == 1)
+"""Directions of pushes on the grid, as cells."""
+CHANGE = 5.0
+"""What driving round to another side costs in the field, primitives."""
+ASIDE, ASKEW = 0.12, math.radians(6)
+"""How far the push may be off the block's centre, m, and off its direction, rad."""
+GAPS = (0.1, 0.4, 0.7)
+"""Distances from the block at which the body may stand before a push, in moves."""
+MOST_PRIMITIVES = 400
+DRIVE_BUDGET = 20_000
+
+_TRANSLATIONS = tuple((i, math.atan2(p.left, p.forward)) for i, p in enumerate(BASE_PRIMITIVES) if not p.turn)
+
+
+class _Push(NamedTuple):
+    """The next push: from `block` along `direction` (rad) over `length` (m)."""
+
+    block: tuple[float, float]
+    direction: float
+    length: float
+
+
+class PushField:
+    """Fewest primitives, about, to push a block from any place onto a plate."""
+
+    def __init__(self, instance: RoomInstance, goal: PushGoal) -> None:
+        block, plate = (instance.props[i] for i in (goal.prop, goal.destination))
+        self._instance = instance
+        self.half, self.radius = block.prop.half_size, instance.robot.body_radius
+        self.goal, self.goal_half = (plate.x, plate.y), plate.prop.half_size
+        solids = (*instance.solids, *((instance.door,) if instance.door else ()))
+        self._solids = stack_footprints(
+            [make_footprint(s.x, s.y, s.half_x, s.half_y, s.yaw, s.shape == "cylinder") for s in solids])
+        self._low = np.array([-instance.reach_x, -instance.reach_y])
+        self._shape = (math.ceil(2 * instance.reach_x / CELL), math.ceil(2 * instance.reach_y / CELL))
+
+    @cached_property
+    def costs(self) -> NDArray[np.float64]:
+        """Cost from each cell, shape (cells,), primitives; infinity where there is no way."""
+        columns, rows = self._shape
+        cells = columns * rows
+        i, j = (n.ravel() for n in np.mgrid[:columns, :rows])
+        points = self._low + (np.stack([i, j], axis=1) + 0.5) * CELL
+        fits = compute_distance_many(points, self._solids) > self.half
+        sources, sinks, prices = [], [], []
+        for side, (di, dj) in enumerate(SIDES):
+            length = CELL * math.hypot(di, dj)
+            behind = points - np.array([di, dj]) * CELL / length * (self.radius + self.half + 0.1)
+            stands = fits & (compute_distance_many(behind, self._solids) > self.radius + 0.02)
+            ahead = (i + di) * rows + j + dj
+            inside = (0 <= i + di) & (i + di < columns) & (0 <= j + dj) & (j + dj < rows)
+            moves = np.flatnonzero(stands & inside)
+            moves = moves[stands[ahead[moves]]]
+            layer = (side + 1) * cells
+            sources += [layer + moves, np.flatnonzero(stands), layer + np.arange(cells)]
+            sinks += [layer + ahead[moves], layer + np.flatnonzero(stands), np.arange(cells)]
+            prices += [np.full(len(moves), length / self._instance.robot.move_step),
+                       np.full(int(stands.sum()), CHANGE), np.full(cells, 1e-6)]
+        size = (len(SIDES) + 1) * cells
+        graph = coo_array((np.concatenate(prices), (np.concatenate(sinks), np.concatenate(sources))), (size, size))
+        away = np.abs(points - self.goal).max(axis=1)
+        seeds = np.flatnonzero(away <= max(CELL, self.goal_half / 2))
+        return dijkstra(graph.tocsr(), indices=seeds, min_only=True)[:cells]
+
+    def get_cost(self, x: float, y: float) -> float:
+        """Cost from a place; infinity outside the floor."""
+        i, j = (math.floor((v - low) / CELL) for v, low in zip((x, y), self._low.tolist(), strict=True))
+        inside = 0 <= i < self._shape[0] and 0 <= j < self._shape[1]
+        return float(self.costs[i * self._shape[1] + j]) if inside else math.inf
+
+    def find_push(self, x: float, y: float, headings: int) -> _Push | None:
+        """The best next push of the block from a place, among the directions that the base can face."""
+        step = self._instance.robot.move_step
+        goal_x, goal_y = self.goal
+        left = math.hypot(goal_x - x, goal_y - y)
+        best, found = math.inf, None
+        for k in range(headings):
+            direction = k * math.tau / headings
+            cos, sin = math.cos(direction), math.sin(direction)
+            away = self.radius + self.half
+            if not self._can_stand(x - cos * (away + 0.05), y - sin * (away + 0.05)):
+                continue
+            along = (goal_x - x) * cos + (goal_y - y) * sin
+            lengths = {0.5 * step, step} | ({along} if 0.05 < along < step and left < 2 * step else set())
+            for length in sorted(lengths):
+                to_x, to_y = x + cos * length, y + sin * length
+                price = self.get_cost(to_x, to_y)
+                off = math.hypot(goal_x - to_x, goal_y - to_y)
+                total = (1.0 if length < step else length / step) + price + 0.5 * min(off, step)
+                if total < best and self._can_stand(to_x - cos * away, to_y - sin * away):
+                    best, found = total, _Push((x, y), direction, length)
+        return found
+
+    def _can_stand(self, x: float, y: float) -> bool:
+        return bool(compute_distance_many(np.array([[x, y]]), self._solids)[0] > self.radius)
+
+
+class PushOption(Option):
+    """Pushes a prop onto another one: stands behind it, pushes, looks where it is, and so on."""
+
+    def __init__(self, name: str, planner: RoomPlanner, goal: PushGoal) -> None:
+        super().__init__(name)
+        self.instance, self.targets, self.goal = planner.instance, (), goal
+        self._room, self._planner = planner.instance, planner
+        self._facts = find_push(goal, planner.instance).add
+        self._field = PushField(planner.instance, goal)
+        self._count = 0
+        self._route: Route | None = None
+        self._standing: _Push | None = None
+        self._place = PoseGoal(0.0, 0.0)
+
+    def initiation(self, state: RoomState) -> bool:
+        """Where the prop is not there yet and there is a way to push it."""
+        return self.termination(state) == 0.0 and math.isfinite(self._field.get_cost(*self._get_place(state)))
+
+    def start(self, state: RoomState) -> None:
+        """Begin."""
+        super().start(state)
+        self._count, self._route, self._standing = 0, None, None
+
+    def termination(self, state: RoomState) -> float:
+        """1 once the puzzle says that the prop is where it belongs."""
+        return float(self._facts <= self._room.puzzle.get_facts(state.puzzle))
+
+    def _get_place(self, state: RoomState) -> tuple[float, float]:
+        return get_prop_poses(state, self._room)[self.goal.prop][:2]
+
+    def policy(self, state: RoomState) -> int:
+        """Push if the base stands behind the block, else drive there."""
+        self._count += 1
+        if self._count > MOST_PRIMITIVES:
+            raise self._planner.make_failure(PlanningReason.BUDGET_EXHAUSTED, state, self.goal,
+                                             nearest=f"{self._count - 1} primitives of pushing")
+        push = self._field.find_push(*self._get_place(state), self._planner.rules.headings)
+        if push is None:
+            raise self._planner.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, self.goal,
+                                             nearest="no side to push from")
+        primitive = self._find_pusher(state, push)
+        if primitive is not None:
+            self._route = None
+            return primitive
+        return self._drive(state, push)
+
+    def _find_pusher(self, state: RoomState, push: _Push) -> int | None:
+        """The translation that pushes as wanted from where the base stands; None if none does."""
+        step = self._room.robot.move_step
+        heading = self._planner.rules.get_heading(state)
+        dx, dy = push.block[0] - state.x, push.block[1] - state.y
+        for primitive, side in _TRANSLATIONS:
+            angle = heading + side
+            if abs((angle - push.direction + math.pi) % math.tau - math.pi) > ASKEW:
+                continue
+            along, aside = dx * math.cos(angle) + dy * math.sin(angle), dy * math.cos(angle) - dx * math.sin(angle)
+            gap = along - self._field.radius - self._field.half
+            moved = step - max(gap, 0.0)
+            if along > 0 and abs(aside) <= ASIDE and moved > 0.1 * step and (
+                moved <= push.length + max(0.15 * step, self._field.goal_half / 2)
+            ):
+                return primitive
+        return None
+
+    def _drive(self, state: RoomState, push: _Push) -> int:
+        """One primitive towards a place behind the block."""
+        if self._route is not None and self._standing is not None:
+            moved = math.hypot(push.block[0] - self._standing.block[0], push.block[1] - self._standing.block[1])
+            rest = self._route.primitives[1:]
+            again = self._planner.replay(state, rest, self._place) if rest and moved < 0.02 else None
+            if again is not None:
+                self._route = again
+                return again.primitives[0]
+        self._route = self._find_route(state, push)
+        self._standing = push
+        return self._route.primitives[0]
+
+    def _find_route(self, state: RoomState, push: _Push) -> Route:
+        blocks = self._list_blocks(state)
+        step, turn = self._room.robot.move_step, math.pi / 2
+        heading = self._planner.rules.get_heading(state)
+        facing = push.direction + turn * round((heading - push.direction) / turn)
+        wanted = 1.0 - push.length / step
+        failure: PlanningFailed | None = None
+        for gap in dict.fromkeys((max(wanted, 0.05), *(GAPS if push.length >= step else ()))):
+            away = self._field.radius + self._field.half + gap * step
+            self._place = PoseGoal(push.block[0] - away * math.cos(push.direction),
+                                   push.block[1] - away * math.sin(push.direction), facing, 0.1 * step, ASKEW / 2)
+            try:
+                route = self._planner.find_way_round(state, self._place, blocks, DRIVE_BUDGET, self.report)
+            except PlanningFailed as failed:
+                failure = failed
+                continue
+            if route.primitives:
+                return route
+        raise failure or self._planner.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, self.goal)
+
+    def _list_blocks(self, state: RoomState) -> tuple[Footprint, ...]:
+        """Footprints of everything that can be pushed, a centimetre smaller than it is."""
+        poses = get_prop_poses(state, self._room)
+        return tuple(
+            make_footprint(x, y, placed.prop.half_size - 0.01, placed.prop.half_size - 0.01, yaw)
+            for placed, (x, y, yaw) in zip(self._room.props, poses, strict=True) if placed.prop.kind == "block"
+        )

@@ -1,0 +1,149 @@
+"""Skills of a finer grain than meta-actions: `go-to(pose)`, `reach(target)`, `press(target)`.
+
+They nest: to press is to go where the target can be reached from, and then to reach. With an
+arm the last part is joint steps alone; without one it is the primitive that touches.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.primitives import BASE_PRIMITIVES
+from hrl_escape.errors import PlanningReason, UnknownNameError, UnsupportedError
+from hrl_escape.options.goals import Goal, PoseGoal, PressGoal, describe_goal, parse_goal
+from hrl_escape.options.option import Decision, Option
+from hrl_escape.options.planner import RoomPlanner
+from hrl_escape.options.synthesis import PlannedOption
+
+__all__ = ["PressOption", "ReachOption", "make_go_to", "make_press", "make_reach"]
+
+ARRIVAL, ARRIVAL_NOISE = 0.02, 3.0
+"""How near a place must be come to: so many metres, or so many standard deviations of a move's noise."""
+REMEMBERED = 10_000
+
+
+def make_go_to(planner: RoomPlanner, goal: Goal | str, name: str | None = None) -> PlannedOption:
+    """Make an option that goes to a place: `make_go_to(planner, "3,4,90")`, or any goal."""
+    goal = parse_goal(goal, planner.instance) if isinstance(goal, str) else goal
+    return PlannedOption(name or f"go-to({describe_goal(goal, planner.instance)})", planner, goal)
+
+
+def make_reach(planner: RoomPlanner, target: int | str) -> ReachOption:
+    """Make an option that moves the arm alone until the hand touches a target.
+
+    Raises:
+        UnsupportedError: targets of this room are pressed with the body.
+        UnknownNameError: no such target.
+    """
+    return ReachOption(planner, _find_target(planner, target))
+
+
+def make_press(planner: RoomPlanner, target: int | str) -> PressOption:
+    """Make an option that presses a target by going to where it can be reached from, then reaching.
+
+    Raises:
+        UnknownNameError: no such target.
+    """
+    return PressOption(planner, _find_target(planner, target))
+
+
+def _find_target(planner: RoomPlanner, target: int | str) -> int:
+    names = [t.name for t in planner.instance.targets]
+    if isinstance(target, str) and target in names:
+        return names.index(target)
+    if isinstance(target, int) and 0 <= target < len(names):
+        return target
+    raise UnknownNameError("target", target, names)
+
+
+class ReachOption(Option):
+    """Moves joints, fewest steps, until the hand touches the target; the base stays where it is.
+
+    Its policy is a function of the state: what noise has changed is met by asking anew.
+    """
+
+    is_markov = True
+
+    def __init__(self, planner: RoomPlanner, target: int) -> None:
+        name = planner.instance.targets[target].name
+        if planner.instance.dynamics.press_with != "hand":
+            raise UnsupportedError(f"reach({name}) needs an arm that presses (dynamics.press_with = 'hand'); this "
+                                   f"room's targets are pressed with the body: use press({name})")
+        super().__init__(f"reach({name})")
+        self.instance, self.targets = planner.instance, (target,)
+        self._planner, self._target = planner, target
+        self._find = lru_cache(REMEMBERED)(self._search)
+
+    def _search(self, state: RoomState) -> tuple[int, ...]:
+        """Joint primitives from here until touching begins; empty if there are none."""
+        reacher = self._planner.get_reacher()
+        found = reacher.get_configuration(
+            state.x, state.y, state.heading_steps, state.joint_steps, self._target,
+            joint_offsets=state.joint_offsets, heading_offset=state.heading_offset)
+        return (found is not None and reacher.order_steps(state, (), found, self._target)) or ()
+
+    def _get_steps(self, state: RoomState) -> tuple[int, ...]:
+        return self._find(state._replace(primitives=0, noise_key=0, physics=None))
+
+    def initiation(self, state: RoomState) -> bool:
+        """Where some posture touches the target, and the hand does not touch it yet."""
+        return not state.touching >> self._target & 1 and bool(self._get_steps(state))
+
+    def policy(self, state: RoomState) -> int:
+        """The first of the fewest joint steps from here."""
+        steps = self._get_steps(state)
+        if not steps:
+            raise self._planner.make_failure(PlanningReason.NO_POSTURE, state, PressGoal(self._target))
+        return steps[0]
+
+    def termination(self, state: RoomState) -> float:
+        """1 where the hand touches the target."""
+        return float(state.touching >> self._target & 1)
+
+
+class PressOption(Option):
+    """Presses a target by two lower options: go to where it can be reached from, then reach."""
+
+    def __init__(self, planner: RoomPlanner, target: int) -> None:
+        name = planner.instance.targets[target].name
+        super().__init__(f"press({name})")
+        self.instance, self.targets = planner.instance, (target,)
+        self._planner, self._goal = planner, PressGoal(target)
+        by_hand = planner.instance.dynamics.press_with == "hand"
+        self._reach = ReachOption(planner, target) if by_hand else None
+        self._touch = PlannedOption(f"touch({name})", planner, self._goal)
+        self._has_gone = self._is_last = False
+
+    def start(self, state: RoomState) -> None:
+        """Begin; the plan is made when the policy is first asked."""
+        super().start(state)
+        self._has_gone = self._is_last = False
+
+    def policy(self, state: RoomState) -> Decision:
+        """Go to where the base of the plan ends; from there reach, or, where noise has led, whatever presses."""
+        route = self._planner.find_route(state, self._goal, self.report)
+        by_arm = [p >= len(BASE_PRIMITIVES) for p in route.primitives]
+        going = [p for p, arm in zip(route.primitives, by_arm, strict=True) if not arm]
+        if self._reach is None:
+            going.pop()
+        if going and not self._has_gone:
+            self._has_gone = True
+            place = self._find_place(state, going)
+            if self._planner.remember(state, place, going):
+                return make_go_to(self._planner, place)
+        self._is_last = True
+        return self._reach if self._reach is not None and all(by_arm) else self._touch
+
+    def _find_place(self, state: RoomState, going: list[int]) -> PoseGoal:
+        rules, dynamics, robot = self._planner.rules, self._planner.instance.dynamics, self._planner.instance.robot
+        for primitive in going:
+            state = rules.step(state, primitive).state
+        away = max(ARRIVAL, ARRIVAL_NOISE * dynamics.noise * robot.move_step)
+        turned = math.radians(max(1.0, ARRIVAL_NOISE * dynamics.noise * robot.turn_step_deg))
+        return PoseGoal(state.x, state.y, rules.get_heading(state), away, turned)
+
+    def termination(self, state: RoomState) -> float:
+        """1 when its last part has ended."""
+        return float(self._is_last)
