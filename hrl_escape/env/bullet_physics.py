@@ -1,9 +1,12 @@
-"""Physics dynamics: primitives executed by Bullet's rigid bodies (the 2019 paper used Bullet throughout).
+"""Physics dynamics: primitives executed by Bullet's rigid bodies, in sub-steps of 1/240 s.
 
-The base stands on a planar carriage whose velocities are constrained to a trapezoid profile;
-joints follow position motors; walls, panels, blocks, the door and the arm are solid. A push
-into something solid slides along it or stops, so a displacement is only approximately the
-nominal one. Presses, puzzle, reward and exit are those of `Rules`.
+The base stands on a planar carriage (it does not tip) whose velocities are constrained to a
+trapezoid profile; joints follow position motors; walls, panels, blocks, the door and the arm
+are solid. A primitive lasts as long as its way takes at 1 m/s or 90 degrees a second, at least
+0.25 s, and 0.1 s more to settle. A push into something solid stops or slides along it, so a
+displacement is only approximately the nominal one. A target is touched once the presser pushed
+against it with `PRESS_FORCE`, until it has left the press margin. Puzzle, reward and exit are
+those of `Rules`.
 
 Everything that Bullet carries from one primitive to the next is written out as numbers
 (`PhysicsState`) at the end of a primitive and written back, with all cached contacts

@@ -99,7 +99,8 @@ def test_noise_and_slip_are_those_of_kinematics(make_room):
        st.sampled_from([0.7, 5.0]))
 def test_nothing_tunnels_and_bodies_hardly_overlap(seed, runs, step):
     config = RoomConfig(room=ShapeConfig(width=12, depth=12, wall_thickness=0.02),
-                        exit=ExitConfig(door=True, width=2.4), robot=RobotConfig(body_radius=0.4, move_step=step, joints=2),
+                        exit=ExitConfig(door=True, width=2.4),
+                        robot=RobotConfig(body_radius=0.4, move_step=step, joints=2),
                         obstacles=ObstaclesConfig(count=4), puzzle=ButtonsConfig(count=1))
     room = BulletRoom(generate(with_physics(config), seed))
     try:
@@ -173,7 +174,8 @@ def test_a_button_is_pressed_by_force_and_only_when_contact_begins(make_room):
 def test_the_hand_presses_and_other_links_do_not(make_room):
     config = RoomConfig(
         robot=RobotConfig(body_radius=0.3, body_height=0.6, joints=1, link_length=1.0),
-        start=StartConfig(place="fixed"), exit=ExitConfig(place="fixed", x=-8, y=-8), dynamics=DynamicsConfig(press_with="hand"),
+        start=StartConfig(place="fixed"), exit=ExitConfig(place="fixed", x=-8, y=-8),
+        dynamics=DynamicsConfig(press_with="hand"),
         puzzle=ButtonsConfig(count=1, buttons=Panels(places="paper", width=0.4, thickness=0.6, centre_height=0.6)),
     )
     room = make_room(config)  # the panel sticks out to y = 9.4 around x = 0
