@@ -75,7 +75,6 @@ class Plan:
         planner: which planner made it.
         expansions: search nodes expanded for it.
         seconds: wall time of planning it.
-        lower_bound: no plan needs fewer primitives; None where no bound is known.
     """
 
     instance: RoomInstance
@@ -86,7 +85,6 @@ class Plan:
     planner: str
     expansions: int = 0
     seconds: float = 0.0
-    lower_bound: int | None = None
 
     @property
     def cost(self) -> int:
@@ -164,8 +162,8 @@ class Plan:
             save_figure(path, figure)
         return figure
 
-    def format_table(self) -> str:
-        """The parts as a plain text table: primitives of each, from where to where."""
+    def make_rows(self) -> list[tuple[str, str, str, str]]:
+        """The plan as rows of text: a header, one row a part, and the total."""
         names = [primitive.name for primitive in make_primitives(self.instance.robot.joints)]
         rows = [("part", "primitives", "ends at", "what it does")]
         for part in self.parts:
@@ -173,7 +171,10 @@ class Plan:
             counts = ", ".join(f"{count} {names[a]}" for a, count in Counter(actions).items())
             note = f"; also presses {', '.join(part.also_pressed)}" if part.also_pressed else ""
             rows.append((part.name, str(len(actions)), _describe_pose(self.states[part.stop]), counts + note))
-        rows.append(("total", str(self.cost), "", f"return {self.compute_return():g}"))
+        return [*rows, ("total", str(self.cost), "", f"return {self.compute_return():g}")]
+
+    def __str__(self) -> str:
+        rows = self.make_rows()
         widths = [max(len(row[i]) for row in rows) for i in range(3)]
         return "\n".join("  ".join((*(cell.ljust(wide) for cell, wide in zip(row[:3], widths, strict=True)), row[3]))
                          for row in rows)
@@ -184,7 +185,6 @@ class Plan:
             "instance": self.instance.id,
             "name": self.name,
             "cost": self.cost,
-            "lower_bound": self.lower_bound,
             "return": self.compute_return(),
             "primitives": list(self.primitives),
             "poses": [[s.x, s.y, s.heading_steps, *s.joint_steps] for s in self.states],

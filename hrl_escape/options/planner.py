@@ -79,7 +79,7 @@ class RoomPlanner(RouteFinder):
 
         Raises:
             PlanningFailed: no plan, and why.
-            UnsupportedError: the puzzle asks for pushes, which no plan foresees; `escape` looks as it goes.
+            UnsupportedError: the puzzle asks for pushes, which no plan foresees; `pursue` looks as it goes.
         """
         began = time.perf_counter()
         legs: list[Plan] = []
@@ -87,7 +87,7 @@ class RoomPlanner(RouteFinder):
         for goal in self.order_goals(state):
             if isinstance(goal, PushGoal):
                 raise UnsupportedError(f"{describe_goal(goal, self.instance)} cannot be planned ahead: pushing takes "
-                                       "physics. Use hrl_escape.options.escaping.escape, which looks as it goes")
+                                       "physics. Use pursue(env), which looks as it goes")
             is_exit = isinstance(goal, ExitGoal)
             route = self._find_exit(here, bool(legs)) if is_exit else self.find_route(here, goal)
             if route.primitives:

@@ -17,7 +17,7 @@ from hrl_escape.options.option import Decision, Option
 from hrl_escape.options.planner import RoomPlanner, get_planner
 from hrl_escape.options.routes import get_pose
 
-__all__ = ["FLAVOURS", "AncestorsOption", "PlannedOption", "list_goals", "make_meta_options"]
+__all__ = ["FLAVOURS", "AncestorsOption", "PlannedOption", "list_goals", "make_meta_options", "make_option"]
 
 FLAVOURS = ("press", "press-with-ancestors")
 PATIENCE = 40
@@ -159,7 +159,8 @@ def list_goals(instance: RoomInstance) -> list[Goal]:
     return goals
 
 
-def _make_part(name: str, planner: RoomPlanner, goal: Goal) -> Option:
+def make_option(name: str, planner: RoomPlanner, goal: Goal) -> Option:
+    """Make the option that reaches one goal of any kind."""
     if isinstance(goal, PushGoal):
         from hrl_escape.options.pushing import PushOption  # brings scipy in, which pressing does without
 
@@ -184,7 +185,7 @@ def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: R
         raise UnknownNameError("flavour", flavour, FLAVOURS)
     planner = planner or get_planner(instance)
     goals = list_goals(instance)
-    parts = {goal: _make_part(f"meta-{n:02d}", planner, goal) for n, goal in enumerate(goals, 1)}
+    parts = {goal: make_option(f"meta-{n:02d}", planner, goal) for n, goal in enumerate(goals, 1)}
     options: list[Option] = list(parts.values())
     if flavour == "press-with-ancestors":
         options = [AncestorsOption(option.name, planner, goal, parts) for goal, option in parts.items()]

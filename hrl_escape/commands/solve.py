@@ -1,0 +1,173 @@
+"""Plan a way out of a room (or to one goal in it), run it, and show it.
+
+    hrl-escape solve --preset clutter --seed 3
+    hrl-escape solve --preset paper-two-button --goal button-2 --draw plan.svg
+    hrl-escape solve --preset arm-two-button --draw escape.gif --filmstrip strip.png
+    hrl-escape solve --preset push-block --json
+    hrl-escape solve --set dynamics.noise=0.1 dynamics.slip=0.1
+
+Where noise, slip or physics make plans uncertain, meta-actions are run one by one and plan as they go.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any, Literal
+
+from rich.console import Console
+from rich.table import Table
+
+from hrl_escape.commands.room_choice import RoomChoice
+from hrl_escape.env.bullet_cameras import check_camera, film
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.rendering import FORMATS, Trajectory, save_map
+from hrl_escape.env.video import VIDEO_FORMATS, make_filmstrip, save_picture, save_video
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.options.pddl import save_pddl
+from hrl_escape.options.plan import Execution, Plan
+from hrl_escape.options.planner import RoomPlanner
+from hrl_escape.options.pursuit import Pursuit, pursue
+
+ESCAPE = "escape"
+
+
+@dataclasses.dataclass(frozen=True)
+class SolveArgs(RoomChoice):
+    """Options of `hrl-escape solve`."""
+
+    goal: str = ESCAPE
+    """What to reach: escape, a target's name, exit, or a place x,y or x,y,heading (degrees)."""
+    planner: Literal["fields", "corridor"] = "fields"
+    """How primitives are searched: along cost-to-go fields, or in a corridor round an OMPL path."""
+    budget: int = 300_000
+    """Search nodes that one plan may expand; the same budget finds the same plan anywhere."""
+    episode_seed: int = 0
+    """Seed of the episode: its start and its noise."""
+    draw: tuple[Path, ...] = ()
+    """Pictures to make: .svg, .pdf or .png for the map with the way, .gif or .mp4 for a video of it."""
+    filmstrip: Path | None = None
+    """Write pictures of six moments as one .png."""
+    camera: str = "chase"
+    """Through which camera videos and the filmstrip are taken."""
+    pddl: Path | None = None
+    """Write the puzzle as domain.pddl and problem.pddl into this folder."""
+    json: bool = False
+    """Print JSON instead of tables."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Outcome:
+    """What was planned, if it could be planned beforehand, and what happened."""
+
+    plan: Plan | None
+    run: Execution | Pursuit
+
+    @property
+    def is_reached(self) -> bool:
+        return self.run.as_predicted if isinstance(self.run, Execution) else self.run.is_reached
+
+
+def run(args: SolveArgs) -> int:
+    """Plan, run and show; the exit code is 1 if the goal was not reached."""
+    for path in args.draw:
+        if path.suffix.lower().lstrip(".") not in (*FORMATS, *VIDEO_FORMATS):
+            known = ", ".join(f".{ending}" for ending in (*FORMATS, *VIDEO_FORMATS))
+            raise UnsupportedError(f"{path}: a picture's name must end in {known}")
+    check_camera(args.camera)
+    instance = args.make_instance()
+    files = list(save_pddl(instance, args.pddl)) if args.pddl else []
+    outcome = _solve(args, instance)
+    for path in args.draw:
+        _draw(path, instance, outcome.run.states, args)
+    if args.filmstrip:
+        frames = list(film(instance, _thin(outcome.run.states, 6), args.camera))
+        save_picture(args.filmstrip, make_filmstrip(frames))
+    files += [*args.draw, *([args.filmstrip] if args.filmstrip else [])]
+    report = _describe(instance, args, outcome) | {"files": [str(path) for path in files]}
+    print(json.dumps(report, indent=2)) if args.json else _print(report, outcome)
+    return 0 if outcome.is_reached else 1
+
+
+def _solve(args: SolveArgs, instance: RoomInstance) -> _Outcome:
+    """Plan and run the plan; where a plan cannot foresee what happens, look as it goes."""
+    planner = RoomPlanner(instance, args.planner, args.budget)
+    env = EscapeRoomEnv(instance=instance)
+    try:
+        env.reset(seed=args.episode_seed)
+        dynamics = instance.dynamics
+        if dynamics.kind == "physics" or dynamics.noise or dynamics.slip:
+            return _Outcome(None, pursue(env, None if args.goal == ESCAPE else args.goal, planner))
+        state = env.get_state()
+        plan = planner.solve(state) if args.goal == ESCAPE else planner.plan(state, args.goal)
+        return _Outcome(plan, plan.execute(env))
+    finally:
+        env.close()
+
+
+def _describe(instance: RoomInstance, args: SolveArgs, outcome: _Outcome) -> dict[str, Any]:
+    executed = outcome.run
+    report: dict[str, Any] = {
+        "room": instance.name, "seed": instance.seed, "id": instance.id, "goal": args.goal,
+        "reached": outcome.is_reached, "escaped": executed.terminated, "primitives": len(executed.rewards),
+        "return": float(sum(executed.rewards)),
+    }
+    if outcome.plan is not None:
+        report["plan"] = outcome.plan.to_dict()
+    if isinstance(executed, Pursuit):
+        report["decisions"] = list(executed.decisions)
+    return report
+
+
+def _print(report: dict[str, Any], outcome: _Outcome) -> None:
+    console = Console(soft_wrap=True)
+    seed = "" if report["seed"] is None else f", seed {report['seed']}"
+    console.print(f"[bold]{report['room']}[/bold]{seed}, id {report['id']}: {report['goal']}", "")
+    if outcome.plan is not None:
+        console.print(_make_plan_table(outcome.plan))
+        console.print(f"\nplanned in {1000 * outcome.plan.seconds:.0f} ms, {outcome.plan.expansions} nodes expanded, "
+                      f"by {outcome.plan.planner}")
+    elif isinstance(outcome.run, Pursuit):
+        console.print(_make_decision_table(outcome.run))
+    end = "escaped" if report["escaped"] else "reached" if report["reached"] else "not reached"
+    exact = ", every state as predicted" if outcome.plan is not None and outcome.is_reached else ""
+    console.print(f"run: [bold]{end}[/bold] after {report['primitives']} primitives, return {report['return']:g}"
+                  + exact)
+    for path in report["files"]:
+        console.print(f"wrote {path}")
+
+
+def _make_plan_table(plan: Plan) -> Table:
+    header, *rows, total = plan.make_rows()
+    table = Table(*header, box=None, padding=(0, 2), pad_edge=False)
+    for row in rows:
+        table.add_row(*row)
+    table.add_section()
+    table.add_row(*total, style="bold")
+    return table
+
+
+def _make_decision_table(pursuit: Pursuit) -> Table:
+    table = Table("option", "primitives", "ended", "plans", "replans", "planning", box=None, padding=(0, 2),
+                  pad_edge=False)
+    for decision in pursuit.decisions:
+        table.add_row(decision["name"], str(decision["duration"]), decision["ended"], str(decision["planner_calls"]),
+                      str(decision["replans"]), f"{1000 * decision['planner_seconds']:.0f} ms")
+    return table
+
+
+def _draw(path: Path, instance: RoomInstance, states: tuple[RoomState, ...], args: SolveArgs) -> None:
+    if path.suffix.lower().lstrip(".") in VIDEO_FORMATS:
+        save_video(path, film(instance, states, args.camera))
+    else:
+        way = Trajectory([(state.x, state.y) for state in states], f"{len(states) - 1} primitives")
+        save_map(path, instance, states[0], [way])
+
+
+def _thin(states: tuple[RoomState, ...], count: int) -> list[RoomState]:
+    """Evenly chosen states, first and last included."""
+    last = len(states) - 1
+    return [states[round(last * i / (count - 1))] for i in range(count)]
