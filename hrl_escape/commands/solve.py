@@ -33,6 +33,7 @@ from hrl_escape.options.planner import RoomPlanner
 from hrl_escape.options.pursuit import Pursuit, pursue
 
 ESCAPE = "escape"
+MOST_FRAMES = 60
 
 
 @dataclasses.dataclass(frozen=True)
@@ -82,9 +83,9 @@ def run(args: SolveArgs) -> int:
     files = list(save_pddl(instance, args.pddl)) if args.pddl else []
     outcome = _solve(args, instance)
     for path in args.draw:
-        _draw(path, instance, outcome.run.states, args)
+        _draw(path, instance, outcome, args)
     if args.filmstrip:
-        frames = list(film(instance, _thin(outcome.run.states, 6), args.camera))
+        frames = list(film(instance, _thin(outcome.run.states, MOST_FRAMES), args.camera))
         save_picture(args.filmstrip, make_filmstrip(frames))
     files += [*args.draw, *([args.filmstrip] if args.filmstrip else [])]
     report = _describe(instance, args, outcome) | {"files": [str(path) for path in files]}
@@ -159,15 +160,19 @@ def _make_decision_table(pursuit: Pursuit) -> Table:
     return table
 
 
-def _draw(path: Path, instance: RoomInstance, states: tuple[RoomState, ...], args: SolveArgs) -> None:
+def _draw(path: Path, instance: RoomInstance, outcome: _Outcome, args: SolveArgs) -> None:
+    states = outcome.run.states
     if path.suffix.lower().lstrip(".") in VIDEO_FORMATS:
         save_video(path, film(instance, states, args.camera))
+    elif outcome.plan is not None:
+        outcome.plan.draw(path)
     else:
         way = Trajectory([(state.x, state.y) for state in states], f"{len(states) - 1} primitives")
         save_map(path, instance, states[0], [way])
 
 
-def _thin(states: tuple[RoomState, ...], count: int) -> list[RoomState]:
+def _thin(states: tuple[RoomState, ...], most: int) -> list[RoomState]:
     """Evenly chosen states, first and last included."""
     last = len(states) - 1
-    return [states[round(last * i / (count - 1))] for i in range(count)]
+    count = min(most, len(states))
+    return [states[round(last * i / max(count - 1, 1))] for i in range(count)]
