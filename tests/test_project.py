@@ -46,10 +46,10 @@ LINT_IMPORTS = ("lint-imports", "--no-cache", "--no-logo", "--config", str(ROOT 
 HOUSE = """
 cli checks errors files experiments.report viewer.scene
 agents.agent agents.networks agents.training agents.dqn agents.sarsa
-options.option options.options_env options.navigation options.reaching options.planner
+options.option options.options_env options.navigation options.arm options.planner
 env.settings env.config env.presets env.instance env.robot env.primitives env.geometry env.observations
 env.puzzles.base env.puzzles.buttons env.puzzles.bit_flip
-env.bullet_room env.tensor_room env.rendering env.escape_room env.vector_env env.torchrl_env
+env.bullet_room env.bullet_scene env.bullet_physics env.tensor_room env.rendering env.escape_room env.vector_env env.torchrl_env
 """.split()
 
 ALLOWED_IMPORTS = {
@@ -58,7 +58,7 @@ ALLOWED_IMPORTS = {
     "agents.dqn": "torchrl",
     "options.options_env": "hrl_escape.env.escape_room",
     "options.navigation": "ompl",
-    "options.reaching": "pinocchio",
+    "options.arm": "pinocchio",
     "env.escape_room": "hrl_escape.env.bullet_room",
     "env.vector_env": "gymnasium",
     "env.bullet_room": "pybullet",
@@ -82,7 +82,7 @@ FORBIDDEN_IMPORTS = [
     ("env.bullet_room", "gymnasium", "within env, gymnasium only"),
     ("options.option", "pybullet", "pybullet only in"),
     ("options.planner", "ompl", "ompl only in"),
-    ("options.planner", "pinocchio", "pinocchio only in"),
+    ("options.planner", "pinocchio", "pinocchio and coal only in"),
     ("options.option", "torchrl", "torchrl only in"),
 ]
 
