@@ -24,16 +24,20 @@ _SUBPIXEL = 0.75
 def soften_edges(picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the picture, (height, width, 3) uint8 RGB, without stairs along its edges."""
     height, width = picture.shape[:2]
-    luma = np.pad(picture @ _LUMA, 1, mode="edge")
-    stride = width + 2
-    middle, north, south = luma[1:-1, 1:-1], luma[:-2, 1:-1], luma[2:, 1:-1]
-    west, east = luma[1:-1, :-2], luma[1:-1, 2:]
+    margin = _SEARCH[-1] + 1  # edges go on straight beyond the border
+    luma = np.pad(picture @ _LUMA, margin, mode="edge")
+    stride = width + 2 * margin
+
+    def shift_by(down: int, right: int) -> NDArray[np.floating]:
+        return luma[margin + down : margin + down + height, margin + right : margin + right + width]
+
+    middle, north, south, west, east = (shift_by(*by) for by in ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1)))
     high = np.maximum.reduce((middle, north, south, west, east))
     contrast = high - np.minimum.reduce((middle, north, south, west, east))
     rows, columns = np.nonzero(contrast > np.maximum(_LEAST_CONTRAST, _RELATIVE_CONTRAST * high))
     if not len(rows):
         return picture
-    flat, at = luma.ravel(), (rows + 1) * stride + columns + 1
+    flat, at = luma.ravel(), (rows + margin) * stride + columns + margin
     n, s, w, e = flat[at - stride], flat[at + stride], flat[at - 1], flat[at + 1]
     nw, ne, sw, se = flat[at - stride - 1], flat[at - stride + 1], flat[at + stride - 1], flat[at + stride + 1]
     own = flat[at]
@@ -77,9 +81,8 @@ def _follow(luma: Values, at: Places, across: Places, along: Places, edge: Value
     found = np.zeros(len(at), dtype=np.float32)
     going = np.arange(len(at))
     for step in _SEARCH:
-        place = np.clip(at[going] + step * along[going], 0, len(luma) - 1)
-        beyond = np.clip(place + across[going], 0, len(luma) - 1)
-        change = (luma[place] + luma[beyond]) / 2 - edge[going]
+        place = at[going] + step * along[going]
+        change = (luma[place] + luma[place + across[going]]) / 2 - edge[going]
         found[going] = change
         ended = abs(change) >= gradient[going]
         distance[going[ended]] = step
