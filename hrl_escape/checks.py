@@ -305,7 +305,8 @@ class _OptionCheck:
         dynamics = self.room.instance.dynamics
         if option.targets is not None and dynamics.kind == "kinematic" and not dynamics.noise:
             told = {*report.unavoidable, *(self.room.instance.targets[i].name for i in option.targets)}
-            others = [t.name for i, t in enumerate(self.room.instance.targets) if touched >> i & 1 and t.name not in told]
+            names = [target.name for i, target in enumerate(self.room.instance.targets) if touched >> i & 1]
+            others = [name for name in names if name not in told]
             self.require(not others, "it presses no target but its own and those it reports as unavoidable", others)
         return steps
 
