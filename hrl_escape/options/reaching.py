@@ -1,0 +1,337 @@
+"""Which joint steps bring the hand to a target, from where the base stands: Pinocchio on the joint lattice.
+
+Inverse kinematics rounded to whole joint steps misses many targets, so configurations are
+found on the lattice itself (`arm_lattice.py`), multiplied together from Pinocchio's placements,
+and every one is checked with the environment's own `touching` rule. A `ReachTable` gives the
+fewest joint steps for every place of the base at once, for a search that moves base and arm
+together; driving is not planned here. A `Reacher` may be pickled, not shared between threads.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+import math
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.primitives import BASE_PRIMITIVES
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.options.arm import Arm, ArmCollisions
+from hrl_escape.options.arm_lattice import ALL, NEVER, ArmLattice, Halves, make_halves, make_lattice
+from hrl_escape.options.reach_reasons import find_reason
+from hrl_escape.options.reach_search import find_heights, find_touching
+from hrl_escape.options.reach_tables import bound_costs, map_hands
+
+__all__ = ["ALL", "NEVER", "QUICK", "ReachTable", "Reacher"]
+
+QUICK = 5_000_000
+"""Pairs of half configurations that a table looks at unless told otherwise: all of them up to six joints."""
+
+HAND_CELL = 0.02
+"""Side of the cells by which a table tells hand positions apart, m."""
+BASE_CELL = 0.05
+"""Side of a table's cells, m."""
+
+_MOST_HALVES = 60_000
+_CANDIDATES = 64  # configurations with equally many joint steps that are tried for collisions
+_SKIN = 1e-9  # what rounding may take from a touch, m
+_PUSH = 0.01  # depth of a touch that shall press by force, m
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ReachTable:
+    """Fewest joint steps that bring the hand to a target, by where the base stands: a lower bound.
+
+    A cell's cost is that of the best place in it: `get_configuration` finds nothing cheaper at any place
+    in the cell, and nothing where the cost is -1 (as far as `complete_to`).
+
+    Attributes:
+        target: index of the target.
+        joint_steps: the configuration from which steps are counted.
+        costs: shape (columns, rows, headings), int16, columns along x; -1 where out of reach.
+        low: corner of the grid in the room frame, shape (2,), m.
+        cell: side of its square cells, m.
+        complete_to: costs up to this are all there; `NEVER` where the whole lattice was gone through. Otherwise
+            dearer configurations may be missing, and a larger budget may find more.
+    """
+
+    target: int
+    joint_steps: tuple[int, ...]
+    costs: NDArray[np.int16]
+    low: NDArray[np.float64]
+    cell: float
+    complete_to: int
+
+    def get_cost(self, x: float, y: float, heading_steps: int) -> int:
+        """The cost of the cell that a place lies in; -1 outside the grid."""
+        i, j = math.floor((x - self.low[0]) / self.cell), math.floor((y - self.low[1]) / self.cell)
+        inside = 0 <= i < self.costs.shape[0] and 0 <= j < self.costs.shape[1]
+        return int(self.costs[i, j, heading_steps]) if inside else -1
+
+    def get_centres(self) -> NDArray[np.float64]:
+        """Centres of the cells in the room frame, shape (columns, rows, 2), m."""
+        return self.low + (np.moveaxis(np.indices(self.costs.shape[:2]), 0, -1) + 0.5) * self.cell
+
+
+class _Ordered(NamedTuple):
+    lattice: ArmLattice
+    first_steps: NDArray[np.int64]  # (first halves, joints), in the lattice's order
+    last_steps: NDArray[np.int64]
+    complete_to: int
+
+
+class Reacher:
+    """Configurations with which one room's robot presses its targets by hand.
+
+    Attributes:
+        instance: the room.
+        kinematics: its exact kinematics, without noise and slip.
+        limit: largest distance from the hand's centre to a target in configurations that are found, m: where it
+            touches, or (where collisions matter and a press takes force) where it pushes into the target.
+    """
+
+    def __init__(self, instance: RoomInstance, *, collide: bool | None = None) -> None:
+        """Nothing is worked out until it is asked for.
+
+        Args:
+            instance: the room.
+            collide: whether configurations must be clear of walls, obstacles and the robot itself; by
+                default in physics dynamics only, as kinematic arms pass through everything.
+
+        Raises:
+            UnsupportedError: targets of this room are pressed with the body.
+        """
+        if instance.dynamics.press_with != "hand":
+            raise UnsupportedError("targets of this room are pressed with the body, so no arm has to reach them: "
+                                   "a Reacher is for dynamics.press_with = 'hand'")
+        self.instance = instance
+        self.collide = instance.dynamics.kind == "physics" if collide is None else collide
+        exact = dataclasses.replace(instance.dynamics, noise=0.0, slip=0.0)
+        self.kinematics = Kinematics(dataclasses.replace(instance, dynamics=exact))
+        hand = instance.robot.hand_radius
+        self.limit = (max(hand - _PUSH, hand / 2) if self.collide else hand + instance.dynamics.press_margin) - _SKIN
+        self._boxes = np.array([
+            (t.x, t.y, t.z, t.footprint.cos, t.footprint.sin, t.half_x, t.half_y, t.half_z) for t in instance.targets
+        ]).reshape(-1, 8)
+        self._get_halves = lru_cache(4)(self._make_halves)
+        self._get_lattice = lru_cache(16)(self._make_lattice)
+        self._get_hands = lru_cache(16)(self._map_hands)
+        self._get_costs = lru_cache(24)(self._compute_costs)
+
+    def __reduce__(self) -> tuple:
+        return _remake, (self.instance, self.collide)
+
+    @cached_property
+    def arm(self) -> Arm:
+        """The arm's kinematics."""
+        return Arm(self.kinematics.robot)
+
+    # --- the lattice -------------------------------------------------------------------
+
+    def _make_halves(self, joint_offsets: tuple[float, ...], around: tuple[int, ...]) -> Halves:
+        tables, hand = self.arm.compute_placements(joint_offsets)
+        return make_halves(tables, hand, self.arm.get_ranges(joint_offsets)[0], around, _MOST_HALVES)
+
+    def _make_lattice(self, joint_steps: tuple[int, ...], joint_offsets: tuple[float, ...]) -> _Ordered:
+        halves = self._get_halves(joint_offsets, (0,) * len(joint_steps))
+        if halves.complete_to != NEVER:
+            halves = self._make_halves(joint_offsets, joint_steps)
+        lattice, firsts, lasts = make_lattice(halves, joint_steps)
+        return _Ordered(lattice, halves.first_steps[firsts], halves.last_steps[lasts], halves.complete_to)
+
+    def get_lattice(self) -> ArmLattice | None:
+        """The arm's configurations ordered from home, or None where they are too many to list all."""
+        ordered = self._get_lattice((0,) * self.instance.robot.joints, ())
+        return ordered.lattice if ordered.complete_to == NEVER else None
+
+    @cached_property
+    def reach(self) -> float:
+        """A distance from the base's axis that the hand does not exceed, m."""
+        lattice = self._get_lattice((0,) * self.instance.robot.joints, ()).lattice
+        return float(np.hypot(lattice.first[:, 3], lattice.first[:, 7]).max()) + lattice.longest
+
+    @cached_property
+    def heights(self) -> tuple[float, float]:
+        """Lowest and highest the hand gets, m."""
+        return find_heights(self._get_lattice((0,) * self.instance.robot.joints, ()).lattice)
+
+    def _map_hands(self, z: float, half_z: float, joint_steps: tuple[int, ...], joint_offsets: tuple[float, ...],
+                   budget: int) -> tuple[NDArray[np.int16], int]:
+        lattice, _, _, complete_to = self._get_lattice(joint_steps, joint_offsets)
+        reach = float(np.hypot(lattice.first[:, 3], lattice.first[:, 7]).max()) + lattice.longest
+        low, high = z - half_z - self.limit, z + half_z + self.limit
+        hands, gone_to = map_hands(lattice, low, high, HAND_CELL, math.ceil(reach / HAND_CELL) + 1, budget)
+        return hands, min(gone_to, complete_to)
+
+    def _compute_costs(self, z: float, sizes: tuple[float, float, float], yaw: float, joint_steps: tuple[int, ...],
+                       joint_offsets: tuple[float, ...], heading_offset: float, budget: int
+                       ) -> tuple[NDArray[np.int16], int]:
+        """A table's costs, which targets of the same height, shape and direction share."""
+        hands, complete_to = self._get_hands(z, sizes[2], joint_steps, joint_offsets, budget)
+        headings = np.arange(self.kinematics.headings, dtype=np.float64) * self.kinematics.turn_step + heading_offset
+        return bound_costs(hands, HAND_CELL, headings, yaw, sizes[0] + self.limit, sizes[1] + self.limit,
+                           BASE_CELL), complete_to
+
+    def make_table(self, target: int, joint_steps: tuple[int, ...], *, joint_offsets: tuple[float, ...] = (),
+                   heading_offset: float = 0.0, budget: int = QUICK) -> ReachTable:
+        """Tabulate the fewest joint steps to touch a target, for every place and heading of the base.
+
+        Args:
+            target: index of the target.
+            joint_steps: the configuration the arm is in.
+            joint_offsets: how far its joints are off the lattice, rad; empty for not at all.
+            heading_offset: how far the base's heading is off its lattice, rad.
+            budget: pairs of half configurations to look at; `ALL` takes up to seconds with seven joints.
+        """
+        t = self.instance.targets[target]
+        costs, complete_to = self._get_costs(t.z, (t.half_x, t.half_y, t.half_z), t.yaw, joint_steps, joint_offsets,
+                                             heading_offset, budget)
+        low = np.array([t.x, t.y]) - np.array(costs.shape[:2]) // 2 * BASE_CELL
+        return ReachTable(target, joint_steps, costs, low, BASE_CELL, complete_to)
+
+    # --- one configuration -------------------------------------------------------------
+
+    def get_configuration(self, x: float, y: float, heading_steps: int, joint_steps: tuple[int, ...], target: int, *,
+                          joint_offsets: tuple[float, ...] = (), heading_offset: float = 0.0
+                          ) -> tuple[int, ...] | None:
+        """The configuration with the fewest joint steps that touches a target from an exact place.
+
+        Any that touches no other target goes before those that do.
+
+        Args:
+            x: the base's axis, m.
+            y: the base's axis, m.
+            heading_steps: the base's heading.
+            joint_steps: the configuration the arm is in.
+            target: index of the target.
+            joint_offsets: how far its joints are off the lattice, rad; empty for not at all.
+            heading_offset: how far the base's heading is off its lattice, rad.
+
+        Returns:
+            Joint steps from home, as in `RoomState.joint_steps`; None where the hand does not get there.
+        """
+        ordered = self._get_lattice(joint_steps, joint_offsets)
+        pose = (x, y, *self.kinematics.get_rotation(heading_steps, heading_offset))
+        here = RoomState(x, y, heading_steps, heading_offset, joint_steps, joint_offsets, None, 0, 0, 0)
+        for avoid in (True, False) if len(self._boxes) > 1 else (False,):
+            least = 0
+            while least < NEVER:
+                found, least = find_touching(ordered.lattice, pose, self._boxes, target, self.limit, avoid, least,
+                                             _CANDIDATES if self.collide else 1)
+                for i, j in found.tolist():
+                    steps = (*ordered.first_steps[i].tolist(), *ordered.last_steps[j].tolist())
+                    steps += joint_steps[len(steps) :]
+                    if self._is_good(here, steps, target):
+                        return steps
+                least += 1
+        return None
+
+    def _is_good(self, here: RoomState, joint_steps: tuple[int, ...], target: int) -> bool:
+        there = here._replace(joint_steps=joint_steps)
+        touching = self.kinematics.compute_touching(*there[:6])
+        return bool(touching >> target & 1) and not (self.collide and self._collides(there))
+
+    # --- joint steps in order ----------------------------------------------------------
+
+    def order_steps(self, state: RoomState, moves: Sequence[int], joint_steps: tuple[int, ...], target: int,
+                    most: int = 2_000) -> tuple[int, ...] | None:
+        """Put joint steps between given moves of the base so that no other target is pressed on the way.
+
+        Args:
+            state: where it begins.
+            moves: primitives of the base, kept in their order.
+            joint_steps: the configuration to end in.
+            target: index of the target whose touching shall begin; the primitives end with that.
+            most: states to look at before giving up.
+
+        Returns:
+            Primitives, tried out with the room's kinematics: as many as moves and joint steps where that can
+            be, else the fewest more with which the arm gets round; None where no order was found.
+        """
+        for detours in (False, True):
+            actions = self._search_order(state, moves, joint_steps, target, detours, most)
+            if actions is not None:
+                return actions
+        return None
+
+    def _search_order(self, begin: RoomState, moves: Sequence[int], joint_steps: tuple[int, ...], target: int,
+                      detours: bool, most: int) -> tuple[int, ...] | None:
+        """A* over (moves made, joint steps): moves first where nothing speaks against it."""
+
+        def count_left(state: RoomState, made: int) -> int:
+            return len(moves) - made + sum(abs(a - b) for a, b in zip(state.joint_steps, joint_steps, strict=True))
+
+        others = ~(1 << target)
+        spent_best = {(0, begin.joint_steps): 0}
+        queue: list[tuple] = [(count_left(begin, 0), 0, 0, begin, 0, (), False)]
+        pushed = 0
+        while queue and len(spent_best) <= most:
+            _, _, _, state, made, actions, is_pressed = heapq.heappop(queue)
+            left = count_left(state, made)
+            if is_pressed and (left == 0 or not self.collide):  # pushing by force goes on to the end
+                return actions
+            choices = [(moves[made], made + 1)] if made < len(moves) else []
+            choices += [(len(BASE_PRIMITIVES) + k, made) for k in range(2 * len(joint_steps))]
+            spent = len(actions) + 1
+            for action, after_made in choices:
+                after = self.kinematics.step(state, action).state
+                after_left = count_left(after, after_made)
+                begun = after.touching & ~state.touching
+                known = (after_made, after.joint_steps)
+                if begun & others or (after_left >= left and not detours) or spent_best.get(known, spent + 1) <= spent:
+                    continue
+                if self.collide and self._collides(after):
+                    continue
+                spent_best[known] = spent
+                pushed += 1
+                pressed = is_pressed or bool(begun >> target & 1)
+                estimate = spent + (0 if pressed and not self.collide else after_left)
+                heapq.heappush(queue, (estimate, -spent, pushed, after, after_made, (*actions, action), pressed))
+        return None
+
+    # --- collisions --------------------------------------------------------------------
+
+    @cached_property
+    def _collisions(self) -> ArmCollisions:
+        door = (self.instance.door,) if self.instance.door else ()
+        return ArmCollisions(self.kinematics.robot, self.instance.robot.hand_radius, (*self.instance.solids, *door))
+
+    def _collides(self, state: RoomState) -> bool:
+        heading = self.kinematics.get_heading(state)
+        return not self.is_collision_free(state.x, state.y, heading, self.kinematics.get_angles(state))
+
+    def is_collision_free(self, x: float, y: float, heading: float, joints: Sequence[float]) -> bool:
+        """Say whether the arm is clear of walls, obstacles, the shut exit door and the robot itself.
+
+        Targets do not count, as they are there to be touched.
+
+        Args:
+            x: the base's axis, m.
+            y: the base's axis, m.
+            heading: rad.
+            joints: joint angles, rad.
+        """
+        return self._collisions.is_free(x, y, heading, joints)
+
+    # --- reasons -----------------------------------------------------------------------
+
+    def explain(self, target: int) -> str | None:
+        """Say why a target cannot be touched from anywhere the body can get to, or None if it can.
+
+        What stands in the arm's way is not looked at. See `reach_reasons.py` for what is proven.
+
+        Args:
+            target: index of the target.
+        """
+        return find_reason(Reacher(self.instance, collide=False) if self.collide else self, target)
+
+
+def _remake(instance: RoomInstance, collide: bool) -> Reacher:
+    return Reacher(instance, collide=collide)
