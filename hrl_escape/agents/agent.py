@@ -108,7 +108,10 @@ class Agent(Protocol):
         ...
 
     def state_dict(self) -> StateTree:
-        """Everything that learning depends on: weights, optimiser, replay, counters, generators."""
+        """Everything that learning depends on: weights, optimiser, replay, counters, generators.
+
+        Arrays may share memory with the agent: write or copy them before it goes on learning.
+        """
         ...
 
     def load_state_dict(self, state: StateTree) -> None:

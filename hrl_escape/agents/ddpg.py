@@ -29,7 +29,6 @@ from hrl_escape.agents.networks import (
     Learner,
     NetworkSettings,
     ObservationEncoder,
-    blend_parameters,
     make_forward,
     make_generator,
     make_network,
@@ -121,8 +120,8 @@ class DDPG:
         self.critic = make_network(encoder, 1, settings, generator, extra_inputs=actions)
         self.target_actor = make_network(encoder, actions, settings, generator).requires_grad_(False)
         self.target_critic = make_network(encoder, 1, settings, generator, actions).requires_grad_(False)
-        self.target_actor.load_state_dict(self.actor.state_dict())
-        self.target_critic.load_state_dict(self.critic.state_dict())
+        self.target_actor.blend(self.actor, 1.0)
+        self.target_critic.blend(self.critic, 1.0)
         self._forward = make_forward(self.actor)
         actors = {"actor": self.actor, "target_actor": self.target_actor}
         critics = {"critic": self.critic, "target_critic": self.target_critic}
@@ -194,11 +193,11 @@ class DDPG:
         metrics: dict[str, float] = {}
         if self._steps > self.settings.warmup:
             metrics["loss"] = self._critic_learner.minimise(self.compute_critic_loss(batch))
-            blend_parameters(self.target_critic, self.critic, self.settings.target_rate)
+            self.target_critic.blend(self.critic, self.settings.target_rate)
         if self._steps > self.settings.actor_warmup:
             noise = self._replay_rng.gumbel(size=batch.mask.shape).astype(np.float32)
             metrics["actor_loss"] = self._actor_learner.minimise(self.compute_actor_loss(batch, noise))
-            blend_parameters(self.target_actor, self.actor, self.settings.target_rate)
+            self.target_actor.blend(self.actor, self.settings.target_rate)
         return metrics
 
     def compute_critic_loss(self, batch: Experience) -> torch.Tensor:

@@ -28,7 +28,6 @@ from hrl_escape.agents.networks import (
     Learner,
     NetworkSettings,
     ObservationEncoder,
-    blend_parameters,
     make_forward,
     make_generator,
     make_network,
@@ -106,7 +105,7 @@ class DQN:
         generator = make_generator(make_rng(seed, "weights"))
         self.online = make_network(self._encoder, actions, settings, generator)
         self.target = make_network(self._encoder, actions, settings, generator).requires_grad_(False)
-        self.target.load_state_dict(self.online.state_dict())
+        self.target.blend(self.online, 1.0)
         self._forward = make_forward(self.online)
         self._learner = Learner("dqn", {"online": self.online, "target": self.target}, ["online"], settings)
         self.replay = ReplayBuffer(settings.replay_capacity, self._encoder.shape, self._encoder.dtype, actions)
@@ -160,7 +159,7 @@ class DQN:
         batch = self.replay.sample(self.settings.batch_size, self._replay_rng)
         loss, values = self.compute_loss(batch)
         value = self._learner.minimise(loss)
-        blend_parameters(self.target, self.online, self.settings.target_rate)
+        self.target.blend(self.online, self.settings.target_rate)
         return {"loss": value, "value": values.mean().item() / self.settings.reward_scale}
 
     def compute_loss(self, batch: Experience) -> tuple[torch.Tensor, torch.Tensor]:

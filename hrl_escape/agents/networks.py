@@ -1,13 +1,14 @@
 """Networks of the deep agents: observations in, values out, and the small machinery around.
 
-Multilayer perceptrons, with a convolutional front (Mnih et al. 2015) for images. Weights are drawn
-from a generator of their own. Acting on one observation goes through numpy views of the same
-weights, four to five times faster on a CPU than torch; learning is plain torch with fused Adam, which
-was measured against TorchRL's losses (`benchmarks/agent_updates.py`).
+Multilayer perceptrons, with a convolutional front (Mnih et al. 2015) for images. Weights are drawn from a generator of
+their own and lie in one vector, so that Adam, clipping and target networks are single operations. Acting on one
+observation goes through numpy views of the same weights, four to five times faster on a CPU than torch. Learning is
+plain torch because that measured fastest (`benchmarks/agent_updates.py`, beside TorchRL and Stable-Baselines3).
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -26,9 +27,9 @@ from hrl_escape.errors import CheckpointError, DivergenceError, UnsupportedSpace
 
 __all__ = [
     "Learner",
+    "Network",
     "NetworkSettings",
     "ObservationEncoder",
-    "blend_parameters",
     "make_forward",
     "make_generator",
     "make_network",
@@ -109,6 +110,30 @@ def is_image_space(space: gymnasium.Space) -> bool:
     return isinstance(space, spaces.Box) and space.dtype == np.uint8 and len(shape) == 3 and shape[2] in (1, 3, 4)
 
 
+class Network(nn.Sequential):
+    """Layers whose parameters, and their gradients, are views of one vector each.
+
+    Attributes:
+        weights: float32 (parameters,), all parameters.
+        gradient: float32 (parameters,), where `backward` accumulates.
+    """
+
+    def __init__(self, *layers: nn.Module) -> None:
+        super().__init__(*layers)
+        parameters = list(self.parameters())
+        self.weights = torch.cat([parameter.detach().reshape(-1) for parameter in parameters])
+        self.gradient = torch.zeros_like(self.weights)
+        sizes = [parameter.numel() for parameter in parameters]
+        pieces = zip(parameters, self.weights.split(sizes), self.gradient.split(sizes), strict=True)
+        for parameter, weights, gradient in pieces:
+            parameter.data = weights.view(parameter.shape)
+            parameter.grad = gradient.view(parameter.shape)
+
+    def blend(self, source: Network, rate: float) -> None:
+        """Move a target network: weights <- (1 - rate) weights + rate source (Lillicrap et al. 2016)."""
+        self.weights.lerp_(source.weights, rate)
+
+
 def make_generator(rng: np.random.Generator) -> torch.Generator:
     """A torch generator of its own, seeded from a numpy one."""
     generator = torch.Generator()
@@ -123,7 +148,7 @@ def make_network(
     generator: torch.Generator,
     extra_inputs: int = 0,
     output_gain: float = 1.0,
-) -> nn.Sequential:
+) -> Network:
     """A perceptron (convolutions first for images) from encoded observations to `outputs` numbers.
 
     Args:
@@ -150,7 +175,7 @@ def make_network(
     last = _initialise(nn.utils.skip_init(nn.Linear, width, outputs), settings.initialisation, 1.0, generator)
     with torch.no_grad():
         last.weight.mul_(output_gain)
-    return nn.Sequential(*layers, last)
+    return Network(*layers, last)
 
 
 class _Unit(nn.Module):
@@ -193,7 +218,7 @@ def _initialise(layer: Any, initialisation: str, gain: float, generator: torch.G
     return layer
 
 
-def make_forward(network: nn.Sequential) -> Callable[[NDArray], NDArray]:
+def make_forward(network: Network) -> Callable[[NDArray], NDArray]:
     """A function from one encoded observation to the network's outputs, (outputs,), without gradients.
 
     Perceptrons run in numpy on views of the network's own weights, so later updates are seen.
@@ -226,32 +251,28 @@ def make_forward(network: nn.Sequential) -> Callable[[NDArray], NDArray]:
     return forward_numpy
 
 
-def blend_parameters(target: nn.Module, source: nn.Module, rate: float) -> None:
-    """Move a target network: target <- (1 - rate) target + rate source (Lillicrap et al. 2016)."""
-    with torch.no_grad():
-        for old, new in zip(target.parameters(), source.parameters(), strict=True):
-            old.lerp_(new, rate)
-
-
 class Learner:
     """Gradient descent on some networks: Adam, clipping, the check for NaN, and its checkpoint.
 
     Args:
         name: the algorithm's name, for messages.
-        networks: named modules that the checkpoint holds.
+        networks: named networks that the checkpoint holds.
         trained: those whose parameters this optimiser moves.
         settings: learning rate and clipping.
     """
 
     def __init__(
-        self, name: str, networks: Mapping[str, nn.Module], trained: Iterable[str], settings: NetworkSettings
+        self, name: str, networks: Mapping[str, Network], trained: Iterable[str], settings: NetworkSettings
     ) -> None:
-        self.name, self.networks, self.updates = name, networks, 0
+        self.name, self.updates = name, 0
+        self._networks = networks
         self._max_norm = settings.max_grad_norm
-        self._parameters = [p for key in trained for p in networks[key].parameters()]
-        self._optimiser = torch.optim.Adam(
-            self._parameters, settings.learning_rate, eps=settings.adam_epsilon, fused=True
-        )
+        self._trained = [networks[key] for key in trained]
+        self._inputs = [parameter for network in self._trained for parameter in network.parameters()]
+        vectors = [nn.Parameter(network.weights) for network in self._trained]
+        for vector, network in zip(vectors, self._trained, strict=True):
+            vector.grad = network.gradient
+        self._optimiser = torch.optim.Adam(vectors, settings.learning_rate, eps=settings.adam_epsilon, fused=True)
 
     def minimise(self, loss: torch.Tensor) -> float:
         """One step down the gradient; returns the loss.
@@ -260,12 +281,16 @@ class Learner:
             DivergenceError: the loss is NaN or infinite; the weights are left alone.
         """
         value = loss.item()
-        if not np.isfinite(value):
+        if not math.isfinite(value):
             raise DivergenceError(self.name, self.updates)
-        self._optimiser.zero_grad()
-        loss.backward(inputs=self._parameters)
+        for network in self._trained:
+            network.gradient.zero_()
+        loss.backward(inputs=self._inputs)
         if self._max_norm:
-            nn.utils.clip_grad_norm_(self._parameters, self._max_norm)
+            norm = math.hypot(*(network.gradient.norm().item() for network in self._trained))
+            if norm > self._max_norm:
+                for network in self._trained:
+                    network.gradient.mul_(self._max_norm / norm)
         self._optimiser.step()
         self.updates += 1
         return value
@@ -275,28 +300,28 @@ class Learner:
         moments = self._optimiser.state_dict()["state"]
         return {
             "updates": self.updates,
-            "networks": {
-                name: {key: tensor.numpy() for key, tensor in module.state_dict().items()}
-                for name, module in self.networks.items()
-            },
-            "optimiser": [{key: tensor.numpy() for key, tensor in moments[index].items()} for index in sorted(moments)],
+            "weights": {name: network.weights.numpy() for name, network in self._networks.items()},
+            "moments": [{key: tensor.numpy() for key, tensor in moments[index].items()} for index in sorted(moments)],
         }
 
     def load_state_dict(self, state: StateTree) -> None:
         """Restore what `state_dict` gave.
 
         Raises:
-            CheckpointError: it belongs to networks of other shapes.
+            CheckpointError: it belongs to networks of another size.
         """
         self.updates = int(state["updates"])
-        try:
-            for name, module in self.networks.items():
-                module.load_state_dict({k: torch.from_numpy(v) for k, v in state["networks"][name].items()})
-        except (RuntimeError, KeyError) as error:
-            raise CheckpointError(f"the checkpoint does not fit the networks of {self.name}: {error}") from error
+        for name, network in self._networks.items():
+            weights = torch.from_numpy(state["weights"][name])
+            if weights.shape != network.weights.shape:
+                raise CheckpointError(
+                    f"the checkpoint's {name} network of {self.name} has {len(weights)} weights; "
+                    f"this agent's has {len(network.weights)}"
+                )
+            network.weights.copy_(weights)
         moments = {
             index: {key: torch.from_numpy(np.asarray(value)) for key, value in group.items()}
-            for index, group in enumerate(state["optimiser"])
+            for index, group in enumerate(state["moments"])
         }
         groups = self._optimiser.state_dict()["param_groups"]
         self._optimiser.load_state_dict({"state": moments, "param_groups": groups})

@@ -163,7 +163,7 @@ class PPO:
             old_log_probability = compute_log_policy(self.policy(observation), mask).gather(1, action[:, None])
         advantages = torch.from_numpy(compute_advantages(rollout, values.numpy(), next_values.numpy(), self.settings))
         targets = advantages + values
-        totals = np.zeros(4)
+        totals = torch.zeros(4)
         count = 0
         for _ in range(self.settings.epochs):
             order = torch.from_numpy(self._batch_rng.permutation(len(action)))
@@ -178,7 +178,8 @@ class PPO:
                     advantages[rows],
                     targets[rows],
                 )
-                totals += self._learner.minimise(loss), *parts
+                self._learner.minimise(loss)
+                totals += parts
                 count += 1
         names = ("loss", "policy_loss", "value_loss", "entropy")
         mean_value = values.mean().item() / self.settings.reward_scale
@@ -192,8 +193,8 @@ class PPO:
         old_log_probability: torch.Tensor,
         advantage: torch.Tensor,
         target: torch.Tensor,
-    ) -> tuple[torch.Tensor, tuple[float, float, float]]:
-        """The loss over a minibatch, and its parts: policy loss, value loss, entropy."""
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """The loss over a minibatch; and, without gradient, (4,): loss, policy loss, value loss, entropy."""
         settings = self.settings
         log_policy = compute_log_policy(self.policy(observation), mask)
         ratio = (log_policy.gather(1, action[:, None]).squeeze(1) - old_log_probability).exp()
@@ -203,7 +204,7 @@ class PPO:
         value_loss = 0.5 * functional.mse_loss(self.critic(observation).squeeze(1), target)
         entropy = -(log_policy.exp() * log_policy.masked_fill(~mask, 0.0)).sum(dim=1).mean()
         loss = policy_loss + settings.value_weight * value_loss - settings.entropy_weight * entropy
-        return loss, (policy_loss.item(), value_loss.item(), entropy.item())
+        return loss, torch.stack((loss, policy_loss, value_loss, entropy)).detach()
 
     def state_dict(self) -> StateTree:
         """Networks, optimiser, the rollout so far, generators."""

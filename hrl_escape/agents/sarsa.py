@@ -30,7 +30,6 @@ from hrl_escape.agents.networks import (
     Learner,
     NetworkSettings,
     ObservationEncoder,
-    blend_parameters,
     make_forward,
     make_generator,
     make_network,
@@ -119,7 +118,7 @@ class Sarsa:
         generator = make_generator(make_rng(seed, "weights"))
         self.online = make_network(self._encoder, actions, settings, generator)
         self.target = make_network(self._encoder, actions, settings, generator).requires_grad_(False)
-        self.target.load_state_dict(self.online.state_dict())
+        self.target.blend(self.online, 1.0)
         self._forward = make_forward(self.online)
         self._learner = Learner("sarsa", {"online": self.online, "target": self.target}, ["online"], settings)
         self.replay = (
@@ -219,7 +218,7 @@ class Sarsa:
         loss, values = self.compute_loss(batch, next_action)
         value = self._learner.minimise(loss)
         if self.settings.target_rate < 1:
-            blend_parameters(self.target, self.online, self.settings.target_rate)
+            self.target.blend(self.online, self.settings.target_rate)
         return {"loss": value, "value": values.mean().item() / self.settings.reward_scale}
 
     def compute_loss(self, batch: Experience, next_action: int | None = None) -> tuple[torch.Tensor, torch.Tensor]:

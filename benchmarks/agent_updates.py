@@ -1,0 +1,229 @@
+"""Updates per second of the deep agents, beside TorchRL's DQNLoss and Stable-Baselines3, same networks, one run.
+
+    python benchmarks/agent_updates.py             # one core, about a minute
+    python benchmarks/agent_updates.py --compile   # also TorchRL's loss compiled, some 20 s more
+
+An update is a sample from replay (or a minibatch of a rollout), a gradient step, and the target network's step. All
+have two hidden layers of 64 and batches of 64 over 12 observations and 9 actions. Contenders take turns, so that other
+work on the machine slows all of them alike; the median of the rounds is printed. Needs the extra `bench`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from stable_baselines3 import DQN, PPO
+from tensordict import TensorDict
+from tensordict.nn import TensorDictModule
+from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+from torchrl.modules import MLP, QValueActor
+from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
+
+from hrl_escape.agents import make_agent
+from hrl_escape.agents.agent import SMDPTransition
+
+INPUTS, ACTIONS, HIDDEN, BATCH, STORED = 12, 9, (64, 64), 64, 10_000
+ROLLOUT, EPOCHS = 256, 10
+
+
+class RandomSteps(gymnasium.Env):
+    """Random observations and rewards: an environment that costs next to nothing."""
+
+    observation_space = gymnasium.spaces.Box(-1, 1, (INPUTS,), np.float32)
+    action_space = gymnasium.spaces.Discrete(ACTIONS)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin."""
+        super().reset(seed=seed)
+        return self._draw(), {}
+
+    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Go on."""
+        return self._draw(), -1.0, bool(self.np_random.random() < 0.01), False, {}
+
+    def _draw(self) -> Any:
+        return self.np_random.standard_normal(INPUTS, dtype=np.float32)
+
+
+def make_ours(name: str) -> Callable[[int], None]:
+    """Our agent's update from replay, as `observe` calls it."""
+    env = RandomSteps()
+    fast = {"hidden": HIDDEN, "batch_size": BATCH, "updates_per_step": 0.0, "warmup": 0}
+    agent: Any = make_agent(name, env.observation_space, env.action_space, 0, **fast)
+    for transition in draw_transitions(STORED):
+        if name == "ddpg":
+            agent.act(transition.observation, transition.action_mask)
+        agent.observe(transition)
+    agent._steps = 10**6  # past every warm-up
+
+    def update(count: int) -> None:
+        for _ in range(count):
+            if name == "sarsa":
+                agent._update(agent.replay.sample(BATCH, agent._replay_rng))
+            else:
+                agent._update()
+
+    return update
+
+
+def make_our_ppo() -> Callable[[int], None]:
+    """Our PPO's rounds of updates from a rollout."""
+    env = RandomSteps()
+    agent: Any = make_agent(
+        "ppo", env.observation_space, env.action_space, 0, hidden=HIDDEN, rollout=ROLLOUT, epochs=EPOCHS
+    )
+    rollout = draw_transitions(ROLLOUT)
+
+    def update(count: int) -> None:
+        for _ in range(count * BATCH // (ROLLOUT * EPOCHS)):
+            for transition in rollout:
+                agent.observe(transition)
+
+    return update
+
+
+def draw_transitions(count: int) -> list[SMDPTransition]:
+    """Random decisions of 1 to 20 primitives."""
+    rng, mask = np.random.default_rng(0), np.ones(ACTIONS, np.bool_)
+    transitions = []
+    for _ in range(count):
+        here, there = rng.standard_normal((2, INPUTS)).astype(np.float32)
+        k = int(rng.integers(1, 21))
+        over = bool(rng.random() < 0.01)
+        action = int(rng.integers(ACTIONS))
+        transitions.append(SMDPTransition(here, action, mask, -1.0 * k, -1.0 * k, k, 0.99**k, there, mask, over, False))
+    return transitions
+
+
+def make_torchrl(compiled: bool) -> Callable[[int], None]:
+    """The same double DQN from TorchRL's parts."""
+    actor = QValueActor(
+        TensorDictModule(
+            MLP(in_features=INPUTS, out_features=ACTIONS, num_cells=HIDDEN, activation_class=torch.nn.ReLU),
+            in_keys=["observation"],
+            out_keys=["action_value"],
+        ),
+        spec=None,
+        action_space="categorical",
+        action_mask_key="action_mask",
+    )
+    loss = DQNLoss(actor, loss_function="smooth_l1", double_dqn=True, delay_value=True, action_space="categorical")
+    loss.make_value_estimator(ValueEstimators.TD0, gamma=0.99)
+    target = SoftUpdate(loss, tau=0.01)
+    parameters = list(loss.parameters())
+    optimiser = torch.optim.Adam(parameters, 1e-3, fused=True)
+    replay = TensorDictReplayBuffer(storage=LazyTensorStorage(STORED), batch_size=BATCH)
+    transitions = draw_transitions(STORED)
+
+    def stack(name: str, dtype: torch.dtype) -> torch.Tensor:
+        return torch.from_numpy(np.array([getattr(t, name) for t in transitions])).to(dtype)
+
+    replay.extend(
+        TensorDict(
+            {
+                "observation": stack("observation", torch.float32),
+                "action_mask": stack("action_mask", torch.bool),
+                "action": stack("action", torch.int64),
+                "steps_to_next_obs": stack("duration", torch.int64)[:, None],
+                "next": {
+                    "observation": stack("next_observation", torch.float32),
+                    "action_mask": stack("next_action_mask", torch.bool),
+                    "reward": stack("reward", torch.float32)[:, None],
+                    "terminated": stack("terminated", torch.bool)[:, None],
+                    "done": stack("terminated", torch.bool)[:, None],
+                },
+            },
+            [STORED],
+        )
+    )
+    compute = torch.compile(loss) if compiled else loss
+
+    def update(count: int) -> None:
+        for _ in range(count):
+            value = compute(replay.sample())["loss"]
+            optimiser.zero_grad()
+            value.backward()
+            torch.nn.utils.clip_grad_norm_(parameters, 10.0)
+            optimiser.step()
+            target.step()
+            value.item()
+
+    return update
+
+
+def make_sb3_dqn() -> Callable[[int], None]:
+    """Stable-Baselines3's DQN (not double), its own replay and train()."""
+    model = DQN(
+        "MlpPolicy", RandomSteps(), batch_size=BATCH, buffer_size=STORED, learning_starts=STORED - 1, seed=0,
+        policy_kwargs={"net_arch": list(HIDDEN)}, device="cpu", target_update_interval=1, tau=0.01,
+    )  # fmt: skip
+    model.learn(STORED - 1)
+
+    def update(count: int) -> None:
+        for _ in range(count):
+            model.train(gradient_steps=1, batch_size=BATCH)
+            model._on_step()  # moves the target network
+
+    return update
+
+
+def make_sb3_ppo() -> Callable[[int], None]:
+    """Stable-Baselines3's PPO, train() on a rollout."""
+    model = PPO(
+        "MlpPolicy", RandomSteps(), n_steps=ROLLOUT, batch_size=BATCH, n_epochs=EPOCHS, seed=0,
+        policy_kwargs={"net_arch": list(HIDDEN)}, device="cpu", ent_coef=0.01,
+    )  # fmt: skip
+    model.learn(ROLLOUT)
+
+    def update(count: int) -> None:
+        for _ in range(count * BATCH // (ROLLOUT * EPOCHS)):
+            model.train()
+
+    return update
+
+
+def measure(contenders: dict[str, Callable[[int], None]], updates: int, rounds: int) -> dict[str, float]:
+    """Updates per second of each, the median over rounds in which all take turns."""
+    rates: dict[str, list[float]] = {name: [] for name in contenders}
+    for update in contenders.values():
+        update(80)
+    for _ in range(rounds):
+        for name, update in contenders.items():
+            started = time.perf_counter()
+            update(updates)
+            rates[name].append(updates / (time.perf_counter() - started))
+    return {name: statistics.median(values) for name, values in rates.items()}
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--compile", action="store_true", help="also compile TorchRL's loss")
+    parser.add_argument("--updates", type=int, default=400, help="updates in a round")
+    parser.add_argument("--rounds", type=int, default=7)
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    contenders = {
+        "dqn": make_ours("dqn"),
+        "Stable-Baselines3 DQN": make_sb3_dqn(),
+        "TorchRL DQNLoss + TensorDictReplayBuffer": make_torchrl(compiled=False),
+        "sarsa": make_ours("sarsa"),
+        "ddpg (critic and actor)": make_ours("ddpg"),
+        "ppo": make_our_ppo(),
+        "Stable-Baselines3 PPO": make_sb3_ppo(),
+    }
+    if arguments.compile:
+        contenders["TorchRL, loss compiled"] = make_torchrl(compiled=True)
+    for name, rate in measure(contenders, arguments.updates, arguments.rounds).items():
+        print(f"{name:42s} {rate:7,.0f} updates/s")
+
+
+if __name__ == "__main__":
+    main()
