@@ -18,7 +18,7 @@ from hrl_escape.errors import GoalError, UnsupportedError
 from hrl_escape.options.collision import CollisionMap
 from hrl_escape.options.goals import ExitGoal, Goal, PoseGoal, PressGoal, PushGoal, RegionGoal, get_region, is_reached
 
-__all__ = ["Area", "compute_area", "compute_reaches", "find_headings", "sample_places"]
+__all__ = ["Area", "compute_area", "find_headings", "sample_places"]
 
 
 class Area(NamedTuple):
@@ -26,19 +26,6 @@ class Area(NamedTuple):
 
     footprint: Footprint
     reach: float
-
-
-def compute_reaches(instance: RoomInstance, hand_height: float = 0.0) -> NDArray[np.float64]:
-    """Largest floor distance at which the presser touches each target; -1 where it never does.
-
-    Args:
-        instance: the room, which says what presses.
-        hand_height: height of the hand above the floor, where it is the hand, m.
-
-    Returns:
-        Shape (targets,), m; measured from the body's axis, or from the hand.
-    """
-    return np.array([instance.compute_press_reach(target, hand_height) for target in instance.targets])
 
 
 def compute_area(goal: Goal, instance: RoomInstance) -> Area:
@@ -51,9 +38,9 @@ def compute_area(goal: Goal, instance: RoomInstance) -> Area:
     if isinstance(goal, PressGoal):
         if not 0 <= goal.target < len(instance.targets):
             raise GoalError(f"there is no target {goal.target}: the room has {len(instance.targets)}")
+        target = instance.targets[goal.target]
         by_hand = instance.dynamics.press_with == "hand"
-        reach = -1.0 if by_hand else float(compute_reaches(instance)[goal.target])
-        return Area(instance.targets[goal.target].footprint, reach)
+        return Area(target.footprint, -1.0 if by_hand else instance.compute_press_reach(target))
     if isinstance(goal, PoseGoal):
         return Area(make_footprint(goal.x, goal.y, 0.0, 0.0, 0.0, True), goal.tolerance)
     if isinstance(goal, (ExitGoal, RegionGoal)):

@@ -19,7 +19,7 @@ from hrl_escape.env.geometry import Footprint, compute_distance_many, stack_foot
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import PlanningReason
 from hrl_escape.options import search
-from hrl_escape.options.areas import Area, compute_reaches
+from hrl_escape.options.areas import Area
 from hrl_escape.options.fields import FieldMaker
 from hrl_escape.options.goals import ExitGoal, Goal, PressGoal, is_reached
 
@@ -28,10 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Attempt", "Job", "SearchResult"]
 
-SLACK = 1
-"""Primitives by which a field's price is lowered, for what its grid may overestimate; with the arm it never does."""
 _SLICE = 20_000  # nodes between two looks at the clock
-_NODES = 1 << 13
+_NODES = 1 << 11
 _ROUNDING = 1e-9  # candidates this far outside are looked at; the replay decides
 
 
@@ -113,6 +111,17 @@ class Attempt:
         self._frontier = search.make_frontier(_NODES)
         self._ready: dict[int, tuple[int, ...]] = {}
 
+    def restart(self, slack: int, most: int) -> None:
+        """Begin anew, to look for a shorter plan.
+
+        Args:
+            slack: primitives by which the field's prices are lowered, for what its grid may overestimate.
+            most: plans of this many primitives or more are of no use.
+        """
+        self._query = self._query._replace(slack=slack)
+        self._frontier = search.make_frontier(_NODES, most)
+        self._ready.clear()
+
     @property
     def expansions(self) -> int:
         """Nodes expanded so far."""
@@ -158,6 +167,7 @@ class Attempt:
         by_hand = instance.dynamics.press_with == "hand"
         hand = rules.get_hand_in_base(state.joint_steps, state.joint_offsets) if by_hand else (0.0, 0.0, 0.0)
         turns = np.array([rules.get_rotation(n, state.heading_offset) for n in range(rules.headings)])
+        reaches = np.array([instance.compute_press_reach(target, hand[2]) for target in instance.targets], dtype=float)
         presser = np.stack([turns @ (hand[0], -hand[1]), turns @ (hand[1], hand[0])], axis=1)
         shun_exit = self._avoiding and not isinstance(goal, ExitGoal) and instance.puzzle.is_solved(state.puzzle)
         area = instance.exit
@@ -171,12 +181,12 @@ class Attempt:
         return search.Query(
             x=state.x, y=state.y, heading=state.heading_steps, touched=np.uint64(state.touching),
             moves=self._compute_moves(turns), length=instance.robot.move_step, presser=presser,
-            targets=maker.targets, reaches=compute_reaches(instance, state.z + hand[2]),
+            targets=maker.targets, reaches=reaches,
             forbidden=np.uint64(others if self._avoiding else 0), keep_out=stack_footprints(job.keep_out),
             closed=np.array(closed), target=target, goal=stack_footprints([job.area.footprint])[0],
             goal_reach=job.area.reach + _ROUNDING, goal_headings=facing, field=field,
             layers=layers, shift=round(state.heading_offset / rules.turn_step) % layers, low=maker.low,
-            size=maker.size, rows=maker.shape[1], slack=SLACK if job.table is None else 0, table=table,
+            size=maker.size, rows=maker.shape[1], slack=0, table=table,
             table_low=table_low, table_size=table_size, bin_size=maker.bin_size, bin_headings=bin_headings,
         )
 

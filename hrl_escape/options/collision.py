@@ -68,6 +68,7 @@ class CollisionMap:
         self.radius = instance.robot.body_radius + CONTACT_SKIN
         self.footprints: tuple[Footprint, ...] = tuple(solid.footprint for solid in solids)
         self.solids = stack_footprints(self.footprints)
+        self._around = np.where(self.solids[:, 0] > 0.5, self.solids[:, 5], np.hypot(*self.solids[:, 5:].T))
         width, depth = 2 * instance.reach_x, 2 * instance.reach_y
         finest = max(FINEST, min(0.125, instance.robot.body_radius / 6))
         self.resolution = max(finest, math.sqrt(width * depth / MOST_CELLS))
@@ -77,13 +78,12 @@ class CollisionMap:
         self._low_x, self._low_y, self._per_metre = -instance.reach_x, -instance.reach_y, 1.0 / self.resolution
         shape = tuple(max(1, math.ceil(side / self.resolution)) for side in (width, depth))
         self.distance = np.full(shape, self.horizon, dtype=np.float32)
-        for footprint in self.footprints:
-            self._lower(footprint)
+        for footprint, around in zip(self.footprints, self._around.tolist(), strict=True):
+            self._lower(footprint, around)
         self._distances = array.array("f", self.distance.tobytes())  # scalar look-ups are ten times numpy's
         self._near: dict[int, tuple[Footprint, ...]] = {}
 
-    def _lower(self, footprint: Footprint) -> None:
-        around = footprint.half_x if footprint.is_disc else math.hypot(footprint.half_x, footprint.half_y)
+    def _lower(self, footprint: Footprint, around: float) -> None:
         middle, extent = np.array([footprint.x, footprint.y]), around + self.horizon
         i0, j0 = np.maximum(np.floor((middle - extent - self.low) / self.resolution).astype(int), 0)
         i1, j1 = np.minimum(np.ceil((middle + extent - self.low) / self.resolution).astype(int), self.distance.shape)
@@ -140,11 +140,14 @@ class CollisionMap:
 
     def is_move_free(self, x: float, y: float, to_x: float, to_y: float) -> bool:
         """Say whether the body can go straight from one free place to another. Exact."""
+        if not (self.is_free(x, y) and self.is_free(to_x, to_y)):
+            return False
         dx, dy = to_x - x, to_y - y
+        reach = self._around + (math.hypot(dx, dy) / 2 + self.radius)
+        away = np.hypot(self.solids[:, 1] - (x + dx / 2), self.solids[:, 2] - (y + dy / 2))
         need = self.radius - TOUCH
-        return self.is_free(x, y) and self.is_free(to_x, to_y) and not any(
-            compute_first_contact(x, y, dx, dy, need, f) < 1.0 for f in self.footprints
-        )
+        return not any(compute_first_contact(x, y, dx, dy, need, self.footprints[k]) < 1.0
+                       for k in np.flatnonzero(away <= reach).tolist())
 
     # --- connectivity ------------------------------------------------------------------
 

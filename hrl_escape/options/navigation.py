@@ -45,9 +45,9 @@ DEFAULT_PLANNER = "RRTConnect"
 REFINING_CALLS = (5_000, 20_000, 80_000, 320_000)
 """Checker calls after which planners that go on improving are asked whether they have a path."""
 MOST_GOALS = 24
-MILESTONES = (50, 200, 800, 3200)
+MILESTONES = (200, 800, 3200)
 MOST_ROADMAPS = 16
-NEIGHBOURS = 12
+NEIGHBOURS = 8
 
 util.setLogLevel(util.LogLevel.LOG_NONE)
 
@@ -274,7 +274,7 @@ class _OmplPlanner:
 class _Roadmap:
     """OMPL's probabilistic roadmap (Kavraki et al. 1996), grown once for a room and searched by every query.
 
-    A query looks at roadmaps of 50, 200, 800 and 3200 milestones in turn, each grown from nothing with the
+    A query looks at roadmaps of 200, 800 and 3200 milestones in turn, each grown from nothing with the
     seed, until one connects it; so what a query finds does not depend on the queries before it.
     """
 

@@ -269,11 +269,11 @@ def advance(scene, query, frontier, expansions):
     return EXHAUSTED
 
 
-def make_frontier(nodes: int) -> Frontier:
-    """An empty frontier with room for this many nodes (a power of two)."""
+def make_frontier(nodes: int, most: int = MOST_PRIMITIVES) -> Frontier:
+    """An empty frontier with room for this many nodes (a power of two), each estimated below `most`."""
     return Frontier(
         np.empty((nodes, 2)), np.empty((nodes, 5), dtype=np.int32), np.empty(nodes, dtype=np.uint64),
-        np.empty(nodes, dtype=np.int32), np.full(MOST_PRIMITIVES, -1, dtype=np.int32),
+        np.empty(nodes, dtype=np.int32), np.full(most, -1, dtype=np.int32),
         np.full(4 * nodes, -1, dtype=np.int64), np.empty(4 * nodes, dtype=np.int32), np.zeros(3, dtype=np.int64),
     )
 
@@ -281,6 +281,8 @@ def make_frontier(nodes: int) -> Frontier:
 def put_back(frontier: Frontier, node: int, spent: int) -> None:
     """Return a goal node to the frontier at a higher cost."""
     frontier.facts[node, 1] = spent
+    if spent >= len(frontier.heads):
+        return
     frontier.links[node] = frontier.heads[spent]
     frontier.heads[spent] = node
 
@@ -288,7 +290,7 @@ def put_back(frontier: Frontier, node: int, spent: int) -> None:
 def enlarge_frontier(old: Frontier) -> Frontier:
     """The same frontier with room for four times as many nodes."""
     used = len(old.links)
-    new = make_frontier(4 * used)
+    new = make_frontier(4 * used, len(old.heads))
     for name in ("places", "facts", "touching", "links"):
         getattr(new, name)[:used] = getattr(old, name)
     new.heads[:], new.counts[:] = old.heads, old.counts

@@ -1,7 +1,9 @@
 """How far the body gets: sweeps and clearances in compiled code, bit for bit those of `Kinematics`.
 
 The geometry is `env/geometry.py`'s own source, compiled by numba as it stands. Importing this
-module imports numba. Kernels that loop over sweeps are in `spreading.py` and `search.py`.
+module imports numba. Kernels that loop over sweeps are in `spreading.py` and `search.py`; numba
+keeps them on disk and does not see that this file or `geometry.py` has changed, so `make clean`
+after editing either.
 """
 
 from __future__ import annotations

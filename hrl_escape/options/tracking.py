@@ -37,6 +37,8 @@ __all__ = ["METHODS", "PrimitiveSearch", "SearchResult"]
 
 METHODS = ("fields", "corridor")
 EXPANSIONS = 300_000
+IMPROVEMENTS = ((1, 2000),)
+"""Searches for a shorter plan after the first: primitives by which prices are lowered, and nodes."""
 CORRIDORS = (1.2, 2.4, 4.8)
 MOST_REFINED_STATES = 6_000_000
 NAVIGATION_SECONDS = 1.0
@@ -175,6 +177,11 @@ class PrimitiveSearch:
             ended = attempt.advance(budget - spent)
             spent += attempt.expansions
             if isinstance(ended, SearchResult):
+                for slack, expansions in IMPROVEMENTS if job.table is None else ():
+                    attempt.restart(slack, most=len(ended.primitives))
+                    better = attempt.advance(min(expansions, budget - spent))
+                    ended = better if isinstance(better, SearchResult) else ended
+                    spent += attempt.expansions
                 return dataclasses.replace(ended, expansions=spent)
             nearest = attempt.find_nearest()
             if ended is not PlanningReason.UNREACHABLE_AT_RESOLUTION:
