@@ -11,7 +11,7 @@ import numpy as np
 import pybullet
 import pytest
 
-from hrl_escape.env import bullet_cameras, looks
+from hrl_escape.env import bullet_cameras, bullet_stage, looks
 from hrl_escape.env.antialias import soften_edges
 from hrl_escape.env.bullet_cameras import CAMERAS, film, render_camera
 from hrl_escape.env.bullet_room import BulletRoom
@@ -119,6 +119,8 @@ def test_buttons_light_up_and_the_exit_turns_green():
     off = [count_like(picture, looks.OFF.fill) for picture in pictures]
     assert lit[0] == 0 and lit[1] > 100 and lit[2] > 1.7 * lit[1]
     assert off[0] > 1.7 * off[1] > 0 and off[2] == 0
+    glow = [count_like(picture, bullet_stage._MAT_LIT, 12) for picture in pictures]  # on the floor before them
+    assert glow[0] == 0 and glow[2] > 1.5 * glow[1] > 0
     green = [int((p[..., 1].astype(int) - np.maximum(p[..., 0], p[..., 2]) > 40).sum()) for p in pictures]
     assert green[0] == green[1] == 0 and green[2] > 300
     room.set_state(room.state._replace(puzzle=0))  # and out again
