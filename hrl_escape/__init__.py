@@ -49,11 +49,12 @@ _HOMES = {
     "make_agent": "hrl_escape.agents.registry",
     "train": "hrl_escape.agents.training",
 }
-_ENTRY_POINT = "hrl_escape.env.escape_room:EscapeRoomEnv"
+_DOORS = {"": "hrl_escape.env.escape_room:EscapeRoomEnv", "Options": "hrl_escape.options.making:make_options_env"}
 
-gymnasium.register("hrl_escape/EscapeRoom-v0", _ENTRY_POINT)
-for _name in PRESETS:
-    gymnasium.register(f"hrl_escape/{make_env_name(_name)}-v0", _ENTRY_POINT, kwargs={"config": _name})
+for _suffix, _entry_point in _DOORS.items():
+    gymnasium.register(f"hrl_escape/EscapeRoom{_suffix}-v0", _entry_point)
+    for _name in PRESETS:
+        gymnasium.register(f"hrl_escape/{make_env_name(_name)}{_suffix}-v0", _entry_point, kwargs={"config": _name})
 
 
 def __getattr__(name: str) -> Any:
