@@ -1,7 +1,7 @@
 # The two commands are `make demo` and `make test`; each installs into .venv first, once.
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
-DEMO   ?= hrl-escape demo
+DEMO   ?= hrl-escape compare quickstart --out demo
 JOBS   ?= 2
 
 VENV  := .venv
@@ -19,7 +19,7 @@ $(STAMP): pyproject.toml constraints.txt
 	python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
 
-demo: $(STAMP) ## make a room, escape from it, leave a picture
+demo: $(STAMP) ## compare five agents in a room with two buttons, leave a report
 	$(DEMO)
 
 test: $(STAMP) ## every test but those marked slow or gpu

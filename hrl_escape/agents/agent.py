@@ -70,7 +70,8 @@ class Agent(Protocol):
     """A learner. Write these members and `train` can run it; no base class is needed.
 
     For `make_agent` by name, a class also has `Settings` (a frozen dataclass, best an `AgentSettings`),
-    may have `recipes` (name -> settings; without it, `corrected` is `Settings()`), is constructed as
+    may have `recipes` (name -> settings; without it, `corrected` is `Settings()`) and `needs_trace = True` (it learns
+    from `SMDPTransition.trace`, so environments of options are made to give one), is constructed as
     `Class(observation_space, action_space, seed, settings)`, and is published under the entry-point group
     `hrl_escape.agents`:
 

@@ -65,6 +65,8 @@ class IntraOptionQ:
         self._rng = make_rng(seed, "actions")
         self._steps = 0
 
+    needs_trace: ClassVar[bool] = True
+
     @property
     def gamma(self) -> float:
         """Discount per primitive."""

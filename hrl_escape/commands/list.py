@@ -1,4 +1,4 @@
-"""List names: presets, environments, puzzles, observations, cameras, primitives.
+"""List names: presets, environments, puzzles, observations, cameras, primitives, agents, comparisons.
 
 Examples:
     hrl-escape list
@@ -7,9 +7,12 @@ Examples:
 
 from __future__ import annotations
 
+import ast
 import dataclasses
 import json
 import sys
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
@@ -17,13 +20,16 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from hrl_escape.agents.registry import SMDP_PREFIX, list_agents
 from hrl_escape.env.bullet_cameras import CAMERAS
 from hrl_escape.env.observations import OBSERVATIONS
 from hrl_escape.env.presets import PRESETS, get_preset, make_env_name
 from hrl_escape.env.primitives import make_primitives
 from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles
+from hrl_escape.experiments.presets import GRIDS
 
-Kind = Literal["presets", "environments", "puzzles", "observations", "cameras", "primitives"]
+Kind = Literal["presets", "environments", "puzzles", "observations", "cameras", "primitives",
+               "agents", "comparisons"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,6 +51,8 @@ def run(args: ListArgs) -> None:
         "observations": lambda: OBSERVATIONS,
         "cameras": lambda: CAMERAS,
         "primitives": _describe_primitives,
+        "agents": lambda: {name: _describe_agent(name) for name in list_agents()},
+        "comparisons": lambda: {grid.name: grid.description for grid in GRIDS.values()},
     }
     lists = {kind: makers[kind]() for kind in args.kinds or makers}
     if args.json:
@@ -83,6 +91,15 @@ def _describe_puzzle(name: str) -> str:
     kind = get_puzzle_kind(name).puzzle_type
     document = sys.modules[kind.__module__].__doc__ or kind.__doc__ or ""
     return " ".join(document.split()).split(". ")[0].rstrip(".")
+
+
+def _describe_agent(name: str) -> str:
+    """The first sentence of the agent's own file, which is not imported for it."""
+    spec = find_spec(f"hrl_escape.agents.{name.replace('-', '_')}")
+    source = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin is not None else ""
+    document = ast.get_docstring(ast.parse(source))
+    about = " ".join((document or "From another package.").split()).split(". ")[0].rstrip(".")
+    return f"{about}; {SMDP_PREFIX}{name} chooses options"
 
 
 def _describe_primitives() -> dict[str, str]:

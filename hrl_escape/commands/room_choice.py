@@ -18,7 +18,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.files import read_json, read_toml
 
-__all__ = ["RoomChoice"]
+__all__ = ["RoomChoice", "split_assignment"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -45,7 +45,7 @@ class RoomChoice:
             EscapeError: an unknown preset or field, an impossible value, or an unreadable file.
         """
         if self.config is None:
-            config = get_preset(self.preset, **dict(map(_split, self.arguments)))
+            config = get_preset(self.preset, **dict(map(split_assignment, self.arguments)))
         elif self.arguments:
             raise UnsupportedError("--arguments are a preset's; with --config use --set")
         else:
@@ -55,7 +55,7 @@ class RoomChoice:
             return config
         fields = config.to_dict()
         for text in self.set:
-            path, value = _split(text)
+            path, value = split_assignment(text)
             _change(fields, path, value)
         return RoomConfig.from_dict(fields)
 
@@ -78,7 +78,7 @@ def _require_table(value: Any) -> dict[str, Any]:
     return value
 
 
-def _split(text: str) -> tuple[str, Any]:
+def split_assignment(text: str) -> tuple[str, Any]:
     """Read `name=value`; values are JSON where they can be read so, else text."""
     name, equals, value = text.partition("=")
     if not equals or not name:

@@ -11,7 +11,6 @@ import hashlib
 import itertools
 import json
 import re
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -26,12 +25,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.settings import Settings, knob
 from hrl_escape.errors import EscapeError, GridError
-from hrl_escape.files import read_text
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib  # pyright: ignore[reportMissingImports]
+from hrl_escape.files import read_json, read_toml
 
 __all__ = ["AgentSpec", "Cell", "Grid", "OptionsView", "RoomSpec", "load_grid"]
 
@@ -279,17 +273,17 @@ def _refuse_twins(what: str, names: Sequence[str]) -> None:
 
 
 def load_grid(path: str | Path) -> Grid:
-    """Read a grid from a TOML file; files of rooms are looked for beside it.
+    """Read a grid from a TOML or JSON file; files of rooms are looked for beside it.
 
     Raises:
-        FileReadError: the file is missing.
-        GridError: it is not TOML, or holds no possible grid; the message names file and field.
+        FileReadError: the file is missing, or neither.
+        GridError: it holds no possible grid; the message names file and field.
     """
     path = Path(path)
-    text = read_text(path, "grid")
+    content = read_toml(path, "grid") if path.suffix.lower() == ".toml" else read_json(path, "grid")
     try:
-        grid = Grid.from_dict({"name": path.stem} | tomllib.loads(text))
-    except (tomllib.TOMLDecodeError, EscapeError) as error:
+        grid = Grid.from_dict({"name": path.stem} | content if isinstance(content, dict) else content)
+    except EscapeError as error:
         raise GridError(f"{path}: {error}") from error
     rooms = [dataclasses.replace(room, file=str(path.parent / room.file)) if room.file else room for room in grid.rooms]
     return dataclasses.replace(grid, rooms=tuple(rooms))

@@ -25,7 +25,7 @@ GRIDS: dict[str, Grid] = {
             agents=_parse_agents("random", "dqn", "smdp-random", "smdp-q-learning", "smdp-dqn"),
             rooms=_parse_rooms("paper-two-button"),
             runs=5,
-            primitives=10_000,
+            primitives=20_000,
             eval_episodes=3,
         ),
         Grid(

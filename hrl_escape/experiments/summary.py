@@ -157,6 +157,7 @@ class Summary:
         grid: what was asked for.
         rooms: in the grid's order.
         agents: in the grid's order; those without any finished run are left out.
+        runs: cells with their results; scales raised to what was reached.
         improvement: (agents, agents) -> probability that a run of the first beats one of the second.
         versions: package -> version, `a, b` where runs differ.
     """
@@ -164,6 +165,7 @@ class Summary:
     grid: Grid
     rooms: tuple[RoomSummary, ...]
     agents: tuple[AgentSummary, ...]
+    runs: tuple[Run, ...]
     improvement: tuple[tuple[Estimate, ...], ...]
     versions: dict[str, str]
 
@@ -189,7 +191,7 @@ def summarise(comparison: Comparison) -> Summary:
         for number in sorted({cell.number for cell, _ in runs})
     ]
     improvement = tuple(tuple(_estimate_improvement(first, second) for second in agents) for first in agents)
-    return Summary(comparison.grid, tuple(rooms), tuple(agents), improvement, _join_versions(runs))
+    return Summary(comparison.grid, tuple(rooms), tuple(agents), tuple(runs), improvement, _join_versions(runs))
 
 
 def _raise_scales(runs: Sequence[Run], instance: RoomInstance) -> list[Run]:

@@ -87,8 +87,9 @@ def _describe_escapes(agent: AgentSummary) -> str:
     """`escapes every time, in 37 primitives`."""
     if agent.success.value == 0:
         return "never escapes"
-    often = "every time" if agent.success.value == 1 else f"in {agent.success.value:.0%} of episodes"
-    return f"escapes {often}, in {agent.length.value:.0f} primitives"
+    if agent.success.value < 1:
+        return f"escapes in {agent.success.value:.0%} of episodes"
+    return f"escapes every time, in {agent.length.value:.0f} primitives"
 
 
 # --- findings --------------------------------------------------------------------------
@@ -100,7 +101,7 @@ def _compare_views(summary: Summary) -> list[str]:
     hierarchical = [agent for agent in summary.agents if agent.spec.chooses_options]
     if not flat or not hierarchical:
         return []
-    best_flat, best = _find_leader(flat), _find_leader(hierarchical)
+    best_flat, best = _find_leader(_prefer_learners(flat)), _find_leader(_prefer_learners(hierarchical))
     names = _join([f"`{agent.label}`" for agent in flat])
     if best.success.value > 0 and all(agent.success.value == 0 for agent in flat):
         return [f"Without options nobody escapes: {names} never {'does' if len(flat) == 1 else 'do'} within "
@@ -113,6 +114,10 @@ def _compare_views(summary: Summary) -> list[str]:
                 f"{_describe_escapes(best_flat)}, the second {_describe_escapes(best)}."]
     return [f"Whether options help cannot be told from these runs: `{best.label}` scores {_describe_score(best)}, "
             f"`{best_flat.label}` {_describe_score(best_flat)}."]
+
+
+def _prefer_learners(agents: Sequence[AgentSummary]) -> list[AgentSummary]:
+    return [agent for agent in agents if agent.spec.algorithm != "random"] or list(agents)
 
 
 def _compare_with_chance(summary: Summary) -> list[str]:
@@ -168,9 +173,9 @@ def _describe_gap(summary: Summary) -> list[str]:
 
 
 def _describe_stuck(summary: Summary) -> list[str]:
-    some = [agent for agent in summary.agents if 0 < agent.stuck and agent.success.value > 0]
-    return [f"`{agent.label}` is stuck in {round(agent.stuck * agent.runs)} of {agent.runs} runs: no escape in the "
-            "last fifth of training." for agent in some]
+    some = [f"{round(agent.stuck * agent.runs)} of {agent.runs} runs of `{agent.label}`"
+            for agent in _prefer_learners(summary.agents) if 0 < agent.stuck and agent.success.value > 0]
+    return [f"Stuck, without any escape in the last fifth of training: {_join(some)}."] if some else []
 
 
 def _describe_better_ways(summary: Summary) -> list[str]:

@@ -1,0 +1,187 @@
+"""Compare agents fairly on the same rooms and write a report: verdict, curves, tables, replays.
+
+    hrl-escape compare                                     # quickstart: do options help, does learning add to them?
+    hrl-escape compare paper --workers 8
+    hrl-escape compare ladder --rooms clutter clutter#1 --runs 5
+    hrl-escape compare --agents dqn smdp-dqn smdp-dqn@paper smdp-random --rooms four-button-chain
+    hrl-escape compare my-grid.toml --out runs/mine
+
+Finished runs are kept: the same command goes on where it was stopped, however it was stopped. In a grid's file, agents
+and rooms are tables or the same short texts:
+
+    primitives = 20000
+    rooms = ["clutter#3", { preset = "larg-2019", arguments = { size = 4 } }, { file = "my-room.json" }]
+    agents = ["smdp-random", { name = "smdp-dqn", label = "far-sighted", settings = { gamma = 0.999 } },
+              { name = "smdp-dqn", label = "no primitives", options = { include_primitives = false } }]
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import shlex
+import webbrowser
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from hrl_escape.errors import UnknownNameError
+from hrl_escape.experiments.comparison import Comparison, run_grid
+from hrl_escape.experiments.grid import AgentSpec, Grid, RoomSpec, load_grid
+from hrl_escape.experiments.launcher import Launcher, LocalLauncher
+from hrl_escape.experiments.presets import GRIDS, get_grid
+from hrl_escape.experiments.ray_launcher import RayLauncher
+from hrl_escape.experiments.report import write_report
+from hrl_escape.experiments.summary import Summary
+from hrl_escape.experiments.verdict import write_verdict
+
+DEFAULT = "quickstart"
+
+
+@dataclasses.dataclass(frozen=True)
+class CompareArgs:
+    """Options of `hrl-escape compare`."""
+
+    what: Annotated[str, tyro.conf.Positional] = DEFAULT
+    """quickstart, paper or ladder; or a .toml or .json file with a grid of your own."""
+    agents: tuple[str, ...] = ()
+    """Other agents: names, smdp- in front for those that choose options, @paper behind for another recipe."""
+    rooms: tuple[str, ...] = ()
+    """Other rooms: presets, #3 behind for instance 3, or .json files of instances."""
+    runs: int | None = None
+    """Runs of each agent in each room; training seeds count from 0. Ten or more in a published table."""
+    primitives: int | None = None
+    """Training budget of a run."""
+    eval_every: int | None = None
+    """Primitives between evaluations; a twentieth of the budget by default."""
+    eval_episodes: int | None = None
+    """Episodes in an evaluation."""
+    observation: str | None = None
+    """What agents see: features, state or egocentric."""
+    out: Path | None = None
+    """Folder of runs and report; runs/NAME by default."""
+    workers: int | None = None
+    """Runs at a time; one a core by default."""
+    ray: bool = False
+    """Run on a Ray cluster that shares the folder (extra `ray`), or on a Ray started here."""
+    open: bool = False
+    """Open the report in a browser at the end."""
+    json: bool = False
+    """Print the results as JSON instead of words and a table."""
+
+    def make_grid(self) -> Grid:
+        """The grid that is asked for.
+
+        Raises:
+            EscapeError: no such comparison, an unreadable file, an impossible value.
+        """
+        if Path(self.what).suffix.lower() in (".toml", ".json"):
+            grid = load_grid(self.what)
+        elif self.what in GRIDS:
+            grid = get_grid(self.what)
+        else:
+            raise UnknownNameError("comparison", self.what, [*GRIDS, "your-grid.toml"])
+        changes: dict[str, object] = {
+            name: value for name in ("runs", "primitives", "eval_every", "eval_episodes", "observation")
+            if (value := getattr(self, name)) is not None
+        }
+        if self.agents:
+            changes["agents"] = tuple(map(AgentSpec.parse, self.agents))
+        if self.rooms:
+            changes["rooms"] = tuple(map(RoomSpec.parse, self.rooms))
+        if self.what == DEFAULT and (self.agents or self.rooms):
+            changes |= {"name": "comparison", "description": ""}
+        return dataclasses.replace(grid, **changes)
+
+    def format_command(self) -> str:
+        """The command line that makes this comparison again."""
+        words = ["hrl-escape", "compare", self.what]
+        for field in dataclasses.fields(self)[1:]:
+            value = getattr(self, field.name)
+            if value == field.default or field.name in ("open", "json"):
+                continue
+            values = value if isinstance(value, tuple) else () if value is True else (value,)
+            words += [f"--{field.name.replace('_', '-')}", *map(str, values)]
+        return shlex.join(words)
+
+
+def run(args: CompareArgs) -> int:
+    """Run, report, and say what came out; the exit code is 1 if runs failed."""
+    grid = args.make_grid()
+    console = Console(soft_wrap=True, highlight=False)
+    try:
+        comparison = run_grid(grid, args.out or Path("runs") / grid.name, _make_launcher(args))
+    except KeyboardInterrupt:
+        Console(stderr=True).print("Finished runs are kept; the same command goes on from here.")
+        raise
+    summary = write_report(comparison, args.format_command())
+    page = comparison.out / "report.html"
+    if args.json:
+        print(json.dumps(_to_json(summary, comparison), indent=2))
+    else:
+        _print(console, summary, comparison)
+    if args.open:
+        webbrowser.open(page.as_uri())
+    return 1 if comparison.failures else 0
+
+
+def _make_launcher(args: CompareArgs) -> Launcher:
+    return RayLauncher(args.workers) if args.ray else LocalLauncher(args.workers)
+
+
+# --- what is printed -------------------------------------------------------------------
+
+
+def _print(console: Console, summary: Summary, comparison: Comparison) -> None:
+    headline, *others = write_verdict(summary)
+    console.print()
+    console.print(_mark(headline.text), style="bold")
+    for sentence in others:
+        mark = "!" if sentence.kind == "caution" else "-"
+        console.print(Text(f"{mark} ", style="dim").append_text(_mark(sentence.text)))
+    table = Table(box=None, pad_edge=False, header_style="dim", padding=(0, 1))
+    table.add_column("agent", no_wrap=True)
+    for heading in ("score", "95 % interval", "escapes", "primitives", "area", "stuck"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for agent in summary.agents:
+        table.add_row(agent.label, f"{agent.score.value:.3f}", f"{agent.score.low:.3f} to {agent.score.high:.3f}",
+                      f"{agent.success.value:.0%}", f"{agent.length.value:,.0f}", f"{agent.area.value:.3f}",
+                      f"{round(agent.stuck * agent.runs)} of {agent.runs}")
+    console.print("", table, "")
+    for failure in comparison.failures:
+        console.print(Text(f"failed: {failure.cell.name}: {failure.message}", style="red"))
+    console.print(f"Report: {comparison.out / 'report.html'}")
+
+
+def _mark(text: str) -> Text:
+    """Agents' labels, which stand between backticks, in bold."""
+    marked = Text()
+    for number, part in enumerate(text.split("`")):
+        marked.append(part, style="bold cyan" if number % 2 else "")
+    return marked
+
+
+def _to_json(summary: Summary, comparison: Comparison) -> dict[str, Any]:
+    return {
+        "verdict": [dataclasses.asdict(sentence) for sentence in write_verdict(summary)],
+        "agents": [
+            {
+                "label": agent.label,
+                "runs": agent.runs,
+                "score": dataclasses.asdict(agent.score),
+                "success": dataclasses.asdict(agent.success),
+                "length": dataclasses.asdict(agent.length),
+                "area": dataclasses.asdict(agent.area),
+                "stuck": agent.stuck,
+                "gap": agent.gap._asdict(),
+            }
+            for agent in summary.agents
+        ],
+        "rooms": [{"name": room.name, "id": room.instance.id, "best": room.best} for room in summary.rooms],
+        "failures": [{"run": failure.cell.name, "message": failure.message} for failure in comparison.failures],
+        "report": str(comparison.out / "report.html"),
+    }
