@@ -17,7 +17,7 @@ from hrl_escape.env.puzzles.base import Puzzle
 
 __all__ = ["compute_depths", "compute_layout", "draw_graph", "shorten"]
 
-_LAYERS_A_COLUMN = 12
+_ROWS_A_COLUMN, _NODES_A_ROW = 12, 8
 _LARGEST_CELL = 38.0  # points
 _SWEEPS = 8
 
@@ -40,21 +40,23 @@ def compute_layout(count: int, edges: Sequence[tuple[int, int]]) -> list[tuple[f
     """Place each node: roots on top, children below, few crossings; y grows downwards.
 
     Returns:
-        (x, y) per node, in units of one node's distance to the next; deeper than 12 layers
-        go on in the next column, upwards and downwards in turn.
+        (x, y) per node, in units of one node's distance to the next. Layers of more than 8
+        take several rows; after 12 rows it goes on in the next column, upwards and downwards
+        in turn.
     """
     depths = compute_depths(count, edges)
     layers = [[n for n in range(count) if depths[n] == depth] for depth in range(max(depths, default=0) + 1)]
     _reduce_crossings(layers, edges)
-    columns = [layers[i : i + _LAYERS_A_COLUMN] for i in range(0, len(layers), _LAYERS_A_COLUMN)]
+    rows = [layer[i : i + _NODES_A_ROW] for layer in layers for i in range(0, len(layer), _NODES_A_ROW)]
+    columns = [rows[i : i + _ROWS_A_COLUMN] for i in range(0, len(rows), _ROWS_A_COLUMN)]
     places = [(0.0, 0.0)] * count
     left = 0.0
     for number, column in enumerate(columns):
-        width = max(len(layer) for layer in column)
-        for row, layer in enumerate(column):
-            y = _LAYERS_A_COLUMN - 1 - row if number % 2 else row
-            for i, node in enumerate(layer):
-                places[node] = (left + (width - len(layer)) / 2 + i, float(y))
+        width = max(map(len, column))
+        for place, row in enumerate(column):
+            y = _ROWS_A_COLUMN - 1 - place if number % 2 else place
+            for i, node in enumerate(row):
+                places[node] = (left + (width - len(row)) / 2 + i, float(y))
         left += width
     return places
 
