@@ -77,13 +77,15 @@ class RouteFinder:
                  time_limit: float = 10.0) -> None:
         self.instance = instance
         self.method, self.budget, self.time_limit = method, budget, time_limit
-        exact = dataclasses.replace(instance.dynamics, kind="kinematic", noise=0.0, slip=0.0)
-        quiet = dataclasses.replace(instance, dynamics=exact)
-        self.rules = Kinematics(quiet)
+        # pressing under physics takes force: being within the margin is not enough
+        margin = 0.0 if instance.dynamics.kind == "physics" else instance.dynamics.press_margin
+        quiet = dataclasses.replace(instance.dynamics, noise=0.0, slip=0.0, press_margin=margin)
+        self._quiet = dataclasses.replace(instance, dynamics=quiet)
+        self.rules = Kinematics(self._quiet)
         self._open()
 
     def _open(self) -> None:
-        self._search = PrimitiveSearch(self.rules.instance, self.rules)
+        self._search = PrimitiveSearch(self._quiet, self.rules)
         self._routes: OrderedDict[tuple[Goal, bool, Pose], Route | PlanningFailed] = OrderedDict()
         self._lock = threading.RLock()
 

@@ -11,6 +11,7 @@ import math
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.noise import philox
 from hrl_escape.errors import PlanningReason, UnknownNameError
 from hrl_escape.options.goals import ExitGoal, Goal, PressGoal, PushGoal, is_reached, make_goal
 from hrl_escape.options.option import Decision, Option
@@ -21,6 +22,9 @@ __all__ = ["FLAVOURS", "AncestorsOption", "PlannedOption", "list_goals", "make_m
 
 FLAVOURS = ("press", "press-with-ancestors")
 PATIENCE = 40
+"""Primitives without coming nearer after which it gives up; more where primitives slip."""
+JAM, SHAKE = 8, 3
+"""Under physics: primitives without coming nearer that count as a jam; how many others then shake it loose at first."""
 
 
 class PlannedOption(Option):
@@ -42,6 +46,8 @@ class PlannedOption(Option):
         self._planner = planner
         slip = planner.instance.dynamics.slip
         self._patience = math.ceil(PATIENCE / (1.0 - slip))
+        is_rigid = planner.instance.dynamics.kind == "physics"
+        self._jam = math.ceil(JAM / (1.0 - slip)) if is_rigid else self._patience + 2  # elsewhere nothing jams
 
     def initiation(self, state: RoomState) -> bool:
         """Where it is not there already and planning from here is not known to fail."""
@@ -52,7 +58,7 @@ class PlannedOption(Option):
         super().start(state)
         self._last = state
         self._plan(state)
-        self._left, self._waited = math.inf, 0
+        self._left, self._waited, self._shake = math.inf, 0, 0
 
     def policy(self, state: RoomState) -> int:
         """The plan's next primitive; what comes next is decided by where the last one really led."""
@@ -67,12 +73,25 @@ class PlannedOption(Option):
             left = len(self._route.primitives)
         self._waited = 0 if left < self._left else self._waited + 1
         self._left = min(left, self._left)
+        if self._waited % self._jam == self._jam - 1:
+            self._shake = SHAKE * (self._waited // self._jam + 1)
         if self._waited > self._patience:
             raise self._planner.make_failure(
                 PlanningReason.BUDGET_EXHAUSTED, state, self.goal,
                 nearest=f"{self._left:g} primitives short, no nearer for {self._patience} primitives",
             )
         self._last = state
+        return self._route.primitives[self._at] if self._shake == 0 else self._draw_shake(state)
+
+    def _draw_shake(self, state: RoomState) -> int:
+        """Something else than the plan, to come free of what rigid bodies have jammed; it presses nothing."""
+        self._shake -= 1
+        rules = self._planner.rules
+        for attempt in range(2 * len(rules.primitives)):
+            word, *_ = philox((state.primitives, attempt, 0, 0), (len(self.name), 0))
+            primitive = word % len(rules.primitives)
+            if not rules.step(state, primitive).pressed:
+                return primitive
         return self._route.primitives[self._at]
 
     def termination(self, state: RoomState) -> float:
