@@ -111,14 +111,15 @@ class Attempt:
         self._frontier = search.make_frontier(_NODES)
         self._ready: dict[int, tuple[int, ...]] = {}
 
-    def restart(self, slack: int, most: int) -> None:
-        """Begin anew, to look for a shorter plan.
+    def restart(self, *, slack: int = 0, weight: float = 1.0, most: int = search.MOST_PRIMITIVES) -> None:
+        """Begin anew, to look for a shorter plan or for any plan with fewer nodes.
 
         Args:
             slack: primitives by which the field's prices are lowered, for what its grid may overestimate.
+            weight: what prices are multiplied with: plans may be longer by as much, and are found sooner.
             most: plans of this many primitives or more are of no use.
         """
-        self._query = self._query._replace(slack=slack)
+        self._query = self._query._replace(slack=slack, weight=weight)
         self._frontier = search.make_frontier(_NODES, most)
         self._ready.clear()
 
@@ -186,7 +187,7 @@ class Attempt:
             closed=np.array(closed), target=target, goal=stack_footprints([job.area.footprint])[0],
             goal_reach=job.area.reach + _ROUNDING, goal_headings=facing, field=field,
             layers=layers, shift=round(state.heading_offset / rules.turn_step) % layers, low=maker.low,
-            size=maker.size, rows=maker.shape[1], slack=0, table=table,
+            size=maker.size, rows=maker.shape[1], slack=0, weight=1.0, table=table,
             table_low=table_low, table_size=table_size, bin_size=maker.bin_size, bin_headings=bin_headings,
         )
 

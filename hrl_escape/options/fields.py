@@ -134,9 +134,9 @@ class FieldMaker:
             in which the body does not fit take the least price beside them.
         """
         allowed = self.everywhere if allowed is None else allowed
-        field = spreading.spread_costs(
-            *self._links, self.classes, headings, allowed, states.astype(np.int64), costs.astype(np.int32)
-        )
+        order = np.argsort(costs, kind="stable")
+        seeds, seed_costs = states[order].astype(np.int64), costs[order].astype(np.int64)
+        field = spreading.spread_costs(*self._links, self.classes, headings, allowed, seeds, seed_costs)
         return spreading.fill_gaps(field, self.standing & allowed, headings, self.shape[1])
 
     def get(self, key: object, make: Callable[[], NDArray[np.int16]]) -> NDArray[np.int16]:

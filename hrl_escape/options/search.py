@@ -50,7 +50,8 @@ class Query(NamedTuple):
         low: corner of the field's grid, shape (2,), m.
         size: side of its cells, m.
         rows: its cells along y.
-        slack: primitives that the field may overestimate.
+        slack: primitives that the field's prices are lowered by.
+        weight: what they are multiplied with.
         table: joint steps that at least finish the job from a pose, or -1, shape (columns, rows, headings), int16.
         table_low: corner of that table in the room frame, shape (2,), m.
         table_size: side of its cells, m.
@@ -81,6 +82,7 @@ class Query(NamedTuple):
     size: float
     rows: int
     slack: int
+    weight: float
     table: NDArray[np.int16]
     table_low: NDArray[np.float64]
     table_size: float
@@ -134,7 +136,7 @@ def _estimate(query, x, y, heading):
     cost = -1
     if 0 <= i < columns and 0 <= j < query.rows:
         cost = query.field[(i * query.rows + j) * query.layers + (heading + query.shift) % query.layers]
-    return max(cost - query.slack, 0) if cost >= 0 else -1
+    return int(query.weight * max(cost - query.slack, 0)) if cost >= 0 else -1
 
 
 @njit

@@ -7,7 +7,6 @@ compiled when first called and kept on disk.
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 from numba import njit
@@ -15,6 +14,8 @@ from numba import njit
 from hrl_escape.options.sweeps import get_shape, measure_clearance, measure_distance, sweep
 
 __all__ = ["fill_gaps", "find_last_moves", "link_cells", "place_points", "spread_costs"]
+
+FAR = 32_000
 
 
 @njit
@@ -82,7 +83,7 @@ def link_cells(scene, points, standing, cells_a_row, low, size, moves, steps):
     columns = cells // cells_a_row
     landing = np.full(cells * classes * 4, -1, dtype=np.int32)
     price = np.zeros(cells * classes * 4, dtype=np.int16)
-    starts = np.zeros(cells * classes + 1, dtype=np.int64)
+    starts = np.zeros(cells * classes + 1, dtype=np.int32)
     length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
     for cell in range(cells):
         if not standing[cell]:
@@ -148,71 +149,76 @@ def spread_costs(starts, sources, costs, classes, headings, allowed, seeds, seed
         classes: heading classes of the links.
         headings: headings told apart here, a multiple of `classes` or equal to it.
         allowed: cells that may be used, shape (cells,), bool.
-        seeds: states cell * headings + heading, shape (seeds,).
+        seeds: states cell * headings + heading, in the order of their costs, shape (seeds,).
         seed_costs: what remains to be paid there, shape (seeds,).
 
     Returns:
         Shape (cells * headings,), int16; -1 where no seed can be reached.
     """
     cells = (starts.shape[0] - 1) // classes
-    best = np.full(cells * headings, 32000, dtype=np.int16)
+    best = np.full(cells * headings, FAR, dtype=np.int16)
     wide = 2
     for k in range(costs.shape[0]):
         wide = max(wide, costs[k] + 1)
-    for k in range(seed_costs.shape[0]):
-        wide = max(wide, seed_costs[k] + 1)
-    heads = np.full(wide, -1, dtype=np.int32)
-    room = max(1024, 2 * best.shape[0])
-    states = np.empty(room, dtype=np.int32)
-    links = np.empty(room, dtype=np.int32)
-    used, waiting = 0, 0
-    for k in range(seeds.shape[0]):
-        if allowed[seeds[k] // headings] and seed_costs[k] < best[seeds[k]]:
-            best[seeds[k]] = seed_costs[k]
-            if used == room:
-                room *= 2
-                states, links = _enlarge(states, room), _enlarge(links, room)
-            states[used], links[used] = seeds[k], heads[seed_costs[k]]
-            heads[seed_costs[k]] = used
-            used += 1
-            waiting += 1
-    level = 0
-    while waiting > 0 and level < 31000:
+    buckets = np.empty((wide, 4096), dtype=np.int32)  # states of the next `wide` levels
+    filled = np.zeros(wide, dtype=np.int64)
+    level, used = 0, 0
+    while level < FAR - wide:
         slot = level % wide
-        while heads[slot] >= 0:
-            entry = heads[slot]
-            heads[slot] = links[entry]
-            waiting -= 1
-            state = states[entry]
+        while used < seeds.shape[0] and seed_costs[used] <= level:
+            if allowed[seeds[used] // headings] and level < best[seeds[used]]:
+                best[seeds[used]] = level
+                buckets = _append(buckets, filled, slot, seeds[used])
+            used += 1
+        if filled[slot] == 0:
+            if filled.sum() > 0:
+                level += 1
+            elif used < seeds.shape[0]:
+                level = seed_costs[used]
+            else:
+                break
+            continue
+        at = 0
+        while at < filled[slot]:
+            state = buckets[slot, at]
+            at += 1
             if best[state] != level:
                 continue
             cell = state // headings
             heading = state - cell * headings
-            known = cell * classes + (heading if headings == classes else heading % classes)
-            first, last = starts[known], starts[known + 1]
-            for k in range(first - 2, last):
-                if k == first - 2:
-                    before, cost = (state + 1 if heading + 1 < headings else state + 1 - headings), level + 1
-                elif k == first - 1:
-                    before, cost = (state - 1 if heading > 0 else state - 1 + headings), level + 1
+            cost = level + 1
+            for turn in range(2):
+                if turn == 0:
+                    before = state + 1 if heading + 1 < headings else state + 1 - headings
                 else:
-                    if not allowed[sources[k]]:
-                        continue
-                    before, cost = sources[k] * headings + heading, level + costs[k]
+                    before = state - 1 if heading > 0 else state - 1 + headings
                 if cost < best[before]:
                     best[before] = cost
-                    if used == room:
-                        room *= 2
-                        states, links = _enlarge(states, room), _enlarge(links, room)
-                    states[used], links[used] = before, heads[cost % wide]
-                    heads[cost % wide] = used
-                    used += 1
-                    waiting += 1
+                    buckets = _append(buckets, filled, cost % wide, before)
+            known = cell * classes + (heading if headings == classes else heading % classes)
+            for k in range(starts[known], starts[known + 1]):
+                before, cost = sources[k] * headings + heading, level + costs[k]
+                if cost < best[before] and allowed[sources[k]]:
+                    best[before] = cost
+                    buckets = _append(buckets, filled, cost % wide, before)
+        filled[slot] = 0
         level += 1
     for state in range(best.shape[0]):
-        if best[state] >= 31000:
+        if best[state] == FAR:
             best[state] = -1
     return best
+
+
+@njit
+def _append(buckets, filled, slot, state):
+    """Put a state into a bucket; returns the buckets, wider ones if it was full."""
+    if filled[slot] == buckets.shape[1]:
+        wider = np.empty((buckets.shape[0], 2 * buckets.shape[1]), dtype=np.int32)
+        wider[:, : buckets.shape[1]] = buckets
+        buckets = wider
+    buckets[slot, filled[slot]] = state
+    filled[slot] += 1
+    return buckets
 
 
 @njit(cache=True)
@@ -234,10 +240,3 @@ def fill_gaps(field, known, headings, rows):
                             least = cost
                 field[cell * headings + heading] = least
     return field
-
-
-@njit
-def _enlarge(array: Any, size: int) -> Any:
-    larger = np.empty(size, dtype=array.dtype)
-    larger[: array.shape[0]] = array
-    return larger

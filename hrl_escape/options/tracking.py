@@ -37,8 +37,10 @@ __all__ = ["METHODS", "PrimitiveSearch", "SearchResult"]
 
 METHODS = ("fields", "corridor")
 EXPANSIONS = 300_000
-IMPROVEMENTS = ((1, 2000),)
-"""Searches for a shorter plan after the first: primitives by which prices are lowered, and nodes."""
+WEIGHTS = ((1.0, 3_000), (1.05, 6_000), (1.1, 20_000), (1.5, EXPANSIONS))
+"""What a field's prices are multiplied with, and the nodes after which the next weight is tried."""
+IMPROVEMENT = 2_000
+"""Nodes for a second look, with prices lowered by a primitive, after a plan found at the first weight."""
 CORRIDORS = (1.2, 2.4, 4.8)
 MOST_REFINED_STATES = 6_000_000
 NAVIGATION_SECONDS = 1.0
@@ -174,20 +176,31 @@ class PrimitiveSearch:
                 continue
             attempt = Attempt(job, self.kinematics, maker, field, avoiding=avoiding,
                               reacher=None if job.table is None else self.reacher)
-            ended = attempt.advance(budget - spent)
-            spent += attempt.expansions
+            ended, nodes = self._run(attempt, budget - spent)
+            spent += nodes
             if isinstance(ended, SearchResult):
-                for slack, expansions in IMPROVEMENTS if job.table is None else ():
-                    attempt.restart(slack, most=len(ended.primitives))
-                    better = attempt.advance(min(expansions, budget - spent))
-                    ended = better if isinstance(better, SearchResult) else ended
-                    spent += attempt.expansions
                 return dataclasses.replace(ended, expansions=spent)
             nearest = attempt.find_nearest()
             if ended is not PlanningReason.UNREACHABLE_AT_RESOLUTION:
                 reason = ended
                 break
         return SearchResult(reason, (), (job.state,), expansions=spent, nearest=nearest)
+
+    def _run(self, attempt: Attempt, budget: int) -> tuple[SearchResult | PlanningReason, int]:
+        """Search with rising weights until something is found, and look once more for less."""
+        spent, ended = 0, PlanningReason.BUDGET_EXHAUSTED
+        for weight, nodes in WEIGHTS:
+            attempt.restart(weight=weight)
+            ended = attempt.advance(min(nodes, budget - spent))
+            spent += attempt.expansions
+            if ended is not PlanningReason.BUDGET_EXHAUSTED:
+                break
+        if isinstance(ended, SearchResult) and spent < WEIGHTS[0][1] and attempt.job.table is None:
+            attempt.restart(slack=1, most=len(ended.primitives))
+            better = attempt.advance(min(IMPROVEMENT, budget - spent))
+            spent += attempt.expansions
+            ended = better if isinstance(better, SearchResult) else ended
+        return ended, spent
 
     def _iterate_attempts(self, job: Job, method: str, avoid: bool) -> Iterator[tuple[FieldMaker, Field, bool]]:
         door_shut = not self.instance.puzzle.is_solved(job.state.puzzle)
