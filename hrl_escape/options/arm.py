@@ -111,7 +111,8 @@ class Arm:
                 for joint, angle in zip(self._used, angles, strict=True):
                     _set_joint(self.model, q, joint, angle)
                 jacobian = pinocchio.computeFrameJacobian(
-                    self.model, self._data, q, self._frame, pinocchio.LOCAL_WORLD_ALIGNED)[:3, columns]
+                    self.model, self._data, q, self._frame, pinocchio.LOCAL_WORLD_ALIGNED)
+                jacobian = jacobian.reshape(6, self.model.nv)[:3, columns]  # of one joint it comes as a vector
                 pinocchio.updateFramePlacement(self.model, self._data, self._frame)
                 error = point - self._data.oMf[self._frame].translation
                 if np.linalg.norm(error) <= tolerance:

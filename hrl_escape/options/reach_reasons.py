@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 __all__ = ["find_reason"]
 
-_TRIES = 300  # places at which the lattice is searched before all of it is mapped
+_TRIES = 2_000  # places at which the lattice is searched before all of it is mapped
 _FINE_HAND, _FINE_BASE = 0.005, 0.0125  # sides of the cells of a proof, m
 _SPLIT = 4  # places along each side of one of its base cells: 3 mm apart
 _PLACES = 4  # places round the target from which inverse kinematics is asked
@@ -131,7 +131,8 @@ def _search_places(reacher: Reacher, room: CollisionMap, target: int, hands: NDA
 
 def _find_places(reacher: Reacher, room: CollisionMap, target: int) -> tuple[list[tuple[float, float]], float]:
     """Places from near to far that an arm of this length could reach from, and the least distance of one, m."""
-    points = room.get_centres(np.argwhere(room.distance >= room.radius))
+    starts = np.array([(start.x, start.y) for start in reacher.instance.starts])
+    points = np.concatenate([room.get_centres(np.argwhere(room.distance >= room.radius)), starts])
     away = compute_distance_many(points, stack_footprints([reacher.instance.targets[target].footprint]))
     order = np.argsort(away, kind="stable")
     stands = [n for n in order[away[order] <= reacher.reach + reacher.limit].tolist()

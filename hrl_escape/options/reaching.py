@@ -166,8 +166,10 @@ class Reacher:
                    budget: int) -> tuple[NDArray[np.int16], int]:
         lattice, _, _, complete_to = self._get_lattice(joint_steps, joint_offsets)
         reach = float(np.hypot(lattice.first[:, 3], lattice.first[:, 7]).max()) + lattice.longest
-        low, high = z - half_z - self.limit, z + half_z + self.limit
-        hands, gone_to = map_hands(lattice, low, high, HAND_CELL, math.ceil(reach / HAND_CELL) + 1, budget)
+        low, high, half_cells = z - half_z - self.limit, z + half_z + self.limit, math.ceil(reach / HAND_CELL) + 1
+        hands, gone_to = map_hands(lattice, low, high, HAND_CELL, half_cells, budget)
+        if gone_to != NEVER and (hands == NEVER).all():
+            hands, gone_to = map_hands(lattice, low, high, HAND_CELL, half_cells, ALL)
         return hands, min(gone_to, complete_to)
 
     def _compute_costs(self, z: float, sizes: tuple[float, float, float], yaw: float, joint_steps: tuple[int, ...],
@@ -188,7 +190,8 @@ class Reacher:
             joint_steps: the configuration the arm is in.
             joint_offsets: how far its joints are off the lattice, rad; empty for not at all.
             heading_offset: how far the base's heading is off its lattice, rad.
-            budget: pairs of half configurations to look at; `ALL` takes up to seconds with seven joints.
+            budget: pairs of half configurations to look at, and more only while none reaches the target's
+                height; `ALL` takes up to seconds with seven joints.
         """
         t = self.instance.targets[target]
         costs, complete_to = self._get_costs(t.z, (t.half_x, t.half_y, t.half_z), t.yaw, joint_steps, joint_offsets,
