@@ -1,9 +1,10 @@
-"""The entry point of the `...Options-v0` ids: a flat room and its options in one call."""
+"""`make_options_env`: a room and its options in one call, behind the ids `hrl_escape/<Preset>Options-v0`."""
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any
 
+from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.options.options_env import OptionsEnv, OptionsSource
 
@@ -11,35 +12,36 @@ __all__ = ["make_options_env"]
 
 
 def make_options_env(
-    config: Any = "paper-two-button",
+    config: str | RoomConfig | dict[str, Any] = "paper-two-button",
     *,
     options: OptionsSource = None,
     include_primitives: bool = True,
     discount: float = 0.99,
     discounted_reward: bool = False,
-    flavour: Literal["press", "press-with-ancestors"] = "press",
+    flavour: str = "press",
     interruptible: bool = False,
     max_duration: int | None = None,
     trace: bool = False,
     option_features: bool = False,
     **room: Any,
 ) -> OptionsEnv:
-    """Make a room and wrap it by `OptionsEnv`.
+    """Make an `EscapeRoomEnv` and wrap it in an `OptionsEnv`.
 
     Args:
-        config: as for `EscapeRoomEnv`.
-        options: as for `OptionsEnv`, like all that follow.
-        include_primitives: whether primitives are actions too.
-        discount: gamma per primitive.
-        discounted_reward: return the discounted sum as the reward.
-        flavour: `press` or `press-with-ancestors`.
-        interruptible: return to the agent after every primitive of an option.
-        max_duration: primitives after which an option is ended.
-        trace: put every primitive into `info["trace"]`.
-        option_features: append which options are legal and running to a flat observation.
-        **room: every other argument of `EscapeRoomEnv`, such as `observation` or `instance_seed`.
+        config: the schematic, see `EscapeRoomEnv`.
+        options: see `OptionsEnv`.
+        include_primitives: see `OptionsEnv`.
+        discount: see `OptionsEnv`.
+        discounted_reward: see `OptionsEnv`.
+        flavour: see `OptionsEnv`.
+        interruptible: see `OptionsEnv`.
+        max_duration: see `OptionsEnv`.
+        trace: see `OptionsEnv`.
+        option_features: append option features to the observation (`OptionsEnv(observation="options")`).
+        room: everything else that `EscapeRoomEnv` takes, such as `observation="features"`.
     """
+    env = EscapeRoomEnv(config, **room)
     return OptionsEnv(
-        EscapeRoomEnv(config, **room), options, include_primitives, discount, discounted_reward, flavour,
-        interruptible, max_duration, trace, "options" if option_features else "pass",
+        env, options, include_primitives, discount, discounted_reward, flavour, interruptible, max_duration, trace,
+        "options" if option_features else "pass",
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import operator
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple, SupportsFloat, TypeAlias
+from typing import Any, NamedTuple, SupportsFloat, TypeAlias
 
 import gymnasium
 import numpy as np
@@ -122,11 +122,11 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         include_primitives: bool = True,
         discount: float = 0.99,
         discounted_reward: bool = False,
-        flavour: Literal["press", "press-with-ancestors"] = "press",
+        flavour: str = "press",
         interruptible: bool = False,
         max_duration: int | None = None,
         trace: bool = False,
-        observation: Literal["pass", "options"] = "pass",
+        observation: str = "pass",
     ) -> None:
         RecordConstructorArgs.__init__(
             self, options=options, include_primitives=include_primitives, discount=discount,
