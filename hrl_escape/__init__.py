@@ -49,12 +49,16 @@ _HOMES = {
     "make_agent": "hrl_escape.agents.registry",
     "train": "hrl_escape.agents.training",
 }
-_DOORS = {"": "hrl_escape.env.escape_room:EscapeRoomEnv", "Options": "hrl_escape.options.making:make_options_env"}
+_DOORS: dict[str, tuple[str, str | None]] = {  # suffix of the id: (one room, many rooms at once)
+    "": ("hrl_escape.env.escape_room:EscapeRoomEnv", "hrl_escape.env.vector_env:EscapeRoomVectorEnv"),
+    "Options": ("hrl_escape.options.making:make_options_env", None),
+}
 
-for _suffix, _entry_point in _DOORS.items():
-    gymnasium.register(f"hrl_escape/EscapeRoom{_suffix}-v0", _entry_point)
+for _suffix, (_one, _many) in _DOORS.items():
+    gymnasium.register(f"hrl_escape/EscapeRoom{_suffix}-v0", _one, vector_entry_point=_many)
     for _name in PRESETS:
-        gymnasium.register(f"hrl_escape/{make_env_name(_name)}{_suffix}-v0", _entry_point, kwargs={"config": _name})
+        _id = f"hrl_escape/{make_env_name(_name)}{_suffix}-v0"
+        gymnasium.register(_id, _one, vector_entry_point=_many, kwargs={"config": _name})
 
 
 def __getattr__(name: str) -> Any:

@@ -1,0 +1,236 @@
+"""Thousands of Escape Rooms as one Gymnasium `VectorEnv` over the batched engine.
+
+`gymnasium.make_vec("hrl_escape/PaperTwoButton-v0", num_envs=4096)` makes one. It has the spaces,
+observations, rewards and rules of `escape_room.py`; pixels, rendering and physics are the
+Bullet engine's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from torch import Tensor
+
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.generation import generate
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Rules
+from hrl_escape.env.observations import Observer, make_observer
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.tensor_instances import INSTEAD
+from hrl_escape.env.tensor_room import Autoreset, RoomInfo, TensorRoom
+from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedError
+
+__all__ = ["EscapeRoomVectorEnv", "make_instances", "make_single_space"]
+
+_AUTORESETS: dict[AutoresetMode, Autoreset] = {
+    AutoresetMode.NEXT_STEP: "next-step",
+    AutoresetMode.SAME_STEP: "same-step",
+    AutoresetMode.DISABLED: "disabled",
+}
+
+
+class EscapeRoomVectorEnv(VectorEnv):
+    """Many rooms that step together; see `EscapeRoomEnv` for the task itself.
+
+    ## Spaces
+    `Discrete(6 + 2 * joints)` and the vector observations (`state`, `features`, `egocentric`) of
+    `EscapeRoomEnv`, batched over `num_envs`.
+
+    ## Automatic reset
+    All three modes of Gymnasium. `NextStep`: the step after an episode's end ignores its action, begins the
+    next episode and earns 0. `SameStep`: the next episode begins at once; `infos` holds
+    `final_obs` and `final_info` of the rooms in `_final_obs`. `Disabled`:
+    `reset(options={"reset_mask": mask})` resets the rooms in the mask.
+
+    ## Information
+    Arrays over rooms: `primitives` (so far, int32), `success` (bool), `pressed` and `buttons_on` (int8, one
+    a target) and `instance_index` (which of `instances`).
+
+    ## Random numbers
+    `reset(seed=n)` seeds room i with n + i. What happens in a room depends on its own seed and actions, never on
+    the batch it is in.
+
+    ## Arguments
+    Args:
+        num_envs: number of rooms.
+        config: preset name, `RoomConfig`, or the dict form of one.
+        instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
+        instance_seed: instance seed of the first room instance.
+        num_instances: how many instances of the schematic there are, with seeds from `instance_seed` on; room i
+            is in instance i modulo their number.
+        observation: `state`, `features` or `egocentric`.
+        render_mode: must be None.
+        resample_instance: every episode draws one of the instances.
+        autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
+        output: `numpy` arrays, or `torch` tensors on the device, which cost no copy.
+        device: where the rooms are.
+        dtype: type in which contacts are computed, `float32` or `float64`; poses are always double.
+        compile: fuse a step into compiled kernels; takes some 10 s once for each shape of batch.
+
+    ## Version history
+    v0: first release.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": []}
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        config: str | RoomConfig | dict[str, Any] = "paper-two-button",
+        *,
+        instance: RoomInstance | str | Path | Sequence[RoomInstance | str | Path] | None = None,
+        instance_seed: int = 0,
+        num_instances: int = 1,
+        observation: str = "state",
+        render_mode: str | None = None,
+        resample_instance: bool = False,
+        autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        output: Literal["numpy", "torch"] = "numpy",
+        device: str | torch.device = "cpu",
+        dtype: Literal["float32", "float64"] = "float32",
+        compile: bool = False,
+    ) -> None:
+        super().__init__()
+        if render_mode is not None:
+            raise UnsupportedError(f"render_mode = {render_mode!r}: the batched engine draws nothing; {INSTEAD}")
+        if output not in ("numpy", "torch"):
+            raise ConfigError("output", output, "'numpy' or 'torch'")
+        if dtype not in ("float32", "float64"):
+            raise ConfigError("dtype", dtype, "'float32' or 'float64'")
+        try:
+            mode = AutoresetMode(autoreset_mode)
+        except ValueError:
+            allowed = "one of " + ", ".join(repr(m.value) for m in AutoresetMode)
+            raise ConfigError("autoreset_mode", autoreset_mode, allowed) from None
+        self.room = TensorRoom(
+            make_instances(config, instance, instance_seed, num_instances), num_envs, observation=observation,
+            autoreset=_AUTORESETS[mode], resample=resample_instance, device=device, dtype=getattr(torch, dtype),
+            compile=compile,
+        )
+        self.instances = self.room.instances
+        self.num_envs, self.autoreset_mode = num_envs, mode
+        self.metadata = type(self).metadata | {"autoreset_mode": mode}
+        self.render_mode = None
+        self.single_observation_space = make_single_space(self.instances, observation)
+        self.single_action_space = spaces.Discrete(self.room.actions)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._is_numpy, self._is_seeded = output == "numpy", False
+        self._every: Any = self._give(torch.ones(num_envs, dtype=torch.bool, device=self.room.device))
+
+    # --- Gymnasium ---------------------------------------------------------------------
+
+    def reset(self, *, seed: int | Sequence[int | None] | None = None,
+              options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin new episodes.
+
+        Args:
+            seed: room i gets seed + i, or its own from a list; None goes on with the streams there are.
+            options: `reset_mask`, bool (num_envs,): reset only these rooms.
+        """
+        self._check_open()
+        options = dict(options or {})
+        mask = options.pop("reset_mask", None)
+        if options:
+            raise ConfigError("reset options", sorted(options), "reset_mask")
+        where = None if mask is None else torch.as_tensor(mask, device=self.room.device)
+        if where is not None and where.dtype == torch.bool and not where.any():
+            raise ConfigError("reset_mask", "(all false)", "true for at least one room")
+        seeds = self._make_seeds(seed)
+        observation = self.room.reset(seeds, where)
+        success = torch.zeros(self.num_envs, dtype=torch.bool, device=self.room.device)
+        return self._give(observation), self._make_infos(self.room.inform(), success)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Run one primitive in every room.
+
+        Args:
+            actions: whole numbers (num_envs,), a numpy array, a list, or a tensor on the rooms' device.
+        """
+        self._check_open()
+        action = actions if isinstance(actions, Tensor) else self._take(actions)
+        seen, reward, terminated, truncated, info, final_seen, final_info = self.room.step(action)
+        infos = self._make_infos(info, terminated)
+        if final_info is not None:
+            ended = self._give(terminated | truncated)
+            fresh = torch.zeros_like(terminated)
+            infos = self._make_infos(info, fresh) | {
+                "final_obs": self._give(final_seen), "_final_obs": ended,
+                "final_info": self._make_infos(final_info, terminated), "_final_info": ended,
+            }
+        return self._give(seen), self._give(reward), self._give(terminated), self._give(truncated), infos
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free the tensors."""
+        del self.room
+
+    # --- in and out --------------------------------------------------------------------
+
+    def _check_open(self) -> None:
+        if self.closed:
+            raise ClosedError("the environment was closed; make a new one")
+
+    def _take(self, actions: Any) -> Tensor:
+        array = np.asarray(actions)
+        if array.dtype.kind not in "iu":
+            raise BatchError("action", array, f"whole numbers of shape ({self.num_envs},)")
+        return torch.from_numpy(array.astype(np.int64, copy=False)).to(self.room.device)
+
+    def _give(self, tensor: Tensor | None) -> Any:
+        return tensor if tensor is None or not self._is_numpy else tensor.cpu().numpy()
+
+    def _make_infos(self, info: RoomInfo, success: Tensor) -> dict[str, Any]:
+        values = {"primitives": info.primitives, "success": success, "pressed": info.pressed,
+                  "buttons_on": info.buttons_on, "instance_index": info.instance}
+        infos: dict[str, Any] = {}
+        for name, value in values.items():
+            infos[name], infos[f"_{name}"] = self._give(value), self._every
+            if self._is_numpy:
+                infos[name].setflags(write=False)  # it may be the rooms' own memory
+        return infos
+
+    def _make_seeds(self, seed: int | Sequence[int | None] | None) -> Tensor | None:
+        if seed is None and self._is_seeded:
+            return None
+        if seed is None or isinstance(seed, (int, np.integer)):
+            first = seeding.np_random(None)[1] % 2**62 if seed is None else int(seed)
+            super().reset(seed=first)
+            seeds = [first + i for i in range(self.num_envs)]
+        else:
+            seeds = [seeding.np_random(None)[1] % 2**62 if one is None else int(one) for one in seed]
+        if len(seeds) != self.num_envs or not all(0 <= one < 2**63 for one in seeds):
+            raise ConfigError("seed", seed, f"a whole number of at least 0, or {self.num_envs} of them")
+        self._is_seeded = True
+        return torch.tensor(seeds, dtype=torch.int64, device=self.room.device)
+
+
+def make_instances(config: str | RoomConfig | dict[str, Any],
+                   instance: RoomInstance | str | Path | Sequence[RoomInstance | str | Path] | None,
+                   instance_seed: int, num_instances: int) -> list[RoomInstance]:
+    """Collect the instances that a batch is made of; see `EscapeRoomVectorEnv` for the arguments."""
+    if instance is not None:
+        given = [instance] if isinstance(instance, (RoomInstance, str, Path)) else instance
+        return [one if isinstance(one, RoomInstance) else RoomInstance.load(one) for one in given]
+    if num_instances < 1:
+        raise ConfigError("num_instances", num_instances, "a whole number of at least 1")
+    if isinstance(config, str):
+        config = get_preset(config)
+    schematic = config if isinstance(config, RoomConfig) else RoomConfig.from_dict(config)
+    return [generate(schematic, instance_seed + i) for i in range(num_instances)]
+
+
+def make_single_space(instances: Sequence[RoomInstance], observation: str) -> spaces.Box:
+    """Space of one room's observation, wide enough for every instance."""
+    observers = [make_observer(observation, Rules(instance)) for instance in instances]
+    bounds = [(one.low, one.high) for one in observers if isinstance(one, Observer)]
+    low, high = (np.stack(side) for side in zip(*bounds, strict=True))
+    return spaces.Box(low.min(axis=0), high.max(axis=0), dtype=np.float32)
