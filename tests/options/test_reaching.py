@@ -23,6 +23,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.robot import make_robot
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.options.arm import Arm
+from hrl_escape.options.reach_tables import bound_costs
 from hrl_escape.options.reaching import ALL, NEVER, Reacher
 
 THREE = RobotConfig(joints=3, body_radius=0.4, body_height=0.8)
@@ -270,12 +271,35 @@ def test_where_a_table_has_no_cost_nothing_reaches(yaw: float):
     room = make_room(z=1.1, x=1.3, y=0.7, yaw=yaw)
     reacher, rng = Reacher(room), np.random.default_rng(7)
     table = reacher.make_table(0, (0, 0, 0))
-    closed = np.argwhere(table.costs < 0)
-    beside = (np.array(table.costs.shape[:2]) / 2 - closed[:, :2]) * table.cell
-    closed = closed[np.hypot(*beside.T) < 1.8]
-    for i, j, heading in closed[rng.integers(len(closed), size=2000)].tolist():
+    reached = table.costs >= 0
+    beside = np.zeros_like(reached)
+    for axis, step in itertools.product((0, 1), (-1, 1)):
+        beside |= np.roll(reached, step, axis=axis)
+    closed = np.argwhere(beside & ~reached)
+    for i, j, heading in closed[rng.integers(len(closed), size=3000)].tolist():
         x, y = table.low + (np.array([i, j]) + rng.random(2)) * table.cell
         assert reacher.get_configuration(float(x), float(y), heading, (0, 0, 0), 0) is None
+
+
+@pytest.mark.parametrize("yaw", [0.0, -math.pi / 2, 2.2])
+def test_bound_holds_however_coarse_the_cells_are(yaw: float):
+    rng = np.random.default_rng(13)
+    hand_cell, cell, half_x, half_y = 0.3, 0.17, 0.5, 0.2
+    headings = rng.uniform(-math.pi, math.pi, 8)
+    hands, costs = rng.uniform(-1.2, 1.2, (40, 2)), rng.integers(0, 9, 40)
+    cells = np.full((10, 10), NEVER, dtype=np.int16)
+    np.minimum.at(cells, tuple((np.floor(hands / hand_cell) + 5).astype(int).T), costs.astype(np.int16))
+    table = bound_costs(cells, hand_cell, headings, yaw, half_x, half_y, cell)
+    touched = rng.uniform(-1, 1, (500, 2)) * (half_x, half_y) @ make_rotation(yaw).T
+    for heading, (hand, cost) in itertools.product(range(8), zip(hands, costs, strict=True)):
+        bases = touched - make_rotation(headings[heading]) @ hand
+        i, j = (np.floor(bases / cell) + np.array(table.shape[:2]) // 2).astype(int).T
+        assert (table[i, j, heading] >= 0).all() and (table[i, j, heading] <= cost).all()
+    assert (table < 0).any()
+
+
+def make_rotation(angle: float) -> np.ndarray:
+    return np.array([[math.cos(angle), -math.sin(angle)], [math.sin(angle), math.cos(angle)]])
 
 
 def test_table_outside_its_grid_and_centres():
