@@ -204,6 +204,8 @@ class RouteFinder:
                 PlanningReason(result.status), state, goal, seconds=time.perf_counter() - began,
                 planners=(self.method,), nearest=_describe_place(result.nearest),
             )
+        if not result.primitives:  # it is there already
+            return Route((), (get_pose(begin),), (), 0)
         route = self.replay(begin, result.primitives, goal)
         assert route is not None, "a search must return what its own replay reaches"
         return route._replace(expansions=result.expansions)

@@ -149,7 +149,7 @@ class AncestorsOption(Option):
         self._part = parts[goal]
 
     def initiation(self, state: RoomState) -> bool:
-        """Where its first part may start, or the goal itself where there is no way to tell cheaply."""
+        """Where the goal's own option may start: what comes before it is found out at the start."""
         return self._parts[self.goal].initiation(state)
 
     def start(self, state: RoomState) -> None:
