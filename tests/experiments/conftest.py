@@ -1,0 +1,13 @@
+"""The small comparison, run once for all tests that only read it."""
+
+from __future__ import annotations
+
+import pytest
+
+from hrl_escape.experiments.comparison import Comparison
+from tests.experiments.small import SMALL, run
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
+    return run(SMALL, tmp_path_factory.mktemp("small"))

@@ -1,0 +1,66 @@
+"""Comparisons whose results are written down by hand, so that what they amount to is known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from hrl_escape.agents.evaluation import Evaluation
+from hrl_escape.env.generation import generate
+from hrl_escape.env.presets import get_preset
+from hrl_escape.experiments.cell import CellResult
+from hrl_escape.experiments.comparison import Comparison
+from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec
+from hrl_escape.experiments.launcher import Failure
+from hrl_escape.experiments.scale import Scale
+
+ROOM = generate(get_preset("paper-two-button"), 0)
+OTHER_ROOM = generate(get_preset("paper-one-button"), 0)
+WORST, BEST = -1000.0, 100.0
+START = ((0.0, 0.0, 0, 0.0),)
+
+
+def make_result(returns: Sequence[float], best: float = BEST, reachable: float | None = None, budget: int = 1000,
+                source: str = "planner", start: tuple = START) -> CellResult:
+    """A run evaluated in one episode at equal distances from 0 to the budget, with these returns."""
+    evaluations = tuple(
+        Evaluation(
+            primitives=round(budget * number / max(1, len(returns) - 1)), decisions=number * 10, returns=(value,),
+            lengths=(int(BEST - value),), decision_counts=(5,), successes=(value > WORST,),
+        )
+        for number, value in enumerate(returns)
+    )
+    scale = Scale(WORST, start, (best,), (best if reachable is None else reachable,), source)
+    return CellResult(budget, 10 * len(returns), 7, 3, evaluations, scale, tuple(map(float, range(len(returns)))), 0.5,
+                      {"torch": "1.0"})
+
+
+def compare(agents: dict[str, Sequence[Sequence[float] | CellResult | None]], rooms: int = 1, budget: int = 1000,
+            runs: int | None = None) -> Comparison:
+    """A comparison from each agent's runs, room by room.
+
+    Args:
+        agents: name -> runs, each the returns at its evaluations, a result, or None for a failure. An
+            exclamation mark behind the name leaves the primitives out of its choices.
+        rooms: 1 or 2.
+        budget: primitives.
+        runs: of an agent in a room; as many as the longest list has by default.
+    """
+    specs = tuple(
+        AgentSpec(name.rstrip("!"), options=OptionsView(include_primitives=not name.endswith("!"))) for name in agents
+    )
+    instances = (ROOM, OTHER_ROOM)[:rooms]
+    runs = runs or max(map(len, agents.values())) // rooms
+    grid = Grid("made-up", agents=specs, rooms=tuple(RoomSpec(i.name) for i in instances), runs=runs, primitives=budget)
+    cells = {(cell.number, cell.instance_id, cell.seed): cell for cell in grid.make_cells(instances)}
+    found, failures = [], []
+    for number, results in enumerate(agents.values()):
+        for index, result in enumerate(results):
+            room, seed = divmod(index, runs)
+            cell = cells[number, instances[room].id, seed]
+            if result is None:
+                failures.append(Failure(cell, "it fell over"))
+            else:
+                made = result if isinstance(result, CellResult) else make_result(result, budget=budget)
+                found.append((cell, made))
+    return Comparison(grid, instances, tuple(found), tuple(failures), Path("nowhere"))

@@ -1,0 +1,255 @@
+"""Comparisons as they are run: repeated, killed, resumed, with runs that fail and files that are damaged."""
+
+from __future__ import annotations
+
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hrl_escape.errors import ComparisonError, FileWriteError, RunBusyError
+from hrl_escape.experiments.cell import get_cell_folder, read_cell, read_episodes
+from hrl_escape.experiments.comparison import Comparison
+from hrl_escape.experiments.grid import AgentSpec
+from hrl_escape.experiments.launcher import read_progress
+from hrl_escape.experiments.report import write_report
+from hrl_escape.experiments.summary import summarise
+from hrl_escape.files import write_json
+from tests.experiments.small import SMALL, change, run
+
+TABLES = ("results.csv", "curves.csv")
+
+
+def read_tables(comparison: Comparison) -> list[bytes]:
+    write_report(comparison, "test")
+    return [(comparison.out / name).read_bytes() for name in TABLES]
+
+
+def start_cli(grid_file: Path, out: Path, **environment: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, "-m", "hrl_escape.cli", "compare", str(grid_file), "--out", str(out), "--workers", "2"]
+    return subprocess.Popen(command, env=os.environ | environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+                            start_new_session=True)
+
+
+def find_processes_of_session(session: int) -> list[int]:
+    found = []
+    for entry in Path("/proc").iterdir():
+        try:
+            fields = (entry / "stat").read_text().rsplit(")", 1)[1].split()
+        except (OSError, IndexError):
+            continue
+        if int(fields[3]) == session and fields[0] != "Z":
+            found.append(int(entry.name))
+    return found
+
+
+# --- the same numbers ------------------------------------------------------------------
+
+
+def test_two_comparisons_give_the_same_numbers_in_any_number_of_processes(finished: Comparison, tmp_path: Path):
+    again = run(SMALL, tmp_path, workers=1)
+    assert [result for _, result in again.runs] == [result for _, result in finished.runs]
+    assert read_tables(again) == read_tables(finished)
+    for cell, _ in again.runs:
+        assert read_episodes(tmp_path, cell) == read_episodes(finished.out, cell)
+
+
+def test_every_cell_has_a_result_with_the_evaluations_that_were_asked_for(finished: Comparison):
+    assert len(finished.runs) == 8 and not finished.failures
+    for cell, result in finished.runs:
+        assert result.primitives >= SMALL.primitives
+        assert [e.primitives for e in result.evaluations][0] == 0
+        assert {len(e.returns) for e in result.evaluations} == {SMALL.eval_episodes}
+        assert (cell.agent.chooses_options and result.planner_calls > 0) or result.decisions == result.primitives
+
+
+def test_the_recorded_episodes_are_those_of_the_last_evaluation(finished: Comparison):
+    """Evaluated twice, in two environments, with the same outcome."""
+    for cell, result in finished.runs:
+        last, episodes = result.evaluations[-1], read_episodes(finished.out, cell)
+        assert tuple(episode["return"] for episode in episodes) == last.returns
+        assert tuple(episode["primitives"] for episode in episodes) == last.lengths
+        assert tuple(len(episode["decisions"]) for episode in episodes) == last.decision_counts
+
+
+def test_agents_of_one_training_seed_are_evaluated_from_the_same_starts(finished: Comparison):
+    starts = {seed: {result.scale.starts for cell, result in finished.runs if cell.seed == seed} for seed in (0, 1)}
+    assert all(len(found) == 1 for found in starts.values())
+    assert starts[0] != starts[1]
+
+
+def test_finished_cells_are_kept_and_new_ones_added(finished: Comparison, tmp_path: Path):
+    fewer = change(agents=SMALL.agents[:2], runs=1)
+    first = run(fewer, tmp_path)
+    files = [get_cell_folder(tmp_path, cell) / name for cell, _ in first.runs
+             for name in ("cell.json", "run/log.jsonl", "run/checkpoint.npz")]
+    stamps = [(file.stat().st_mtime_ns, file.stat().st_ino) for file in files]
+    both = run(SMALL, tmp_path)
+    assert [(file.stat().st_mtime_ns, file.stat().st_ino) for file in files] == stamps
+    assert [result for _, result in both.runs] == [result for _, result in finished.runs]
+
+
+# --- killed ----------------------------------------------------------------------------
+
+
+def test_killed_at_any_moment_and_resumed_gives_the_uninterrupted_results(finished: Comparison, tmp_path: Path):
+    write_json(tmp_path / "small.json", SMALL.to_dict())
+    out, rng, kills = tmp_path / "out", np.random.default_rng(4), 0
+    while kills < 4:
+        process = start_cli(tmp_path / "small.json", out)
+        deadline = time.monotonic() + rng.uniform(0.5, 9.0)
+        while process.poll() is None and time.monotonic() < deadline:
+            time.sleep(0.02)
+        if process.poll() is None:
+            process.send_signal(signal.SIGKILL)
+            kills += 1
+        process.wait()
+        assert wait_until(lambda pid=process.pid: not find_processes_of_session(pid)), "nothing outlives the comparison"
+        if process.returncode == 0:
+            break
+    assert kills >= 1
+    resumed = run(SMALL, out)
+    assert [result for _, result in resumed.runs] == [result for _, result in finished.runs]
+    assert read_tables(resumed) == read_tables(finished)
+
+
+def wait_until(happens, seconds: float = 20.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while not happens():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def test_ctrl_c_ends_every_process_and_says_how_to_go_on(tmp_path: Path):
+    grid = change(primitives=1_000_000, runs=1)
+    write_json(tmp_path / "long.json", grid.to_dict())
+    process = start_cli(tmp_path / "long.json", tmp_path / "out")
+    cells = grid.make_cells([room.make_instance() for room in grid.rooms])
+    assert wait_until(lambda: any(read_progress(tmp_path / "out", cell) for cell in cells), 60)
+    os.killpg(process.pid, signal.SIGINT)
+    output = process.communicate(timeout=30)[0].decode()
+    assert process.returncode == 130
+    assert "the same command goes on from here" in output and "Traceback" not in output
+    assert wait_until(lambda: not find_processes_of_session(process.pid))
+
+
+# --- runs that fail --------------------------------------------------------------------
+
+STRANGER = '''
+import os, signal
+from hrl_escape.agents.random import RandomAgent
+
+class Stranger(RandomAgent):
+    recipes = {}
+    def observe(self, transition):
+        self._seen = getattr(self, "_seen", 0) + 1
+        if self._seen > 40:
+            self.fall()
+        return {}
+
+class Raiser(Stranger):
+    def fall(self):
+        raise KeyError("what a stranger forgot")
+
+class Crasher(Stranger):
+    def fall(self):
+        os.kill(os.getpid(), signal.SIGSEGV)
+'''
+
+
+def test_failed_cells_are_told_with_their_error_and_stop_no_others(tmp_path: Path):
+    """One raises, one crashes its interpreter, one diverges; all are strangers' or settings' faults."""
+    package = tmp_path / "strangers-1.0.dist-info"
+    package.mkdir()
+    (tmp_path / "strangers.py").write_text(STRANGER)
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: strangers\nVersion: 1.0\n")
+    (package / "entry_points.txt").write_text(
+        "[hrl_escape.agents]\nraiser = strangers:Raiser\ncrasher = strangers:Crasher\n")
+    wild = {"reward_scale": 1e38, "loss": "squared", "warmup": 64}
+    agents = ["random", "raiser", "crasher", AgentSpec("dqn", label="wild", settings=wild), "q-learning"]
+    write_json(tmp_path / "mixed.json", change(runs=1, agents=agents).to_dict())
+    process = start_cli(tmp_path / "mixed.json", tmp_path / "out", PYTHONPATH=str(tmp_path))
+    output = process.communicate(timeout=120)[0].decode()
+    assert process.returncode == 1, output
+    assert "raiser, small, seed 0: failed: KeyError: 'what a stranger forgot'" in output
+    assert "crasher, small, seed 0: failed: its process was ended by SIGSEGV" in output
+    assert "wild, small, seed 0: failed: dqn, seed 0" in output and "no longer a finite number" in output
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "Some runs have no result and count nowhere" in page and "what a stranger forgot" in page
+    assert 'in fall' in page, "the report shows where a stranger's error came from"
+    rows = (tmp_path / "out" / "results.csv").read_text().splitlines()[1:]
+    assert sorted(row.split(",")[0] for row in rows) == ["q-learning", "random"]
+
+
+def test_a_failed_cell_is_tried_again_the_next_time(finished: Comparison, tmp_path: Path):
+    grid = change(agents=SMALL.agents[:1], runs=1)
+    (cell,) = grid.make_cells([room.make_instance() for room in grid.rooms])
+    (get_cell_folder(tmp_path, cell) / "run").mkdir(parents=True)
+    broken = get_cell_folder(tmp_path, cell) / "run" / "checkpoint.npz"
+    broken.write_bytes(b"no checkpoint")
+    failed = run(grid, tmp_path)
+    (failure,) = failed.failures
+    assert str(broken) in failure.message and "damaged" in failure.message and not failure.traceback
+    with pytest.raises(ComparisonError, match="no run has finished.*damaged"):
+        summarise(failed)
+    broken.unlink()
+    again = run(grid, tmp_path)
+    assert not again.failures and again.runs[0][1] == finished.runs[0][1]
+
+
+def test_a_damaged_result_is_made_again_from_its_run(finished: Comparison, tmp_path: Path):
+    grid = change(agents=SMALL.agents[3:], runs=1)
+    first = run(grid, tmp_path)
+    (cell, result), = first.runs
+    folder = get_cell_folder(tmp_path, cell)
+    log = (folder / "run" / "log.jsonl").read_bytes()
+    for damage in (b"{", b"[]", b'{"identity": {}}', (folder / "cell.json").read_bytes()[:-40]):
+        (folder / "cell.json").write_bytes(damage)
+        assert run(grid, tmp_path).runs == ((cell, result),)
+        assert read_cell(tmp_path, cell) == result
+    assert (folder / "run" / "log.jsonl").read_bytes() == log, "the finished training itself is not repeated"
+
+
+# --- folders and disks -----------------------------------------------------------------
+
+
+def test_a_folder_that_cannot_be_written_is_one_clear_message(tmp_path: Path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(FileWriteError, match="cannot write .*file/out"):
+        run(SMALL, tmp_path / "file" / "out")
+
+
+def test_a_full_disk_fails_the_runs_that_need_it_and_keeps_what_is_finished(tmp_path: Path):
+    """The limit on a file's size stands for a disk that fills up: random's files are small, dqn's checkpoint is not."""
+    write_json(tmp_path / "full.json", change(runs=1, agents=["random", "dqn"]).to_dict())
+    command = [sys.executable, "-m", "hrl_escape.cli", "compare", str(tmp_path / "full.json"), "--out",
+               str(tmp_path / "out")]
+    limit = 40_000
+    done = subprocess.run(command, capture_output=True, text=True,
+                          preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    assert done.returncode in (1, 2)
+    assert "dqn, small, seed 0: failed: cannot write" in done.stderr, done.stderr
+    assert "random, small, seed 0: score" in done.stderr
+    rerun = run(change(runs=1, agents=["random", "dqn"]), tmp_path / "out")
+    assert not rerun.failures
+
+
+def test_one_comparison_at_a_time_in_a_folder(tmp_path: Path):
+    grid = change(primitives=1_000_000, runs=1, agents=SMALL.agents[:1])
+    write_json(tmp_path / "long.json", grid.to_dict())
+    process = start_cli(tmp_path / "long.json", tmp_path / "out")
+    try:
+        assert wait_until(lambda: (tmp_path / "out" / "grid.json").exists(), 60)
+        with pytest.raises(RunBusyError, match="another comparison is running in this folder"):
+            run(SMALL, tmp_path / "out")
+    finally:
+        process.kill()
+        process.wait()

@@ -1,0 +1,161 @@
+"""Grids: what they read, what they refuse, and which runs are the same run."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from hrl_escape.env.generation import generate
+from hrl_escape.env.presets import get_preset
+from hrl_escape.errors import EscapeError, FileReadError, GridError, UnknownNameError
+from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec, load_grid
+from hrl_escape.experiments.presets import GRIDS, get_grid
+from tests.experiments.small import SMALL, change
+
+
+def make_cells(grid: Grid):
+    return grid.make_cells([room.make_instance() for room in grid.rooms])
+
+
+# --- reading ---------------------------------------------------------------------------
+
+
+def test_short_texts_name_recipe_and_instance():
+    assert AgentSpec.parse("smdp-dqn@paper") == AgentSpec("smdp-dqn", recipe="paper")
+    assert AgentSpec.parse("smdp-dqn@paper").label == "smdp-dqn@paper"
+    assert RoomSpec.parse("clutter#3") == RoomSpec("clutter", seed=3)
+    assert RoomSpec.parse("some/room.json") == RoomSpec(file="some/room.json")
+
+
+def test_a_toml_file_gives_the_grid_that_it_says(tmp_path: Path):
+    generate(get_preset("paper-one-button"), 0).save(tmp_path / "room.json")
+    (tmp_path / "mine.toml").write_text("""
+        primitives = 500
+        runs = 3
+        rooms = ["clutter#2", { preset = "larg-2019", arguments = { size = 3 } }, { file = "room.json" }]
+        [[agents]]
+        name = "dqn"
+        [[agents]]
+        name = "smdp-dqn"
+        label = "far"
+        settings = { gamma = 0.999 }
+        options = { include_primitives = false }
+    """)
+    grid = load_grid(tmp_path / "mine.toml")
+    assert (grid.name, grid.primitives, grid.runs) == ("mine", 500, 3)
+    assert grid.agents == (AgentSpec("dqn"), AgentSpec("smdp-dqn", label="far", settings={"gamma": 0.999},
+                                                       options=OptionsView(include_primitives=False)))
+    instances = [room.make_instance() for room in grid.rooms]
+    assert [(i.name, i.seed) for i in instances] == [("clutter", 2), ("larg-2019", 0), ("paper-one-button", 0)]
+    assert len(instances[1].targets) == 3
+    assert grid.agents[1].resolve_settings()["gamma"] == 0.999
+
+
+@pytest.mark.parametrize("grid", [*GRIDS.values(), SMALL], ids=lambda grid: grid.name)
+def test_a_grid_survives_json_and_makes_all_its_cells(grid: Grid):
+    assert Grid.from_dict(grid.to_dict()) == grid
+    cells = make_cells(grid)
+    assert len(cells) == len(grid.agents) * len(grid.rooms) * grid.runs
+    assert len({cell.folder for cell in cells}) == len({cell.key for cell in cells}) == len(cells)
+
+
+def test_every_agent_meets_the_same_evaluation_episodes_and_each_seed_others():
+    seeds = {(cell.seed, cell.eval_seed) for cell in make_cells(SMALL)}
+    assert len(seeds) == SMALL.runs == len({eval_seed for _, eval_seed in seeds})
+
+
+def test_cells_come_seed_by_seed_so_that_early_results_compare_everybody():
+    cells = make_cells(SMALL)
+    assert [cell.agent.label for cell in cells[:4]] == [agent.label for agent in SMALL.agents]
+    assert [cell.seed for cell in cells] == [0] * 4 + [1] * 4
+
+
+# --- which runs are the same -----------------------------------------------------------
+
+
+def find_key(**changes: object) -> str:
+    return make_cells(change(**changes))[0].key
+
+
+def test_a_cells_key_depends_on_what_decides_its_numbers_and_on_nothing_else():
+    plain = find_key(agents=["smdp-dqn"])
+    same = [
+        find_key(agents=[AgentSpec("smdp-dqn", label="other")]),
+        find_key(agents=["smdp-dqn", "dqn"]),
+        find_key(agents=["smdp-dqn"], runs=7, name="other", description="words"),
+        find_key(agents=[AgentSpec("smdp-dqn", settings={"gamma": 0.99})]),  # its default
+    ]
+    different = [
+        find_key(agents=["dqn"]),
+        find_key(agents=["smdp-dqn@paper"]),
+        find_key(agents=[AgentSpec("smdp-dqn", settings={"gamma": 0.9})]),
+        find_key(agents=[AgentSpec("smdp-dqn", options=OptionsView(include_primitives=False))]),
+        find_key(agents=["smdp-dqn"], rooms=["paper-two-button"]),
+        find_key(agents=["smdp-dqn"], primitives=601),
+        find_key(agents=["smdp-dqn"], eval_every=100),
+        find_key(agents=["smdp-dqn"], eval_episodes=4),
+        find_key(agents=["smdp-dqn"], eval_seed=1),
+        find_key(agents=["smdp-dqn"], observation="state"),
+    ]
+    assert set(same) == {plain}
+    assert len({plain, *different}) == 1 + len(different)
+
+
+def test_options_say_nothing_about_a_flat_agent():
+    assert find_key(agents=["dqn"]) == find_key(agents=[AgentSpec("dqn", options=OptionsView(max_duration=3))])
+
+
+# --- refusing --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"agents": ()}, "has no agents"),
+        ({"rooms": ()}, "has no rooms"),
+        ({"agents": ["dqn", "dqn"]}, "same agent label twice: dqn"),
+        ({"agents": ["dqn", AgentSpec("dqn", label="twin")]}, "same agent with the same settings twice"),
+        ({"rooms": ["clutter", "clutter#0"]}, "same room twice"),
+        ({"agents": ["dqqn"]}, "Perhaps you meant 'dqn'"),
+        ({"agents": ["dqn@papr"]}, "Perhaps you meant 'paper'"),
+        ({"agents": [AgentSpec("dqn", settings={"gama": 1})]}, "Perhaps you meant 'gamma'"),
+        ({"agents": [AgentSpec("dqn", settings={"gamma": 2})]}, r"gamma = 2 is not possible.*from 0 to 1"),
+        ({"rooms": ["cluter"]}, "Perhaps you meant 'clutter'"),
+        ({"rooms": ["clutter#x"]}, "after # comes the number"),
+        ({"runs": 0}, "grid.runs = 0 is not possible"),
+        ({"primitives": "many"}, "grid.primitives = 'many' is not possible: a whole number"),
+    ],
+)
+def test_an_impossible_grid_is_refused_with_its_reason(changes: dict, message: str):
+    with pytest.raises(EscapeError, match=message):
+        make_cells(change(**changes))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("runs = ", "mine.toml: .*TOML"),
+        ("run = 3", "mine.toml: grid.run = 3 .*fields are"),
+        ('rooms = [{ preset = "clutter", file = "x.json" }]', "one of preset, config or file"),
+        ('agents = [{ nam = "dqn" }]', "agent.nam .*fields are name"),
+    ],
+)
+def test_a_file_that_is_no_grid_is_refused_by_name(tmp_path: Path, text: str, message: str):
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises((GridError, FileReadError), match=message):
+        load_grid(tmp_path / "mine.toml")
+
+
+def test_a_missing_file_and_an_unknown_name_are_told():
+    with pytest.raises(FileReadError, match="no such grid"):
+        load_grid("nowhere.toml")
+    with pytest.raises(UnknownNameError, match="Perhaps you meant 'ladder'"):
+        get_grid("lader")
+
+
+def test_rooms_of_one_name_are_told_apart():
+    other = RoomSpec(config=dataclasses.replace(get_preset("clutter"), horizon=50).to_dict())
+    names = {cell.room for cell in make_cells(change(rooms=["clutter", "clutter#1", other]))}
+    assert len(names) == 3 and "clutter#1" in names
