@@ -14,7 +14,7 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from rich.console import Console
 from rich.table import Table
@@ -42,8 +42,8 @@ class SolveArgs(RoomChoice):
 
     goal: str = ESCAPE
     """What to reach: escape, a target's name, exit, or a place x,y or x,y,heading (degrees)."""
-    planner: Literal["fields", "corridor"] = "fields"
-    """How primitives are searched: along cost-to-go fields, or in a corridor round an OMPL path."""
+    planner: str = "fields"
+    """How primitives are searched: along cost-to-go fields, or round a path planner's path: RRTConnect, PRM, ..."""
     budget: int = 300_000
     """Search nodes that one plan may expand; the same budget finds the same plan anywhere."""
     episode_seed: int = 0

@@ -41,13 +41,17 @@ class RoomPlanner(RouteFinder):
 
     Args:
         instance: the room. Under noise, slip or physics, plans are for the kinematic room without these.
-        method: `fields` (cost-to-go fields) or `corridor` (a corridor round an OMPL path).
+        method: `fields` (cost-to-go fields), or the name of a path planner round whose path to search, such as
+            `RRTConnect` (`navigation.list_planners`); `corridor` takes the default one.
         budget: search nodes a plan may expand; the same budget finds the same plan anywhere.
         time_limit: wall-clock guard for one plan, s.
 
     Attributes:
         instance: the room as given.
         rules: its kinematics without noise and slip, by which plans are checked.
+
+    Raises:
+        UnknownNameError: no such method.
     """
 
     def __init__(self, instance: RoomInstance, method: str = "fields", budget: int = 300_000,

@@ -18,11 +18,11 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeAlias
 from hrl_escape.env.geometry import Footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.errors import PlanningFailed, PlanningReason
+from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError
 from hrl_escape.options.fields import FieldMaker
 from hrl_escape.options.goals import ExitGoal, Goal, PressGoal, describe_goal, is_reached
 from hrl_escape.options.option import OptionReport
-from hrl_escape.options.tracking import PrimitiveSearch
+from hrl_escape.options.tracking import METHODS, PrimitiveSearch
 
 if TYPE_CHECKING:
     from hrl_escape.options.reaching import Reacher
@@ -75,6 +75,7 @@ class RouteFinder:
 
     def __init__(self, instance: RoomInstance, method: str = "fields", budget: int = 300_000,
                  time_limit: float = 10.0) -> None:
+        _check_method(method)
         self.instance = instance
         self.method, self.budget, self.time_limit = method, budget, time_limit
         # pressing under physics takes force: being within the margin is not enough
@@ -95,6 +96,11 @@ class RouteFinder:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._open()
+
+    def prepare(self) -> None:
+        """Work out now what all routes in this room share, so that the first ones are as quick as later ones."""
+        with self._lock:
+            self._search.prepare()
 
     def get_fields(self, door_shut: bool) -> FieldMaker:
         """The grid on which costs to go are worked out, with the exit door shut or open."""
@@ -196,7 +202,8 @@ class RouteFinder:
         begin = state._replace(primitives=0, noise_key=0, z=0.0, pitch=0.0, roll=0.0, physics=None)
         began = time.perf_counter()
         limit = self.time_limit if RouteFinder._has_searched else math.inf  # the first one may have to compile
-        result = self._search.search(begin, goal, method=self.method, keep_out=keep_out,
+        method, planner = (self.method, None) if self.method in METHODS else ("corridor", self.method)
+        result = self._search.search(begin, goal, method=method, planner=planner, keep_out=keep_out,
                                      budget_expansions=budget or self.budget, deadline=limit)
         RouteFinder._has_searched = True
         if not result.is_reached:
@@ -223,6 +230,15 @@ class RouteFinder:
     def has_escaped(self, state: RoomState) -> bool:
         """The exit is open and the robot stands in it."""
         return self.is_solved(state) and self.instance.exit.contains(state.x, state.y)
+
+
+def _check_method(method: str) -> None:
+    if method in METHODS:
+        return
+    from hrl_escape.options.navigation import list_planners  # loads OMPL, which fields do without
+
+    if method not in list_planners():
+        raise UnknownNameError("planner", method, (*METHODS, *list_planners()))
 
 
 def _describe_place(place: tuple[float, float] | None) -> str:

@@ -233,6 +233,13 @@ def test_a_goal_that_is_none_is_refused(planner, start, text, error):
         planner.plan(start, text)
 
 
+def test_a_path_planner_is_chosen_by_name(planner, start):
+    plan = RoomPlanner(planner.instance, "PRM").plan(start, "3,-4")
+    assert plan.planner == "PRM" and plan.cost == planner.plan(start, "3,-4").cost
+    with pytest.raises(UnknownNameError, match="perhaps you meant 'RRTConnect'|RRTConnect"):
+        RoomPlanner(planner.instance, "RRTConect")
+
+
 def test_goals_and_their_words_belong_together(planner):
     for goal in (PressGoal(1), ExitGoal(), PoseGoal(1.5, -2.0), PoseGoal(1.0, 2.0, np.radians(90))):
         assert parse_goal(describe_goal(goal, planner.instance), planner.instance) == goal
