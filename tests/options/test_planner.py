@@ -293,6 +293,25 @@ def test_remembering_changes_no_plan(planner, start):
         assert other.plan(start, goal).primitives == expected[goal]
 
 
+def test_what_is_remembered_belongs_to_the_whole_pose_and_the_door():
+    """One place, but another heading, another touch, another door: each as a planner without memory answers."""
+    planner = RoomPlanner(generate(get_preset("clutter"), 0))
+    rules = planner.rules
+    start = planner.plan(rules.make_state(planner.instance.starts[0]), "button-2").states[-1]
+    solved = next(puzzle for puzzle in range(16) if planner.instance.puzzle.is_solved(puzzle))
+    states = [start, start._replace(heading_steps=(start.heading_steps + 4) % 36), start._replace(touching=0),
+              start._replace(puzzle=solved)]
+    for goal in ("button-2", "button-3", "exit"):
+        for state in states:
+            answers = []
+            for asked in (planner, RoomPlanner(planner.instance)):
+                try:
+                    answers.append(asked.plan(state, goal).primitives)
+                except PlanningFailed as failure:
+                    answers.append(failure.reason)
+            assert answers[0] == answers[1]
+
+
 def test_planners_survive_pickling(planner, start):
     copy = pickle.loads(pickle.dumps(planner))
     assert copy.solve(start).primitives == planner.solve(start).primitives

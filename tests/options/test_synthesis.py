@@ -142,6 +142,16 @@ def test_pressing_a_touched_button_again_leaves_it_first():
     assert info["pressed"] == (0,) and info["duration"] >= 2
 
 
+def test_touching_is_no_press_until_it_begins_anew():
+    """Where primitives slip, a button that is to be pressed again stays touched for a while."""
+    env = OptionsEnv(EscapeRoomEnv(make_noisy("paper-two-button", slip=0.6)), include_primitives=False)
+    for seed in range(5):
+        env.reset(seed=seed)
+        env.step(0)
+        info = env.step(0)[4]
+        assert info["option"]["ended"] == "reached" and info["pressed"] == (0,) and info["duration"] >= 2
+
+
 def test_the_exit_behind_a_shut_door_is_masked_until_it_opens():
     env = OptionsEnv(EscapeRoomEnv("clutter"), include_primitives=False)
     _, info = env.reset(seed=0)
