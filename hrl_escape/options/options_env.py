@@ -320,6 +320,10 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     # --- what an agent may choose and sees ----------------------------------------------
 
+    def action_masks(self) -> NDArray[np.bool_]:
+        """The legal actions at the present state, bool (n,), under the name that sb3-contrib's MaskablePPO asks for."""
+        return self._compute_mask(self._room.get_state()).astype(np.bool_)
+
     def _compute_mask(self, state: RoomState) -> NDArray[np.int8]:
         mask = np.ones(len(self.action_names), dtype=np.int8)
         running = self._run.index if self._run else -1

@@ -1,0 +1,36 @@
+"""Door 2: the same room with options. One step is one decision, which may run many primitives.
+
+`meta-01` and `meta-02` press a button, `meta-exit` goes to the exit, from anywhere: they are planned. What a decision
+took and what it is worth stands in `info`: duration k, discount gamma^k, sum of gamma^i r_i, the legal actions.
+"""
+
+import gymnasium
+import tyro
+
+import hrl_escape  # noqa: F401  # registers the environments
+from hrl_escape.options.options_env import OptionsEnv
+
+
+def main(seed: int = 0) -> None:
+    """Press the buttons in order, then leave.
+
+    Args:
+        seed: of the episode.
+    """
+    env = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v0", config="paper-two-button"), discount=0.99)
+    observation, info = env.reset(seed=seed)
+    print(f"{len(env.action_names)} actions: {', '.join(env.action_names)}")
+    total = 0.0
+    for name in ("meta-01", "meta-02", "meta-exit"):
+        action = env.action_names.index(name)
+        assert info["action_mask"][action], f"{name} cannot start here"
+        observation, reward, terminated, truncated, info = env.step(action)
+        total += reward
+        print(f"{name}: {info['duration']} primitives, {info['option']['ended']}, reward {reward:g}, "
+              f"discounted {info['discounted_reward']:.2f}, then discount by {info['discount']:.3f}, "
+              f"pressed {[env.unwrapped.instance.targets[i].name for i in info['pressed']]}")
+    print(f"escaped: {terminated}, return {total:g}")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,33 @@
+"""Door 3: train an agent on options. Every algorithm learns from SMDP transitions; a flat room is the case k = 1."""
+
+import itertools
+from pathlib import Path
+
+import gymnasium
+import tyro
+
+import hrl_escape  # noqa: F401  # registers the environments
+from hrl_escape.agents import play_episode, train
+from hrl_escape.options.options_env import OptionsEnv
+
+
+def main(agent: str = "smdp-dqn", primitives: int = 20_000, seed: int = 0, out: Path | None = None) -> None:
+    """Train, print the learning curve, and watch an episode's first decisions.
+
+    Args:
+        agent: `smdp-dqn`, `smdp-q-learning`, `smdp-ppo`, ...
+        primitives: training budget.
+        seed: of the training run.
+        out: folder for log and checkpoints; a run that was stopped goes on from there.
+    """
+    env = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v0", config="paper-two-button", observation="features"))
+    result = train(agent, env, primitives=primitives, seed=seed, out=out)
+    for trained, value in zip(*result.curve("mean_return"), strict=True):
+        print(f"{trained:8,.0f} primitives: return {value:8.1f}")
+    assert result.agent is not None
+    for transition, info in itertools.islice(play_episode(result.agent, env, seed=1), 20):
+        print(f"{info['option']['name']}: {transition.duration} primitives, reward {transition.summed_reward:g}")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

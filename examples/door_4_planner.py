@@ -1,0 +1,34 @@
+"""Door 4: the planner. Ask it for a goal from any state; run the plan, draw it, or read its numbers."""
+
+from pathlib import Path
+
+import gymnasium
+import tyro
+
+import hrl_escape  # noqa: F401  # registers the environments
+from hrl_escape.options.planner import RoomPlanner
+
+
+def main(config: str = "clutter", draw: Path = Path("plan.svg")) -> None:
+    """Plan to one button, then the whole escape; drive it and draw it.
+
+    Args:
+        config: preset of the room.
+        draw: picture to write.
+    """
+    env = gymnasium.make("hrl_escape/EscapeRoom-v0", config=config)
+    env.reset(seed=0)
+    planner = RoomPlanner(env.unwrapped.instance)
+    target = env.unwrapped.instance.targets[0].name
+    print(f"to {target}: {planner.plan(env.unwrapped.get_state(), target).cost} primitives")
+    plan = planner.solve(env.unwrapped.get_state())
+    print(plan)
+    execution = plan.execute(env)
+    print(f"driven: escaped {execution.terminated}, return {sum(execution.rewards):g}, "
+          f"every state as predicted: {execution.as_predicted}")
+    plan.draw(draw)
+    print(f"drawn: {draw}")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,47 @@
+"""Your own comparison from Python: data says what is compared; runs are parallel, kept, and told in a report.
+
+The same from a shell: hrl-escape compare --agents smdp-random smdp-q-learning --rooms four-button-chain
+"""
+
+from pathlib import Path
+
+import tyro
+
+from hrl_escape.experiments.comparison import run_grid
+from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec
+from hrl_escape.experiments.report import write_report
+from hrl_escape.experiments.verdict import write_verdict
+
+ONLY_OPTIONS = OptionsView(include_primitives=False)
+
+
+def main(primitives: int = 5_000, runs: int = 4, out: Path = Path("runs/own-comparison")) -> None:
+    """Does it help to leave the primitives out of the choices?
+
+    Args:
+        primitives: training budget of a run.
+        runs: training seeds.
+        out: folder; what is finished in it is not run again.
+    """
+    grid = Grid(
+        name="own-comparison",
+        description="Does it help to leave the primitives out of the choices?",
+        agents=(
+            AgentSpec("smdp-random"),
+            AgentSpec("smdp-random", label="chance, options only", options=ONLY_OPTIONS),
+            AgentSpec("smdp-q-learning"),
+            AgentSpec("smdp-q-learning", label="q-learning, options only", options=ONLY_OPTIONS),
+        ),
+        rooms=(RoomSpec("paper-two-button"), RoomSpec("four-button-chain")),
+        runs=runs,
+        primitives=primitives,
+        eval_episodes=2,
+    )
+    summary = write_report(run_grid(grid, out), f"python examples/own_comparison.py --primitives {primitives}")
+    for sentence in write_verdict(summary):
+        print(f"{sentence.kind}: {sentence.text}")
+    print(f"report: {out / 'report.html'}")
+
+
+if __name__ == "__main__":  # processes are started, so this line is needed
+    tyro.cli(main)

@@ -1,0 +1,110 @@
+"""Your own puzzle: Lights Out on a wall. Pressing a light toggles it and its neighbours; all on opens the exit.
+
+A puzzle is a schematic part (`PuzzleConfig`), rules as pure functions of a hashable state (`Puzzle`), and a symbolic
+model from which options, planners and PDDL follow. Publish it under the entry-point group `hrl_escape.puzzles`.
+"""
+
+import dataclasses
+import itertools
+from pathlib import Path
+
+import tyro
+
+from hrl_escape.checks import check_puzzle
+from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
+from hrl_escape.env.generation import generate
+from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.puzzles.base import Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel, register_puzzle
+from hrl_escape.env.settings import knob
+from hrl_escape.options.planner import RoomPlanner
+
+
+@dataclasses.dataclass(frozen=True)
+class LightsOutConfig(PuzzleConfig):
+    """Schematic: how many lights."""
+
+    kind = "lights-out"
+    count: int = knob(4, "Number of lights, in a row.", "", 2, 12)
+
+    @property
+    def panels(self):
+        """What is pressed."""
+        return Panels(width=1.5)
+
+    def make_puzzle(self, rng):
+        """Nothing is random."""
+        return LightsOut(self.count)
+
+
+@dataclasses.dataclass(frozen=True)
+class LightsOut(Puzzle):
+    """The state is a tuple of bools, one a light; all are off at first."""
+
+    kind = "lights-out"
+    count: int = knob(4, "Number of lights.", "", 2, 12)
+
+    target_names = property(lambda self: tuple(f"light-{i + 1}" for i in range(self.count)))
+    bounds = property(lambda self: ((0.0, 1.0),) * self.count)
+    goal_targets = property(lambda self: tuple(range(self.count)))
+
+    def make_state(self):
+        """All off."""
+        return (False,) * self.count
+
+    def update(self, state, contacts):
+        """Each press toggles a light and its neighbours."""
+        for pressed in contacts.pressed:
+            state = tuple(on != (abs(i - pressed) <= 1) for i, on in enumerate(state))
+        return state
+
+    def is_solved(self, state):
+        """All on."""
+        return all(state)
+
+    def observe(self, state):
+        """One number a light."""
+        return tuple(map(float, state))
+
+    def get_lit(self, state):
+        """Which are on."""
+        return state
+
+    def get_facts(self, state):
+        """`on(light-i)` for those that are on."""
+        return frozenset(f"on({name})" for name, on in zip(self.target_names, state, strict=True) if on)
+
+    def make_symbolic_model(self):
+        """One operator for each press and each way the lights that it toggles may stand."""
+        facts, operators = [f"on({name})" for name in self.target_names], []
+        for i, name in enumerate(self.target_names):
+            near = facts[max(0, i - 1) : i + 2]
+            for ons in itertools.product((True, False), repeat=len(near)):
+                lit = frozenset(fact for fact, on in zip(near, ons, strict=True) if on)
+                dark = frozenset(near) - lit
+                case = "".join("1" if on else "0" for on in ons)
+                operators.append(Operator(f"press-{name}-{case}", name, "press", lit, dark, add=dark, delete=lit))
+        return SymbolicModel(tuple(facts), tuple(operators), frozenset(facts))
+
+
+register_puzzle(LightsOutConfig, LightsOut)
+
+
+def main(count: int = 4, seed: int = 0, draw: Path = Path("lights-out.svg")) -> None:
+    """Check the puzzle, make a room with it, let the planner solve it, draw the way.
+
+    Args:
+        count: number of lights.
+        seed: which room.
+        draw: picture to write.
+    """
+    check_puzzle(LightsOut(count))
+    schematic = RoomConfig(name="lights-out", puzzle=LightsOutConfig(count), robot=RobotConfig(body_radius=0.5),
+                           room=ShapeConfig(width=12, depth=12))
+    room = generate(schematic, seed)
+    plan = RoomPlanner(room).solve(Kinematics(room).make_state(room.starts[0]))
+    print(plan)
+    plan.draw(draw)
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -1,0 +1,62 @@
+"""Every example runs from a checkout and shows what its lesson says."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+
+# script, arguments that make it quick, and what its output must show
+LESSONS = [
+    ("door_1_flat.py", ["--primitives", "1500"],
+     [r"6 primitives: forward, back", r"1,500 random primitives: \d+ presses"]),
+    ("door_2_options.py", [],
+     [r"meta-01: \d+ primitives, reached, .*pressed \['button-1'\]", r"escaped: True, return \d+"]),
+    ("door_3_training.py", ["--agent", "smdp-random", "--primitives", "500"],
+     [r"  0 primitives: return", r"  5\d\d primitives: return", r"meta-0\d: \d+ primitives, reward -\d+"]),
+    ("door_4_planner.py", ["--config", "paper-two-button", "--draw", "plan.svg"],
+     [r"total +\d+", r"driven: escaped True.*every state as predicted: True"]),
+    ("stable_baselines.py", ["--steps", "300"],
+     [r"DQN on primitives", r"MaskablePPO on options: 300 steps, then return"]),
+    ("own_agent.py", ["--primitives", "4000"], [r"return -1000 untrained, [3-9]\d after 4,0\d\d primitives"]),
+    ("own_option.py", [], [r"slide-\w+: \d+ primitives, reached"]),
+    ("own_puzzle.py", ["--count", "3"], [r"press-light-2 ", r"total +\d+ .*return [5-9]\d"]),
+    ("own_comparison.py", ["--primitives", "300", "--runs", "1", "--out", "out"],
+     [r"headline: ", r"caution: One run a room", r"report: out/report.html"]),
+]
+
+
+@pytest.mark.parametrize(("script", "arguments", "shows"), LESSONS, ids=[lesson[0] for lesson in LESSONS])
+def test_example(script: str, arguments: list[str], shows: list[str], tmp_path: Path):
+    done = subprocess.run([sys.executable, EXAMPLES / script, *arguments], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    for pattern in shows:
+        assert re.search(pattern, done.stdout), f"{pattern!r} is not in\n{done.stdout}"
+    for name in arguments:
+        if name.endswith(".svg"):
+            assert (tmp_path / name).read_bytes().startswith(b"<?xml")
+
+
+def test_every_example_is_tested_and_listed():
+    scripts = sorted(path.name for path in EXAMPLES.glob("*.py"))
+    assert scripts == sorted(lesson[0] for lesson in LESSONS)
+    assert re.findall(r"^\| \[(\w+\.py)\]\(\1\)", (EXAMPLES / "README.md").read_text(), re.MULTILINE) == [
+        lesson[0] for lesson in LESSONS]
+
+
+def test_the_own_agent_is_as_short_as_it_says():
+    """Forty lines of code in the class: no blank lines, no docstrings."""
+    import ast
+
+    source = (EXAMPLES / "own_agent.py").read_text()
+    (agent,) = [node for node in ast.parse(source).body if isinstance(node, ast.ClassDef) and node.name == "MonteCarlo"]
+    lines = {number for node in ast.walk(agent) if hasattr(node, "lineno") and not isinstance(node, ast.ClassDef)
+             for number in range(node.lineno, node.lineno + 1)}
+    documents = {node.lineno for node in ast.walk(agent)
+                 if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)}
+    assert len(lines - documents) <= 40
