@@ -84,6 +84,7 @@ def compute_distance(x: float, y: float, shape: Footprint) -> float:
 
 
 _GRAZE = 1e-9
+_TANGENT = 1e-12
 
 
 def compute_first_contact(x: float, y: float, dx: float, dy: float, radius: float, shape: Footprint) -> float:
@@ -156,8 +157,9 @@ def _meet_circle(px: float, py: float, vx: float, vy: float, radius: float) -> f
     gap = px * px + py * py - radius * radius
     if gap <= 0.0:
         return 0.0 if along < -_GRAZE * radius * math.sqrt(square) else math.inf
-    root = along * along - square * gap
-    if root <= _GRAZE * _GRAZE * radius * radius * square:
+    cross, most = px * vy - py * vx, square * radius * radius
+    root = most - cross * cross  # along**2 - square * gap, without its cancellation
+    if root <= _TANGENT * most:  # a tangent is no hit, however it is rounded
         return math.inf
     fraction = gap / (-along + math.sqrt(root))
     return fraction if fraction < 1.0 else math.inf

@@ -89,6 +89,15 @@ def test_sliding_along_a_wall_is_free_and_keeps_its_distance():
         assert compute_first_contact(x, y, 0.01, 0.0, 0.751, wall) == math.inf
 
 
+@given(st.floats(-10, 10), st.floats(0.3, 10), st.floats(0.05, 1.5), st.floats(0.1, 3))
+def test_a_disc_passes_flush_under_the_end_of_a_wall(y, half, radius, length):
+    wall = make_footprint(-2.56, y, half, 0.1, math.pi / 2)
+    at = y - half - 5.0
+    at += compute_first_contact(-2.56, at, 0.0, 5.0, radius, wall) * 5.0  # as high as the wall's end allows
+    for x in (-2.56 + 0.11 + radius, -2.56 + 0.11, -2.56):
+        assert compute_first_contact(x, at, -length, 0.0, radius, wall) == math.inf
+
+
 def test_a_long_step_does_not_tunnel():
     thin = make_footprint(0, 0, 0.001, 5)
     assert compute_first_contact(-1000, 0, 2000, 0, 0.1, thin) * 2000 - 1000 < 0
