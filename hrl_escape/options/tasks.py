@@ -197,8 +197,8 @@ class TaskSearch:
                     heapq.heappush(heap, (total, next(tie), total, then, n, leg.place, (trail, n, leg)))
                 elif total < best.get((then, n), math.inf):
                     best[then, n] = total
-                    bound = max(bound, total + self._estimate(then))
-                    heapq.heappush(heap, (bound, next(tie), total, then, n, leg.place, (trail, n, leg)))
+                    least = max(bound, total + self._estimate(then))  # no cheaper than what led here
+                    heapq.heappush(heap, (least, next(tie), total, then, n, leg.place, (trail, n, leg)))
         return None
 
     def _expand(self, at: int, here: Any, extend: ExtendLeg) -> Iterable[tuple[int, Leg, int]]:

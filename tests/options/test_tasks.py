@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hrl_escape.env.generation import generate
@@ -58,7 +58,8 @@ def make_bound(puzzle, places, start=(0.0, 0.0), exit_=(1.0, 1.0)):
 
 
 @given(st.integers(1, 6), st.floats(0, 1), st.integers(0, 10_000))
-@settings(max_examples=40)
+@example(6, 0.1875, 586)  # siblings once inherited each other's bound
+@settings(max_examples=60)
 def test_the_order_is_the_cheapest_of_all_that_keep_parents_first(count, density, seed):
     rng = np.random.default_rng(seed)
     edges = tuple((i, j) for i in range(count) for j in range(i + 1, count) if rng.random() < density)
