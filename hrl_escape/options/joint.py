@@ -31,21 +31,23 @@ EXPANSIONS = 20_000
 
 
 class _Stage:
-    """One goal: the grid it is searched on and the price of this goal and all that follow."""
+    """One goal: the price, at every cell and heading of a grid, of this goal and all that follow."""
 
     def __init__(self, maker: FieldMaker, field: NDArray[np.int16]) -> None:
-        self.maker, self.field = maker, field
+        self._prices: list[int] = field.tolist()
+        self._low_x, self._low_y = maker.low.tolist()
+        self._size, self._classes = maker.size, maker.classes
+        self._columns, self._rows = maker.shape
 
-    def get_cell(self, x: float, y: float) -> int:
-        columns, rows = self.maker.shape
-        i = min(max(int((x - self.maker.low[0]) / self.maker.size), 0), columns - 1)
-        j = min(max(int((y - self.maker.low[1]) / self.maker.size), 0), rows - 1)
-        return i * rows + j
+    def find_place(self, state: RoomState) -> int:
+        """Number of the cell and heading class that a pose lies in."""
+        i = min(max(int((state.x - self._low_x) / self._size), 0), self._columns - 1)
+        j = min(max(int((state.y - self._low_y) / self._size), 0), self._rows - 1)
+        return (i * self._rows + j) * self._classes + state.heading_steps % self._classes
 
-    def get_price(self, state: RoomState) -> int:
+    def get_price(self, place: int) -> int:
         """Primitives still to come, about; -1 where the goals cannot be reached."""
-        classes = self.maker.classes
-        return int(self.field[self.get_cell(state.x, state.y) * classes + state.heading_steps % classes])
+        return self._prices[place]
 
 
 def find_joint_plan(rules: Kinematics, state: RoomState, goals: Sequence[Goal], shut: FieldMaker,
@@ -65,7 +67,7 @@ def find_joint_plan(rules: Kinematics, state: RoomState, goals: Sequence[Goal], 
         Fewer than `most` primitives that end the episode by escaping, or None.
     """
     stages = _chain_fields(rules, state, goals, shut, opened)
-    if stages is None or stages[0].get_price(state) < 0:
+    if stages is None or stages[0].get_price(stages[0].find_place(state)) < 0:
         return None
     best = None
     for slack in SLACKS:
@@ -79,7 +81,7 @@ def _search(rules: Kinematics, state: RoomState, goals: Sequence[Goal], stages: 
     """A* over primitives; poses in one cell of the fields' grid count as one."""
     tie = itertools.count()
     heap: list[tuple[int, int, int, int, RoomState, Any]] = [(0, 0, next(tie), 0, state, None)]
-    best: dict[tuple[int, int, int, bool], int] = {}
+    best: dict[tuple[int, int, bool], int] = {}
     for _ in range(expansions):
         if not heap:
             return None
@@ -100,11 +102,10 @@ def _search(rules: Kinematics, state: RoomState, goals: Sequence[Goal], stages: 
                 heapq.heappush(heap, (spent, -spent, next(tie), then, after, (trail, action, True)))
             if step.terminated or then == len(goals):
                 continue
-            stage = stages[then]
-            price = stage.get_price(after)
+            place = stages[then].find_place(after)
+            price = stages[then].get_price(place)
             total = spent + max(price - slack, 0)
-            key = (then, stage.get_cell(after.x, after.y), after.heading_steps % stage.maker.classes,
-                   after.touching != 0)
+            key = (then, place, after.touching != 0)
             if 0 <= price and total < most and spent < best.get(key, most):
                 best[key] = spent
                 heapq.heappush(heap, (total, -spent, next(tie), then, after, (trail, action, False)))
@@ -151,7 +152,7 @@ def _price_presses(rules: Kinematics, state: RoomState, goal: PressGoal, maker: 
             for action in range(TRANSLATIONS):
                 reached = rules.step(begin, action)
                 if reached.pressed == (goal.target,):
-                    price = following.get_price(reached.state)
+                    price = following.get_price(following.find_place(reached.state))
                     if price >= 0 and (least < 0 or price < least):
                         least = price
             if least >= 0:

@@ -7,7 +7,6 @@ bookkeeps only: which options there are and how they move is `synthesis.py`'s ma
 
 from __future__ import annotations
 
-import dataclasses
 import operator
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, SupportsFloat, TypeAlias
@@ -298,7 +297,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             "pressed": tuple(decision.pressed),
             "action_mask": mask,
             "option": {"name": self.action_names[index], "index": index, "ended": outcome.ended,
-                       **dataclasses.asdict(outcome.report), "cache_hit_rate": self._hits / max(self._calls, 1),
+                       **vars(outcome.report), "cache_hit_rate": self._hits / max(self._calls, 1),
                        "also_pressed": others, "reason": outcome.reason},
         }
         if self._tracing:
