@@ -61,8 +61,9 @@ class DDPGSettings(NetworkSettings, EpsilonSettings, LearningSettings):
     """Steps of the clock before the actor's first update."""
     updates_per_step: Annotated[float, Range(0)] = 0.25
     """Updates for each step of the clock."""
-    entropy_weight: Annotated[float, Range(0)] = 0.05
-    """Weight of the actor's entropy in its loss, which keeps the softmax's gradient alive; `one-hot` only."""
+    entropy_weight: Annotated[float, Range(0)] = 1.0
+    """Weight of the actor's entropy in its loss, in scaled rewards; `one-hot` only. It keeps the softmax's gradient
+    alive and leaves the argmax of the best policy where it is."""
     loss: Literal["huber", "squared"] = "huber"
     """The critic's loss: Huber with threshold 1 (in scaled rewards), or half the squared error."""
 

@@ -42,6 +42,8 @@ __all__ = ["DQN", "DQNSettings", "compute_dqn_targets"]
 class DQNSettings(NetworkSettings, ExplorationSettings, LearningSettings):
     """Settings of `dqn`."""
 
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    """Step size of Adam."""
     double: bool = True
     """The online network chooses the next action, the target network values it."""
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
@@ -67,6 +69,7 @@ PAPER = DQNSettings(
     exploration="boltzmann",
     hidden=(16, 16, 16),
     initialisation="glorot",
+    learning_rate=1e-3,
     adam_epsilon=1e-7,
     max_grad_norm=0.0,
     scale_observations=False,

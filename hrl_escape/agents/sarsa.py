@@ -45,6 +45,8 @@ __all__ = ["Sarsa", "SarsaSettings"]
 class SarsaSettings(NetworkSettings, ExplorationSettings, LearningSettings):
     """Settings of `sarsa`."""
 
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    """Step size of Adam."""
     expected: bool = True
     """Value s' by its expectation over the policy; otherwise by one action drawn from the policy, the very one
     taken next where there is no replay."""
@@ -78,6 +80,7 @@ PAPER = SarsaSettings(
     exploration="boltzmann",
     hidden=(16, 16, 16),
     initialisation="glorot",
+    learning_rate=1e-3,
     adam_epsilon=1e-7,
     max_grad_norm=0.0,
     scale_observations=False,

@@ -26,9 +26,9 @@ __all__ = ["QTable", "TabularSettings", "make_discretiser"]
 class TabularSettings(AgentSettings):
     """The table: how states are told apart, how fast it learns."""
 
-    bins: Annotated[int, Range(2)] = 21
+    bins: Annotated[int, Range(2)] = 11
     """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
-    included: 21 over a 20 m room is 1 m; a bit stays a bit."""
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
     """A component without bounds is rounded to multiples of this, in its own unit."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
