@@ -4,8 +4,8 @@ The rules are those of `geometry.py`, written without branches so that they comp
 loop over rooms. A cylinder is a box without extent, rounded by its radius; so every outline
 here is a rounded box. Shapes come first, rooms last. Metres.
 
-Places are double precision; what is relative to an outline is computed in the outlines' own
-type, so that single precision costs a tenth of a micrometre a contact and no drift.
+Places are double precision; what is relative to an outline is computed in the outline's own
+type: double, or single where thousands are searched (`Shapes.round`).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from torch import Tensor
 
 from hrl_escape.env.geometry import Footprint
 
-__all__ = ["Shapes", "cast_rays", "compute_distance", "compute_free_fraction", "stack_shapes"]
+__all__ = ["Shapes", "cast_rays", "compute_distance", "compute_first_contact", "stack_shapes"]
 
 _NEVER = 1e6  # where outlines stand that only fill a table up
 _TINY = 1e-30  # stands in for a velocity of zero
@@ -33,7 +33,7 @@ class Shapes(NamedTuple):
     Attributes:
         x: centre, float64.
         y: centre, float64.
-        cos: direction of its own x; this and what follows is in the type that contacts are computed in.
+        cos: direction of its own x; this and what follows is float64, or float32 once rounded.
         sin: direction of its own x.
         half_x: half size along its own x; 0 for a cylinder.
         half_y: half size along its own y; 0 for a cylinder.
@@ -47,6 +47,10 @@ class Shapes(NamedTuple):
     half_x: Tensor
     half_y: Tensor
     rounding: Tensor
+
+    def round(self) -> Shapes:
+        """The same outlines in single precision, about their exact centres."""
+        return Shapes(self.x, self.y, *(field.to(torch.float32) for field in self[2:]))
 
     def look_from(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
         """Places (rooms,), float64, relative to the centres, in the outlines' own type."""
@@ -76,25 +80,27 @@ def compute_distance(x: Tensor, y: Tensor, shapes: Shapes) -> Tensor:
     return (torch.sqrt(qx * qx + qy * qy) - shapes.rounding).clamp(min=0.0)
 
 
-def compute_free_fraction(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: float, shapes: Shapes) -> Tensor:
-    """Share in [0, 1] of displacements that discs can make before they meet an outline.
+def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: float, shapes: Shapes) -> Tensor:
+    """Share in [0, 1] of displacements that discs can make before they meet each outline.
 
-    The branch-free form of `geometry.compute_first_contact`, least over the shapes: where the disc's
-    centre enters the box grown by the radius, and, if that is at a rounded corner, where it
-    enters the corner's circle. A disc that touches already is stopped only if it moves inwards.
+    The branch-free form of `geometry.compute_first_contact`: where the disc's centre enters the box
+    grown by the radius, and, if that is at a rounded corner, where it enters the corner's
+    circle. A disc that touches already is stopped only if it moves inwards.
 
     Args:
         x: disc centres (rooms,), float64.
         y: disc centres (rooms,), float64.
-        dx: displacements (rooms,), in the outlines' type.
-        dy: displacements (rooms,), in the outlines' type.
+        dx: displacements (rooms,), float64.
+        dy: displacements (rooms,), float64.
         radius: disc radius, clearance included.
         shapes: what may be hit.
 
     Returns:
         Shape (shapes, rooms); 1 where a shape lets the disc by.
     """
-    graze = max(1e-9, 8 * torch.finfo(dx.dtype).eps)
+    dx, dy = dx.to(shapes.cos.dtype), dy.to(shapes.cos.dtype)
+    eps = torch.finfo(dx.dtype).eps
+    graze, tangent = max(1e-9, 8 * eps), max(1e-12, 16 * eps)
     reach = shapes.rounding + radius
     px, py = shapes.look_from(x, y)
     ox, oy = shapes.cos * px + shapes.sin * py, shapes.cos * py - shapes.sin * px
@@ -103,15 +109,15 @@ def compute_free_fraction(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: 
     ox, oy = ox.abs(), oy.abs()
     qx, qy = ox - shapes.half_x, oy - shapes.half_y
     square = dx * dx + dy * dy
-    reach_square, least = reach * reach, graze * graze * reach * reach * square
+    reach_square = reach * reach
 
-    # touching already: along the outward normal, or along the nearer axis from within the box
+    # touching already, to the last bits: along the outward normal, or along the nearer axis from within the box
     within = torch.maximum(qx, qy) <= 0.0
     normal_x = torch.where(within & (qx > qy), 1.0, qx.clamp(min=0.0))
     normal_y = torch.where(within & (qx <= qy), 1.0, qy.clamp(min=0.0))
-    touching = within | (normal_x * normal_x + normal_y * normal_y <= reach_square)
+    touching = within | (normal_x * normal_x + normal_y * normal_y <= (1.0 + 4 * eps) * reach_square)
     inwards = normal_x * vx + normal_y * vy
-    stopped = (inwards < 0.0) & (inwards * inwards > least)
+    stopped = (inwards < 0.0) & (inwards * inwards > graze * graze * reach_square * square)
 
     # entering the grown box
     per_x, per_y = _invert(vx), _invert(vy)
@@ -131,7 +137,7 @@ def compute_free_fraction(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: 
     ky = oy - torch.where(ey < 0.0, -shapes.half_y, shapes.half_y)
     along, cross = kx * vx + ky * vy, kx * vy - ky * vx
     root = square * reach_square - cross * cross  # along**2 - square * gap, without its cancellation
-    corner = (along < 0.0) & (root > least)
+    corner = (along < 0.0) & (root > tangent * square * reach_square)  # a tangent is no hit, however it is rounded
     met_corner = (kx * kx + ky * ky - reach_square) / (torch.sqrt(root.clamp(min=0.0)) - along)
 
     met = torch.where(torch.where(is_corner, corner, face), torch.where(is_corner, met_corner, enter), 1.0)

@@ -20,7 +20,7 @@ from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.robot import make_robot
 from hrl_escape.env.tensor_arm import Arm, make_arm
 from hrl_escape.env.tensor_geometry import Shapes, stack_shapes
-from hrl_escape.env.tensor_puzzles import get_tensor_puzzle
+from hrl_escape.env.tensor_puzzles import as_signed, get_tensor_puzzle
 from hrl_escape.errors import UnsupportedError
 
 __all__ = ["Layout", "Tables", "make_layout", "map_tensors", "pick", "stack_instances"]
@@ -43,7 +43,6 @@ class Layout:
         is_shared: whether there is one instance only, so that tables need no look-up.
         draws: whether anything is random when an episode begins.
         resample: whether a new episode draws another instance.
-        dtype: floating-point type in which contacts are computed; poses are double precision.
     """
 
     robot: RobotConfig
@@ -56,7 +55,6 @@ class Layout:
     is_shared: bool
     draws: bool
     resample: bool
-    dtype: torch.dtype
 
     @property
     def headings(self) -> int:
@@ -88,6 +86,7 @@ class Tables(NamedTuple):
         start_touching: bits of the targets touched there, int64 (starts, instances).
         start_counts: starts that each instance has, int64 (1, instances).
         puzzle: tables of the puzzle's own, (..., instances).
+        puzzle_start: the puzzle's state at the start of an episode, int64 (1, instances).
         headings: angle, cosine and sine of each turn step, (3, headings).
         total: number of instances, int64 ().
     """
@@ -107,6 +106,7 @@ class Tables(NamedTuple):
     start_touching: Tensor
     start_counts: Tensor
     puzzle: dict[str, Tensor]
+    puzzle_start: Tensor
     headings: Tensor
     total: Tensor
 
@@ -125,7 +125,7 @@ def pick(layout: Layout, table: Any, instance: Tensor) -> Any:
     return table if layout.is_shared else map_tensors(lambda column: column[..., instance], table)
 
 
-def make_layout(instances: Sequence[RoomInstance], resample: bool, dtype: torch.dtype) -> Layout:
+def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
     """Find what instances have in common.
 
     Raises:
@@ -156,22 +156,20 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool, dtype: torch.
         is_shared=len(instances) == 1,
         draws=resample or bool(noise or first.dynamics.slip) or any(len(i.starts) > 1 for i in instances),
         resample=resample,
-        dtype=dtype,
     )
 
 
 def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: torch.device) -> Tables:
     """Stack instances into tables on a device."""
 
-    def floats(values: Any, dtype: torch.dtype = layout.dtype) -> Tensor:
+    def floats(values: Any, dtype: torch.dtype = torch.float64) -> Tensor:
         return torch.as_tensor(np.asarray(values, dtype=np.float64)).to(device, dtype)
 
     def integers(values: Any, dtype: torch.dtype = torch.int64) -> Tensor:
         return torch.tensor(values, dtype=dtype, device=device)
 
     def shapes(rows: Sequence[Any]) -> Shapes:
-        table = stack_shapes(rows)
-        return Shapes(*floats(table[:2], torch.float64), *floats(table[2:]))
+        return Shapes(*floats(stack_shapes(rows)))
 
     def columns(rows: Sequence[Sequence[float]]) -> np.ndarray:
         return np.array(rows, dtype=np.float64).T
@@ -182,7 +180,8 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
               for rule, i in zip(rules, instances, strict=True)]  # (instances, starts)
     turns = [(rules[0].get_heading(rules[0].make_state(Start(heading_steps=n))), *rules[0].get_rotation(n, 0.0))
              for n in range(layout.headings)]
-    puzzle = get_tensor_puzzle(layout.puzzle).make_tables([i.puzzle for i in instances])
+    form = get_tensor_puzzle(layout.puzzle)
+    puzzle = form.make_tables([i.puzzle for i in instances])
     return Tables(
         solids=shapes([[solid.footprint for solid in i.solids] for i in instances]),
         doors=shapes([[i.door.footprint] if i.door else [] for i in instances]),
@@ -190,26 +189,21 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
         target_z=floats(columns([[t.z for t in i.targets] for i in instances])),
         target_half_z=floats(columns([[t.half_z for t in i.targets] for i in instances])),
         target_reach=floats(columns([[i.compute_press_reach(t) for t in i.targets] for i in instances])),
-        exits=floats(columns([(i.exit.x_min, i.exit.x_max, i.exit.y_min, i.exit.y_max) for i in instances]),
-                     torch.float64),
+        exits=floats(columns([(i.exit.x_min, i.exit.x_max, i.exit.y_min, i.exit.y_max) for i in instances])),
         half_sizes=floats(columns([(i.reach_x, i.reach_y) for i in instances]), torch.float32),
         rewards=floats(columns([_list_rewards(i.reward) for i in instances]), torch.float32),
         horizons=integers([[i.horizon for i in instances]], torch.int32),
         starts=floats([[[getattr(row[k], name) for row in begins] for k in range(most)]
-                       for name in ("x", "y", "heading_offset")], torch.float64),
+                       for name in ("x", "y", "heading_offset")]),
         start_headings=integers([[row[k].heading_steps for row in begins] for k in range(most)], torch.int32),
         start_touching=integers([[as_signed(row[k].touching) for row in begins] for k in range(most)]),
         start_counts=integers([[len(i.starts) for i in instances]]),
         puzzle={name: torch.as_tensor(values).to(device) for name, values in puzzle.items()},
-        headings=floats(columns(turns), torch.float64),
+        puzzle_start=integers([[as_signed(form.encode(i.puzzle.make_state())) for i in instances]]),
+        headings=floats(columns(turns)),
         total=integers(len(instances)),
     )
 
 
 def _list_rewards(reward: RewardConfig) -> tuple[float, float]:
     return reward.step, reward.exit if reward.exit_replaces_step else reward.step + reward.exit
-
-
-def as_signed(bits: int) -> int:
-    """The signed 64-bit integer of the same bits."""
-    return bits - 2**64 if bits >= 2**63 else bits

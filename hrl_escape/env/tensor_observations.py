@@ -101,7 +101,7 @@ def _measure_ranges(layout: Layout, tables: Tables, state: TensorState, cos: Ten
 
 def _observe_puzzle(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
     puzzle = pick(layout, tables.puzzle, state.instance)
-    return get_tensor_puzzle(layout.puzzle).observe(puzzle, state.puzzle)
+    return get_tensor_puzzle(layout.puzzle).observe(puzzle, state.puzzle, layout.targets)
 
 
 OBSERVATIONS = {"state": _observe_state, "features": _observe_features, "egocentric": _observe_egocentric}

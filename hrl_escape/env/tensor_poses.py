@@ -84,10 +84,10 @@ def compute_touching(layout: Layout, tables: Tables, state: TensorState) -> Tens
     """Bits of the targets that the presser touches, int64 (rooms,)."""
     if not layout.targets:
         return torch.zeros_like(state.touching)
-    targets: Shapes = pick(layout, tables.targets, state.instance)
+    targets: Shapes = pick(layout, tables.targets, state.instance).round()
     robot, dynamics = layout.robot, layout.dynamics
     if dynamics.press_with == "hand":
-        hand_x, hand_y, hand_z = compute_hand(layout.arm, compute_angles(layout, state).to(layout.dtype))
+        hand_x, hand_y, hand_z = compute_hand(layout.arm, compute_angles(layout, state).to(torch.float32))
         cos, sin = compute_rotation(layout, tables, state)
         away = compute_distance(state.x + cos * hand_x - sin * hand_y, state.y + sin * hand_x + cos * hand_y, targets)
         height = pick(layout, tables.target_z, state.instance)

@@ -16,32 +16,32 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.env.puzzles.base import Puzzle
+from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.errors import UnsupportedError
 
-__all__ = ["ButtonsTensorPuzzle", "TensorPuzzle", "get_tensor_puzzle", "register_tensor_puzzle", "unpack_bits"]
+__all__ = [
+    "BitFlipTensorPuzzle",
+    "ButtonsTensorPuzzle",
+    "TensorPuzzle",
+    "as_signed",
+    "get_tensor_puzzle",
+    "register_tensor_puzzle",
+    "unpack_bits",
+]
 
 PuzzleTables = dict[str, Tensor]
 
 
 class TensorPuzzle(ABC):
-    """A puzzle's rules over tensors; its state is one int64 word a room, bits from 0 up."""
+    """A puzzle's rules over tensors; its state is one int64 word a room.
+
+    What is not abstract suits puzzles whose own state is an integer with bit i for target i.
+    """
 
     @abstractmethod
     def make_tables(self, puzzles: Sequence[Any]) -> dict[str, NDArray[Any]]:
         """Stack what the rules need to know of each puzzle; instances come last."""
-
-    @abstractmethod
-    def encode(self, state: Any) -> int:
-        """Turn the puzzle's own state into an unsigned word."""
-
-    @abstractmethod
-    def decode(self, word: int) -> Any:
-        """Turn an unsigned word into the puzzle's own state."""
-
-    @abstractmethod
-    def make_state(self, tables: PuzzleTables) -> Tensor:
-        """Words at the beginning of an episode, int64 (rooms,) or (1,)."""
 
     @abstractmethod
     def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
@@ -58,13 +58,21 @@ class TensorPuzzle(ABC):
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
         """Whether the exit is open, bool (rooms,)."""
 
-    @abstractmethod
+    def encode(self, state: Any) -> int:
+        """Turn the puzzle's own state into an unsigned word."""
+        return state
+
+    def decode(self, word: int) -> Any:
+        """Turn an unsigned word into the puzzle's own state."""
+        return word
+
     def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
         """Bits of the targets that are on, int64 (rooms,)."""
+        return state
 
-    @abstractmethod
-    def observe(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """The observation numbers, float32 (numbers, rooms); within 0 and 1, as all bits are."""
+    def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
+        """The observation numbers, each 0 or 1, float32 (numbers, rooms)."""
+        return unpack_bits(state, targets, torch.float32)
 
 
 def unpack_bits(words: Tensor, count: int, dtype: torch.dtype) -> Tensor:
@@ -73,8 +81,13 @@ def unpack_bits(words: Tensor, count: int, dtype: torch.dtype) -> Tensor:
     return ((words >> places) & 1).to(dtype)
 
 
+def as_signed(bits: int) -> int:
+    """The signed 64-bit integer of the same bits."""
+    return bits - 2**64 if bits >= 2**63 else bits
+
+
 class ButtonsTensorPuzzle(TensorPuzzle):
-    """`puzzles.buttons.ButtonsPuzzle`: bit i of the word is button i."""
+    """`puzzles.buttons.ButtonsPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[ButtonsPuzzle]) -> dict[str, NDArray[Any]]:
         """Parents' bits (buttons, instances), and each puzzle's goal and rules (instances,)."""
@@ -86,22 +99,10 @@ class ButtonsTensorPuzzle(TensorPuzzle):
             "allow_off": np.array([puzzle.allow_off for puzzle in puzzles]),
         }
 
-    def encode(self, state: int) -> int:
-        """The state is the word."""
-        return state
-
-    def decode(self, word: int) -> int:
-        """The word is the state."""
-        return word
-
-    def make_state(self, tables: PuzzleTables) -> Tensor:
-        """All buttons off."""
-        return torch.zeros_like(tables["goal"])
-
     def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
         """Each press turns its button on if its parents are, one after the other."""
         for button in range(targets):
-            bit = (1 << button) - ((1 << 64) if button == 63 else 0)
+            bit = as_signed(1 << button)
             is_ready = (tables["parents"][button] & ~state) == 0
             when_off = torch.where(is_ready, state | bit, torch.where(tables["resets"], 0, state))
             when_on = torch.where(tables["allow_off"], state & ~bit, state)
@@ -113,13 +114,25 @@ class ButtonsTensorPuzzle(TensorPuzzle):
         """The goal button is on."""
         return ((state >> tables["goal"]) & 1) != 0
 
-    def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Buttons that are on."""
+
+class BitFlipTensorPuzzle(TensorPuzzle):
+    """`puzzles.bit_flip.BitFlipPuzzle`."""
+
+    def make_tables(self, puzzles: Sequence[BitFlipPuzzle]) -> dict[str, NDArray[Any]]:
+        """The word with all bits on (instances,)."""
+        return {"all_on": np.array([as_signed((1 << puzzle.count) - 1) for puzzle in puzzles], dtype=np.int64)}
+
+    def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
+        """Each press flips its bit if all lower ones are on, and else clears it and them."""
+        for number in range(targets):
+            bit, lower = as_signed(1 << number), (1 << number) - 1
+            after = torch.where((state & lower) == lower, state ^ bit, state & ~(lower | bit))
+            state = torch.where((pressed & bit) != 0, after, state)
         return state
 
-    def observe(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """One number a button."""
-        return unpack_bits(state, tables["parents"].shape[0], torch.float32)
+    def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        """All bits are on."""
+        return state == tables["all_on"]
 
 
 _FORMS: dict[str, TensorPuzzle] = {}
@@ -145,3 +158,4 @@ def get_tensor_puzzle(kind: str) -> TensorPuzzle:
 
 
 register_tensor_puzzle(ButtonsPuzzle, ButtonsTensorPuzzle())
+register_tensor_puzzle(BitFlipPuzzle, BitFlipTensorPuzzle())

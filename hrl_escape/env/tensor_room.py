@@ -1,9 +1,8 @@
 """The batched engine: thousands of rooms that step together, on a CPU or an accelerator.
 
 `TensorRoom` owns the tables and states of a batch and, if asked, a compiled kernel; the rules
-are in `tensor_rules.py`. Poses are double precision and contacts single, unless asked
-otherwise: poses are within 1e-4 m of the exact ones, and flags differ only where the exact ones all but
-touch a threshold.
+are in `tensor_rules.py`. Poses agree with the scalar rules' to rounding; what is touched is
+decided in single precision, so flags can differ within a micrometre of a threshold.
 """
 
 from __future__ import annotations
@@ -18,10 +17,10 @@ from torch import Tensor
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.primitives import make_primitives
-from hrl_escape.env.tensor_instances import Layout, Tables, as_signed, make_layout, map_tensors, pick, stack_instances
+from hrl_escape.env.tensor_instances import Layout, Tables, make_layout, map_tensors, pick, stack_instances
 from hrl_escape.env.tensor_observations import check_observation, observe
 from hrl_escape.env.tensor_poses import TensorState
-from hrl_escape.env.tensor_puzzles import get_tensor_puzzle, unpack_bits
+from hrl_escape.env.tensor_puzzles import as_signed, get_tensor_puzzle, unpack_bits
 from hrl_escape.env.tensor_rules import begin, restart, step
 from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError, StateError
 
@@ -143,7 +142,6 @@ class TensorRoom:
         autoreset: Autoreset = "next-step",
         resample: bool = False,
         device: str | torch.device = "cpu",
-        dtype: torch.dtype = torch.float32,
         compile: bool = False,
     ) -> None:
         """Stack instances and lay out the batch; the first episodes begin with `reset`.
@@ -155,13 +153,12 @@ class TensorRoom:
             autoreset: when a room whose episode has ended begins the next one.
             resample: draw one of the instances anew for every episode.
             device: where tensors live.
-            dtype: floating-point type in which contacts are computed, float32 or float64.
             compile: fuse a step into compiled kernels, once for each shape of batch (5 to 30 s).
 
         Raises:
             UnsupportedError: these rooms need the Bullet engine.
             UnknownNameError: no such observation.
-            ConfigError: no rooms, no instances, or no such autoreset or dtype.
+            ConfigError: no rooms, no instances, or no such autoreset.
         """
         if not instances:
             raise ConfigError("instances", instances, "at least one RoomInstance")
@@ -169,11 +166,9 @@ class TensorRoom:
             raise ConfigError("rooms", rooms, "a whole number of at least 1")
         if autoreset not in AUTORESETS:
             raise ConfigError("autoreset", autoreset, f"one of {', '.join(AUTORESETS)}")
-        if dtype not in (torch.float32, torch.float64):
-            raise ConfigError("dtype", dtype, "torch.float32 or torch.float64")
         check_observation(observation)
         self.instances = tuple(instances)
-        self.layout = make_layout(self.instances, resample, dtype)
+        self.layout = make_layout(self.instances, resample)
         self.device = torch.device(device)
         self.tables = stack_instances(self.instances, self.layout, self.device)
         self.count, self.actions = rooms, len(make_primitives(self.layout.robot.joints))

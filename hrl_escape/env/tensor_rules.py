@@ -14,8 +14,8 @@ from torch import Tensor
 
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.primitives import BASE_PRIMITIVES
-from hrl_escape.env.tensor_geometry import Shapes, compute_distance, compute_free_fraction
-from hrl_escape.env.tensor_instances import Layout, Tables, pick
+from hrl_escape.env.tensor_geometry import Shapes, compute_distance, compute_first_contact
+from hrl_escape.env.tensor_instances import Layout, Tables, map_tensors, pick
 from hrl_escape.env.tensor_noise import compute_noise, draw_words, scale_word
 from hrl_escape.env.tensor_poses import TensorState, compute_angles, compute_rotation, compute_touching
 from hrl_escape.env.tensor_puzzles import get_tensor_puzzle
@@ -79,20 +79,31 @@ def _translate(layout: Layout, tables: Tables, state: TensorState, action: Tenso
     forward, left = (length * _sum_effects(action, name).to(torch.float64) for name in ("forward", "left"))
     cos, sin = compute_rotation(layout, tables, state)
     dx, dy = forward * cos - left * sin, forward * sin + left * cos
-    radius = layout.robot.body_radius + CONTACT_SKIN
-    solids: Shapes = pick(layout, tables.solids, state.instance)
-    span = dx.to(layout.dtype), dy.to(layout.dtype)
-    free = compute_free_fraction(state.x, state.y, *span, radius, solids).amin(0)
-    if layout.has_door:
-        doors: Shapes = pick(layout, tables.doors, state.instance)
-        puzzle = pick(layout, tables.puzzle, state.instance)
-        # a door cannot close on a robot standing in it; standing is told apart from touching by a tenth of the skin
-        slack = CONTACT_SKIN / 10 if layout.dtype == torch.float32 else 1e-6
-        is_open = get_tensor_puzzle(layout.puzzle).is_solved(puzzle, state.puzzle)
-        is_open = is_open | (compute_distance(state.x, state.y, doors)[0] < radius - slack)
-        door = compute_free_fraction(state.x, state.y, *span, radius, doors)[0]
-        free = torch.where(is_open, free, torch.minimum(free, door))
+    free = _find_free_fraction(layout, tables, state, dx, dy)
     return state._replace(x=state.x + free * dx, y=state.y + free * dy)
+
+
+def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
+    """Share of displacements that bodies can make, float64 (rooms,).
+
+    The first solid is found in single precision; the contact with it is computed again in double, so that
+    rounding does not grow from contact to contact.
+    """
+    motion = (state.x, state.y, dx, dy, layout.robot.body_radius + CONTACT_SKIN)
+    solids: Shapes = pick(layout, tables.solids, state.instance)
+    nearly, which = compute_first_contact(*motion, solids.round()).min(0)
+    column = torch.zeros_like(which) if layout.is_shared else state.instance
+    first: Shapes = map_tensors(lambda table: table[which, column].unsqueeze(0), tables.solids)
+    exactly = compute_first_contact(*motion, first)[0]
+    free = torch.where((exactly - nearly).abs() < 1e-3, exactly, nearly)  # let by one solid, it may meet another
+    if not layout.has_door:
+        return free
+    doors: Shapes = pick(layout, tables.doors, state.instance)
+    puzzle = pick(layout, tables.puzzle, state.instance)
+    is_open = get_tensor_puzzle(layout.puzzle).is_solved(puzzle, state.puzzle)
+    is_inside = compute_distance(state.x, state.y, doors)[0] < motion[-1] - 1e-6  # it cannot close on a robot
+    door = compute_first_contact(*motion, doors)[0]
+    return torch.where(is_open | is_inside, free, torch.minimum(free, door))
 
 
 def _turn(layout: Layout, state: TensorState, action: Tensor, scale: Tensor | None) -> TensorState:
@@ -172,11 +183,10 @@ def restart(layout: Layout, tables: Tables, state: TensorState, where: Tensor) -
         noise_key = ((second << 32) | third) & (2**63 - 1)
     column = torch.zeros_like(instance) if layout.is_shared else instance
     x, y, offset = tables.starts[:, chosen, column]
-    columns = pick(layout, tables.puzzle, instance)
     fresh = state._replace(
         x=x, y=y, heading_steps=tables.start_headings[chosen, column], heading_offset=offset,
         joint_steps=torch.zeros_like(state.joint_steps), joint_offsets=torch.zeros_like(state.joint_offsets),
-        puzzle=get_tensor_puzzle(layout.puzzle).make_state(columns).expand_as(state.puzzle),
+        puzzle=pick(layout, tables.puzzle_start, instance)[0].expand_as(state.puzzle),
         touching=tables.start_touching[chosen, column], primitives=torch.zeros_like(state.primitives),
         noise_key=noise_key, instance=instance, episode=episode, has_ended=torch.zeros_like(state.has_ended),
     )

@@ -73,7 +73,6 @@ class EscapeRoomVectorEnv(VectorEnv):
         autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
         output: `numpy` arrays, or `torch` tensors on the device, which cost no copy.
         device: where the rooms are.
-        dtype: type in which contacts are computed, `float32` or `float64`; poses are always double.
         compile: fuse a step into compiled kernels; takes some 10 s once for each shape of batch.
 
     ## Version history
@@ -96,7 +95,6 @@ class EscapeRoomVectorEnv(VectorEnv):
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         output: Literal["numpy", "torch"] = "numpy",
         device: str | torch.device = "cpu",
-        dtype: Literal["float32", "float64"] = "float32",
         compile: bool = False,
     ) -> None:
         super().__init__()
@@ -104,8 +102,6 @@ class EscapeRoomVectorEnv(VectorEnv):
             raise UnsupportedError(f"render_mode = {render_mode!r}: the batched engine draws nothing; {INSTEAD}")
         if output not in ("numpy", "torch"):
             raise ConfigError("output", output, "'numpy' or 'torch'")
-        if dtype not in ("float32", "float64"):
-            raise ConfigError("dtype", dtype, "'float32' or 'float64'")
         try:
             mode = AutoresetMode(autoreset_mode)
         except ValueError:
@@ -113,8 +109,7 @@ class EscapeRoomVectorEnv(VectorEnv):
             raise ConfigError("autoreset_mode", autoreset_mode, allowed) from None
         self.room = TensorRoom(
             make_instances(config, instance, instance_seed, num_instances), num_envs, observation=observation,
-            autoreset=_AUTORESETS[mode], resample=resample_instance, device=device, dtype=getattr(torch, dtype),
-            compile=compile,
+            autoreset=_AUTORESETS[mode], resample=resample_instance, device=device, compile=compile,
         )
         self.instances = self.room.instances
         self.num_envs, self.autoreset_mode = num_envs, mode

@@ -1,0 +1,185 @@
+"""Do the batched engine and the scalar rules agree? Random primitives in many rooms, compared one by one.
+
+    python -m benchmarks.conformance                                     # the full check, some hours
+    python -m benchmarks.conformance --rooms clutter --instances 5 --primitives 10000
+
+Every difference of a pose by more than 1e-4 m, of a press, exit, reward or flag is either a close
+call (moving the start of that primitive by a millimetre changes what it does) or a disagreement.
+The Bullet engine steps with these scalar rules, so what agrees with them agrees with it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import sys
+import time
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from hrl_escape.env.generation import generate
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Kinematics, RoomState, Transition
+from hrl_escape.env.tensor_puzzles import as_signed
+from hrl_escape.env.tensor_room import Outcome, TensorRoom
+from hrl_escape.errors import UnsupportedError
+from tests.env.rooms import all_schematics
+
+TOLERANCE = 1e-4
+THRESHOLD = 1e-3
+MOST_CLOSE_CALLS = 1e-4
+
+
+@dataclasses.dataclass
+class Agreement:
+    """What a comparison found.
+
+    Attributes:
+        primitives: how many were compared.
+        worst: largest difference of a coordinate that is no close call, m.
+        close_calls: differences within a millimetre of a threshold.
+        disagreements: all other differences, in words.
+    """
+
+    primitives: int = 0
+    worst: float = 0.0
+    close_calls: int = 0
+    disagreements: list[str] = dataclasses.field(default_factory=list)
+
+    @property
+    def is_good(self) -> bool:
+        """No disagreement, and close calls as rare as they must be."""
+        return not self.disagreements and self.close_calls <= max(1, MOST_CLOSE_CALLS * self.primitives)
+
+
+def compare(instances: Sequence[RoomInstance], primitives: int, *, copies: int = 1, seed: int = 0) -> Agreement:
+    """Step instances in both engines with the same random primitives.
+
+    Args:
+        instances: rooms of one schematic.
+        primitives: primitives in each instance, shared by its copies.
+        copies: rooms that each instance is stepped in at once.
+        seed: of the primitives and of the episodes.
+    """
+    rooms = len(instances) * copies
+    batch = TensorRoom(instances, rooms, autoreset="disabled")
+    scalar = [Kinematics(instances[i % len(instances)]) for i in range(rooms)]
+    batch.reset(torch.arange(rooms) + seed)
+    rng = np.random.default_rng(seed)
+    found = Agreement()
+    states = [batch.get_room_state(i) for i in range(rooms)]
+    for room in range(rooms):
+        _check_start(found, scalar[room], states[room])
+    for _ in range(primitives // copies):
+        actions = rng.integers(batch.actions, size=rooms)
+        outcome = batch.step(torch.from_numpy(actions))
+        transitions = [k.step(s, a) for k, s, a in zip(scalar, states, actions.tolist(), strict=True)]
+        _compare_step(found, batch, outcome, scalar, states, actions, transitions)
+        states = [t.state for t in transitions]
+        ended = np.array([t.terminated or t.truncated for t in transitions])
+        if ended.any():
+            batch.reset(where=torch.from_numpy(ended))
+            for room in np.flatnonzero(ended).tolist():
+                states[room] = batch.get_room_state(room)
+                _check_start(found, scalar[room], states[room])
+    return found
+
+
+def _check_start(found: Agreement, scalar: Kinematics, state: RoomState) -> None:
+    starts = [scalar.make_state(start, state.noise_key) for start in scalar.instance.starts]
+    if state not in starts:
+        found.disagreements.append(f"instance {scalar.instance.id} begins in {state}")
+
+
+def _compare_step(found: Agreement, batch: TensorRoom, outcome: Outcome, scalar: list[Kinematics],
+                  states: list[RoomState], actions: np.ndarray, transitions: list[Transition]) -> None:
+    now, after = batch.state, [t.state for t in transitions]
+    off = np.maximum(np.abs(now.x.numpy() - [s.x for s in after]), np.abs(now.y.numpy() - [s.y for s in after]))
+    turned = np.abs(now.heading_offset.numpy() - [s.heading_offset for s in after])
+    other = np.minimum(turned, 2 * np.pi - turned) > TOLERANCE
+    count = len(transitions[0].state.joint_steps)
+    bent = np.array([s.joint_offsets or (0.0,) * count for s in after]).reshape(len(after), count)
+    other |= (np.abs(now.joint_offsets.numpy().T - bent) > TOLERANCE).any(axis=1)
+    targets = range(outcome.info.pressed.shape[1])
+    puzzle = scalar[0].instance.puzzle
+    for mine, theirs in (
+        (now.heading_steps, [s.heading_steps for s in after]),
+        (now.primitives, [s.primitives for s in after]),
+        (now.puzzle, [as_signed(s.puzzle) for s in after]),
+        (now.touching, [as_signed(s.touching) for s in after]),
+        (outcome.reward, np.array([t.reward for t in transitions], dtype=np.float32)),
+        (outcome.terminated, [t.terminated for t in transitions]),
+        (outcome.truncated, [t.truncated for t in transitions]),
+    ):
+        other |= mine.numpy() != np.array(theirs)
+    for table, rows in (
+        (now.joint_steps.T, [s.joint_steps for s in after]),
+        (outcome.info.pressed, [[i in t.pressed for i in targets] for t in transitions]),
+        (outcome.info.buttons_on, [puzzle.get_lit(s.puzzle) for s in after]),
+    ):
+        other |= (table.numpy() != np.array(rows).reshape(table.shape)).any(axis=1)
+    wrong = other | (off > TOLERANCE)
+    found.primitives += len(transitions)
+    found.worst = max(found.worst, float(off[~wrong].max(initial=0.0)))
+    for room in np.flatnonzero(wrong).tolist():
+        if is_close_call(scalar[room], states[room], int(actions[room]), transitions[room]):
+            found.close_calls += 1
+        else:
+            found.disagreements.append(
+                f"instance {scalar[room].instance.id}, action {actions[room]} in {states[room]}: batched engine "
+                f"{batch.get_room_state(room)}, scalar rules {transitions[room]}"
+            )
+        batch.set_room_state(room, transitions[room].state)
+
+
+def is_close_call(scalar: Kinematics, state: RoomState, action: int, done: Transition) -> bool:
+    """Whether starting a primitive a millimetre away changes what it does."""
+    moved = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)]) * THRESHOLD
+    for dx, dy in moved.tolist():
+        other = scalar.step(state._replace(x=state.x + dx, y=state.y + dy), action)
+        if (other.pressed, other.terminated, other.state.touching) != (done.pressed, done.terminated,
+                                                                       done.state.touching):
+            return True
+        if max(abs(other.state.x - done.state.x), abs(other.state.y - done.state.y)) > 10 * THRESHOLD:
+            return True
+    return False
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns 1 where the engines disagree."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--rooms", nargs="*", help="presets and knob extremes (all of them)")
+    parser.add_argument("--instances", type=int, default=50, help="instances of each (%(default)s)")
+    parser.add_argument("--primitives", type=int, default=100_000, help="primitives in each instance (%(default)s)")
+    parser.add_argument("--copies", type=int, default=20, help="rooms that share them (%(default)s)")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--json", help="file to write the findings to")
+    chosen = parser.parse_args(arguments)
+    findings, good = {}, True
+    print(f"{'room':20} {'primitives':>12} {'worst pose':>11} {'close calls':>11} {'disagreements':>13} {'seconds':>8}")
+    for name, config in all_schematics().items():
+        if chosen.rooms and name not in chosen.rooms:
+            continue
+        begun = time.perf_counter()
+        rooms = [generate(config, seed) for seed in range(chosen.instances)]
+        try:
+            found = compare(rooms, chosen.primitives, copies=chosen.copies, seed=chosen.seed)
+        except UnsupportedError as error:
+            print(f"{name:20} left out: {error}")
+            continue
+        print(f"{name:20} {found.primitives:12,} {found.worst:9.1e} m {found.close_calls:11} "
+              f"{len(found.disagreements):13} {time.perf_counter() - begun:8.1f}", flush=True)
+        print("\n".join(found.disagreements[:3]), end="\n" if found.disagreements else "")
+        findings[name] = dataclasses.asdict(found)
+        good &= found.is_good
+    if chosen.json:
+        with open(chosen.json, "w") as file:
+            json.dump(findings, file, indent=1)
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
