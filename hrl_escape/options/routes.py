@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Pose", "Route", "RouteFinder", "get_pose", "get_prop_poses"]
 
-REMEMBERED = 50_000
+REMEMBERED = 10_000
 """Routes that are kept; the least recently used go first."""
 
 Pose: TypeAlias = tuple[Any, ...]
