@@ -41,13 +41,13 @@ def find_reason(reacher: Reacher, target: int) -> str | None:
         target: index of the target.
     """
     room = CollisionMap(reacher.instance, door_shut=False)
-    goal, lattice = reacher.instance.targets[target], reacher.get_lattice()
+    goal = reacher.instance.targets[target]
     hands = None
     if _try_places(reacher, room, target):
         return None
-    if lattice is not None:
+    if reacher.is_whole:
         half_cells = math.ceil(reacher.reach / _FINE_HAND) + 1
-        hands = collect_hands(lattice, goal.z, goal.half_z, reacher.limit, _FINE_HAND, half_cells)
+        hands = collect_hands(reacher.get_lattice(), goal.z, goal.half_z, reacher.limit, _FINE_HAND, half_cells)
         if _search_places(reacher, room, target, hands):
             return None
     places, closest = _find_places(reacher, room, target)

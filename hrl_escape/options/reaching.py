@@ -121,7 +121,7 @@ class Reacher:
             (t.x, t.y, t.z, t.footprint.cos, t.footprint.sin, t.half_x, t.half_y, t.half_z) for t in instance.targets
         ]).reshape(-1, 8)
         self._get_halves = lru_cache(4)(self._make_halves)
-        self._get_lattice = lru_cache(16)(self._make_lattice)
+        self._get_ordered = lru_cache(16)(self._make_ordered)
         self._get_hands = lru_cache(16)(self._map_hands)
         self._get_costs = lru_cache(24)(self._compute_costs)
 
@@ -139,34 +139,37 @@ class Reacher:
         tables, hand = self.arm.compute_placements(joint_offsets)
         return make_halves(tables, hand, self.arm.get_ranges(joint_offsets)[0], around, _MOST_HALVES)
 
-    def _make_lattice(self, joint_steps: tuple[int, ...], joint_offsets: tuple[float, ...]) -> _Ordered:
+    def _make_ordered(self, joint_steps: tuple[int, ...], joint_offsets: tuple[float, ...]) -> _Ordered:
         halves = self._get_halves(joint_offsets, (0,) * len(joint_steps))
         if halves.complete_to != NEVER:
             halves = self._make_halves(joint_offsets, joint_steps)
         lattice, firsts, lasts = make_lattice(halves, joint_steps)
         return _Ordered(lattice, halves.first_steps[firsts], halves.last_steps[lasts], halves.complete_to)
 
-    def get_lattice(self) -> ArmLattice | None:
-        """The arm's configurations ordered from home, or None where they are too many to list all."""
-        ordered = self._get_lattice((0,) * self.instance.robot.joints, ())
-        return ordered.lattice if ordered.complete_to == NEVER else None
+    def get_lattice(self, joint_steps: tuple[int, ...] | None = None) -> ArmLattice:
+        """The arm's configurations, ordered by joint steps from one of them (home unless told otherwise)."""
+        return self._get_ordered(joint_steps or (0,) * self.instance.robot.joints, ()).lattice
+
+    @cached_property
+    def is_whole(self) -> bool:
+        """Whether lattices hold every configuration; joint steps may be too fine for that."""
+        return self._get_ordered((0,) * self.instance.robot.joints, ()).complete_to == NEVER
 
     @cached_property
     def reach(self) -> float:
         """A distance from the base's axis that the hand does not exceed, m."""
-        lattice = self._get_lattice((0,) * self.instance.robot.joints, ()).lattice
-        return float(np.hypot(lattice.first[:, 3], lattice.first[:, 7]).max()) + lattice.longest
+        return _bound_reach(self.get_lattice())
 
     @cached_property
     def heights(self) -> tuple[float, float]:
         """Lowest and highest the hand gets, m."""
-        return find_heights(self._get_lattice((0,) * self.instance.robot.joints, ()).lattice)
+        return find_heights(self.get_lattice())
 
     def _map_hands(self, z: float, half_z: float, joint_steps: tuple[int, ...], joint_offsets: tuple[float, ...],
                    budget: int) -> tuple[NDArray[np.int16], int]:
-        lattice, _, _, complete_to = self._get_lattice(joint_steps, joint_offsets)
-        reach = float(np.hypot(lattice.first[:, 3], lattice.first[:, 7]).max()) + lattice.longest
-        low, high, half_cells = z - half_z - self.limit, z + half_z + self.limit, math.ceil(reach / HAND_CELL) + 1
+        lattice, _, _, complete_to = self._get_ordered(joint_steps, joint_offsets)
+        low, high = z - half_z - self.limit, z + half_z + self.limit
+        half_cells = math.ceil(_bound_reach(lattice) / HAND_CELL) + 1
         hands, gone_to = map_hands(lattice, low, high, HAND_CELL, half_cells, budget)
         if gone_to != NEVER and (hands == NEVER).all():
             hands, gone_to = map_hands(lattice, low, high, HAND_CELL, half_cells, ALL)
@@ -220,7 +223,7 @@ class Reacher:
         Returns:
             Joint steps from home, as in `RoomState.joint_steps`; None where the hand does not get there.
         """
-        ordered = self._get_lattice(joint_steps, joint_offsets)
+        ordered = self._get_ordered(joint_steps, joint_offsets)
         pose = (x, y, *self.kinematics.get_rotation(heading_steps, heading_offset))
         here = RoomState(x, y, heading_steps, heading_offset, joint_steps, joint_offsets, None, 0, 0, 0)
         for avoid in (True, False) if len(self._boxes) > 1 else (False,):
@@ -266,37 +269,38 @@ class Reacher:
 
     def _search_order(self, begin: RoomState, moves: Sequence[int], joint_steps: tuple[int, ...], target: int,
                       detours: bool, most: int) -> tuple[int, ...] | None:
-        """A* over (moves made, joint steps): moves first where nothing speaks against it."""
-
-        def count_left(state: RoomState, made: int) -> int:
-            return len(moves) - made + sum(abs(a - b) for a, b in zip(state.joint_steps, joint_steps, strict=True))
-
-        others = ~(1 << target)
-        spent_best = {(0, begin.joint_steps): 0}
-        queue: list[tuple] = [(count_left(begin, 0), 0, 0, begin, 0, (), False)]
-        pushed = 0
-        while queue and len(spent_best) <= most:
-            _, _, _, state, made, actions, is_pressed = heapq.heappop(queue)
-            left = count_left(state, made)
+        """A* over (moves made, joint steps); a step is tried out when its turn comes, moves first."""
+        others, base = ~(1 << target), len(BASE_PRIMITIVES)
+        known: set[tuple[int, tuple[int, ...]]] = set()
+        queue: list[tuple] = [(0, 0, 0, begin, None, 0, (), False)]
+        queued = tried = 0
+        while queue and tried <= most:
+            _, _, _, state, action, made, actions, is_pressed = heapq.heappop(queue)
+            if action is not None:
+                before, state = state, self.kinematics.step(state, action).state
+                tried += 1
+                begun = state.touching & ~before.touching
+                at_limit = action >= base and state.joint_steps == before.joint_steps
+                if at_limit or begun & others or (self.collide and self._collides(state)):
+                    continue
+                made, actions, is_pressed = made + (action < base), (*actions, action), bool(is_pressed or begun)
+            wanted = [b - a for a, b in zip(state.joint_steps, joint_steps, strict=True)]
+            left = len(moves) - made + sum(map(abs, wanted))
             if is_pressed and (left == 0 or not self.collide):  # pushing by force goes on to the end
                 return actions
-            choices = [(moves[made], made + 1)] if made < len(moves) else []
-            choices += [(len(BASE_PRIMITIVES) + k, made) for k in range(2 * len(joint_steps))]
-            spent = len(actions) + 1
-            for action, after_made in choices:
-                after = self.kinematics.step(state, action).state
-                after_left = count_left(after, after_made)
-                begun = after.touching & ~state.touching
-                known = (after_made, after.joint_steps)
-                if begun & others or (after_left >= left and not detours) or spent_best.get(known, spent + 1) <= spent:
-                    continue
-                if self.collide and self._collides(after):
-                    continue
-                spent_best[known] = spent
-                pushed += 1
-                pressed = is_pressed or bool(begun >> target & 1)
-                estimate = spent + (0 if pressed and not self.collide else after_left)
-                heapq.heappush(queue, (estimate, -spent, pushed, after, after_made, (*actions, action), pressed))
+            if (made, state.joint_steps) in known:
+                continue
+            known.add((made, state.joint_steps))
+            choices = [(moves[made], -1)] if made < len(moves) else []
+            for joint, steps in enumerate(wanted):
+                for down in (0, 1):
+                    nearer = steps < 0 if down else steps > 0
+                    if nearer or detours:
+                        choices.append((base + 2 * joint + down, -1 if nearer else 1))
+            for choice, change in choices:
+                queued += 1
+                estimate = len(actions) + 1 + left + change
+                heapq.heappush(queue, (estimate, -len(actions), queued, state, choice, made, actions, is_pressed))
         return None
 
     # --- collisions --------------------------------------------------------------------
@@ -334,6 +338,10 @@ class Reacher:
             target: index of the target.
         """
         return find_reason(Reacher(self.instance, collide=False) if self.collide else self, target)
+
+
+def _bound_reach(lattice: ArmLattice) -> float:
+    return float(np.hypot(lattice.first[:, 3], lattice.first[:, 7]).max()) + lattice.longest
 
 
 def _remake(instance: RoomInstance, collide: bool) -> Reacher:

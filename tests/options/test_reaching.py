@@ -22,7 +22,9 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.robot import make_robot
 from hrl_escape.errors import UnsupportedError
+from hrl_escape.options import reaching
 from hrl_escape.options.arm import Arm
+from hrl_escape.options.reach_search import find_place
 from hrl_escape.options.reach_tables import bound_costs
 from hrl_escape.options.reaching import ALL, NEVER, Reacher
 
@@ -437,6 +439,34 @@ def test_unreachable_means_that_brute_force_finds_nothing_either(place: dict):
     assert (said is None) == brute_force(room, 0), said
 
 
+def test_place_is_found_wherever_a_collected_hand_touches():
+    rng, cell, limit = np.random.default_rng(14), 0.1, 0.07
+    found = 0
+    for _ in range(300):
+        hands = np.full((24, 24, 3), np.nan, dtype=np.float32)
+        points = rng.uniform((-1.2, -1.2, 0.8), (1.2, 1.2, 1.4), (12, 3)).astype(np.float32)
+        hands[tuple((np.floor(points[:, :2] / cell) + 12).astype(int).T)] = points
+        points = hands[~np.isnan(hands[..., 2])].astype(np.float64)
+        places, angle, yaw = rng.uniform(-1.5, 1.5, (3, 2)), *rng.uniform(-math.pi, math.pi, 2).tolist()
+        box = np.array([0.2, -0.1, 1.1, math.cos(yaw), math.sin(yaw), 0.5, 0.06, 0.15])
+        own = (places[:, None] + points[:, :2] @ make_rotation(angle).T - box[:2]) @ make_rotation(yaw)
+        own = np.concatenate([own, np.broadcast_to(points[:, 2:] - box[2], (3, len(points), 1))], axis=2)
+        touching = (np.linalg.norm(np.maximum(np.abs(own) - box[5:], 0.0), axis=2) <= limit).any(axis=1)
+        expected = int(np.argmax(touching)) if touching.any() else -1
+        assert find_place(hands, cell, places, (math.cos(angle), math.sin(angle)), box, limit) == expected
+        found += expected >= 0
+    assert 50 <= found <= 250
+
+
+def test_lattice_that_is_not_listed_in_full_proves_nothing(monkeypatch: pytest.MonkeyPatch):
+    room = make_room(z=1.1, half_x=0.02, half_z=0.02)
+    assert Reacher(room).explain(0) is None
+    monkeypatch.setattr(reaching, "_MOST_HALVES", 4)
+    sparse = Reacher(room)
+    assert not sparse.is_whole and sparse.explain(0) is None
+    assert Reacher(make_room(z=2.6)).explain(0).startswith("too high")
+
+
 def test_target_behind_a_wall_that_the_body_cannot_pass_is_too_far():
     # a closed compartment in the south, too deep for the arm to reach across
     fence = Solid(shape="box", x=0.0, y=-3.0, half_x=6.0, half_y=0.1, height=1.0, role="wall")
@@ -501,6 +531,25 @@ def test_joint_steps_are_ordered_round_other_targets_wherever_that_can_be():
             assert pressed == [0] and transition.pressed == (0,)
             detours += not possible
     assert orders >= 200 and hard >= 10 and detours >= 1
+
+
+def test_target_that_is_touched_already_is_left_and_touched_again():
+    room = make_room(z=1.1)
+    reacher, kinematics, rng = Reacher(room), Kinematics(room), np.random.default_rng(15)
+    again = 0
+    for x, y, heading in sample_poses(reacher, reacher.make_table(0, (0, 0, 0)), 60, rng):
+        steps = reacher.get_configuration(x, y, heading, (0, 0, 0), 0)
+        if steps is None:
+            continue
+        here = make_state(room, x, y, heading, steps)
+        assert here.touching == 1 and reacher.get_configuration(x, y, heading, steps, 0) == steps
+        actions = reacher.order_steps(here, (), steps, 0)
+        assert actions is not None and len(actions) >= 2
+        for action in actions:
+            here, _, _, _, pressed = kinematics.step(here, action)
+        assert pressed == (0,)
+        again += 1
+    assert again >= 30
 
 
 def test_moves_of_the_base_keep_their_order_among_the_joint_steps():
@@ -591,29 +640,32 @@ def test_robot_meets_itself_and_is_clear_at_home():
     assert not reacher.is_collision_free(0.0, 0.0, 0.0, folded)
 
 
-def test_physics_takes_configurations_that_are_clear_of_obstacles():
+def test_physics_takes_the_fewest_joint_steps_that_are_clear_of_obstacles():
     post = Solid(shape="box", x=0.35, y=-5.0, half_x=0.05, half_y=0.05, height=3.0)
-    robot = dataclasses.replace(THREE, joints=4, link_length=0.4)
+    robot = dataclasses.replace(THREE, joints=5, link_length=0.35, joint_step_deg=20.0)
     kinematic, physics = (Reacher(make_room(robot, z=1.1, solids=(post,), physics=p)) for p in (False, True))
     rng = np.random.default_rng(11)
-    home = (0,) * 4
-    clear = blocked = 0
+    home = (0,) * 5
+    configurations, hands = list_hands(robot, ())
+    button = physics.instance.targets[0]
+    clear = blocked = dearer = 0
     for x, y, heading in sample_poses(physics, physics.make_table(0, home), 200, rng):
         if y < -5.95 + 0.4:
             continue
         got, loose = (r.get_configuration(x, y, heading, home, 0) for r in (physics, kinematic))
-        direction = physics.kinematics.get_rotation(heading, 0.0)
-        angle = math.atan2(direction[1], direction[0])
-        robot_angles = physics.kinematics.robot.compute_angles
-        if got is not None:
-            assert physics.is_collision_free(x, y, angle, robot_angles(got))
-            hand = physics.kinematics.get_hand(make_state(physics.instance, x, y, heading, got))
-            button = physics.instance.targets[0]
-            away = max(abs(hand[0] - button.x) - button.half_x, 0.0), max(abs(hand[1] - button.y) - button.half_y, 0.0)
-            assert math.hypot(*away) < robot.hand_radius  # it pushes, and not only comes near
-            clear += 1
-        blocked += loose is not None and not physics.is_collision_free(x, y, angle, robot_angles(loose))
-    assert clear >= 20 and blocked >= 20
+        cos, sin = physics.kinematics.get_rotation(heading, 0.0)
+        angle, compute_angles = math.atan2(sin, cos), physics.kinematics.robot.compute_angles
+        at = hands[:, :2] @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+        gaps = np.abs(np.column_stack([at - (button.x, button.y), hands[:, 2] - button.z]))
+        away = np.linalg.norm(np.maximum(gaps - (button.half_x, button.half_y, button.half_z), 0.0), axis=1)
+        pushing = configurations[away <= robot.hand_radius - 0.01]
+        costs = [sum(map(abs, q)) for q in pushing.tolist()
+                 if physics.is_collision_free(x, y, angle, compute_angles(tuple(q)))]
+        assert (None if got is None else sum(map(abs, got))) == min(costs, default=None)
+        clear += got is not None
+        blocked += loose is not None and not physics.is_collision_free(x, y, angle, compute_angles(loose))
+        dearer += got is not None and sum(map(abs, got)) > np.abs(pushing).sum(axis=1).min()
+    assert clear >= 20 and blocked >= 20 and dearer >= 10
 
 
 # --- as a value ------------------------------------------------------------------------------
