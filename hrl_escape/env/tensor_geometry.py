@@ -100,7 +100,7 @@ def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: 
     """
     dx, dy = dx.to(shapes.cos.dtype), dy.to(shapes.cos.dtype)
     eps = torch.finfo(dx.dtype).eps
-    graze, tangent = max(1e-9, 8 * eps), max(1e-12, 16 * eps)
+    graze = max(1e-9, 8 * eps)
     reach = shapes.rounding + radius
     px, py = shapes.look_from(x, y)
     ox, oy = shapes.cos * px + shapes.sin * py, shapes.cos * py - shapes.sin * px
@@ -110,12 +110,13 @@ def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: 
     qx, qy = ox - shapes.half_x, oy - shapes.half_y
     square = dx * dx + dy * dy
     reach_square = reach * reach
+    rounding = reach * (1e-12 * reach + 16 * eps * (reach + shapes.half_x + shapes.half_y))  # of a squared distance
 
     # touching already, to the last bits: along the outward normal, or along the nearer axis from within the box
     within = torch.maximum(qx, qy) <= 0.0
     normal_x = torch.where(within & (qx > qy), 1.0, qx.clamp(min=0.0))
     normal_y = torch.where(within & (qx <= qy), 1.0, qy.clamp(min=0.0))
-    touching = within | (normal_x * normal_x + normal_y * normal_y <= (1.0 + 4 * eps) * reach_square)
+    touching = within | (normal_x * normal_x + normal_y * normal_y <= reach_square + rounding)
     inwards = normal_x * vx + normal_y * vy
     stopped = (inwards < 0.0) & (inwards * inwards > graze * graze * reach_square * square)
 
@@ -137,7 +138,7 @@ def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: 
     ky = oy - torch.where(ey < 0.0, -shapes.half_y, shapes.half_y)
     along, cross = kx * vx + ky * vy, kx * vy - ky * vx
     root = square * reach_square - cross * cross  # along**2 - square * gap, without its cancellation
-    corner = (along < 0.0) & (root > tangent * square * reach_square)  # a tangent is no hit, however it is rounded
+    corner = (along < 0.0) & (root > square * rounding)  # a tangent is no hit, however it is rounded
     met_corner = (kx * kx + ky * ky - reach_square) / (torch.sqrt(root.clamp(min=0.0)) - along)
 
     met = torch.where(torch.where(is_corner, corner, face), torch.where(is_corner, met_corner, enter), 1.0)
