@@ -32,7 +32,7 @@ __all__ = ["PRESETS", "get_preset", "make_env_name"]
 def paper_room(buttons: int) -> RoomConfig:
     """The paper's text: 20 x 20 m, 1 m and 10 degrees, large buttons, start in the middle.
 
-    The best known returns are 91 (one button: nine strafes left) and 63 (two buttons: 37 primitives).
+    The best known returns are 91 (one button: nine strafes left) and 66 (two buttons).
     """
     side = 10.0 if buttons == 1 else 6.0
     return RoomConfig(

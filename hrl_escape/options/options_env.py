@@ -138,7 +138,6 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self.interruptible, self.max_duration = interruptible, max_duration
         self._discounted, self._tracing = discounted_reward, trace
         self._source = options if options is not None else _make_synthesiser(flavour)
-        self._rng = np.random.default_rng()
         self._calls = self._hits = 0
         self._run: Run | None = None
         self._observation: Any = None  # the wrapped environment's, at the present state
@@ -195,10 +194,8 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     # --- Gymnasium ---------------------------------------------------------------------
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; `info` has `action_mask`. The seed also fixes the draws of terminations."""
+        """Begin an episode; `info` has `action_mask`. Draws of terminations depend on the episode's noise key."""
         observation, info = self.env.reset(seed=seed, options=options)
-        if seed is not None:
-            self._rng = np.random.default_rng([seed, 0x0971])
         mask = self._begin(observation)
         return self._show(observation, mask), {**info, "action_mask": mask}
 
@@ -219,7 +216,9 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             self._enter(instance)
         self._run, self._can_step = None, True
         self._observation = observation
-        return self._compute_mask(self._room.get_state())
+        state: RoomState = self._room.get_state()
+        self._rng = np.random.default_rng([state.noise_key, state.primitives, 0x0971])
+        return self._compute_mask(state)
 
     def _enter(self, instance: RoomInstance) -> None:
         made = self._make_options(instance)
