@@ -247,7 +247,7 @@ class Reacher:
     # --- joint steps in order ----------------------------------------------------------
 
     def order_steps(self, state: RoomState, moves: Sequence[int], joint_steps: tuple[int, ...], target: int,
-                    most: int = 2_000) -> tuple[int, ...] | None:
+                    most: int = 1_000) -> tuple[int, ...] | None:
         """Put joint steps between given moves of the base so that no other target is pressed on the way.
 
         Args:
