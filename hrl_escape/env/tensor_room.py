@@ -7,6 +7,9 @@ decided in single precision, so flags can differ within a micrometre of a thresh
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import Literal, NamedTuple
@@ -22,7 +25,7 @@ from hrl_escape.env.tensor_observations import check_observation, observe
 from hrl_escape.env.tensor_poses import TensorState
 from hrl_escape.env.tensor_puzzles import as_signed, get_tensor_puzzle, unpack_bits
 from hrl_escape.env.tensor_rules import begin, restart, step
-from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError, StateError
+from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError, StateError, UnsupportedError
 
 __all__ = ["AUTORESETS", "Autoreset", "Outcome", "RoomInfo", "TensorRoom"]
 
@@ -156,9 +159,9 @@ class TensorRoom:
             compile: fuse a step into compiled kernels, once for each shape of batch (5 to 30 s).
 
         Raises:
-            UnsupportedError: these rooms need the Bullet engine.
+            UnsupportedError: these rooms need the Bullet engine, or there is no compiler.
             UnknownNameError: no such observation.
-            ConfigError: no rooms, no instances, or no such autoreset.
+            ConfigError: no rooms, no instances, or no such autoreset or device.
         """
         if not instances:
             raise ConfigError("instances", instances, "at least one RoomInstance")
@@ -169,13 +172,14 @@ class TensorRoom:
         check_observation(observation)
         self.instances = tuple(instances)
         self.layout = make_layout(self.instances, resample)
-        self.device = torch.device(device)
+        self.device = _find_device(device)
         self.tables = stack_instances(self.instances, self.layout, self.device)
         self.count, self.actions = rooms, len(make_primitives(self.layout.robot.joints))
         self._kind = observation
         self._autoreset: Autoreset = autoreset
         self._kernel: Kernel | None = None
         if compile:
+            _check_compiler(self.device)
             shapes = (rooms, *_list_shapes(self.tables))
             self._kernel = _compile(self.layout, observation, autoreset, self.device.type, shapes)
 
@@ -311,6 +315,21 @@ class TensorRoom:
             if self._autoreset == "disabled" and bool(self.state.has_ended.any()):
                 raise ResetNeededError("some rooms' episodes have ended and autoreset is disabled: reset those first")
         return action
+
+
+def _find_device(device: str | torch.device) -> torch.device:
+    try:
+        return torch.empty(0, dtype=torch.float64, device=device).device
+    except (RuntimeError, AssertionError, TypeError) as error:  # each kind of device has its own way to be missing
+        allowed = f"a device of this torch that has double precision ({str(error).splitlines()[0]})"
+        raise ConfigError("device", str(device), allowed) from None
+
+
+def _check_compiler(device: torch.device) -> None:
+    program = os.environ.get("CXX", "clang++" if sys.platform == "darwin" else "g++")
+    if device.type == "cpu" and shutil.which(program) is None:
+        raise UnsupportedError(f"compile=True needs a C++ compiler, and there is no {program!r}: install one, set CXX, "
+                               "or step eagerly with compile=False")
 
 
 def _list_shapes(tree: object) -> list[tuple[int, ...]]:

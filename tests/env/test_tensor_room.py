@@ -204,6 +204,71 @@ def test_solving_a_room_of_64_bits_ends_the_episode():
     assert outcome.info.buttons_on.tolist() == [[1] * 64]
 
 
+# --- thresholds ------------------------------------------------------------------------
+
+
+def test_the_edges_of_the_exit_count_to_the_last_bit():
+    instance = generate(get_preset("paper-two-button"), 0)
+    area, room = instance.exit, TensorRoom([instance], 8)
+    inside = [(area.x_min, area.y_min), (area.x_max, area.y_max), (area.x_min, area.y_max), (area.x_max, area.y_min)]
+    outside = [(np.nextafter(area.x_min, -99), 5.0), (np.nextafter(area.x_max, 99), 5.0),
+               (5.0, np.nextafter(area.y_min, -99)), (5.0, np.nextafter(area.y_max, 99))]
+    room.reset(torch.arange(8))
+    for number, (x, y) in enumerate(inside + outside):
+        room.set_room_state(number, room.get_room_state(number)._replace(x=float(x), y=float(y), puzzle=3))
+    assert room.step(torch.full((8,), 4)).terminated.tolist() == [True] * 4 + [False] * 4
+
+
+@pytest.mark.parametrize("name", ["four-button-chain", "arm-two-button"])
+def test_touching_begins_within_two_micrometres_of_its_reach(name):
+    instance = generate(get_preset(name), 0)
+    target, turned = instance.targets[0], 5  # what a right turn leaves at heading 5 - 1
+    hand = Kinematics(instance).get_hand_in_base((0,) * instance.robot.joints)
+    if instance.dynamics.press_with == "hand":  # hang the button so that the outstretched hand is 30 mm below it
+        target = dataclasses.replace(target, z=hand[2] + target.half_z + 0.03)
+        instance = dataclasses.replace(instance, targets=(target, *instance.targets[1:]))
+    else:
+        hand = (0.0, 0.0, 0.0)
+    rules, room = Kinematics(instance), TensorRoom([instance], 4, autoreset="disabled")
+    room.reset(torch.arange(4))
+    reach = instance.compute_press_reach(target, hand[2])
+    assert reach > 0
+    aim_cos, aim_sin = rules.get_rotation(turned - 1, 0.0)
+    away_x, away_y = aim_cos * hand[0] - aim_sin * hand[1], aim_sin * hand[0] + aim_cos * hand[1]
+    cos, sin = np.cos(target.yaw), np.sin(target.yaw)
+    for number, (along, error) in enumerate([(True, -2e-6), (True, 2e-6), (False, -2e-6), (False, 2e-6)]):
+        a, b = (target.half_x + reach + error, 0.0) if along else (0.0, target.half_y + reach + error)
+        x, y = target.x + cos * a - sin * b - away_x, target.y + sin * a + cos * b - away_y
+        state = room.get_room_state(number)._replace(x=float(x), y=float(y), heading_steps=turned, touching=0)
+        room.set_room_state(number, state)
+    pressed = room.step(torch.full((4,), 5)).info.pressed
+    assert pressed[:, 0].tolist() == [1, 0, 1, 0]
+
+
+def test_the_door_is_shut_until_solved_but_never_on_the_robot():
+    instance = generate(get_preset("clutter"), 0)
+    rules, door = Kinematics(instance), instance.door
+    start, solved = rules.make_state(instance.starts[0]), (1 << len(instance.targets)) - 1
+    away = np.array([np.sign(door.x), 0.0]) if abs(door.x) > abs(door.y) else np.array([0.0, np.sign(door.y)])
+    ways = []
+    for puzzle in (0, solved):
+        for distance in (-1.0, -0.601, -0.3, 0.0, 0.4):  # before the door, against it, in it
+            for heading in (0, 9, 18, 27):
+                x, y = np.array([door.x, door.y]) + distance * away
+                ways.append(start._replace(x=float(x), y=float(y), heading_steps=heading, puzzle=puzzle))
+    room = TensorRoom([instance], len(ways), autoreset="disabled")
+    room.reset(torch.arange(len(ways)))
+    for number, state in enumerate(ways):
+        room.set_room_state(number, state)
+    room.step(torch.full((len(ways),), FORWARD))
+    moved = 0
+    for number, state in enumerate(ways):
+        found, expected = room.get_room_state(number), rules.step(state, FORWARD).state
+        assert abs(found.x - expected.x) + abs(found.y - expected.y) < 1e-9
+        moved += (found.x, found.y) != (state.x, state.y)
+    assert 20 < moved < len(ways)
+
+
 # --- compilation -----------------------------------------------------------------------
 
 
@@ -283,6 +348,12 @@ def test_rooms_that_cannot_be_batched_get_one_clear_error(change, error, words):
     with pytest.raises(error, match=words) as caught:
         TensorRoom(settings.pop("instances"), settings.pop("rooms"), **settings)
     assert isinstance(caught.value, EscapeError)
+
+
+def test_compiling_without_a_compiler_is_refused(monkeypatch):
+    monkeypatch.setenv("CXX", "no-such-compiler")
+    with pytest.raises(UnsupportedError, match="no 'no-such-compiler'.*compile=False"):
+        make_rooms(1, compile=True)
 
 
 def test_a_puzzle_without_a_tensor_form_is_named():
