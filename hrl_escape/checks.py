@@ -19,8 +19,9 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.base import Contacts, Operator, Puzzle, SymbolicModel
 from hrl_escape.errors import ContractError, PlanningFailed
 from hrl_escape.options.option import Option
+from hrl_escape.options.path_check import check_planner
 
-__all__ = ["check_option", "check_puzzle"]
+__all__ = ["check_option", "check_planner", "check_puzzle"]
 
 Poses = tuple[tuple[float, float, float], ...]
 

@@ -43,6 +43,7 @@ class SearchResult:
         states: the states they lead to by the room's own kinematics without noise and slip, one
             more than primitives; the first is where the search began.
         also_pressed: other targets whose touching begins on the way because it could not be avoided.
+        method: how it was found: `fields`, or `corridor` where the corridor round a path was enough.
         expansions: nodes expanded.
         seconds: wall time.
         nearest: place (x, y) looked at that is nearest to the goal, where it was not reached, m.
@@ -52,6 +53,7 @@ class SearchResult:
     primitives: tuple[int, ...]
     states: tuple[RoomState, ...]
     also_pressed: tuple[int, ...] = ()
+    method: str = "fields"
     expansions: int = 0
     seconds: float = 0.0
     nearest: tuple[float, float] | None = None

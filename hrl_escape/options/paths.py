@@ -40,7 +40,7 @@ class PathResult:
         cost: its length, m; infinity without a path.
         planner: who planned it.
         seconds: wall time.
-        checker_calls: how often a place was tested.
+        checker_calls: how many places were tested; a motion tested exactly counts as ten.
     """
 
     status: Status

@@ -15,7 +15,7 @@ import math
 import time
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,12 +41,22 @@ WEIGHTS = ((1.0, 3_000), (1.05, 6_000), (1.1, 20_000), (1.5, EXPANSIONS))
 """What a field's prices are multiplied with, and the nodes after which the next weight is tried."""
 IMPROVEMENT = 2_000
 """Nodes for a second look, with prices lowered by a primitive, after a plan found at the first weight."""
-CORRIDORS = (1.2, 2.4, 4.8)
+CORRIDORS = (3.0, 6.0)
+"""Half widths of corridors, in moves."""
 MOST_REFINED_STATES = 6_000_000
 NAVIGATION_SECONDS = 1.0
 _PENETRATION = 0.02  # a body that rigid-body contacts have pushed into a wall by this much can still drive off
 
 Field: TypeAlias = NDArray[np.int16]
+
+
+class _Try(NamedTuple):
+    """One way to look for a plan."""
+
+    maker: FieldMaker
+    field: Field
+    avoiding: bool
+    method: str
 
 
 class PrimitiveSearch:
@@ -106,15 +116,16 @@ class PrimitiveSearch:
 
     # --- one question --------------------------------------------------------------------
 
-    def search(self, state: RoomState, goal: Goal, *, method: str = "fields", avoid: bool = True,
-               keep_out: Sequence[Footprint] = (), budget_expansions: int = EXPANSIONS,
+    def search(self, state: RoomState, goal: Goal, *, method: str = "fields", planner: str | None = None,
+               avoid: bool = True, keep_out: Sequence[Footprint] = (), budget_expansions: int = EXPANSIONS,
                deadline: float = math.inf) -> SearchResult:
         """Find the fewest primitives from a state to a goal.
 
         Args:
             state: where to begin.
             goal: what to reach; not a push.
-            method: `fields`, or `corridor` to look round an OMPL path first.
+            method: `fields`, or `corridor` to look round the path of a path planner first.
+            planner: path planner for corridors, one of `navigation.list_planners()`; the default one if None.
             avoid: begin to touch no other target on the way, and do not leave by an open exit, unless
                 two resolutions show no other way; `also_pressed` says so.
             keep_out: footprints that the body must not meet on its way, such as blocks.
@@ -122,7 +133,7 @@ class PrimitiveSearch:
             deadline: wall-clock guard, s.
 
         Raises:
-            UnknownNameError: no such method.
+            UnknownNameError: no such method or path planner.
             GoalError: there is no such target.
             UnsupportedError: the goal is a push.
         """
@@ -130,7 +141,8 @@ class PrimitiveSearch:
             raise UnknownNameError("search method", method, METHODS)
         began = time.perf_counter()
         job = self._make_job(state, goal, tuple(keep_out), began + deadline)
-        result = self._answer_at_once(job) or self._try_all(job, method, avoid, budget_expansions)
+        tries = self._iterate_tries(job, method, planner, avoid)
+        result = self._answer_at_once(job) or self._try_all(job, tries, budget_expansions)
         return dataclasses.replace(result, seconds=time.perf_counter() - began)
 
     def _make_job(self, state: RoomState, goal: Goal, keep_out: tuple[Footprint, ...] = (),
@@ -158,11 +170,11 @@ class PrimitiveSearch:
 
     # --- attempts ------------------------------------------------------------------------
 
-    def _try_all(self, job: Job, method: str, avoid: bool, budget: int) -> SearchResult:
+    def _try_all(self, job: Job, tries: Iterator[_Try], budget: int) -> SearchResult:
         """Attempt after attempt until one reaches the goal or the budget is spent."""
         spent, nearest = 0, (job.state.x, job.state.y)
         reason, looked_for_proof = PlanningReason.UNREACHABLE_AT_RESOLUTION, False
-        for maker, field, avoiding in self._iterate_attempts(job, method, avoid):
+        for maker, field, avoiding, method in tries:
             if time.perf_counter() > job.give_up:
                 reason = PlanningReason.TIMEOUT
                 break
@@ -179,7 +191,7 @@ class PrimitiveSearch:
             ended, nodes = self._run(attempt, budget - spent)
             spent += nodes
             if isinstance(ended, SearchResult):
-                return dataclasses.replace(ended, expansions=spent)
+                return dataclasses.replace(ended, method=method, expansions=spent)
             nearest = attempt.find_nearest()
             if ended is not PlanningReason.UNREACHABLE_AT_RESOLUTION:
                 reason = ended
@@ -202,31 +214,30 @@ class PrimitiveSearch:
             ended = better if isinstance(better, SearchResult) else ended
         return ended, spent
 
-    def _iterate_attempts(self, job: Job, method: str, avoid: bool) -> Iterator[tuple[FieldMaker, Field, bool]]:
+    def _iterate_tries(self, job: Job, method: str, planner: str | None, avoid: bool) -> Iterator[_Try]:
+        """What to try, one after the other."""
         door_shut = not self.instance.puzzle.is_solved(job.state.puzzle)
         if door_shut and not self.get_maker(True).collision.is_free(job.state.x, job.state.y):
             # in the doorway itself, where a shut door holds nobody
             door_shut = not self.get_maker(False).collision.is_free(job.state.x, job.state.y)
         if method == "corridor":
             maker = self.get_maker(door_shut)
-            for allowed in self._iterate_corridors(job, maker):
-                yield maker, self._make_field(job, maker, allowed), avoid
+            for allowed in self._iterate_corridors(job, maker, planner):
+                yield _Try(maker, self._make_field(job, maker, allowed), avoid, method)
         for refinement, avoiding in ((0, True), (1, True), (0, False), (1, False), (2, False), (3, False)):
             states = self.get_maker(door_shut).states * 4**refinement
             if (avoid or not avoiding) and (refinement == 0 or states <= MOST_REFINED_STATES):
                 maker = self.get_maker(door_shut, refinement)
-                yield maker, self._get_field(job, maker), avoiding
+                yield _Try(maker, self._get_field(job, maker), avoiding, METHODS[0])
 
-    def _iterate_corridors(self, job: Job, maker: FieldMaker) -> Iterator[NDArray[np.bool_]]:
-        """Cells round an OMPL path, wider and wider."""
-        start = (job.state.x, job.state.y)
-        limit = min(job.give_up - time.perf_counter(), NAVIGATION_SECONDS)
-        if job.table is None:
-            found = self.navigator.plan(start, job.goal, door_shut=maker.door_shut, time_limit=limit)
-        else:
+    def _iterate_corridors(self, job: Job, maker: FieldMaker, planner: str | None) -> Iterator[NDArray[np.bool_]]:
+        """Cells round the path of a path planner, wider and wider."""
+        goal = job.goal
+        if job.table is not None:
             states, costs = self._find_postures(job, maker)
-            cells = states[np.argsort(costs, kind="stable")[:64]] // maker.headings
-            found = self.navigator.plan(start, maker.points[cells], door_shut=maker.door_shut, time_limit=limit)
+            goal = maker.points[states[np.argsort(costs, kind="stable")[:64]] // maker.headings]
+        found = self.navigator.plan((job.state.x, job.state.y), goal, planner, door_shut=maker.door_shut,
+                                    time_limit=min(job.give_up - time.perf_counter(), NAVIGATION_SECONDS))
         if found.status != "exact":
             return
         legs = np.diff(found.path, axis=0)
