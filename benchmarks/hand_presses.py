@@ -1,11 +1,13 @@
 """Presses by hand: how many certified targets are reached, how quickly, and with how few primitives?
 
-Run: `python benchmarks/hand_presses.py --rooms 20` (about ten minutes on one core). Each family presses every
-target of generated rooms, with arms of three joints and more. `cold` is a first question about a target
-from a configuration of the arm, the room itself being prepared; `cached` a second one, from elsewhere. With
-`--compare`, plans of this many questions a family are held against a fine joint search of base and arm:
-breadth first over primitives of the base on exact poses, told apart at 5 cm, every pose completed with its
-fewest joint steps. It ignores other targets on the way, so it may be lower than what can be done.
+Run: `python benchmarks/hand_presses.py --rooms 20` (a minute or two on one core; with `--compare 12` about
+five). Each family presses every target of generated rooms, with arms of three joints and more. `cold` is
+a first question about a target from a configuration of the arm, the room itself being prepared; `cached`
+a second one, from elsewhere; both are processor time.
+
+With `--compare`, so many plans a family are held against a fine joint search of base and arm: breadth first
+over primitives of the base on exact poses, told apart at 5 cm, every pose completed with its fewest joint
+steps. It ignores other targets on the way, so it may be lower than what can be done.
 """
 
 from __future__ import annotations
@@ -62,12 +64,12 @@ def measure(arm: str, obstacles: int, rooms: int, compare: int) -> None:
         state = search.kinematics.make_state(room.starts[0])
         for target in range(len(room.targets)):
             goal, aside = PressGoal(target), search.kinematics.step(state, 4).state
-            began = time.perf_counter()
+            began = time.process_time()
             found = search.search(state, goal)
-            cold.append(time.perf_counter() - began)
-            began = time.perf_counter()
+            cold.append(time.process_time() - began)
+            began = time.process_time()
             search.search(aside, goal)
-            cached.append(time.perf_counter() - began)
+            cached.append(time.process_time() - began)
             if not found.is_reached:
                 failures.append(f"seed {seed}, {room.targets[target].name}: {found.status}")
                 continue

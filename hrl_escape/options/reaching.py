@@ -120,10 +120,11 @@ class Reacher:
         self._boxes = np.array([
             (t.x, t.y, t.z, t.footprint.cos, t.footprint.sin, t.half_x, t.half_y, t.half_z) for t in instance.targets
         ]).reshape(-1, 8)
-        self._get_halves = lru_cache(4)(self._make_halves)
-        self._get_ordered = lru_cache(16)(self._make_ordered)
-        self._get_hands = lru_cache(16)(self._map_hands)
-        self._get_costs = lru_cache(24)(self._compute_costs)
+        kept = 64 if instance.robot.joints <= 4 else 8  # redundant arms take megabytes for each configuration
+        self._get_halves = lru_cache(2)(self._make_halves)
+        self._get_ordered = lru_cache(kept)(self._make_ordered)
+        self._get_hands = lru_cache(kept)(self._map_hands)
+        self._get_costs = lru_cache(kept)(self._compute_costs)
 
     def __reduce__(self) -> tuple:
         return _remake, (self.instance, self.collide)
