@@ -20,6 +20,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import shlex
+import sys
 import webbrowser
 from pathlib import Path
 from typing import Annotated, Any
@@ -40,6 +41,7 @@ from hrl_escape.experiments.summary import Summary
 from hrl_escape.experiments.verdict import write_verdict
 
 DEFAULT = "quickstart"
+PIPED_WIDTH = 110
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,7 +114,7 @@ class CompareArgs:
 def run(args: CompareArgs) -> int:
     """Run, report, and say what came out; the exit code is 1 if runs failed."""
     grid = args.make_grid()
-    console = Console(soft_wrap=True, highlight=False)
+    console = Console(soft_wrap=True, highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH)
     try:
         comparison = run_grid(grid, args.out or Path("runs") / grid.name, _make_launcher(args))
     except KeyboardInterrupt:
@@ -145,11 +147,11 @@ def _print(console: Console, summary: Summary, comparison: Comparison) -> None:
         console.print(Text(f"{mark} ", style="dim").append_text(_mark(sentence.text)))
     table = Table(box=None, pad_edge=False, header_style="dim", padding=(0, 1))
     table.add_column("agent", no_wrap=True)
-    for heading in ("score", "95 % interval", "escapes", "primitives", "area", "stuck"):
+    for heading in ("score", "95 % interval", "escapes", "primitives", "stuck"):
         table.add_column(heading, justify="right", no_wrap=True)
     for agent in summary.agents:
         table.add_row(agent.label, f"{agent.score.value:.3f}", f"{agent.score.low:.3f} to {agent.score.high:.3f}",
-                      f"{agent.success.value:.0%}", f"{agent.length.value:,.0f}", f"{agent.area.value:.3f}",
+                      f"{agent.success.value:.0%}", f"{agent.length.value:,.0f}",
                       f"{round(agent.stuck * agent.runs)} of {agent.runs}")
     console.print("", table, "")
     for failure in comparison.failures:

@@ -6,6 +6,7 @@ through Ray's own RAY_ADDRESS.
 
 from __future__ import annotations
 
+import logging
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,7 +40,7 @@ class RayLauncher:
             ray.init(log_to_driver=False)
         elif is_ours:
             ray.init(address="local", num_cpus=self.workers, include_dashboard=False, log_to_driver=False,
-                     _node_ip_address="127.0.0.1")
+                     logging_level=logging.WARNING, _node_ip_address="127.0.0.1")
         task = ray.remote(num_cpus=1, max_retries=0, max_calls=1)(_run_guarded)
         pending = {task.remote(cell, out, self.checkpoint_seconds): cell for cell in cells}
         try:

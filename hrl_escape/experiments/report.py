@@ -10,6 +10,7 @@ import base64
 import io
 import json
 import re
+from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -24,7 +25,7 @@ from hrl_escape.experiments.figures import save_figures
 from hrl_escape.experiments.page_data import MEDIAN, choose_replays, make_page_data
 from hrl_escape.experiments.statistics import compute_iqm
 from hrl_escape.experiments.style import AgentLook, choose_looks
-from hrl_escape.experiments.summary import AgentSummary, Estimate, RoomSummary, Summary, summarise
+from hrl_escape.experiments.summary import AgentSummary, Estimate, Summary, summarise
 from hrl_escape.experiments.tables import write_markdown, write_tables
 from hrl_escape.experiments.verdict import find_first_reach, write_verdict
 from hrl_escape.files import write_text
@@ -33,7 +34,7 @@ __all__ = ["write_report"]
 
 PAGE = "report.html"
 SCRIPTS = ("chart.js", "replay.js", "page.js")
-BETTER, WORSE = (0, 114, 178), (213, 94, 0)
+BETTER, EVEN, WORSE = (0, 114, 178), (120, 110, 90), (213, 94, 0)
 """Tints of the odds: blue above one half, orange below."""
 
 
@@ -88,7 +89,7 @@ def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
               for agent, look in zip(summary.agents, agent_looks, strict=True)],
         by_room=_make_room_rows(summary, chips) if len(summary.rooms) > 1 else [],
         odds=_make_odds(summary, chips),
-        rooms=[_describe_room(room) for room in summary.rooms],
+        rooms=[_describe_room(summary, number, agent_looks, chips) for number in range(len(summary.rooms))],
         settings=_list_settings(summary),
         versions=summary.versions.items(),
         failures=[{"name": failure.cell.name, "message": failure.message, "traceback": failure.traceback}
@@ -203,7 +204,7 @@ def _make_odds(summary: Summary, chips: dict[str, Markup]) -> list[dict[str, Any
 
 def _make_odds_cell(first: AgentSummary, second: AgentSummary, odds: Estimate) -> dict[str, Any]:
     is_clear = odds.low > 0.5 or odds.high < 0.5
-    tint = _tint(BETTER if odds.value > 0.5 else WORSE, abs(odds.value - 0.5) * 2)
+    tint = _tint(BETTER if odds.value > 0.5 else WORSE if odds.value < 0.5 else EVEN, abs(odds.value - 0.5) * 2)
     return {
         "text": f"{odds.value:.2f}",
         "style": tint + (";font-weight:700" if is_clear else ""),
@@ -235,8 +236,16 @@ def _list_settings(summary: Summary) -> list[tuple[str, str]]:
 # --- rooms -----------------------------------------------------------------------------
 
 
-def _describe_room(room: RoomSummary) -> dict[str, Any]:
+def _describe_room(summary: Summary, number: int, agent_looks: Sequence[AgentLook], chips: dict[str, Markup]
+                   ) -> dict[str, Any]:
+    room = summary.rooms[number]
     instance = room.instance
+    ranks = [
+        {"chip": chips[agent.label], "score": f"{score:.3f}", "width": f"{100 * min(max(score, 0), 1):.1f}",
+         "colour": look.colour, "rank": -score}
+        for agent, look in zip(summary.agents, agent_looks, strict=True) if len(agent.scores[number])
+        for score in [float(compute_iqm([agent.scores[number]]))]
+    ]
     puzzle = instance.puzzle
     edges = [f"{puzzle.target_names[a]} before {puzzle.target_names[b]}" for a, b in puzzle.edges]
     words = [f"{2 * instance.half_width:g} \N{MULTIPLICATION SIGN} {2 * instance.half_depth:g} m"]
@@ -248,13 +257,14 @@ def _describe_room(room: RoomSummary) -> dict[str, Any]:
         "id": instance.id,
         "words": f"{'; '.join(words)}.{ends}",
         "picture": _embed_picture(instance),
+        "ranks": sorted(ranks, key=lambda row: row["rank"]),
     }
 
 
 def _embed_picture(instance: Any) -> str:
     content = io.BytesIO()
     with matplotlib.rc_context({"svg.hashsalt": "hrl-escape", "svg.fonttype": "path"}):
-        make_map(instance).savefig(content, format="svg", metadata={"Date": None})
+        make_map(instance).savefig(content, format="svg", metadata={"Date": None}, bbox_inches="tight", pad_inches=0.05)
     return f"data:image/svg+xml;base64,{base64.b64encode(content.getvalue()).decode()}"
 
 

@@ -10,7 +10,8 @@ from hrl_escape.experiments.grid import AgentSpec
 
 __all__ = ["AgentLook", "choose_looks"]
 
-CHANCE = "#8b8f98"
+CHANCE = ("#8b8f98", "#5a5e67", "#b3b7bd")
+"""Greys, for agents that choose at random."""
 SPARE = ("#882255", "#999933", "#332288", "#44aa99", "#661100", "#117733")
 """Colours of Tol (2021) for what the six of `looks.LINES` do not suffice for."""
 
@@ -25,19 +26,16 @@ class AgentLook(NamedTuple):
 
 def choose_looks(specs: Sequence[AgentSpec]) -> list[AgentLook]:
     """Give the flat and the hierarchical form of one algorithm the same colour, and others another."""
-    palette = (*looks.LINES, *SPARE)
     colours: dict[tuple[str, str], str] = {}
-    taken: set[tuple[str, bool]] = set()
-    found = []
+    found: list[AgentLook] = []
     for spec in specs:
-        key = (spec.algorithm, spec.recipe)
-        colour = CHANCE if spec.algorithm == "random" else colours.get(key, "")
-        if not colour or (colour, spec.chooses_options) in taken:
+        key, is_dashed = (spec.algorithm, spec.recipe), not spec.chooses_options
+        colour = colours.get(key, "")
+        if not colour or (colour, is_dashed) in [(look.colour, look.is_dashed) for look in found]:
             used = [*colours.values(), *(look.colour for look in found)]
-            colour = min(palette, key=used.count)
+            colour = min(CHANCE if spec.algorithm == "random" else (*looks.LINES, *SPARE), key=used.count)
             colours.setdefault(key, colour)
-        taken.add((colour, spec.chooses_options))
-        found.append(AgentLook(colour, _darken(colour), not spec.chooses_options))
+        found.append(AgentLook(colour, _darken(colour), is_dashed))
     return found
 
 

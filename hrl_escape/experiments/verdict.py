@@ -75,8 +75,9 @@ def _write_headline(summary: Summary) -> str:
         return f"Nothing that learns beats `{leader.label}`, which {_describe_escapes(leader)}."
     if not level:
         return f"`{leader.label}` is best: it {_describe_escapes(leader)}."
-    names = _join([f"`{agent.label}`" for agent in (leader, *level)])
-    return f"{names} cannot be told apart; `{leader.label}` {_describe_escapes(leader)}."
+    if len(level) > 1:
+        return f"No clear winner: `{leader.label}` is ahead, but not clearly of {_count(len(level), 'other')}."
+    return f"`{leader.label}` and `{level[0].label}` cannot be told apart; the first {_describe_escapes(leader)}."
 
 
 def _find_leader(agents: Sequence[AgentSummary]) -> AgentSummary:

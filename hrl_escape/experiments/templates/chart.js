@@ -65,7 +65,8 @@ function spread(places, gap, low, high) {
 function drawChart(box, series, options) {
   box.replaceChildren();
   const width = options.width, height = options.height;
-  const left = 62, right = options.names ? 168 : 20, top = 18, bottom = 46;
+  const longest = Math.max(0, ...series.map((s) => s.name.length));
+  const left = 62, right = options.names ? Math.min(280, 40 + 7.4 * longest) : 20, top = 18, bottom = 46;
   const svg = draw("svg", { viewBox: `0 0 ${width} ${height}`, role: "img" }, box);
   const xs = series.flatMap((s) => s.x), ys = series.flatMap((s) => [...s.low, ...s.high, ...s.y]);
   let [xLow, xHigh] = options.xRange || [Math.min(...xs, 0), Math.max(...xs)];
