@@ -8,22 +8,34 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from hrl_escape.env.config import DynamicsConfig, RewardConfig, RobotConfig
+from hrl_escape.env.config import DynamicsConfig, RewardConfig, RobotConfig, RoomConfig
+from hrl_escape.env.generation import generate
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Rules
+from hrl_escape.env.presets import get_preset
 from hrl_escape.env.robot import make_robot
 from hrl_escape.env.tensor_arm import Arm, make_arm
 from hrl_escape.env.tensor_geometry import Shapes, stack_shapes
 from hrl_escape.env.tensor_puzzles import as_signed, get_tensor_puzzle
-from hrl_escape.errors import UnsupportedError
+from hrl_escape.errors import ConfigError, UnsupportedError
 
-__all__ = ["Layout", "Tables", "make_layout", "map_tensors", "pick", "stack_instances"]
+__all__ = [
+    "InstanceSource",
+    "Layout",
+    "Tables",
+    "collect_instances",
+    "make_layout",
+    "map_tensors",
+    "pick",
+    "stack_instances",
+]
 
 INSTEAD = "use the Bullet engine: gymnasium.make(...), or make_vec(..., vectorization_mode='sync')"
 
@@ -109,6 +121,30 @@ class Tables(NamedTuple):
     puzzle_start: Tensor
     headings: Tensor
     total: Tensor
+
+
+InstanceSource: TypeAlias = RoomInstance | str | Path | Sequence[RoomInstance | str | Path]
+
+
+def collect_instances(config: str | RoomConfig | dict[str, Any], instance: InstanceSource | None = None,
+                      instance_seed: int = 0, num_instances: int = 1) -> list[RoomInstance]:
+    """Collect the instances that a batch is made of.
+
+    Args:
+        config: preset name, `RoomConfig`, or the dict form of one.
+        instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
+        instance_seed: instance seed of the first.
+        num_instances: how many instances of the schematic.
+    """
+    if instance is not None:
+        given = [instance] if isinstance(instance, (RoomInstance, str, Path)) else instance
+        return [one if isinstance(one, RoomInstance) else RoomInstance.load(one) for one in given]
+    if num_instances < 1:
+        raise ConfigError("num_instances", num_instances, "a whole number of at least 1")
+    if isinstance(config, str):
+        config = get_preset(config)
+    schematic = config if isinstance(config, RoomConfig) else RoomConfig.from_dict(config)
+    return [generate(schematic, instance_seed + i) for i in range(num_instances)]
 
 
 def map_tensors(function: Callable[[Tensor], Any], tree: Any) -> Any:

@@ -6,18 +6,23 @@ Spaces, names and bounds are those of `observations.py`; only the arithmetic is 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.env.observations import LIDAR_RAYS
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Rules
+from hrl_escape.env.observations import LIDAR_RAYS, make_observer
 from hrl_escape.env.tensor_geometry import Shapes, cast_rays
 from hrl_escape.env.tensor_instances import INSTEAD, Layout, Tables, pick
 from hrl_escape.env.tensor_poses import TensorState, compute_angles, compute_heading, compute_rotation
 from hrl_escape.env.tensor_puzzles import get_tensor_puzzle, unpack_bits
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 
-__all__ = ["OBSERVATIONS", "check_observation", "observe"]
+__all__ = ["OBSERVATIONS", "check_observation", "compute_bounds", "observe"]
 
 
 def observe(layout: Layout, tables: Tables, state: TensorState, kind: str) -> Tensor:
@@ -36,6 +41,14 @@ def check_observation(kind: str) -> None:
         raise UnsupportedError(f"the batched engine renders no pixels: {INSTEAD}")
     if kind not in OBSERVATIONS:
         raise UnknownNameError("observation", kind, OBSERVATIONS)
+
+
+def compute_bounds(instances: Sequence[RoomInstance], kind: str) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Smallest and largest value of each number of an observation, wide enough for every instance."""
+    observers = [make_observer(kind, Rules(instance)) for instance in instances]
+    bounds = [(one.low, one.high) for one in observers if one is not None]
+    low, high = (np.stack(side) for side in zip(*bounds, strict=True))
+    return low.min(axis=0), high.max(axis=0)
 
 
 def _observe_state(layout: Layout, tables: Tables, state: TensorState) -> list[Tensor]:

@@ -175,13 +175,25 @@ class TensorRoom:
         self.device = _find_device(device)
         self.tables = stack_instances(self.instances, self.layout, self.device)
         self.count, self.actions = rooms, len(make_primitives(self.layout.robot.joints))
-        self._kind = observation
+        self._kind, self._is_compiled = observation, compile
         self._autoreset: Autoreset = autoreset
-        self._kernel: Kernel | None = None
-        if compile:
-            _check_compiler(self.device)
-            shapes = (rooms, *_list_shapes(self.tables))
-            self._kernel = _compile(self.layout, observation, autoreset, self.device.type, shapes)
+        self._kernel = self._make_kernel()
+
+    def _make_kernel(self) -> Kernel | None:
+        if not self._is_compiled:
+            return None
+        _check_compiler(self.device)
+        shapes = (self.count, *_list_shapes(self.tables))
+        return _compile(self.layout, self._kind, self._autoreset, self.device.type, shapes)
+
+    def to(self, device: str | torch.device) -> TensorRoom:
+        """Move the batch, and where it is in its episodes, to another device; returns itself."""
+        self.device = _find_device(device)
+        self.tables = map_tensors(lambda table: table.to(self.device), self.tables)
+        if hasattr(self, "state"):
+            self.state = map_tensors(lambda field: field.to(self.device), self.state)
+        self._kernel = self._make_kernel()
+        return self
 
     # --- episodes ----------------------------------------------------------------------
 

@@ -8,7 +8,6 @@ Bullet engine's.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -20,16 +19,12 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.generation import generate
-from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import Rules
-from hrl_escape.env.observations import Observer, make_observer
-from hrl_escape.env.presets import get_preset
-from hrl_escape.env.tensor_instances import INSTEAD
+from hrl_escape.env.tensor_instances import INSTEAD, InstanceSource, collect_instances
+from hrl_escape.env.tensor_observations import compute_bounds
 from hrl_escape.env.tensor_room import Autoreset, RoomInfo, TensorRoom
 from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedError
 
-__all__ = ["EscapeRoomVectorEnv", "make_instances", "make_single_space"]
+__all__ = ["EscapeRoomVectorEnv"]
 
 _AUTORESETS: dict[AutoresetMode, Autoreset] = {
     AutoresetMode.NEXT_STEP: "next-step",
@@ -86,7 +81,7 @@ class EscapeRoomVectorEnv(VectorEnv):
         num_envs: int = 1,
         config: str | RoomConfig | dict[str, Any] = "paper-two-button",
         *,
-        instance: RoomInstance | str | Path | Sequence[RoomInstance | str | Path] | None = None,
+        instance: InstanceSource | None = None,
         instance_seed: int = 0,
         num_instances: int = 1,
         observation: str = "state",
@@ -108,14 +103,14 @@ class EscapeRoomVectorEnv(VectorEnv):
             allowed = "one of " + ", ".join(repr(m.value) for m in AutoresetMode)
             raise ConfigError("autoreset_mode", autoreset_mode, allowed) from None
         self.room = TensorRoom(
-            make_instances(config, instance, instance_seed, num_instances), num_envs, observation=observation,
+            collect_instances(config, instance, instance_seed, num_instances), num_envs, observation=observation,
             autoreset=_AUTORESETS[mode], resample=resample_instance, device=device, compile=compile,
         )
         self.instances = self.room.instances
         self.num_envs, self.autoreset_mode = num_envs, mode
         self.metadata = type(self).metadata | {"autoreset_mode": mode}
         self.render_mode = None
-        self.single_observation_space = make_single_space(self.instances, observation)
+        self.single_observation_space = spaces.Box(*compute_bounds(self.instances, observation), dtype=np.float32)
         self.single_action_space = spaces.Discrete(self.room.actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -206,26 +201,3 @@ class EscapeRoomVectorEnv(VectorEnv):
             raise ConfigError("seed", seed, f"a whole number of at least 0, or {self.num_envs} of them")
         self._is_seeded = True
         return torch.tensor(seeds, dtype=torch.int64, device=self.room.device)
-
-
-def make_instances(config: str | RoomConfig | dict[str, Any],
-                   instance: RoomInstance | str | Path | Sequence[RoomInstance | str | Path] | None,
-                   instance_seed: int, num_instances: int) -> list[RoomInstance]:
-    """Collect the instances that a batch is made of; see `EscapeRoomVectorEnv` for the arguments."""
-    if instance is not None:
-        given = [instance] if isinstance(instance, (RoomInstance, str, Path)) else instance
-        return [one if isinstance(one, RoomInstance) else RoomInstance.load(one) for one in given]
-    if num_instances < 1:
-        raise ConfigError("num_instances", num_instances, "a whole number of at least 1")
-    if isinstance(config, str):
-        config = get_preset(config)
-    schematic = config if isinstance(config, RoomConfig) else RoomConfig.from_dict(config)
-    return [generate(schematic, instance_seed + i) for i in range(num_instances)]
-
-
-def make_single_space(instances: Sequence[RoomInstance], observation: str) -> spaces.Box:
-    """Space of one room's observation, wide enough for every instance."""
-    observers = [make_observer(observation, Rules(instance)) for instance in instances]
-    bounds = [(one.low, one.high) for one in observers if isinstance(one, Observer)]
-    low, high = (np.stack(side) for side in zip(*bounds, strict=True))
-    return spaces.Box(low.min(axis=0), high.max(axis=0), dtype=np.float32)

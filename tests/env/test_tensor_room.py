@@ -117,6 +117,16 @@ def test_each_way_of_resetting():
     assert room.observe()[:, 1].tolist() == [0.0, 3.0]
 
 
+def test_what_a_last_primitive_did_is_told_in_the_final_info_only():
+    room = TensorRoom([generate(get_preset("paper-one-button"), 0)], 1, autoreset="same-step")
+    room.reset(torch.tensor([0]))
+    last = [room.step(torch.tensor([LEFT])) for _ in range(9)][-1]
+    assert bool(last.terminated) and last.reward.item() == 99.0
+    assert [last.final_info.pressed.item(), last.final_info.buttons_on.item()] == [1, 1]
+    assert [last.info.pressed.item(), last.info.buttons_on.item()] == [0, 0]
+    assert room.step(torch.tensor([LEFT])).info.primitives.item() == 1
+
+
 def test_reset_with_seeds_and_a_mask_reseeds_only_those_rooms():
     room = make_rooms(4)
     room.reset(torch.arange(4))
@@ -219,13 +229,13 @@ def test_the_edges_of_the_exit_count_to_the_last_bit():
     assert room.step(torch.full((8,), 4)).terminated.tolist() == [True] * 4 + [False] * 4
 
 
-@pytest.mark.parametrize("name", ["four-button-chain", "arm-two-button"])
-def test_touching_begins_within_two_micrometres_of_its_reach(name):
+@pytest.mark.parametrize(("name", "gap"), [("four-button-chain", 0), ("arm-two-button", 0), ("arm-two-button", 0.03)])
+def test_touching_begins_within_two_micrometres_of_its_reach(name, gap):
     instance = generate(get_preset(name), 0)
     target, turned = instance.targets[0], 5  # what a right turn leaves at heading 5 - 1
     hand = Kinematics(instance).get_hand_in_base((0,) * instance.robot.joints)
-    if instance.dynamics.press_with == "hand":  # hang the button so that the outstretched hand is 30 mm below it
-        target = dataclasses.replace(target, z=hand[2] + target.half_z + 0.03)
+    if instance.dynamics.press_with == "hand":  # hang the button so that the outstretched hand is just below it
+        target = dataclasses.replace(target, z=hand[2] + target.half_z + gap)
         instance = dataclasses.replace(instance, targets=(target, *instance.targets[1:]))
     else:
         hand = (0.0, 0.0, 0.0)

@@ -1,0 +1,113 @@
+"""Thousands of Escape Rooms as one TorchRL environment over the batched engine.
+
+It is batch-locked: its batch size is (num_envs,). Rules and observations are those of
+`vector_env.py`; tensors stay on its device, and resets follow TorchRL's `_reset` masks instead
+of Gymnasium's modes.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from gymnasium.utils import seeding
+from tensordict import TensorDict, TensorDictBase
+from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
+from torchrl.envs import EnvBase
+
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.tensor_instances import InstanceSource, collect_instances
+from hrl_escape.env.tensor_observations import compute_bounds
+from hrl_escape.env.tensor_room import TensorRoom
+
+__all__ = ["EscapeRoomTorchRLEnv"]
+
+
+class EscapeRoomTorchRLEnv(EnvBase):
+    """Many rooms that step together; see `EscapeRoomEnv` for the task itself.
+
+    Keys, all with the batch size (num_envs,) in front: `observation` (float32), `action` (int64, categorical),
+    `reward` (float32, 1), `done`, `terminated` and `truncated` (bool, 1), `buttons_on` (int8, one a target).
+    `terminated` is success: nothing else ends an episode early.
+
+    `set_seed(n)` seeds room i with n + i at the next reset; without it, seeds come from the system's entropy.
+
+    Args:
+        num_envs: number of rooms.
+        config: preset name, `RoomConfig`, or the dict form of one.
+        instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
+        instance_seed: instance seed of the first room instance.
+        num_instances: how many instances of the schematic there are; room i is in instance i modulo their number.
+        observation: `state`, `features` or `egocentric`.
+        resample_instance: every episode draws one of the instances.
+        device: where the rooms are; `to` moves them.
+        compile: fuse a step into compiled kernels; takes some 10 s once for each shape of batch.
+
+    Attributes:
+        room: the batched engine.
+    """
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        config: str | RoomConfig | dict[str, Any] = "paper-two-button",
+        *,
+        instance: InstanceSource | None = None,
+        instance_seed: int = 0,
+        num_instances: int = 1,
+        observation: str = "features",
+        resample_instance: bool = False,
+        device: str | torch.device = "cpu",
+        compile: bool = False,
+    ) -> None:
+        room = TensorRoom(collect_instances(config, instance, instance_seed, num_instances), num_envs,
+                          observation=observation, autoreset="disabled", resample=resample_instance,
+                          device=device, compile=compile)
+        super().__init__(device=room.device, batch_size=(num_envs,))
+        self.room = room
+        self._next_seed: int | None = seeding.np_random(None)[1] % 2**62
+        bounds = compute_bounds(room.instances, observation)
+        low, high = (torch.from_numpy(side).expand(num_envs, -1) for side in bounds)
+        batch: dict[str, Any] = {"shape": torch.Size([num_envs]), "device": self.device}
+        column: dict[str, Any] = {"shape": torch.Size([num_envs, 1]), "device": self.device}
+        self.observation_spec = Composite(
+            observation=Bounded(low=low, high=high, dtype=torch.float32, device=self.device),
+            buttons_on=Binary(shape=torch.Size([num_envs, room.layout.targets]), dtype=torch.int8, device=self.device),
+            **batch,
+        )
+        self.action_spec = Categorical(room.actions, dtype=torch.int64, **batch)
+        self.reward_spec = Unbounded(dtype=torch.float32, **column)
+        self.done_spec = Composite(
+            {name: Binary(n=1, dtype=torch.bool, **column) for name in ("done", "terminated", "truncated")}, **batch
+        )
+
+    def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
+        where = None if tensordict is None else tensordict.get("_reset", None)
+        first, self._next_seed = self._next_seed, None
+        if first is not None:
+            observation = self.room.reset(torch.arange(self.room.count, device=self.device) + first)
+        else:
+            observation = self.room.reset(where=None if where is None else where.squeeze(-1))
+        ended = self.room.get_state().has_ended
+        return self._pack(observation, self.room.inform().buttons_on, ended, torch.zeros_like(ended))
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+        observation, reward, terminated, truncated, info, *_ = self.room.step(tensordict["action"])
+        packed = self._pack(observation, info.buttons_on, terminated, truncated)
+        return packed.set("reward", reward.unsqueeze(-1))
+
+    def _pack(self, observation: torch.Tensor, buttons_on: torch.Tensor, terminated: torch.Tensor,
+              truncated: torch.Tensor) -> TensorDictBase:
+        return TensorDict(
+            {"observation": observation, "buttons_on": buttons_on, "terminated": terminated.unsqueeze(-1),
+             "truncated": truncated.unsqueeze(-1), "done": (terminated | truncated).unsqueeze(-1)},
+            batch_size=self.batch_size, device=self.device,
+        )
+
+    def _set_seed(self, seed: int | None) -> None:
+        self._next_seed = seeding.np_random(None)[1] % 2**62 if seed is None else int(seed)
+
+    def to(self, device: Any) -> EnvBase:
+        """Move the rooms and the specs; returns itself."""
+        self.room.to(device)
+        return super().to(device)
