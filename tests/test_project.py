@@ -49,7 +49,8 @@ agents.agent agents.networks agents.training agents.dqn agents.sarsa
 options.option options.options_env options.navigation options.arm options.planner
 env.settings env.config env.presets env.instance env.robot env.primitives env.geometry env.observations
 env.puzzles.base env.puzzles.buttons env.puzzles.bit_flip
-env.bullet_room env.bullet_scene env.bullet_physics env.tensor_room env.rendering env.escape_room env.vector_env env.torchrl_env
+env.bullet_room env.bullet_scene env.bullet_physics
+env.tensor_room env.rendering env.escape_room env.vector_env env.torchrl_env
 """.split()
 
 ALLOWED_IMPORTS = {
