@@ -88,10 +88,11 @@ class RouteFinder:
     def _open(self) -> None:
         self._search = PrimitiveSearch(self._quiet, self.rules)
         self._routes: OrderedDict[tuple[Goal, bool, Pose], Route | PlanningFailed] = OrderedDict()
+        self._reasons: dict[int, str] = {}
         self._lock = threading.RLock()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in self.__dict__.items() if k not in ("_search", "_routes", "_lock")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("_search", "_routes", "_reasons", "_lock")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -209,13 +210,21 @@ class RouteFinder:
         if not result.is_reached:
             return self.make_failure(
                 PlanningReason(result.status), state, goal, seconds=time.perf_counter() - began,
-                planners=(self.method,), nearest=_describe_place(result.nearest),
+                planners=(self.method,), nearest=_describe_place(result.nearest), advice=self._explain(goal),
             )
         if not result.primitives:  # it is there already
             return Route((), (get_pose(begin),), (), 0)
         route = self.replay(begin, result.primitives, goal)
         assert route is not None, "a search must return what its own replay reaches"
         return route._replace(expansions=result.expansions)
+
+    def _explain(self, goal: Goal) -> str:
+        """Why the hand never touches a target, if that is so; asked once a target, for it can take seconds."""
+        if not isinstance(goal, PressGoal) or self.instance.dynamics.press_with != "hand":
+            return ""
+        if goal.target not in self._reasons:
+            self._reasons[goal.target] = self._search.reacher.explain(goal.target) or ""
+        return self._reasons[goal.target]
 
     def follow(self, state: RoomState, route: Route) -> RoomState:
         """The state that a route leads to from here."""

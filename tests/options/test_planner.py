@@ -369,3 +369,12 @@ def test_what_is_remembered_is_bounded(monkeypatch):
         state = state if step.terminated else step.state
         planner.plan(state, "exit")
     assert len(planner._routes) == 20
+
+
+def test_a_button_beyond_the_arm_is_refused_with_the_reason():
+    instance = generate(get_preset("arm-two-button"), 0)
+    high = dataclasses.replace(instance.targets[0], z=5.0)
+    instance = dataclasses.replace(instance, targets=(high, *instance.targets[1:]))
+    planner = RoomPlanner(instance)
+    with pytest.raises(PlanningFailed, match=r"no posture.*too high: button-1 hangs from 4\.80 m up"):
+        planner.plan(Kinematics(instance).make_state(instance.starts[0]), "button-1")
