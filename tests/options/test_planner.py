@@ -17,6 +17,7 @@ from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.generation import generate
 from hrl_escape.env.geometry import Solid
+from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
