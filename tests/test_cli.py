@@ -246,6 +246,16 @@ def test_list_shows_everything_there_is_with_a_line_about_it(capsys):
     assert call(capsys, "list", "camera")[0] == 2
 
 
+def test_bench_agents_measures_ours_beside_stable_baselines3_in_one_run(capsys):
+    code, out, _ = call(capsys, "bench", "agents", "--updates", "40", "--rounds", "1", "--json")
+    assert code == 0
+    rows = json.loads(out)
+    assert {"dqn", "ppo", "sarsa", "Stable-Baselines3 DQN", "Stable-Baselines3 PPO"} <= set(rows)
+    ours, theirs = rows["dqn"], rows["Stable-Baselines3 DQN"]
+    assert theirs["ratio"] == 1
+    assert ours["ratio"] == pytest.approx(ours["updates_per_second"] / theirs["updates_per_second"], rel=0.01)
+
+
 def test_bench_env_compares_with_cartpole_and_taxi_in_one_run(capsys):
     code, out, err = call(capsys, "bench", "env", "--presets", "paper-one-button", "push-block", "--seconds", "0.02",
                           "--repeats", "2", "--json")

@@ -3,7 +3,7 @@
 What is stored is the backup (R, b) of each decision, target R + b V(s'), so that duration,
 discount and termination cannot be lost or reapplied (see `agent.compute_backup`). On one CPU core this
 samples several times faster than TorchRL's ReplayBuffer over LazyTensorStorage, measured in
-`benchmarks/agent_updates.py`.
+`hrl-escape bench agents`.
 """
 
 from __future__ import annotations

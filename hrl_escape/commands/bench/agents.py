@@ -1,16 +1,20 @@
-"""Updates per second of the deep agents, beside TorchRL's DQNLoss and Stable-Baselines3, same networks, one run.
+"""Measure updates per second of the deep agents beside Stable-Baselines3 and TorchRL, same networks, in one run.
 
-    python benchmarks/agent_updates.py             # one core, about a minute
-    python benchmarks/agent_updates.py --compile   # also TorchRL's loss compiled, some 20 s more
+An update is a sample from replay (or a minibatch of a rollout), a gradient step, and the
+target network's step. All have two hidden layers of 64 and batches of 64 over 12
+observations and 9 actions, on one core. Contenders take turns, so that other work on the
+machine slows all of them alike; the median of the rounds is printed.
 
-An update is a sample from replay (or a minibatch of a rollout), a gradient step, and the target network's step. All
-have two hidden layers of 64 and batches of 64 over 12 observations and 9 actions. Contenders take turns, so that other
-work on the machine slows all of them alike; the median of the rounds is printed. Needs the extra `bench`.
+Examples:
+    hrl-escape bench agents
+    hrl-escape bench agents --compile --json
 """
 
 from __future__ import annotations
 
-import argparse
+import dataclasses
+import json
+import logging
 import statistics
 import time
 from collections.abc import Callable
@@ -19,7 +23,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from stable_baselines3 import DQN, PPO
+from rich.console import Console
+from rich.table import Table
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
@@ -28,6 +33,7 @@ from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
 
 from hrl_escape.agents import make_agent
 from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.errors import MissingExtraError
 
 INPUTS, ACTIONS, HIDDEN, BATCH, STORED = 12, 9, (64, 64), 64, 10_000
 ROLLOUT, EPOCHS = 256, 10
@@ -160,7 +166,7 @@ def make_torchrl(compiled: bool) -> Callable[[int], None]:
 
 def make_sb3_dqn() -> Callable[[int], None]:
     """Stable-Baselines3's DQN (not double), its own replay and train()."""
-    model = DQN(
+    model = _load_stable_baselines().DQN(
         "MlpPolicy", RandomSteps(), batch_size=BATCH, buffer_size=STORED, learning_starts=STORED - 1, seed=0,
         policy_kwargs={"net_arch": list(HIDDEN)}, device="cpu", target_update_interval=1, tau=0.01,
     )  # fmt: skip
@@ -176,7 +182,7 @@ def make_sb3_dqn() -> Callable[[int], None]:
 
 def make_sb3_ppo() -> Callable[[int], None]:
     """Stable-Baselines3's PPO, train() on a rollout."""
-    model = PPO(
+    model = _load_stable_baselines().PPO(
         "MlpPolicy", RandomSteps(), n_steps=ROLLOUT, batch_size=BATCH, n_epochs=EPOCHS, seed=0,
         policy_kwargs={"net_arch": list(HIDDEN)}, device="cpu", ent_coef=0.01,
     )  # fmt: skip
@@ -202,28 +208,54 @@ def measure(contenders: dict[str, Callable[[int], None]], updates: int, rounds: 
     return {name: statistics.median(values) for name, values in rates.items()}
 
 
-def main() -> None:
-    """Print the table."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--compile", action="store_true", help="also compile TorchRL's loss")
-    parser.add_argument("--updates", type=int, default=400, help="updates in a round")
-    parser.add_argument("--rounds", type=int, default=7)
-    arguments = parser.parse_args()
+@dataclasses.dataclass(frozen=True)
+class BenchAgentsArgs:
+    """Options of `hrl-escape bench agents`."""
+
+    updates: int = 400
+    """Updates in a round."""
+    rounds: int = 7
+    """Rounds in which all take turns."""
+    compile: bool = False
+    """Also measure TorchRL's loss compiled; takes some 20 s more."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def run(args: BenchAgentsArgs) -> int:
+    """Measure and print; ratios are to Stable-Baselines3's agent of the same kind."""
     torch.set_num_threads(1)
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every buffer on standard output
     contenders = {
         "dqn": make_ours("dqn"),
         "Stable-Baselines3 DQN": make_sb3_dqn(),
-        "TorchRL DQNLoss + TensorDictReplayBuffer": make_torchrl(compiled=False),
+        "TorchRL DQNLoss": make_torchrl(compiled=False),
         "sarsa": make_ours("sarsa"),
         "ddpg (critic and actor)": make_ours("ddpg"),
         "ppo": make_our_ppo(),
         "Stable-Baselines3 PPO": make_sb3_ppo(),
     }
-    if arguments.compile:
-        contenders["TorchRL, loss compiled"] = make_torchrl(compiled=True)
-    for name, rate in measure(contenders, arguments.updates, arguments.rounds).items():
-        print(f"{name:42s} {rate:7,.0f} updates/s")
+    if args.compile:
+        contenders["TorchRL DQNLoss, compiled"] = make_torchrl(compiled=True)
+    rates = measure(contenders, args.updates, args.rounds)
+    rows = {}
+    for name, rate in rates.items():
+        theirs = rates["Stable-Baselines3 PPO" if "ppo" in name.lower() else "Stable-Baselines3 DQN"]
+        rows[name] = {"updates_per_second": round(rate, 1), "ratio": round(rate / theirs, 3)}
+    if args.json:
+        print(json.dumps(rows, indent=2))
+        return 0
+    title = "Updates on one core, medians of one run"
+    table = Table("agent", "updates a second", "to Stable-Baselines3's", title=title)
+    for name, row in rows.items():
+        table.add_row(name, f"{row['updates_per_second']:,.0f}", f"{row['ratio']:.2f}")
+    Console().print(table)
+    return 0
 
 
-if __name__ == "__main__":
-    main()
+def _load_stable_baselines() -> Any:
+    try:
+        import stable_baselines3
+    except ImportError:
+        raise MissingExtraError("stable-baselines3", "bench", "bench agents") from None
+    return stable_baselines3
