@@ -40,7 +40,9 @@ EXPANSIONS = 300_000
 WEIGHTS = ((1.0, 3_000), (1.05, 6_000), (1.1, 20_000), (1.5, EXPANSIONS))
 """What a field's prices are multiplied with, and the nodes after which the next weight is tried."""
 IMPROVEMENT = 2_000
-"""Nodes for a second look, with prices lowered by a primitive, after a plan found at the first weight."""
+"""Nodes for another look with lower prices, after a plan that was found at the first weight."""
+SHORT = 8
+"""Plans of so few primitives are looked for again without the field, which may be off by as much as they are long."""
 CORRIDORS = (3.0, 6.0)
 """Half widths of corridors, in moves."""
 MOST_REFINED_STATES = 6_000_000
@@ -207,11 +209,14 @@ class PrimitiveSearch:
             spent += attempt.expansions
             if ended is not PlanningReason.BUDGET_EXHAUSTED:
                 break
-        if isinstance(ended, SearchResult) and spent < WEIGHTS[0][1] and attempt.job.table is None:
-            attempt.restart(slack=1, most=len(ended.primitives))
-            better = attempt.advance(min(IMPROVEMENT, budget - spent))
-            spent += attempt.expansions
-            ended = better if isinstance(better, SearchResult) else ended
+        if not isinstance(ended, SearchResult) or spent >= WEIGHTS[0][1] or attempt.job.table is not None:
+            return ended, spent
+        for slack in (1, SHORT):
+            if slack == 1 or len(ended.primitives) <= SHORT:
+                attempt.restart(slack=slack, most=len(ended.primitives))
+                better = attempt.advance(min(IMPROVEMENT, budget - spent))
+                spent += attempt.expansions
+                ended = better if isinstance(better, SearchResult) else ended
         return ended, spent
 
     def _iterate_tries(self, job: Job, method: str, planner: str | None, avoid: bool) -> Iterator[_Try]:
