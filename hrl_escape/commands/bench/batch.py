@@ -1,0 +1,117 @@
+"""Measure steps per second of batched rooms against the size of the batch, eager and compiled, beside others.
+
+Beside them in the same run: the Bullet environment in Gymnasium's SyncVectorEnv, CartPole's own
+vector environment and, if installed, XLand-MiniGrid. All take random actions; resets are
+included. Repeats are interleaved and each contender's best counts. The bound is what the
+machine's memory allows, were arithmetic free: bytes a step reads and writes a room.
+
+Examples:
+    hrl-escape bench batch
+    hrl-escape bench batch --scenes paper-two-button --sizes 8192 --threads 2
+    hrl-escape bench batch --sizes 1024 32768 1048576 --device cuda --plot batch.png
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from hrl_escape.env import escape_room  # noqa: F401  # so that no measurement has to import it
+from hrl_escape.env.presets import PRESETS
+from hrl_escape.errors import ConfigError, UnknownNameError
+
+if TYPE_CHECKING:
+    from hrl_escape.commands.bench.batch_contenders import Contender
+
+SCENES = ("paper-two-button", "ten-obstacles", "ten-obstacles-by-hand")
+
+
+@dataclasses.dataclass(frozen=True)
+class BenchBatchArgs:
+    """Options of `hrl-escape bench batch`."""
+
+    scenes: tuple[str, ...] = SCENES
+    """Rooms to measure: presets, ten-obstacles (4 buttons among 10 yawed boxes), ten-obstacles-by-hand (3 joints)."""
+    sizes: tuple[int, ...] = (64, 1024, 8192)
+    """Rooms in a batch."""
+    engines: tuple[str, ...] = ("eager", "compiled")
+    """How to step the batch; compiling takes some 10 s for each scene and size."""
+    instances: int = 1
+    """Different instances in a batch."""
+    observation: str = "features"
+    """Observation of our environments."""
+    device: str = "cpu"
+    """Where the batches are: cpu, cuda, ..."""
+    threads: int = 0
+    """Threads of torch; 0 takes its default, one a core."""
+    repeats: int = 5
+    """How often each contender is measured, in turn."""
+    seconds: float = 0.3
+    """Length of one measurement, s."""
+    peers: bool = True
+    """Measure the other environments too."""
+    plot: Path | None = None
+    """Draw steps per second against the size of the batch to this PNG, SVG or PDF file."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def run(args: BenchBatchArgs) -> None:
+    """Measure and print."""
+    for scene in args.scenes:
+        if scene not in (*SCENES, *PRESETS):
+            raise UnknownNameError("scene", scene, (*SCENES, *PRESETS))
+    for engine in args.engines:
+        if engine not in ("eager", "compiled"):
+            raise UnknownNameError("engine", engine, ("eager", "compiled"))
+    if args.repeats < 1 or not args.seconds > 0 or min((args.instances, *args.sizes)) < 1 or args.threads < 0:
+        raise ConfigError("bench", (args.repeats, args.seconds, args.instances, args.sizes, args.threads),
+                          "repeats, instances and sizes of at least 1, threads of at least 0, seconds above 0")
+    from hrl_escape.commands.bench import batch_contenders as bench  # loads torch, which --help does without
+
+    bench.set_threads(args.threads)
+    contenders: list[Contender] = []
+    with Progress(console=Console(stderr=True), transient=True, disable=args.json) as progress:
+        makers = bench.list_makers(args)
+        task = progress.add_task("", total=len(makers) * (1 + args.repeats))
+        for name, make in makers:
+            progress.update(task, description=f"building {name}")
+            contenders.append(make())
+            progress.advance(task)
+        for _ in range(args.repeats):
+            for contender in contenders:
+                progress.update(task, description=f"measuring {contender.name}, {contender.engine}")
+                contender.measure(args.seconds)
+                progress.advance(task)
+    bandwidth = bench.measure_bandwidth(args.device)
+    rows = [contender.summarise(bandwidth) for contender in contenders]
+    if args.plot:
+        bench.draw(args.plot, rows)
+    if args.json:
+        settings = dataclasses.asdict(args) | {"plot": args.plot and str(args.plot)}
+        print(json.dumps({"machine": bench.describe_machine(args.device), "settings": settings,
+                          "bytes_per_second": bandwidth, "contenders": rows}, indent=2))
+    else:
+        _print(rows, bandwidth, bench.describe_machine(args.device))
+
+
+def _print(rows: list[dict], bandwidth: float, machine: dict) -> None:
+    table = Table(box=None, padding=(0, 2), pad_edge=False)
+    for heading in ("environment", "engine"):
+        table.add_column(heading, no_wrap=True)
+    for heading in ("rooms", "steps/s", "a CPU-second", "us a step", "build s", "bytes a room", "memory bound"):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        bound = row["memory_bound"]
+        table.add_row(row["name"], row["engine"], f"{row['rooms']:,}", f"{row['steps_per_second']:,.0f}",
+                      f"{row['steps_per_cpu_second']:,.0f}", f"{row['step_us']:,.0f}", f"{row['build_seconds']:.1f}",
+                      f"{row['state_bytes']:,}" if bound else "", f"{bound:,.0f}" if bound else "")
+    table.caption = (f"random actions, resets included; {machine['threads']} threads on {machine['cores']} cores; "
+                     f"memory copies at {bandwidth / 1e9:.1f} GB/s")
+    Console(width=140).print(table)

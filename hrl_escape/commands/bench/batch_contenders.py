@@ -1,0 +1,247 @@
+"""What `hrl-escape bench batch` measures: how each contender is built, stepped and timed."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import os
+import platform
+import time
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import gymnasium
+import numpy as np
+import torch
+
+from hrl_escape.env.config import DynamicsConfig, ObstaclesConfig, RobotConfig, RoomConfig
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.generation import generate
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.base import Panels
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.tensor_instances import map_tensors
+from hrl_escape.env.tensor_room import TensorRoom
+
+if TYPE_CHECKING:
+    from hrl_escape.commands.bench.batch import BenchBatchArgs
+
+POOL = 16  # batches of random actions, drawn beforehand
+SYNC_ROOMS = 8
+CARTPOLE, XLAND = "CartPole-v1", "XLand-MiniGrid-R1-9x9"
+
+
+@dataclasses.dataclass
+class Contender:
+    """Something that steps a batch of rooms, and its measurements.
+
+    Attributes:
+        name: environment.
+        engine: how it is stepped.
+        rooms: rooms in the batch.
+        step: runs that many steps of the whole batch.
+        build_seconds: time until it could step, compilation included, s.
+        state_bytes: bytes of state a room.
+        moved_bytes: bytes that a step must at least read and write a room; 0 if unknown.
+        wall: best seconds a step of the batch.
+        cpu: best CPU-seconds a step of the batch.
+    """
+
+    name: str
+    engine: str
+    rooms: int
+    step: Callable[[int], None]
+    build_seconds: float
+    state_bytes: int = 0
+    moved_bytes: int = 0
+    wall: float = float("inf")
+    cpu: float = float("inf")
+
+    def measure(self, seconds: float) -> None:
+        """Step for some time."""
+        steps, spent = 1, 0.0
+        while spent < seconds:
+            wall, cpu = time.perf_counter(), time.process_time()
+            self.step(steps)
+            took = time.perf_counter() - wall
+            self.wall, self.cpu = min(self.wall, took / steps), min(self.cpu, (time.process_time() - cpu) / steps)
+            spent += took
+            steps = max(1, min(1000, int(steps * 0.02 / max(took, 1e-6))))  # stretches of 20 ms
+
+    def summarise(self, bandwidth: float) -> dict[str, Any]:
+        """Numbers for table, plot and JSON."""
+        return {
+            "name": self.name, "engine": self.engine, "rooms": self.rooms, "build_seconds": self.build_seconds,
+            "steps_per_second": self.rooms / self.wall, "steps_per_cpu_second": self.rooms / max(self.cpu, 1e-9),
+            "step_us": 1e6 * self.wall, "state_bytes": self.state_bytes, "moved_bytes": self.moved_bytes,
+            "memory_bound": bandwidth / self.moved_bytes if self.moved_bytes else None,
+        }
+
+
+def make_scene(name: str) -> RoomConfig:
+    """Schematic of a scene: a preset, or four buttons among ten yawed boxes, pressed by body or hand."""
+    if name not in ("ten-obstacles", "ten-obstacles-by-hand"):
+        return get_preset(name)
+    by_hand = name == "ten-obstacles-by-hand"
+    return RoomConfig(
+        name=name,
+        robot=RobotConfig(body_radius=0.5, joints=3 if by_hand else 0),
+        puzzle=ButtonsConfig(count=4, graph=GraphConfig(kind="chain"), buttons=Panels(width=1.5)),
+        obstacles=ObstaclesConfig(count=10, cylinder_share=0.0),
+        dynamics=DynamicsConfig(press_with="hand" if by_hand else "body"),
+    )
+
+
+def list_makers(args: BenchBatchArgs) -> list[tuple[str, Callable[[], Contender]]]:
+    """Name and builder of every contender that `args` asks for."""
+    makers: list[tuple[str, Callable[[], Contender]]] = []
+    for scene in args.scenes:
+        for size in args.sizes:
+            for engine in args.engines:
+                makers.append((f"{scene}, {size} rooms, {engine}",
+                               lambda s=scene, n=size, e=engine: _make_batch(s, n, e, args)))
+    if args.peers:
+        scene, size = args.scenes[0], max(args.sizes)
+        makers.append(("SyncVectorEnv", lambda: _make_sync(scene, args)))
+        makers.append((CARTPOLE, lambda: _make_cartpole(size)))
+        if importlib.util.find_spec("xminigrid") is not None:
+            makers.append((XLAND, lambda: _make_xland(min(size, 1024))))
+    return makers
+
+
+def _make_batch(scene: str, rooms: int, engine: str, args: BenchBatchArgs) -> Contender:
+    instances = [generate(make_scene(scene), seed) for seed in range(args.instances)]
+    begun = time.perf_counter()
+    batch = TensorRoom(instances, rooms, observation=args.observation, device=args.device,
+                       compile=engine == "compiled")
+    batch.reset(torch.arange(rooms, device=batch.device))
+    generator = torch.Generator().manual_seed(0)
+    pool = [torch.randint(batch.actions, (rooms,), generator=generator).to(batch.device) for _ in range(POOL)]
+    outcome = batch.step(pool[0])
+    _wait(batch.device)
+    build_seconds = time.perf_counter() - begun
+
+    def step(count: int) -> None:
+        for number in range(count):
+            batch.step(pool[number % POOL])
+        _wait(batch.device)
+
+    step(POOL)
+    state, given = _count_bytes(batch.state), _count_bytes(tuple(part for part in outcome if part is not None))
+    return Contender(scene, engine, rooms, step, build_seconds, state // rooms,
+                     (2 * state + given + _count_bytes((pool[0],))) // rooms)
+
+
+def _make_sync(scene: str, args: BenchBatchArgs) -> Contender:
+    config, begun = make_scene(scene), time.perf_counter()
+    env = gymnasium.vector.SyncVectorEnv(
+        [lambda: EscapeRoomEnv(config, observation=args.observation)] * SYNC_ROOMS)
+    return _make_vector(scene, "Bullet, SyncVectorEnv", env, begun)
+
+
+def _make_cartpole(rooms: int) -> Contender:
+    begun = time.perf_counter()
+    return _make_vector(CARTPOLE, "numpy, its own", gymnasium.make_vec(CARTPOLE, num_envs=rooms), begun)
+
+
+def _make_vector(name: str, engine: str, env: gymnasium.vector.VectorEnv, begun: float) -> Contender:
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    count = env.single_action_space.n  # type: ignore[attr-defined]  # both have discrete actions
+    pool = [rng.integers(count, size=env.num_envs) for _ in range(POOL)]
+
+    def step(steps: int) -> None:
+        for number in range(steps):
+            env.step(pool[number % POOL])
+
+    step(1)
+    return Contender(name, engine, env.num_envs, step, time.perf_counter() - begun)
+
+
+def _make_xland(rooms: int) -> Contender:
+    begun = time.perf_counter()
+    import jax  # pyright: ignore[reportMissingImports]  # a peer, if installed
+    import xminigrid  # pyright: ignore[reportMissingImports]
+    from xminigrid.wrappers import GymAutoResetWrapper  # pyright: ignore[reportMissingImports]
+
+    env, params = xminigrid.make(XLAND)
+    env = GymAutoResetWrapper(env)
+    keys = jax.random.split(jax.random.key(0), rooms)
+    reset, advance = jax.jit(jax.vmap(env.reset, in_axes=(None, 0))), jax.jit(jax.vmap(env.step, in_axes=(None, 0, 0)))
+    pool = [jax.random.randint(jax.random.key(n), (rooms,), 0, env.num_actions(params)) for n in range(POOL)]
+    now = [reset(params, keys)]
+
+    def step(count: int) -> None:
+        for number in range(count):
+            now[0] = advance(params, now[0], pool[number % POOL])
+        now[0].reward.block_until_ready()
+
+    step(1)
+    return Contender(XLAND, "JAX, compiled", rooms, step, time.perf_counter() - begun)
+
+
+def _wait(device: torch.device) -> None:
+    if device.type != "cpu":
+        torch.accelerator.synchronize(device)
+
+
+def _count_bytes(tree: Any) -> int:
+    sizes: list[int] = []
+    parts = tree if type(tree) is tuple else (tree,)
+    for part in parts:
+        map_tensors(lambda tensor: sizes.append(tensor.numel() * tensor.element_size()), part)
+    return sum(sizes)
+
+
+def set_threads(threads: int) -> None:
+    """Set torch's threads; 0 leaves its default."""
+    if threads:
+        torch.set_num_threads(threads)
+
+
+def measure_bandwidth(device: str) -> float:
+    """Bytes a second that a large copy reads and writes."""
+    source = torch.ones(2**26, dtype=torch.uint8, device=device)
+    target = torch.empty_like(source)
+    best = float("inf")
+    for _ in range(5):
+        begun = time.perf_counter()
+        target.copy_(source)
+        _wait(source.device)
+        best = min(best, time.perf_counter() - begun)
+    return 2 * source.numel() / best
+
+
+def describe_machine(device: str) -> dict[str, Any]:
+    """What the measurements were made on."""
+    cuda = torch.cuda.get_device_name(device) if device.startswith("cuda") else None
+    return {"python": platform.python_version(), "machine": platform.machine(), "cores": os.cpu_count(),
+            "threads": torch.get_num_threads(), "device": cuda or device,
+            **{name: version(name) for name in ("hrl-escape", "gymnasium", "numpy", "torch")}}
+
+
+def draw(path: Path, rows: list[dict[str, Any]]) -> None:
+    """Draw steps per second against the size of the batch, and the peers as level lines."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.5, 4.8), layout="constrained")
+    axes = figure.subplots()
+    ours = [row for row in rows if row["memory_bound"]]
+    scenes = list(dict.fromkeys(row["name"] for row in ours))
+    for number, scene in enumerate(scenes):
+        for engine, style in (("eager", "--"), ("compiled", "-")):
+            rows_of = [row for row in ours if (row["name"], row["engine"]) == (scene, engine)]
+            line = sorted((row["rooms"], row["steps_per_second"]) for row in rows_of)
+            if line:
+                axes.plot(*zip(*line, strict=True), style, marker="o", color=f"C{number}", label=f"{scene}, {engine}")
+    shades = ("0.25", "0.5", "0.7")
+    for row, shade in zip((row for row in rows if not row["memory_bound"]), shades, strict=False):
+        label = f"{row['name']} ({row['engine']}, {row['rooms']:,} rooms)"
+        axes.axhline(row["steps_per_second"], color=shade, linestyle=":", label=label)
+    axes.set(xscale="log", yscale="log", xlabel="rooms in a batch", ylabel="steps per second", title="Batched rooms")
+    axes.grid(alpha=0.3)
+    figure.legend(loc="outside lower center", ncols=2, fontsize="small")
+    figure.savefig(path, dpi=150)
