@@ -55,7 +55,7 @@ class RoomPlanner(RouteFinder):
     """
 
     def __init__(self, instance: RoomInstance, method: str = "fields", budget: int = 300_000,
-                 time_limit: float = 10.0) -> None:
+                 time_limit: float = 60.0) -> None:
         super().__init__(instance, method, budget, time_limit)
         self._bounds = LegBounds(instance)
         self._model = instance.puzzle.make_symbolic_model()

@@ -74,7 +74,7 @@ class RouteFinder:
     _has_searched: ClassVar[bool] = False
 
     def __init__(self, instance: RoomInstance, method: str = "fields", budget: int = 300_000,
-                 time_limit: float = 10.0) -> None:
+                 time_limit: float = 60.0) -> None:
         _check_method(method)
         self.instance = instance
         self.method, self.budget, self.time_limit = method, budget, time_limit
