@@ -25,6 +25,7 @@ from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.grid import AgentSpec, Cell
 from hrl_escape.experiments.replays import StateRecorder, record_episode
 from hrl_escape.experiments.scale import Scale, measure_scale
+from hrl_escape.experiments.statistics import compute_final
 from hrl_escape.files import read_json, write_json
 
 __all__ = ["CellResult", "get_cell_folder", "get_room_file", "make_env", "read_cell", "run_cell"]
@@ -37,7 +38,8 @@ class CellResult:
     """What one run left; whose it is, its `Cell` says.
 
     Attributes:
-        primitives: trained for.
+        budget: primitives it was to train for.
+        primitives: trained for; a last option may carry it beyond the budget.
         decisions: trained for.
         episodes: trained for.
         planner_calls: behind options, in training.
@@ -48,6 +50,7 @@ class CellResult:
         versions: of the packages that made it; left out of comparisons.
     """
 
+    budget: int
     primitives: int
     decisions: int
     episodes: int
@@ -59,10 +62,10 @@ class CellResult:
     versions: Mapping[str, str] = dataclasses.field(compare=False)
 
     @classmethod
-    def make(cls, result: TrainResult, scale: Scale) -> CellResult:
+    def make(cls, budget: int, result: TrainResult, scale: Scale) -> CellResult:
         """From a finished training run."""
         return cls(
-            result.primitives, result.decisions, len(result.episodes), result.planner_calls, result.evaluations,
+            budget, result.primitives, result.decisions, len(result.episodes), result.planner_calls, result.evaluations,
             scale, tuple(result.curve(against="seconds")[0].tolist()), result.planner_seconds, find_versions(),
         )
 
@@ -71,6 +74,15 @@ class CellResult:
         if metric == "seconds":
             return np.array(self.seconds)
         return np.array([getattr(evaluation, metric) for evaluation in self.evaluations], dtype=np.float64)
+
+    def get_final(self, metric: str) -> float:
+        """What a mean of `Evaluation` comes to; see `compute_final`."""
+        return compute_final(self.get_curve("primitives"), self.get_curve(metric), self.budget)
+
+    @property
+    def is_stuck(self) -> bool:
+        """No evaluation episode succeeded in the last fifth of the budget."""
+        return self.get_final("success_rate") == 0.0
 
 
 def make_env(agent: AgentSpec, instance: RoomInstance, observation: str) -> tuple[gymnasium.Env, StateRecorder]:
@@ -116,7 +128,7 @@ def run_cell(cell: Cell, out: Path, checkpoint_seconds: float) -> None:
     finally:
         env.close()
     write_json(folder / "episodes.json", episodes, indent=None)
-    value = dataclasses.asdict(CellResult.make(result, scale))
+    value = dataclasses.asdict(CellResult.make(cell.grid.primitives, result, scale))
     write_json(folder / "cell.json", {"identity": cell.identity, "result": value}, indent=None)
 
 

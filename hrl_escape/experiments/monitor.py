@@ -61,9 +61,8 @@ class Monitor:
         self.results.append((cell, result))
         seconds = time.monotonic() - self._started.pop(cell.folder, time.monotonic())
         self._seconds.setdefault(cell.agent.label, []).append(seconds)
-        last = result.evaluations[-1]
-        self._say(cell, f"score {_score(result):.3f}, escapes {sum(last.successes)} of "
-                        f"{len(last.successes)} times, {last.mean_length:.0f} primitives", "green")
+        self._say(cell, f"score {_score(result):.3f}, escapes {result.get_final('success_rate'):.0%}, "
+                        f"{result.get_final('mean_length'):.0f} primitives an episode", "green")
 
     def fail(self, failure: Failure) -> None:
         """A run failed."""
@@ -97,7 +96,7 @@ class Monitor:
             running = [f"{self._progress[cell.folder] / cell.grid.primitives:.0%}" for cell in mine
                        if cell.folder in self._progress]
             score = f"{float(compute_iqm([np.array([_score(result) for _, result in done])])):.3f}" if done else "-"
-            escapes = f"{np.mean([result.evaluations[-1].success_rate for _, result in done]):.0%}" if done else "-"
+            escapes = f"{np.mean([result.get_final('success_rate') for _, result in done]):.0%}" if done else "-"
             count = f"{len(done)}/{len(mine)}" + (f", {failed} failed" if failed else "")
             table.add_row(label, count, score, escapes, " ".join(running))
         ended = len(self.results) + len(self.failures)
@@ -123,7 +122,7 @@ class Monitor:
 
 def _score(result: CellResult) -> float:
     """The final score, by what was known before the comparison."""
-    return float(compute_score(result.evaluations[-1].mean_return, result.scale.worst, np.mean(result.scale.best)))
+    return float(compute_score(result.get_final("mean_return"), result.scale.worst, np.mean(result.scale.best)))
 
 
 def _format_seconds(seconds: float) -> str:

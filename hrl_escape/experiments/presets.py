@@ -24,8 +24,8 @@ GRIDS: dict[str, Grid] = {
             description="Do options help in a room with two buttons, and does learning add to what they know?",
             agents=_parse_agents("random", "dqn", "smdp-random", "smdp-q-learning", "smdp-dqn"),
             rooms=_parse_rooms("paper-two-button"),
-            runs=5,
-            primitives=20_000,
+            runs=8,
+            primitives=15_000,
             eval_episodes=3,
         ),
         Grid(

@@ -18,12 +18,12 @@ __all__ = [
     "Gap",
     "Scores",
     "compute_area",
+    "compute_final",
     "compute_improvement",
     "compute_interval",
     "compute_iqm",
     "compute_profile",
     "compute_score",
-    "is_stuck",
     "split_gap",
 ]
 
@@ -32,7 +32,7 @@ Scores: TypeAlias = Sequence[Floats]
 """One float64 array (..., runs) a room; rooms may have different numbers of runs, at least one each."""
 
 LATE = 0.8
-"""A run is judged stuck by its evaluations from this share of the budget on."""
+"""A run is judged by its evaluations from this share of the budget on."""
 
 
 def compute_score(returns: ArrayLike, worst: ArrayLike, best: ArrayLike) -> Floats:
@@ -138,16 +138,18 @@ def compute_area(x: ArrayLike, y: ArrayLike, end: float) -> float:
     return float(np.sum(np.diff(grid) * (heights[1:] + heights[:-1]) / 2) / end)
 
 
-def is_stuck(x: ArrayLike, successes: ArrayLike, end: float) -> bool:
-    """Whether a run is stuck: no evaluation episode succeeded in the last fifth of the budget.
+def compute_final(x: ArrayLike, y: ArrayLike, end: float) -> float:
+    """What a run comes to: the mean of its evaluations in the last fifth of the budget.
+
+    A policy that is greedy in one room from one start does all or nothing; the mean over a few
+    evaluations says whether it has settled, where the last one alone would leave that to luck.
 
     Args:
-        x: (n,) when each evaluation was made.
-        successes: (n,) share of episodes that succeeded in it.
+        x: (n,) when each evaluation was made; the last at `end` or after.
+        y: (n,) what was measured.
         end: the budget, in units of `x`.
     """
-    late = np.asarray(x, dtype=np.float64) >= LATE * end
-    return not bool(np.any(np.asarray(successes, dtype=np.float64)[late] > 0))
+    return float(np.mean(np.asarray(y, dtype=np.float64)[np.asarray(x, dtype=np.float64) >= LATE * end]))
 
 
 class Gap(NamedTuple):

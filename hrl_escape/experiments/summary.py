@@ -1,7 +1,7 @@
 """What a comparison's runs amount to: scores, intervals, curves, gaps, and who beats whom.
 
 Pure functions from results to numbers, the same every time; words are in `verdict.py`, pages in
-`report.py`. A run's score is that of its last evaluation; statistics are those of `statistics.py`.
+`report.py`. A run is judged by its evaluations in the last fifth of training.
 """
 
 from __future__ import annotations
@@ -30,7 +30,6 @@ from hrl_escape.experiments.statistics import (
     compute_iqm,
     compute_profile,
     compute_score,
-    is_stuck,
     split_gap,
 )
 
@@ -81,8 +80,8 @@ class AgentSummary:
         settings: what it ran with.
         scores: final scores (runs,) a room; a room without a finished run has none.
         score: interquartile mean of them.
-        success: share of final evaluation episodes that escaped, rooms weighing the same.
-        length: interquartile mean of primitives in a final evaluation episode.
+        success: share of evaluation episodes in the last fifth that escaped, rooms weighing the same.
+        length: interquartile mean of primitives in such an episode.
         area: interquartile mean of the area under the score's curve, over the budget.
         stuck: share of runs without any escape in the last fifth.
         gap: what is missing to the best known.
@@ -244,22 +243,21 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[Run]) -> AgentSummar
     def collect(read: Callable[[CellResult], float | Floats]) -> list[Floats]:
         return [np.array([read(result) for result in room], dtype=np.float64) for room in occupied]
 
-    scores = collect(lambda result: _score(result, result.evaluations[-1].mean_return))
+    scores = collect(lambda result: _score(result, result.get_final("mean_return")))
     score = _estimate(compute_iqm, scores)
     reachable = _compute_mean(collect(lambda result: _score(result, np.mean(result.scale.reachable))))
     areas = collect(lambda result: compute_area(
         result.get_curve("primitives"), _score(result, result.get_curve("mean_return")), budget))
-    stuck = [is_stuck(result.get_curve("primitives"), result.get_curve("success_rate"), budget) for result in results]
     filled = iter(scores)
     return AgentSummary(
         spec=cell.agent,
         settings=cell.settings,
         scores=tuple(next(filled) if room else np.zeros(0) for room in rooms),
         score=score,
-        success=_estimate(_compute_mean, collect(lambda result: result.evaluations[-1].success_rate)),
-        length=_estimate(compute_iqm, collect(lambda result: result.evaluations[-1].mean_length)),
+        success=_estimate(_compute_mean, collect(lambda result: result.get_final("success_rate"))),
+        length=_estimate(compute_iqm, collect(lambda result: result.get_final("mean_length"))),
         area=_estimate(compute_iqm, areas),
-        stuck=float(np.mean(stuck)),
+        stuck=float(np.mean([result.is_stuck for result in results])),
         gap=split_gap(score.value, float(reachable)),
         curve=_make_curve(occupied, budget),
         room_curves=tuple(_make_curve([room], budget) if room else None for room in rooms),

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hrl_escape.experiments.statistics import compute_score, is_stuck
+from hrl_escape.experiments.statistics import compute_score
 from hrl_escape.experiments.summary import AgentSummary, Summary
 from hrl_escape.experiments.verdict import Sentence, find_first_reach
 from hrl_escape.files import write_text
@@ -31,11 +31,10 @@ def write_tables(summary: Summary, folder: Path) -> None:
     for cell, result in summary.runs:
         run = (cell.agent.label, cell.room, cell.instance_id, cell.seed)
         worst, top = result.scale.worst, float(np.mean(result.scale.best))
-        last = result.evaluations[-1]
-        stuck = is_stuck(result.get_curve("primitives"), result.get_curve("success_rate"), cell.grid.primitives)
-        results.append((*run, float(compute_score(last.mean_return, worst, top)), last.mean_return, last.success_rate,
-                        last.mean_length, int(stuck), worst, top, float(np.mean(result.scale.reachable)),
-                        result.primitives, result.decisions, result.episodes, result.planner_calls, cell.key))
+        final, success, length = map(result.get_final, ("mean_return", "success_rate", "mean_length"))
+        results.append((*run, float(compute_score(final, worst, top)), final, success, length, int(result.is_stuck),
+                        worst, top, float(np.mean(result.scale.reachable)), result.primitives, result.decisions,
+                        result.episodes, result.planner_calls, cell.key))
         for evaluation, seconds in zip(result.evaluations, result.seconds, strict=True):
             at = (*run, evaluation.primitives, evaluation.decisions)
             curves.append((*at, float(compute_score(evaluation.mean_return, worst, top)), evaluation.mean_return,

@@ -23,6 +23,8 @@ FEWEST_RUNS = 4
 four), so nothing is called better."""
 PUBLISHED_RUNS = 10
 GOOD_SCORE = 0.95
+SETTLED = 0.9
+"""From this share of escapes on, it is said how many primitives an escape takes."""
 
 
 @dataclass(frozen=True)
@@ -88,9 +90,10 @@ def _describe_escapes(agent: AgentSummary) -> str:
     """`escapes every time, in 37 primitives`."""
     if agent.success.value == 0:
         return "never escapes"
-    if agent.success.value < 1:
+    if agent.success.value < SETTLED:
         return f"escapes in {agent.success.value:.0%} of episodes"
-    return f"escapes every time, in {agent.length.value:.0f} primitives"
+    often = "every time" if agent.success.value == 1 else f"in {agent.success.value:.1%} of episodes"
+    return f"escapes {often}, in {agent.length.value:.0f} primitives"
 
 
 # --- findings --------------------------------------------------------------------------
@@ -136,8 +139,8 @@ def _compare_with_chance(summary: Summary) -> list[str]:
                  "much their planners know" if chance.success.value > 0 else
                  f"Choosing among the options at random (`{chance.label}`) never escapes")
         if is_better(summary, best, chance):
-            gain = (f"shortens that to {best.length.value:.0f}" if chance.success.value == 1 == best.success.value
-                    else _describe_escapes(best))
+            both = min(chance.success.value, best.success.value) >= SETTLED
+            gain = f"shortens that to {best.length.value:.0f}" if both else _describe_escapes(best)
             sentences.append(f"{start}. Learning adds to it: `{best.label}` {gain}.")
         elif is_better(summary, chance, best):
             sentences.append(f"{start}. No learner comes up to it: the best, `{best.label}`, "

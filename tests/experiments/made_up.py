@@ -22,17 +22,18 @@ START = ((0.0, 0.0, 0, 0.0),)
 
 def make_result(returns: Sequence[float], best: float = BEST, reachable: float | None = None, budget: int = 1000,
                 source: str = "planner", start: tuple = START) -> CellResult:
-    """A run evaluated in one episode at equal distances from 0 to the budget, with these returns."""
+    """A run with these returns of one episode, evaluated at equal distances from 0 to the budget, or at its end."""
+    places = [budget * number / (len(returns) - 1) for number in range(len(returns))] if len(returns) > 1 else [budget]
     evaluations = tuple(
         Evaluation(
-            primitives=round(budget * number / max(1, len(returns) - 1)), decisions=number * 10, returns=(value,),
-            lengths=(int(BEST - value),), decision_counts=(5,), successes=(value > WORST,),
+            primitives=round(place), decisions=number * 10, returns=(value,), lengths=(int(BEST - value),),
+            decision_counts=(5,), successes=(value > WORST,),
         )
-        for number, value in enumerate(returns)
+        for number, (place, value) in enumerate(zip(places, returns, strict=True))
     )
     scale = Scale(WORST, start, (best,), (best if reachable is None else reachable,), source)
-    return CellResult(budget, 10 * len(returns), 7, 3, evaluations, scale, tuple(map(float, range(len(returns)))), 0.5,
-                      {"torch": "1.0"})
+    seconds = tuple(map(float, range(len(returns))))
+    return CellResult(budget, budget, 10 * len(returns), 7, 3, evaluations, scale, seconds, 0.5, {"torch": "1.0"})
 
 
 def compare(agents: dict[str, Sequence[Sequence[float] | CellResult | None]], rooms: int = 1, budget: int = 1000,

@@ -12,12 +12,12 @@ from scipy import integrate, stats
 
 from hrl_escape.experiments.statistics import (
     compute_area,
+    compute_final,
     compute_improvement,
     compute_interval,
     compute_iqm,
     compute_profile,
     compute_score,
-    is_stuck,
     split_gap,
 )
 
@@ -185,9 +185,9 @@ def test_area_is_the_integral_of_the_interpolated_curve(points):
     assert compute_area(x, y, 40) == pytest.approx(exact / 40)
 
 
-def test_a_run_is_stuck_if_nothing_succeeds_in_the_last_fifth():
-    assert is_stuck([0, 50, 80, 100], [1, 1, 0, 0], 100)
-    assert not is_stuck([0, 50, 80, 100], [0, 0, 0.2, 0], 100)
+def test_a_run_comes_to_the_mean_of_its_last_fifth():
+    assert compute_final([0, 50, 79, 80, 90, 103], [9, 9, 9, 1, 2, 6], 100) == 3
+    assert compute_final([0, 100], [1, 5], 100) == 5
 
 
 def test_gaps_add_up_to_what_is_missing():

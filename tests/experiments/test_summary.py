@@ -18,6 +18,7 @@ def at(score: float) -> float:
 
 
 def test_an_agents_numbers_are_those_of_its_last_evaluations():
+    """Two evaluations a run, so the last fifth of training holds one."""
     finals = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8]
     (agent,) = summarise(compare({"dqn": [[at(0), at(s)] for s in finals]})).agents
     assert agent.scores[0] == pytest.approx(finals)
@@ -26,6 +27,12 @@ def test_an_agents_numbers_are_those_of_its_last_evaluations():
     assert agent.success.value == 1 and agent.runs == 8 and agent.stuck == 0
     assert agent.area.value == pytest.approx(agent.score.value / 2)  # a straight line from 0
     assert (agent.decisions, agent.planner_calls, agent.seconds, agent.planner_seconds) == (20, 3, 1, 0.5)
+
+
+def test_a_run_is_judged_by_the_last_fifth_not_by_its_very_last_evaluation():
+    returns = [at(0)] * 8 + [at(0.9), at(0.9), WORST]  # at 0, 100, ..., 1000 primitives
+    (agent,) = summarise(compare({"dqn": [returns] * 4})).agents
+    assert agent.score.value == pytest.approx(0.6) and agent.success.value == pytest.approx(2 / 3) and agent.stuck == 0
 
 
 def test_a_run_that_never_escapes_has_score_nothing_and_is_stuck():
