@@ -36,7 +36,7 @@ class TensorState(NamedTuple):
         instance: index of the room's instance, int64.
         seed: key of the room's own random numbers, int64.
         episode: number of the episode since seeding, int32.
-        has_ended: whether the episode is over, bool.
+        has_ended: 1 if the episode is over, else 0, int32.
     """
 
     x: Tensor

@@ -78,7 +78,7 @@ def advance(layout: Layout, kind: str, autoreset: Autoreset, tables: Tables, sta
     With `next-step`, a room whose episode has ended ignores its action, begins anew and earns nothing;
     with `same-step`, it begins anew as soon as its episode ends; with `disabled`, it moves on.
     """
-    had_ended = state.has_ended
+    had_ended = state.has_ended != 0
     state, reward, terminated, truncated, pressed = step(layout, tables, state, action)
     if autoreset == "next-step":
         state = restart(layout, tables, state, had_ended)
@@ -87,7 +87,7 @@ def advance(layout: Layout, kind: str, autoreset: Autoreset, tables: Tables, sta
     seen, info = observe(layout, tables, state, kind), inform(layout, tables, state, pressed)
     if autoreset != "same-step":
         return state, Outcome(seen, reward, terminated, truncated, info)
-    ended = state.has_ended
+    ended = state.has_ended != 0
     state = restart(layout, tables, state, ended)
     now = inform(layout, tables, state, torch.where(ended, 0, pressed))
     return state, Outcome(observe(layout, tables, state, kind), reward, terminated, truncated, now, seen, info)
@@ -101,7 +101,7 @@ def inform(layout: Layout, tables: Tables, state: TensorState, pressed: Tensor) 
 
 
 # For the compiler of CPU kernels: keep loops over a few solids as loops, and look far before storing what several
-# results share. Both halve the time of a step; see benchmarks/throughput.py.
+# results share. Both halve the time of a step (`hrl-escape bench batch`).
 _CPU_OPTIONS: dict[str, str | int | bool | Callable] = {"unroll_reductions_threshold": 1, "realize_reads_threshold": 8}
 
 Kernel = Callable[[Tables, TensorState, Tensor], tuple[TensorState, Outcome]]
@@ -109,16 +109,27 @@ Kernel = Callable[[Tables, TensorState, Tensor], tuple[TensorState, Outcome]]
 
 @lru_cache(maxsize=256)
 def _compile(layout: Layout, kind: str, autoreset: Autoreset, device: str, shapes: tuple) -> Kernel:
-    """Compile a step for one shape of batch; engines of the same shape share it."""
+    """Compile a step for one shape of batch; engines of the same shape share it.
+
+    Kernels hand flags over as words, for the compiler would write truth values byte by byte.
+    """
 
     def kernel(tables: Tables, state: TensorState, action: Tensor) -> tuple[TensorState, Outcome]:
-        return advance(layout, kind, autoreset, tables, state, action)
+        state, outcome = advance(layout, kind, autoreset, tables, state, action)
+        flags = outcome.terminated.to(torch.int32), outcome.truncated.to(torch.int32)
+        return state, outcome._replace(terminated=flags[0], truncated=flags[1])
 
     # isolated, because all kernels share this code and the compiler counts recompilations by code
-    return torch.compile(  # pyright: ignore[reportCallIssue]  # its overloads do not know isolate_recompiles
+    compiled = torch.compile(  # pyright: ignore[reportCallIssue]  # its overloads do not know isolate_recompiles
         kernel, fullgraph=True, dynamic=False, isolate_recompiles=True,
         options=_CPU_OPTIONS if device == "cpu" else None,
     )
+
+    def run(tables: Tables, state: TensorState, action: Tensor) -> tuple[TensorState, Outcome]:
+        state, outcome = compiled(tables, state, action)
+        return state, outcome._replace(terminated=outcome.terminated != 0, truncated=outcome.truncated != 0)
+
+    return run
 
 
 class TensorRoom:
@@ -219,7 +230,7 @@ class TensorRoom:
                 fresh = begin(self.layout, self.tables, seeds, rooms % len(self.instances))
             else:
                 old = self.get_state()
-                everywhere = torch.ones_like(old.has_ended)
+                everywhere = torch.ones_like(old.has_ended, dtype=torch.bool)
                 fresh = restart(self.layout, self.tables, old, everywhere if where is None else where)
             if where is not None and seeds is not None:
                 old = self.get_state()

@@ -156,7 +156,7 @@ def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorSta
     truncated = ~terminated & (primitives >= pick(layout, tables.horizons, before.instance)[0])
     each, final = pick(layout, tables.rewards, before.instance)
     state = moved._replace(puzzle=puzzle, touching=touching, primitives=primitives,
-                           has_ended=terminated | truncated)
+                           has_ended=(terminated | truncated).to(torch.int32))
     return TensorTransition(state, torch.where(terminated, final, each), terminated, truncated, pressed)
 
 
@@ -212,6 +212,6 @@ def begin(layout: Layout, tables: Tables, seed: Tensor, instance: Tensor) -> Ten
         x=numbers, y=numbers, heading_steps=steps, heading_offset=numbers,
         joint_steps=steps.new_zeros(joints), joint_offsets=numbers.new_zeros(joints),
         puzzle=words, touching=words, primitives=steps, noise_key=words, instance=instance, seed=seed,
-        episode=steps - 1, has_ended=torch.ones(rooms, dtype=torch.bool, device=device),
+        episode=steps - 1, has_ended=steps + 1,
     )
-    return restart(layout, tables, state, state.has_ended)
+    return restart(layout, tables, state, state.has_ended != 0)

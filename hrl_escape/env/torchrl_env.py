@@ -88,7 +88,7 @@ class EscapeRoomTorchRLEnv(EnvBase):
             observation = self.room.reset(torch.arange(self.room.count, device=self.device) + first)
         else:
             observation = self.room.reset(where=None if where is None else where.squeeze(-1))
-        ended = self.room.get_state().has_ended
+        ended = self.room.get_state().has_ended != 0
         return self._pack(observation, self.room.inform().buttons_on, ended, torch.zeros_like(ended))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
