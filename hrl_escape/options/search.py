@@ -203,7 +203,7 @@ def _add(query, frontier, x, y, heading, touching, spent, parent, action, is_goa
 @njit
 def _expand(scene, query, frontier, node):
     x, y = frontier.places[node, 0], frontier.places[node, 1]
-    heading, spent = frontier.facts[node, 0], frontier.facts[node, 1] + 1
+    heading, spent = np.int64(frontier.facts[node, 0]), np.int64(frontier.facts[node, 1]) + 1
     touching, headings = frontier.touching[node], query.moves.shape[1]
     for action in range(6):
         to_x, to_y, to_heading = x, y, heading
@@ -252,9 +252,10 @@ def advance(scene, query, frontier, expansions):
     """
     counts = frontier.counts
     if counts[0] == 0:
-        _add(query, frontier, query.x, query.y, query.heading, query.touched, 0, -1, -1, False)
+        none = np.int64(-1)  # for literals `_add` would be compiled once more
+        _add(query, frontier, query.x, query.y, query.heading, query.touched, np.int64(0), none, none, np.bool_(False))
     while counts[1] < frontier.heads.shape[0]:
-        node = frontier.heads[counts[1]]
+        node = np.int64(frontier.heads[counts[1]])
         if node < 0:
             counts[1] += 1
             continue

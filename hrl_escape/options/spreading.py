@@ -171,7 +171,10 @@ def spread_costs(starts, sources, costs, classes, headings, allowed, seeds, seed
                 buckets = _append(buckets, filled, slot, seeds[used])
             used += 1
         if filled[slot] == 0:
-            if filled.sum() > 0:
+            waiting = 0
+            for k in range(wide):
+                waiting += filled[k]
+            if waiting > 0:
                 level += 1
             elif used < seeds.shape[0]:
                 level = seed_costs[used]
@@ -214,7 +217,9 @@ def _append(buckets, filled, slot, state):
     """Put a state into a bucket; returns the buckets, wider ones if it was full."""
     if filled[slot] == buckets.shape[1]:
         wider = np.empty((buckets.shape[0], 2 * buckets.shape[1]), dtype=np.int32)
-        wider[:, : buckets.shape[1]] = buckets
+        for row in range(buckets.shape[0]):  # slices of two dimensions take numba seconds to compile
+            for k in range(filled[row]):
+                wider[row, k] = buckets[row, k]
         buckets = wider
     buckets[slot, filled[slot]] = state
     filled[slot] += 1

@@ -206,6 +206,8 @@ def test_a_roadmap_is_grown_once_and_what_it_answers_does_not_depend_on_what_was
     again = [fresh.plan(start, PressGoal(target), "PRM", time_limit=30) for target in (3, 2, 1, 0)][::-1]
     for one, other in zip(plans, again, strict=True):
         assert np.array_equal(one.path, other.path) and one.checker_calls == other.checker_calls
+    for asked in (navigator, Navigator(navigator.instance)):
+        assert asked.plan(start, HIDDEN, "PRM", budget=3000).status == "timeout"
     grown = min(navigator.plan(start, HIDDEN, "PRM").seconds for _ in range(3))
     assert grown < again[3].seconds / 2
 

@@ -1,0 +1,105 @@
+"""How quick plans are in prepared rooms, what preparing takes, and whether ten thousand plans leave memory behind.
+
+Run: `python benchmarks/planning.py` (about four minutes on one core; `--plans 1000` for one); exits with 1 if a target is missed.
+Times are CPU time of this thread, so that a busy machine does not show in them; wall time stands beside.
+How few primitives the plans take is `hrl-escape bench planners --contenders fields --rooms 20 --queries 10`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import resource
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+
+from hrl_escape.env.generation import generate
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.presets import get_preset
+from hrl_escape.options.goals import PressGoal
+from hrl_escape.options.navigation import Navigator
+from hrl_escape.options.tracking import PrimitiveSearch
+
+PRESETS = ("paper-one-button", "paper-two-button", "larg-2019", "clutter", "ten-button", "arm-two-button")
+MEDIAN_MS, P99_MS, PREPARE_S = 5.0, 50.0, 1.0
+ALLOWED_GROWTH_MB = 4.0
+
+
+def get_memory_mb() -> float:
+    """Resident memory of this process in MB."""
+    gc.collect()
+    pages = int(Path("/proc/self/statm").read_text().split()[1])
+    return pages * resource.getpagesize() / 1e6
+
+
+def wander(search: PrimitiveSearch, state: RoomState, rng: np.random.Generator) -> RoomState:
+    """A state that up to forty random moves lead to, with the puzzle as in the beginning."""
+    for primitive in rng.integers(6, size=int(rng.integers(40))).tolist():
+        state = search.kinematics.step(state, primitive).state
+    return state._replace(puzzle=search.instance.puzzle.make_state())
+
+
+def measure_latency(name: str, rooms: int, queries: int) -> bool:
+    """Print one line on a preset; says whether the targets are met."""
+    cpu, wall, prepare = [], [], []
+    for seed in range(rooms):
+        search = PrimitiveSearch(generate(get_preset(name), seed))
+        begin = time.thread_time()
+        search.prepare()
+        prepare.append(time.thread_time() - begin)
+        rng = np.random.default_rng(seed)
+        state = search.kinematics.make_state(search.instance.starts[0])
+        search.search(state, PressGoal(0))  # compiles, in the first room
+        for _ in range(queries):
+            goal = PressGoal(int(rng.integers(len(search.instance.targets))))
+            began, begin = time.perf_counter(), time.thread_time()
+            result = search.search(state, goal)
+            cpu.append(1e3 * (time.thread_time() - begin))
+            wall.append(1e3 * (time.perf_counter() - began))
+            if not result.is_reached:
+                raise RuntimeError(f"{name}, seed {seed}: {goal} was not reached: {result.status}")
+            state = wander(search, result.states[-1], rng)
+    median, p99, slowest = np.median(cpu), np.quantile(cpu, 0.99), max(prepare[1:])
+    print(f"{name:18} prepare {slowest:5.2f} s   plan, CPU ms: median {median:5.2f}, p99 {p99:5.1f}   "
+          f"wall ms: median {np.median(wall):5.2f}, p99 {np.quantile(wall, 0.99):5.1f}", flush=True)
+    return bool(median < MEDIAN_MS and p99 < P99_MS and slowest < PREPARE_S)
+
+
+def measure_memory(plans: int) -> bool:
+    """Print how much memory plans of either kind leave behind; says whether that is little."""
+    instance = generate(get_preset("clutter"), 1)
+    search, navigator = PrimitiveSearch(instance), Navigator(instance)
+    state = search.kinematics.make_state(instance.starts[0])
+    grown = []
+    for name in ("fields", "RRTConnect", "PRM"):
+        warm, before = plans // 5, 0.0
+        for number in range(plans + warm):
+            if number == warm:
+                before = get_memory_mb()
+            target = PressGoal(number % len(instance.targets))
+            if name == "fields":
+                search.search(state, target)
+            else:
+                navigator.plan((state.x, state.y), target, name, seed=number if name != "PRM" else number % 4)
+        grown.append(get_memory_mb() - before)
+        print(f"{plans} plans by {name}: {grown[-1]:+.2f} MB", flush=True)
+    return max(grown) < ALLOWED_GROWTH_MB
+
+
+def main() -> int:
+    """Measure everything."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--rooms", type=int, default=8, help="rooms of each preset")
+    parser.add_argument("--queries", type=int, default=40, help="plans in each room")
+    parser.add_argument("--plans", type=int, default=10_000, help="plans whose memory is watched")
+    args = parser.parse_args()
+    met = [measure_latency(name, args.rooms, args.queries) for name in PRESETS]
+    met.append(measure_memory(args.plans))
+    return 0 if all(met) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
