@@ -1,7 +1,7 @@
 """Two buttons, 20,000 primitives, ten seeds: do agents over options reach a score of 0.95, and what do others do?
 
-Run: `python benchmarks/two_button.py` (about four minutes on two cores); the report is in `runs/two-button`. Exits with 1
-if smdp-dqn or smdp-q-learning falls short. Flat agents and the random policies are reported as they are.
+Run: `python benchmarks/two_button.py` (about four minutes on two cores); the report is in `runs/two-button`. Exits
+with 1 if smdp-dqn or smdp-q-learning falls short. Flat agents and the random policies are reported as they are.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ def main() -> int:
     short = []
     for agent in summary.agents:
         needed = NEEDED.get(agent.label, 0.0)
-        print(f"{agent.label:16} IQM {agent.score.value:.3f} ({agent.score.low:.3f} to {agent.score.high:.3f}), escapes "
-              f"{agent.success.value:.0%}, {agent.length.value:.0f} primitives" + (f", needs {needed}" if needed else ""))
+        score = agent.score
+        print(f"{agent.label:16} IQM {score.value:.3f} ({score.low:.3f} to {score.high:.3f}), escapes "
+              f"{agent.success.value:.0%}, {agent.length.value:.0f} primitives", f"(needs {needed})" if needed else "")
         short += [agent.label] if agent.score.value < needed else []
     return 1 if short or comparison.failures else 0
 
