@@ -21,6 +21,8 @@ from hrl_escape.files import write_json
 
 AGENTS = ("random", "dqn", "smdp-random", "smdp-q-learning", "smdp-dqn", "smdp-ppo")
 TABLES = ("results.csv", "curves.csv")
+LONGEST_SECONDS = 14.0
+"""A comparison takes some seconds to start, so later moments are needed to meet it at work."""
 
 
 def start(grid: Path, out: Path) -> subprocess.Popen[bytes]:
@@ -38,11 +40,11 @@ def run_to_end(grid: Path, out: Path) -> float:
     return time.perf_counter() - began
 
 
-def run_killed(grid: Path, out: Path, kills: int, seconds: float, rng: np.random.Generator) -> None:
-    """Start and kill, again and again, each time after at most a share of what a whole run takes."""
+def run_killed(grid: Path, out: Path, kills: int, rng: np.random.Generator) -> None:
+    """Start and kill, again and again: while it starts, while runs train, while results are written."""
     for number in range(kills):
         process = start(grid, out)
-        pause = rng.uniform(1.0, max(4.0, 3.0 * seconds / kills))
+        pause = rng.uniform(1.0, LONGEST_SECONDS)
         try:
             process.wait(pause)
             print(f"kill {number + 1}: the comparison was already finished", flush=True)
@@ -68,7 +70,7 @@ def main() -> int:
         write_json(file, grid.to_dict())
         seconds = run_to_end(file, alone)
         print(f"left alone: {seconds:.0f} s", flush=True)
-        run_killed(file, killed, arguments.kills, seconds, np.random.default_rng(arguments.seed))
+        run_killed(file, killed, arguments.kills, np.random.default_rng(arguments.seed))
         run_to_end(file, killed)
         same = [(alone / name).read_bytes() == (killed / name).read_bytes() for name in TABLES]
     for name, is_same in zip(TABLES, same, strict=True):

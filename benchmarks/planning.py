@@ -1,7 +1,8 @@
 """How quick plans are in prepared rooms, what preparing takes, and whether ten thousand plans leave memory behind.
 
-Run: `python benchmarks/planning.py` (about four minutes on one core; `--plans 1000` for one); exits with 1 if a target is missed.
-Times are CPU time of this thread, so that a busy machine does not show in them; wall time stands beside.
+Run: `python benchmarks/planning.py` (four minutes on one core, one with `--plans 1000`); exits with 1
+if a target is missed. Times are CPU time of this thread, so that a busy machine does not show in
+them; wall time stands beside.
 How few primitives the plans take is `hrl-escape bench planners --contenders fields --rooms 20 --queries 10`.
 """
 

@@ -140,7 +140,7 @@ class Attempt:
             limit = min(budget, self.expansions + _SLICE)
             node = search.advance(self._maker.scene, self._query, self._frontier, limit)
             if node >= 0:
-                result = self._finish(node)
+                result = self._finish(int(node))
                 if result is not None:
                     return result
             elif node == search.GROW:

@@ -3,7 +3,8 @@
 Uniform-cost search over primitives on exact poses, told apart at 5 cm, with nothing but the
 straight line as an admissible bound; no field, no grid of clearances, no corridor. It is
 independent of `search.py` but for the room's own geometry, and its plans are checked by
-replay. Body presses, the exit, regions and places; not presses by hand.
+replay. (Telling poses apart at 2.5 cm instead changed the mean over 200 queries from 15.83 to
+15.82 primitives.) Body presses, the exit, regions and places; not presses by hand.
 """
 
 from __future__ import annotations
