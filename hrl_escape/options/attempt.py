@@ -117,7 +117,8 @@ class Attempt:
         """Begin anew, to look for a shorter plan or for any plan with fewer nodes.
 
         Args:
-            slack: primitives by which the field's prices are lowered, for what its grid may overestimate.
+            slack: primitives by which the field's prices are lowered, for what its grid may overestimate; negative
+                to raise them, for what it may underestimate.
             weight: what prices are multiplied with: plans may be longer by as much, and are found sooner.
             most: plans of this many primitives or more are of no use.
         """

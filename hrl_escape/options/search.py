@@ -50,7 +50,7 @@ class Query(NamedTuple):
         low: corner of the field's grid, shape (2,), m.
         size: side of its cells, m.
         rows: its cells along y.
-        slack: primitives that the field's prices are lowered by.
+        slack: primitives that the field's prices are lowered by, or raised by if it is negative.
         weight: what they are multiplied with.
         table: joint steps that at least finish the job from a pose, or -1, shape (columns, rows, headings), int16.
         table_low: corner of that table in the room frame, shape (2,), m.

@@ -4,7 +4,8 @@ Every pose in the search is the one that the room's kinematics would give, block
 included (they end exactly at the wall, which is how a body comes within a press margin), and
 poses within a bin count as one. Every plan is replayed through `Kinematics`, without noise and
 slip, before it is returned. Where an OMPL path restricts the field to a corridor round it,
-the method is called `corridor`. Presses by hand take the arm's share from `reaching.py`.
+the method is called `corridor`. Presses by hand take the arm's share from `reaching.py`. The first
+search after an installation compiles its kernels, which takes some seconds once.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import PlanningReason, UnknownNameError
 from hrl_escape.options.areas import Area, compute_area, find_headings
+from hrl_escape.options.arm_lattice import ALL, NEVER
 from hrl_escape.options.attempt import Attempt, Job, SearchResult
 from hrl_escape.options.fields import FieldMaker
 from hrl_escape.options.goals import ExitGoal, Goal, PressGoal, is_reached
@@ -37,8 +39,9 @@ __all__ = ["METHODS", "PrimitiveSearch", "SearchResult"]
 
 METHODS = ("fields", "corridor")
 EXPANSIONS = 300_000
-WEIGHTS = ((1.0, 3_000), (1.05, 6_000), (1.1, 20_000), (1.5, EXPANSIONS))
-"""What a field's prices are multiplied with, and the nodes after which the next weight is tried."""
+LADDER = ((0, 1.0, 3_000), (-1, 1.05, 6_000), (-2, 1.1, 20_000), (-4, 1.5, EXPANSIONS))
+"""Primitives by which a field's prices are lowered, what they are multiplied with, and the nodes after which the
+next is tried: from the fewest primitives to any plan at all."""
 IMPROVEMENT = 2_000
 """Nodes for another look with lower prices, after a plan that was found at the first weight."""
 SHORT = 8
@@ -143,17 +146,24 @@ class PrimitiveSearch:
             raise UnknownNameError("search method", method, METHODS)
         began = time.perf_counter()
         job = self._make_job(state, goal, tuple(keep_out), began + deadline)
-        tries = self._iterate_tries(job, method, planner, avoid)
-        result = self._answer_at_once(job) or self._try_all(job, tries, budget_expansions)
+        result = self._answer(job, method, planner, avoid, budget_expansions)
+        if not result.is_reached and job.table is not None and job.table.complete_to < NEVER:
+            # an arm of many joints may do what its first table left out
+            job = self._make_job(state, goal, tuple(keep_out), began + deadline, thorough=True)
+            result = self._answer(job, method, planner, avoid, budget_expansions)
         return dataclasses.replace(result, seconds=time.perf_counter() - began)
 
+    def _answer(self, job: Job, method: str, planner: str | None, avoid: bool, budget: int) -> SearchResult:
+        return self._answer_at_once(job) or self._try_all(job, self._iterate_tries(job, method, planner, avoid), budget)
+
     def _make_job(self, state: RoomState, goal: Goal, keep_out: tuple[Footprint, ...] = (),
-                  give_up: float = math.inf) -> Job:
+                  give_up: float = math.inf, thorough: bool = False) -> Job:
         area = compute_area(goal, self.instance)
         table = None
         if isinstance(goal, PressGoal) and self.instance.dynamics.press_with == "hand":
+            limits = {"budget": ALL} if thorough else {}
             table = self.reacher.make_table(goal.target, state.joint_steps, joint_offsets=state.joint_offsets,
-                                            heading_offset=state.heading_offset)
+                                            heading_offset=state.heading_offset, **limits)
             area = Area(area.footprint, math.hypot(*table.costs.shape[:2]) * table.cell / 2)
         return Job(state, goal, area, find_headings(goal, state, self.kinematics), table, keep_out, give_up)
 
@@ -190,12 +200,13 @@ class PrimitiveSearch:
                 continue
             attempt = Attempt(job, self.kinematics, maker, field, avoiding=avoiding,
                               reacher=None if job.table is None else self.reacher)
-            ended, nodes = self._run(attempt, budget - spent)
+            limit = (budget - spent) // 2 if avoiding else budget - spent  # leave some for doing without avoiding
+            ended, nodes = self._run(attempt, limit)
             spent += nodes
             if isinstance(ended, SearchResult):
                 return dataclasses.replace(ended, method=method, expansions=spent)
             nearest = attempt.find_nearest()
-            if ended is not PlanningReason.UNREACHABLE_AT_RESOLUTION:
+            if ended is PlanningReason.TIMEOUT or (ended is PlanningReason.BUDGET_EXHAUSTED and not avoiding):
                 reason = ended
                 break
         return SearchResult(reason, (), (job.state,), expansions=spent, nearest=nearest)
@@ -203,13 +214,13 @@ class PrimitiveSearch:
     def _run(self, attempt: Attempt, budget: int) -> tuple[SearchResult | PlanningReason, int]:
         """Search with rising weights until something is found, and look once more for less."""
         spent, ended = 0, PlanningReason.BUDGET_EXHAUSTED
-        for weight, nodes in WEIGHTS:
-            attempt.restart(weight=weight)
+        for slack, weight, nodes in LADDER:
+            attempt.restart(slack=slack, weight=weight)
             ended = attempt.advance(min(nodes, budget - spent))
             spent += attempt.expansions
             if ended is not PlanningReason.BUDGET_EXHAUSTED:
                 break
-        if not isinstance(ended, SearchResult) or spent >= WEIGHTS[0][1] or attempt.job.table is not None:
+        if not isinstance(ended, SearchResult) or spent >= LADDER[0][2] or attempt.job.table is not None:
             return ended, spent
         for slack in (1, SHORT):
             if slack == 1 or len(ended.primitives) <= SHORT:
@@ -259,7 +270,9 @@ class PrimitiveSearch:
 
     def _get_field(self, job: Job, maker: FieldMaker) -> Field:
         state = job.state
-        posture = None if job.table is None else (state.joint_steps, state.joint_offsets, state.heading_offset)
+        posture = None
+        if job.table is not None:
+            posture = state.joint_steps, state.joint_offsets, state.heading_offset, job.table.complete_to
         facing = None if job.facing is None else job.facing.tobytes()
         return maker.get((job.goal, posture, facing), lambda: self._make_field(job, maker, None))
 

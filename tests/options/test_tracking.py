@@ -252,9 +252,11 @@ def test_what_cannot_be_avoided_is_done_and_said():
     room = make_room(*walls)
     bar = Target("button-2", 0, 1, half_x=1.2, half_y=0.05, half_z=0.4)
     room = dataclasses.replace(room, targets=(*room.targets, bar), puzzle=ButtonsPuzzle(2))
-    result = PrimitiveSearch(room).search(Kinematics(room).make_state(room.starts[0]), PressGoal(0))
-    assert_comes_true(result, PressGoal(0), Kinematics(room))
-    assert result.also_pressed == (1,)
+    search = PrimitiveSearch(room)
+    for budget in (300_000, 3_000):  # enough to see that there is no other way, and not
+        result = search.search(begin(search), PressGoal(0), budget_expansions=budget)
+        assert_comes_true(result, PressGoal(0), search.kinematics)
+        assert result.also_pressed == (1,)
 
 
 def test_an_open_exit_on_the_way_is_gone_round_and_a_shut_one_is_crossed():
@@ -354,7 +356,7 @@ def test_each_failure_has_its_reason_and_says_what_came_nearest():
 def test_budget_and_deadline_end_a_search_and_more_of_them_finish_it():
     search = PrimitiveSearch(generate(get_preset("clutter"), 0))
     short = search.search(begin(search), PressGoal(1), budget_expansions=5)
-    assert short.status is PlanningReason.BUDGET_EXHAUSTED and short.expansions == 5
+    assert short.status is PlanningReason.BUDGET_EXHAUSTED and short.expansions <= 5
     assert search.search(begin(search), PressGoal(1), deadline=0.0).status is PlanningReason.TIMEOUT
     whole = search.search(begin(search), PressGoal(1))
     assert whole.is_reached and whole.expansions > 5 and whole.seconds > 0
