@@ -25,10 +25,10 @@ from hrl_escape.env.generation import generate
 from hrl_escape.env.geometry import stack_footprints
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.presets import get_preset
+from hrl_escape.options.arm.search import find_touching
 from hrl_escape.options.goals import PressGoal
-from hrl_escape.options.reach_search import find_touching
+from hrl_escape.options.lattice.sweeps import compile_geometry
 from hrl_escape.options.reaching import ALL, Reacher
-from hrl_escape.options.sweeps import compile_geometry
 from hrl_escape.options.tracking import PrimitiveSearch
 
 THREE = RobotConfig(joints=3, body_radius=0.4, body_height=0.8)

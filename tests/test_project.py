@@ -46,7 +46,7 @@ LINT_IMPORTS = ("lint-imports", "--no-cache", "--no-logo", "--config", str(ROOT 
 HOUSE = """
 cli checks errors files experiments.report viewer.scene
 agents.agent agents.networks agents.training agents.dqn agents.sarsa
-options.option options.options_env options.navigation options.arm options.planner
+options.option options.options_env options.navigation options.arm.model options.planner
 env.settings env.config env.presets env.instance env.robot env.primitives env.geometry env.observations
 env.puzzles.base env.puzzles.buttons env.puzzles.bit_flip
 env.bullet_room env.bullet_scene env.bullet_physics
@@ -59,7 +59,7 @@ ALLOWED_IMPORTS = {
     "agents.dqn": "torchrl",
     "options.options_env": "hrl_escape.env.escape_room",
     "options.navigation": "ompl",
-    "options.arm": "pinocchio",
+    "options.arm.model": "pinocchio",
     "env.escape_room": "hrl_escape.env.bullet_room",
     "env.vector_env": "gymnasium",
     "env.bullet_room": "pybullet",

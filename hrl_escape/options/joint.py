@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.options.areas import compute_area
-from hrl_escape.options.fields import FieldMaker
 from hrl_escape.options.goals import ExitGoal, Goal, PressGoal
+from hrl_escape.options.lattice.areas import compute_area
+from hrl_escape.options.lattice.fields import FieldMaker
 
 __all__ = ["find_joint_plan"]
 

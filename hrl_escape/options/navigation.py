@@ -21,9 +21,9 @@ from ompl import base, geometric, util
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import EscapeError, GoalError, PathPlannerError
-from hrl_escape.options.areas import compute_area, sample_places
 from hrl_escape.options.collision import CollisionMap
 from hrl_escape.options.goals import Goal, PressGoal
+from hrl_escape.options.lattice.areas import compute_area, sample_places
 from hrl_escape.options.paths import (
     CHECKER_CALLS,
     TIME_LIMIT,

@@ -21,10 +21,10 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.files import write_text
-from hrl_escape.options.areas import compute_area
 from hrl_escape.options.goals import ExitGoal, Goal, PressGoal, describe_goal, is_reached
+from hrl_escape.options.lattice.areas import compute_area
+from hrl_escape.options.lattice.reference import find_fewest_primitives
 from hrl_escape.options.navigation import list_planners
-from hrl_escape.options.reference import find_fewest_primitives
 from hrl_escape.options.tracking import PrimitiveSearch
 
 __all__ = ["FIELDS", "FLOORS", "Measurement", "Query", "Score", "draw_scores", "list_contenders", "make_queries",

@@ -1,7 +1,7 @@
 """Which joint steps bring the hand to a target, from where the base stands: Pinocchio on the joint lattice.
 
 Inverse kinematics rounded to whole joint steps misses many targets, so configurations are
-found on the lattice itself (`arm_lattice.py`), multiplied together from Pinocchio's placements,
+found on the lattice itself (`arm/joint_lattice.py`), multiplied together from Pinocchio's placements,
 and every one is checked with the environment's own `touching` rule. A `ReachTable` gives the
 fewest joint steps for every place of the base at once, for a search that moves base and arm
 together; driving is not planned here. A `Reacher` may be pickled, not shared between threads.
@@ -23,11 +23,11 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.primitives import BASE_PRIMITIVES
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.options.arm import Arm, ArmCollisions
-from hrl_escape.options.arm_lattice import ALL, NEVER, ArmLattice, Halves, make_halves, make_lattice
-from hrl_escape.options.reach_reasons import find_reason
-from hrl_escape.options.reach_search import find_heights, find_touching
-from hrl_escape.options.reach_tables import bound_costs, map_hands
+from hrl_escape.options.arm.joint_lattice import ALL, NEVER, ArmLattice, Halves, make_halves, make_lattice
+from hrl_escape.options.arm.model import Arm, ArmCollisions
+from hrl_escape.options.arm.reasons import find_reason
+from hrl_escape.options.arm.search import find_heights, find_touching
+from hrl_escape.options.arm.tables import bound_costs, map_hands
 
 __all__ = ["ALL", "NEVER", "QUICK", "ReachTable", "Reacher"]
 
@@ -333,7 +333,7 @@ class Reacher:
     def explain(self, target: int) -> str | None:
         """Say why a target cannot be touched from anywhere the body can get to, or None if it can.
 
-        What stands in the arm's way is not looked at. See `reach_reasons.py` for what is proven.
+        What stands in the arm's way is not looked at. See `arm/reasons.py` for what is proven.
 
         Args:
             target: index of the target.

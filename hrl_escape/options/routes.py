@@ -19,8 +19,8 @@ from hrl_escape.env.geometry import Footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError
-from hrl_escape.options.fields import FieldMaker
 from hrl_escape.options.goals import ExitGoal, Goal, PressGoal, describe_goal, is_reached
+from hrl_escape.options.lattice.fields import FieldMaker
 from hrl_escape.options.option import OptionReport
 from hrl_escape.options.tracking import METHODS, PrimitiveSearch
 

@@ -25,11 +25,11 @@ from hrl_escape.env.geometry import Footprint, compute_distance_many, make_footp
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import PlanningReason, UnknownNameError
-from hrl_escape.options.areas import Area, compute_area, find_headings
-from hrl_escape.options.arm_lattice import ALL, NEVER
-from hrl_escape.options.attempt import Attempt, Job, SearchResult
-from hrl_escape.options.fields import FieldMaker
+from hrl_escape.options.arm.joint_lattice import ALL, NEVER
 from hrl_escape.options.goals import ExitGoal, Goal, PressGoal, is_reached
+from hrl_escape.options.lattice.areas import Area, compute_area, find_headings
+from hrl_escape.options.lattice.attempt import Attempt, Job, SearchResult
+from hrl_escape.options.lattice.fields import FieldMaker
 
 if TYPE_CHECKING:
     from hrl_escape.options.navigation import Navigator

@@ -23,9 +23,9 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.robot import make_robot
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.options import reaching
-from hrl_escape.options.arm import Arm
-from hrl_escape.options.reach_search import find_place
-from hrl_escape.options.reach_tables import bound_costs
+from hrl_escape.options.arm.model import Arm
+from hrl_escape.options.arm.search import find_place
+from hrl_escape.options.arm.tables import bound_costs
 from hrl_escape.options.reaching import ALL, NEVER, Reacher
 
 THREE = RobotConfig(joints=3, body_radius=0.4, body_height=0.8)

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from hrl_escape.env.geometry import Footprint, compute_distance_many, stack_footprints
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import PlanningReason
-from hrl_escape.options import search
-from hrl_escape.options.areas import Area
-from hrl_escape.options.fields import FieldMaker
 from hrl_escape.options.goals import ExitGoal, Goal, PressGoal, is_reached
+from hrl_escape.options.lattice import search
+from hrl_escape.options.lattice.areas import Area
+from hrl_escape.options.lattice.fields import FieldMaker
 
 if TYPE_CHECKING:
     from hrl_escape.options.reaching import Reacher, ReachTable

@@ -9,12 +9,12 @@ from hrl_escape.env.config import ExitConfig, ObstaclesConfig, RobotConfig, Room
 from hrl_escape.env.generation import generate
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
-from hrl_escape.options.areas import compute_area
-from hrl_escape.options.fields import CACHE_BYTES, FieldMaker
 from hrl_escape.options.goals import ExitGoal, PressGoal
+from hrl_escape.options.lattice.areas import compute_area
+from hrl_escape.options.lattice.fields import CACHE_BYTES, FieldMaker
+from hrl_escape.options.lattice.reference import find_fewest_primitives
+from hrl_escape.options.lattice.sweeps import measure_clearance, sweep
 from hrl_escape.options.planner_bench import make_queries
-from hrl_escape.options.reference import find_fewest_primitives
-from hrl_escape.options.sweeps import measure_clearance, sweep
 
 
 def make_maker(config, seed=0, *, door_shut=True, refinement=0):

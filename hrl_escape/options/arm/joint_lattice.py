@@ -2,7 +2,7 @@
 
 A lattice of seven joints has too many configurations to list, but each is a first half
 followed by a last half: the placements of the first and the hand points of the last are
-listed, and pairs of them are what `reach_tables.py` and `reach_search.py` go through (meet in the
+listed, and pairs of them are what `tables.py` and `search.py` go through (meet in the
 middle). Nothing here knows targets or a room.
 """
 

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.geometry import compute_distance_many, make_footprint, stack_footprints
-from hrl_escape.options.arm_lattice import NEVER
+from hrl_escape.options.arm.joint_lattice import NEVER
+from hrl_escape.options.arm.search import collect_hands, find_place
+from hrl_escape.options.arm.tables import bound_costs
 from hrl_escape.options.collision import CollisionMap
-from hrl_escape.options.reach_search import collect_hands, find_place
-from hrl_escape.options.reach_tables import bound_costs
 
 if TYPE_CHECKING:
     from hrl_escape.options.reaching import Reacher

@@ -14,7 +14,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hrl_escape.options.sweeps import first_contact, get_shape, measure_distance, sweep
+from hrl_escape.options.lattice.sweeps import first_contact, get_shape, measure_distance, sweep
 
 __all__ = ["BUDGET", "EXHAUSTED", "GROW", "Frontier", "Query", "advance", "enlarge_frontier", "make_frontier",
            "put_back"]

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from hrl_escape.options.arm_lattice import GRID, NEVER
+from hrl_escape.options.arm.joint_lattice import GRID, NEVER
 
 __all__ = ["collect_hands", "find_heights", "find_place", "find_touching"]
 

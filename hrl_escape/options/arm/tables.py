@@ -2,7 +2,7 @@
 
 Pairs of half configurations are gone through in the order of their joint steps, so what comes
 first is fewest. Tables are lower bounds, exact up to the size of their cells; single
-configurations are `reach_search.py`. Importing this module imports numba.
+configurations are `search.py`. Importing this module imports numba.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from hrl_escape.options.arm_lattice import NEVER
+from hrl_escape.options.arm.joint_lattice import NEVER
 
 __all__ = ["bound_costs", "lower_costs", "map_hands"]
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from hrl_escape.options.sweeps import get_shape, measure_clearance, measure_distance, sweep
+from hrl_escape.options.lattice.sweeps import get_shape, measure_clearance, measure_distance, sweep
 
 __all__ = ["fill_gaps", "find_last_moves", "link_cells", "place_points", "spread_costs"]
 

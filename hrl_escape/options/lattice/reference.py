@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.geometry import Footprint, stack_footprints
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.options.goals import Goal, PressGoal, is_reached
-from hrl_escape.options.sweeps import compile_geometry
+from hrl_escape.options.lattice.sweeps import compile_geometry
 
 __all__ = ["find_fewest_primitives"]
 

@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from hrl_escape.env.geometry import Footprint, compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
-from hrl_escape.options import spreading
 from hrl_escape.options.collision import CollisionMap, list_cells
-from hrl_escape.options.sweeps import Scene
+from hrl_escape.options.lattice import spreading
+from hrl_escape.options.lattice.sweeps import Scene
 
 __all__ = ["FieldMaker"]
 
