@@ -309,3 +309,14 @@ class GridError(EscapeError, ValueError):
 
 class ComparisonError(EscapeError, RuntimeError):
     """A comparison has no result to report: every run failed, or a room has no known best return."""
+
+
+# --- the viewer ------------------------------------------------------------------------
+
+
+class AddressError(EscapeError, OSError):
+    """The viewer cannot listen where it was asked to: the port is taken, or the address is not this machine's."""
+
+
+class EpisodeFileError(EscapeError, ValueError):
+    """A file holds no recorded episode, or one that does not play out as it says."""

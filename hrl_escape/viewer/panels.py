@@ -1,0 +1,83 @@
+"""HTML of the control panel: the puzzle's graph, tables and bars. Pure functions from values to text."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Sequence
+from html import escape
+
+from hrl_escape.env import looks
+from hrl_escape.env.graph_drawing import compute_layout, shorten
+from hrl_escape.env.puzzles.base import Puzzle
+
+__all__ = ["make_facts", "make_graph", "make_keys", "make_table"]
+
+WIDTH = 350
+_STYLE = "font-family:Inter,system-ui,sans-serif;font-size:13px;color:#22262e;margin:0 0.75em"
+
+
+def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH) -> str:
+    """The puzzle's graph as SVG: which target waits for which, lit ones lit; the goal has a second ring."""
+    places = compute_layout(len(puzzle.target_names), puzzle.edges)
+    columns = max((x for x, _ in places), default=0.0) + 1
+    rows = max((y for _, y in places), default=0.0) + 1
+    cell = min(62.0, (width - 20) / columns)
+    radius = 0.3 * cell
+    left, top = (width - cell * columns) / 2 + cell / 2, cell / 2
+    at = [(left + cell * x, top + cell * y) for x, y in places]
+    lit = puzzle.get_lit(state)
+    parts = []
+    for parent, child in puzzle.edges:
+        (x0, y0), (x1, y1) = at[parent], at[child]
+        length = max(((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5, 1.0)
+        gap = (radius + 4) / length
+        parts.append(f'<line x1="{x0 + gap * (x1 - x0):.1f}" y1="{y0 + gap * (y1 - y0):.1f}" '
+                     f'x2="{x1 - gap * (x1 - x0):.1f}" y2="{y1 - gap * (y1 - y0):.1f}" stroke="{looks.MUTED}" '
+                     'stroke-width="1.4" marker-end="url(#arrow)"/>')
+    for node, (x, y) in enumerate(at):
+        fill, edge, ink = looks.get_target_look(puzzle, state, node)
+        name = puzzle.target_names[node]
+        if lit[node]:
+            parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius + 7:.1f}" fill="{fill}" opacity="0.3"/>')
+        if node in puzzle.goal_targets:
+            parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius + 4:.1f}" fill="none" stroke="{edge}" '
+                         'stroke-width="1.5"/>')
+        parts.append(f'<circle class="node" data-name="{escape(name)}" data-lit="{int(lit[node])}" cx="{x:.1f}" '
+                     f'cy="{y:.1f}" r="{radius:.1f}" fill="{fill}" stroke="{edge}" stroke-width="1.2"/>'
+                     f'<text x="{x:.1f}" y="{y:.1f}" fill="{ink}" font-size="{min(15.0, 0.26 * cell):.1f}" '
+                     f'text-anchor="middle" dominant-baseline="central">{escape(shorten(name))}</text>')
+    arrow = ('<defs><marker id="arrow" viewBox="0 0 8 8" refX="6" refY="4" markerWidth="7" markerHeight="7" '
+             f'orient="auto"><path d="M0 0L8 4L0 8z" fill="{looks.MUTED}"/></marker></defs>')
+    high = cell * rows + 8
+    return (f'<div style="{_STYLE}"><svg id="puzzle" width="{width}" height="{high:.0f}" '
+            f'viewBox="0 -4 {width} {high:.0f}" style="font-family:inherit">{arrow}{"".join(parts)}</svg></div>')
+
+
+def make_facts(facts: Iterable[tuple[str, str]], note: str = "", **data: object) -> str:
+    """A few large numbers with their names, and one line of text below."""
+    tags = "".join(f' data-{name}="{escape(str(value))}"' for name, value in data.items())
+    cells = "".join(f'<div style="flex:1 1 0;min-width:0"><div style="color:{looks.MUTED};font-size:11px">'
+                    f'{escape(name)}</div><div style="font-size:19px;font-weight:600;'
+                    f'font-variant-numeric:tabular-nums">{escape(value)}</div></div>' for name, value in facts)
+    line = f'<div style="min-height:1.5em;margin-top:4px">{escape(note)}</div>'
+    return f'<div id="facts"{tags} style="{_STYLE}"><div style="display:flex;gap:8px">{cells}</div>{line}</div>'
+
+
+def make_keys(keys: Iterable[tuple[str, str]]) -> str:
+    """What the keys do."""
+    rows = "".join('<div style="display:flex;gap:8px;break-inside:avoid;line-height:1.75"><span style="flex:0 0 5.6em">'
+                   + " ".join('<kbd style="border:1px solid #c8ccd4;border-radius:3px;padding:0 4px;font-size:11px;'
+                              f'background:#f6f7f9">{escape(key)}</kbd>' for key in names.split())
+                   + f"</span><span>{escape(meaning)}</span></div>" for names, meaning in keys)
+    return f'<div style="{_STYLE};font-size:12px;columns:2;column-gap:10px">{rows}</div>'
+
+
+def make_table(header: Sequence[str], rows: Iterable[Sequence[str]], name: str = "", empty: str = "") -> str:
+    """A small table; the first column is text, the others are numbers."""
+    heads = "".join(f'<th style="text-align:{"left" if i == 0 else "right"};font-weight:500;color:{looks.MUTED};'
+                    f'padding:1px 4px">{escape(text)}</th>' for i, text in enumerate(header))
+    body = "".join("<tr>" + "".join(f'<td style="text-align:{"left" if i == 0 else "right"};padding:1px 4px;'
+                                    f'white-space:nowrap">{escape(text)}</td>' for i, text in enumerate(row)) + "</tr>"
+                   for row in rows)
+    body = body or f'<tr><td colspan="{len(header)}" style="color:{looks.MUTED}">{escape(empty)}</td></tr>'
+    return (f'<div id="{name}" style="{_STYLE};font-size:12px"><table style="border-collapse:collapse;width:100%;'
+            f'font-variant-numeric:tabular-nums"><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>')

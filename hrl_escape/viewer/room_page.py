@@ -1,0 +1,154 @@
+"""The page every mode shares: the room in 3D that moves smoothly, its puzzle's graph, and cameras.
+
+`RoomPage` shows states and lets each client choose a camera. What is stepped, and by whom, is
+for `play_page.py` and `watch_page.py`.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+
+import viser
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.viewer.panels import make_graph
+from hrl_escape.viewer.poses import RoomPose, blend, make_pose
+from hrl_escape.viewer.scene import RoomScene, compute_overview
+from hrl_escape.viewer.server import Server
+
+__all__ = ["CAMERAS", "RoomPage"]
+
+CAMERAS = ("orbit", "follow", "robot's eye")
+FRAME = 1 / 30
+_Point = tuple[float, float, float]
+_OWN_KEYS = ("<img alt='' style='display:none' src='data:,' onerror=\"if(!window.hrlKeys){window.hrlKeys=1;"
+             "document.documentElement.addEventListener('keydown',e=>e.stopPropagation())}\">")
+"""Keeps keys that drive the robot from moving viser's camera too: its listener sits one element further out."""
+
+
+class RoomPage:
+    """A room on a server, for any number of clients.
+
+    Args:
+        server: where it is shown.
+        owns_keys: the page's keys drive something; viser's camera leaves them alone then.
+
+    Attributes:
+        scene: the room shown now.
+    """
+
+    def __init__(self, server: Server, instance: RoomInstance, state: RoomState, owns_keys: bool = False) -> None:
+        self.server = server
+        self._lock = threading.Lock()
+        self._cameras: dict[int, str] = {}
+        self.scene = RoomScene(server, instance)
+        gui = server.gui
+        if owns_keys:
+            gui.add_html(_OWN_KEYS)
+        self.view_folder = gui.add_folder("View", order=50.0)
+        self._graph = gui.add_html("", order=20.0)
+        self._shown: tuple[str, object] | None = None
+        self._pose = make_pose(self.scene.rules, state)
+        self.show(state)
+        server.on_client_connect(self._welcome)
+        server.on_client_disconnect(self._forget)
+
+    def enter(self, instance: RoomInstance, state: RoomState) -> None:
+        """Put another room up."""
+        self.scene.remove()
+        self.scene = RoomScene(self.server, instance)
+        self.show(state)
+        for client in self.server.get_clients().values():
+            self._choose(client, self._cameras.get(client.client_id, CAMERAS[0]))
+
+    def show(self, state: RoomState) -> None:
+        """Jump to a state."""
+        self._pose = make_pose(self.scene.rules, state)
+        self.scene.show(state)
+        self._draw_graph(state)
+        self._aim()
+
+    def move(self, state: RoomState, seconds: float, watch: Callable[[], bool] | None = None) -> None:
+        """Go to a state smoothly; panels light up when it is reached.
+
+        Args:
+            state: where to go.
+            seconds: how long it takes.
+            watch: asked at every frame; the rest is skipped once it says True.
+        """
+        begin, end = self._pose, make_pose(self.scene.rules, state)
+        started = time.monotonic()
+        while (past := time.monotonic() - started) < seconds - FRAME / 2 and not (watch is not None and watch()):
+            share = past / seconds
+            self._pose = blend(begin, end, share * share * (3 - 2 * share) if seconds > 0.15 else share)
+            self.scene.pose(self._pose)
+            self._aim()
+            time.sleep(min(FRAME, max(seconds - past, 0.0)))
+        self.show(state)
+
+    def _draw_graph(self, state: RoomState) -> None:
+        key = (self.scene.instance.id, state.puzzle)
+        if key != self._shown:
+            self._shown = key
+            self._graph.content = make_graph(self.scene.instance.puzzle, state.puzzle)
+
+    # --- cameras -------------------------------------------------------------------------------
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        """Give a new client its own choice of camera."""
+        with self._lock:
+            self._cameras[client.client_id] = CAMERAS[0]
+        with self.view_folder:
+            choice = client.gui.add_button_group("camera", CAMERAS)
+
+        @choice.on_click
+        def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            self._choose(client, choice.value)
+
+    def _forget(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            self._cameras.pop(client.client_id, None)
+
+    def _choose(self, client: viser.ClientHandle, mode: str) -> None:
+        with self._lock:
+            self._cameras[client.client_id] = mode
+        if mode == CAMERAS[0]:
+            with client.atomic():
+                client.camera.up_direction = (0.0, 0.0, 1.0)
+                client.camera.fov = math.radians(50)
+                client.camera.position, client.camera.look_at = compute_overview(self.scene.instance)
+        else:
+            self._aim()
+
+    def _aim(self) -> None:
+        """Move the cameras that go with the robot."""
+        with self._lock:
+            moving = {number: mode for number, mode in self._cameras.items() if mode != CAMERAS[0]}
+        if not moving:
+            return
+        clients = self.server.get_clients()
+        for number, mode in moving.items():
+            client = clients.get(number)
+            if client is not None:
+                place, target, fov = self._place_camera(self._pose, mode)
+                with client.atomic():
+                    client.camera.up_direction = (0.0, 0.0, 1.0)
+                    client.camera.fov = math.radians(fov)
+                    client.camera.position, client.camera.look_at = place, target
+
+    def _place_camera(self, pose: RoomPose, mode: str) -> tuple[_Point, _Point, float]:
+        """Position, target (m) and field of view (degrees)."""
+        robot = self.scene.instance.robot
+        cos, sin = math.cos(pose.heading), math.sin(pose.heading)
+        if mode == "follow":
+            back, high = 3.5 + 3.0 * robot.body_radius, 2.4 + 1.6 * robot.body_height
+            ahead = 2.0 + robot.body_radius
+            return ((pose.x - back * cos, pose.y - back * sin, pose.z + high),
+                    (pose.x + ahead * cos, pose.y + ahead * sin, pose.z + 0.4), 60.0)
+        behind, eye = -0.3 * robot.body_radius, pose.z + robot.body_height + 0.35  # on a mast, over the arm
+        return ((pose.x + behind * cos, pose.y + behind * sin, eye),
+                (pose.x + (behind + 2) * cos, pose.y + (behind + 2) * sin, eye - 0.25), 75.0)
