@@ -6,14 +6,17 @@ made from it. Ranges stand in the annotation, `Annotated[float, Range(0, 1)]`.
 
 from __future__ import annotations
 
+import ast
 import dataclasses
+import inspect
 import math
+import textwrap
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
 
-__all__ = ["AgentSettings", "LearningSettings", "Range", "replace_settings"]
+__all__ = ["AgentSettings", "LearningSettings", "Range", "read_field_documents", "replace_settings"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -90,6 +93,18 @@ def replace_settings(settings: Settings, changes: Mapping[str, Any]) -> Settings
         if name not in known:
             raise UnknownNameError(f"setting of {type(settings).__name__}", name, known)
     return dataclasses.replace(settings, **changes)
+
+
+def read_field_documents(settings: type) -> dict[str, str]:
+    """The sentence under each field of a settings dataclass and its bases, by the field's name."""
+    documents: dict[str, str] = {}
+    for owner in reversed(settings.__mro__[:-1]):
+        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
+        body = definition.body if isinstance(definition, ast.ClassDef) else []
+        for field, below in zip(body, body[1:], strict=False):
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(below, ast.Expr):
+                documents[field.target.id] = " ".join(str(ast.literal_eval(below.value)).split())
+    return documents
 
 
 def _find_problem(hint: Any, value: Any) -> str | None:

@@ -11,11 +11,8 @@
 
 from __future__ import annotations
 
-import ast
 import dataclasses
-import inspect
 import json
-import textwrap
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -26,6 +23,7 @@ from rich.table import Table
 
 from hrl_escape.agents.registry import get_recipe
 from hrl_escape.agents.results import TrainResult
+from hrl_escape.agents.settings import read_field_documents
 from hrl_escape.agents.training import train
 from hrl_escape.commands.room_choice import RoomChoice, split_assignment
 from hrl_escape.env.instance import RoomInstance
@@ -116,7 +114,7 @@ def _claim(out: Path, instance: RoomInstance) -> None:
 
 
 def _print_settings(args: TrainArgs, resolved: dict[str, Any]) -> None:
-    documents = _read_field_documents(type(get_recipe(args.agent, args.recipe)))
+    documents = read_field_documents(type(get_recipe(args.agent, args.recipe)))
     if args.json:
         print(json.dumps({name: {"value": value, "about": documents.get(name, "")} for name, value in resolved.items()},
                          indent=2))
@@ -127,18 +125,6 @@ def _print_settings(args: TrainArgs, resolved: dict[str, Any]) -> None:
     for name, value in resolved.items():
         table.add_row(name, json.dumps(value), documents.get(name, ""))
     Console().print(table)
-
-
-def _read_field_documents(settings: type) -> dict[str, str]:
-    """The sentence under each field of a dataclass and its bases."""
-    documents: dict[str, str] = {}
-    for owner in reversed(settings.__mro__[:-1]):
-        (definition,) = ast.parse(textwrap.dedent(inspect.getsource(owner))).body
-        body = definition.body if isinstance(definition, ast.ClassDef) else []
-        for field, below in zip(body, body[1:], strict=False):
-            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(below, ast.Expr):
-                documents[field.target.id] = " ".join(str(ast.literal_eval(below.value)).split())
-    return documents
 
 
 def _print(result: TrainResult, best: float, out: Path) -> None:
