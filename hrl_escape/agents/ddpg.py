@@ -141,9 +141,13 @@ class DDPG:
         """Discount per primitive."""
         return self.settings.gamma
 
+    def compute_preferences(self, observation: Any) -> NDArray:
+        """The actor's outputs at an observation, before noise and mask, float32 (actions,)."""
+        return self._forward(self._encoder.encode(observation))
+
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """The argmax of the actor's outputs with noise, or a random action, as the settings say."""
-        outputs = self._forward(self._encoder.encode(observation))
+        outputs = self.compute_preferences(observation)
         if self.settings.exploration == "ornstein-uhlenbeck":
             outputs = outputs + self._noise.sample(self._action_rng).astype(np.float32)
             action = choose_best(outputs, action_mask)
@@ -160,7 +164,7 @@ class DDPG:
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The argmax of the actor's outputs over legal actions."""
-        return choose_best(self._forward(self._encoder.encode(observation)), action_mask)
+        return choose_best(self.compute_preferences(observation), action_mask)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Store the decision, then make the updates that are due."""

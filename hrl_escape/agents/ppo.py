@@ -109,7 +109,7 @@ class PPO:
         generator = make_generator(make_rng(seed, "weights"))
         self.policy = make_network(self._encoder, actions, settings, generator, output_gain=0.01)
         self.critic = make_network(self._encoder, 1, settings, generator)
-        self._forward = make_forward(self.policy)
+        self._forward, self._forward_critic = make_forward(self.policy), make_forward(self.critic)
         networks = {"policy": self.policy, "critic": self.critic}
         self._learner = Learner("ppo", networks, networks, settings)
         self._action_rng, self._batch_rng = make_rng(seed, "actions"), make_rng(seed, "batches")
@@ -120,15 +120,23 @@ class PPO:
         """Discount per primitive."""
         return self.settings.gamma
 
+    def compute_preferences(self, observation: Any) -> NDArray:
+        """Logits of the policy at an observation, before any mask, float32 (actions,)."""
+        return self._forward(self._encoder.encode(observation))
+
+    def compute_state_value(self, observation: Any) -> float:
+        """V(s) at an observation, in units of return."""
+        return float(self._forward_critic(self._encoder.encode(observation))[0]) / self.settings.reward_scale
+
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Draw from the policy over legal actions."""
-        logits = np.where(action_mask, self._forward(self._encoder.encode(observation)), -np.inf)
+        logits = np.where(action_mask, self.compute_preferences(observation), -np.inf)
         weights = np.exp(logits.astype(np.float64) - logits.max())
         return sample_index(weights / weights.sum(), self._action_rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The likeliest legal action."""
-        return choose_best(self._forward(self._encoder.encode(observation)), action_mask)
+        return choose_best(self.compute_preferences(observation), action_mask)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Keep the decision; update when the rollout is full."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
 from html import escape
+from typing import Any
 
 from hrl_escape.env import looks
 from hrl_escape.env.graph_drawing import compute_layout, shorten
 from hrl_escape.env.puzzles.base import Puzzle
 
-__all__ = ["make_facts", "make_graph", "make_keys", "make_table"]
+__all__ = ["make_bars", "make_facts", "make_graph", "make_keys", "make_lines", "make_table"]
 
 WIDTH = 350
 _STYLE = "font-family:Inter,system-ui,sans-serif;font-size:13px;color:#22262e;margin:0 0.75em"
@@ -81,3 +82,47 @@ def make_table(header: Sequence[str], rows: Iterable[Sequence[str]], name: str =
     body = body or f'<tr><td colspan="{len(header)}" style="color:{looks.MUTED}">{escape(empty)}</td></tr>'
     return (f'<div id="{name}" style="{_STYLE};font-size:12px"><table style="border-collapse:collapse;width:100%;'
             f'font-variant-numeric:tabular-nums"><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table></div>')
+
+
+def make_bars(names: Sequence[str], values: Any, mask: Sequence[bool] | Any, chosen: int, meaning: str) -> str:
+    """Actions with their numbers as bars; the chosen one is marked, those that are masked are grey.
+
+    Args:
+        names: of the actions.
+        values: one an action, or None.
+        mask: which are legal.
+        chosen: index of the one that was chosen.
+        meaning: of the numbers, in words.
+    """
+    legal = [bool(on) for on in mask]
+    numbers = [None] * len(names) if values is None else [float(value) for value in values]
+    shown = [value for value, on in zip(numbers, legal, strict=True) if on and value is not None]
+    low, high = min(shown, default=0.0), max(shown, default=0.0)
+    rows = []
+    for index, name in enumerate(names):
+        value, on = numbers[index], legal[index]
+        share = (value - low) / (high - low) if value is not None and on and high > low else 0.0
+        ink = looks.INK if on else "#b4b8c0"
+        mark = "\N{BLACK RIGHT-POINTING TRIANGLE}" if index == chosen else ""
+        text = ("" if value is None else f"{value:.3f}") if on else "masked"
+        weight = 700 if index == chosen else 400
+        number = "" if value is None else repr(value)
+        rows.append(
+            f'<div class="action" data-name="{escape(name)}" data-legal="{int(on)}" data-value="{number}" '
+            f'data-chosen="{int(index == chosen)}" style="display:flex;gap:6px;line-height:1.55;color:{ink};'
+            f'font-weight:{weight}"><span style="flex:0 0 1em;color:#d55e00">{mark}</span>'
+            f'<span style="flex:0 0 9.5em">{escape(name)}</span><span style="flex:1 1 auto"><span style="display:'
+            f'inline-block;height:8px;border-radius:2px;background:{looks.BODY};opacity:0.75;width:{100 * share:.0f}%">'
+            f'</span></span><span style="flex:0 0 5em;text-align:right;font-variant-numeric:tabular-nums">{text}</span>'
+            "</div>"
+        )
+    about = {"value": "action values Q(s, \N{MIDDLE DOT}), in units of return",
+             "preference": "preferences of the policy", "": "this driver has no numbers of its own"}[meaning]
+    return (f'<div id="values" style="{_STYLE};font-size:12px"><div style="color:{looks.MUTED}">{about}</div>'
+            f'{"".join(rows)}</div>')
+
+
+def make_lines(lines: Iterable[str], name: str = "") -> str:
+    """Lines of HTML text below each other."""
+    return f'<div id="{name}" style="{_STYLE};font-size:12px;line-height:1.6">' + "".join(
+        f"<div>{line}</div>" for line in lines) + "</div>"

@@ -12,13 +12,13 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
-import trimesh
 from numpy.typing import NDArray
 
 from hrl_escape.env import looks
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.meshes import make_cylinder, make_flat, merge
 from hrl_escape.env.robot import BASE_LINK, Robot
+from hrl_escape.viewer.extra import trimesh
 
 __all__ = ["ArmPose", "Shape", "make_arm_shapes", "make_base_shapes"]
 

@@ -32,8 +32,8 @@ WALL, WALL_TOP, GLASS = "#c6ccd6", "#5b6475", "#8fa0b8"
 OBSTACLE = "#c2a27c"
 FRAME = "#39404d"
 MAT = "#e0ac9e"
-CLEAR = 0.12
-"""Opacity of walls seen from outside."""
+CLEAR, HAZY = 0.12, 0.5
+"""Opacity of outer walls seen from outside, and of walls within the room."""
 
 
 class Painted(NamedTuple):
@@ -53,14 +53,18 @@ def make_fixtures(instance: RoomInstance) -> list[Painted]:
     walls = [solid for solid in instance.solids if solid.role == "wall"]
     others = [solid for solid in instance.solids if solid.role != "wall"]
     shadows = [make_shadow(compute_outline(solid), solid.height, LAYER, floor) for solid in others for floor in floors]
-    faces = [face for wall in walls for face in _make_faces(wall, floors)]
+    faces: dict[str, list[Mesh]] = {"inside": [], "between": [], "outside": []}
+    for wall in walls:
+        for mesh, kind in _make_faces(wall, floors):
+            faces[kind].append(mesh)
     tops = [make_flat(compute_outline(wall), wall.height) for wall in walls]
     found = [
         Painted("floor/even", make_tiles(floors, side, False), TILE),
         Painted("floor/odd", make_tiles(floors, side, True), OTHER_TILE),
         Painted("floor/shadows", merge(shadows), SHADE),
-        Painted("walls/inside", merge([mesh for mesh, inside in faces if inside]), WALL),
-        Painted("walls/outside", merge([mesh for mesh, inside in faces if not inside]), GLASS, CLEAR),
+        Painted("walls/inside", merge(faces["inside"]), WALL),
+        Painted("walls/between", merge(faces["between"]), WALL, HAZY),
+        Painted("walls/outside", merge(faces["outside"]), GLASS, CLEAR),
         Painted("walls/top", merge(tops), WALL_TOP, 0.55),
         Painted("obstacles", merge([_make_solid(solid) for solid in others]), OBSTACLE),
     ]
@@ -73,22 +77,26 @@ def _make_solid(solid: Solid) -> Mesh:
     return make_prism(compute_outline(solid), 0.0, solid.height)
 
 
-def _make_faces(wall: Solid, floors: tuple[Rectangle, ...]) -> list[tuple[Mesh, bool]]:
-    """The upright faces of a wall, each with whether it looks onto the floor; seen from its front only."""
+def _make_faces(wall: Solid, floors: tuple[Rectangle, ...]) -> list[tuple[Mesh, str]]:
+    """The upright faces of a wall, seen from their front only.
+
+    Each is `inside` if it looks onto the floor, `between` if the face behind it does so too, else `outside`.
+    """
     if wall.shape == "cylinder":
-        return [(_make_solid(wall), True)]
+        return [(_make_solid(wall), "between")]
     corners = compute_outline(wall)
-    faces = []
+    meshes, inside = [], []
     for (x0, y0), (x1, y1) in zip(corners, [*corners[1:], corners[0]], strict=True):
         length = math.hypot(x1 - x0, y1 - y0) or 1.0
         normal = ((y1 - y0) / length, (x0 - x1) / length)
         # the face is thin: a prism of no depth, of which only the side along the edge is kept
         side = make_prism([(x0, y0), (x1, y1), (x1 - 1e-3 * normal[0], y1 - 1e-3 * normal[1]),
                            (x0 - 1e-3 * normal[0], y0 - 1e-3 * normal[1])], 0.0, wall.height)
-        mesh = Mesh(side.vertices[:4], side.normals[:4], side.triangles[:2])
+        meshes.append(Mesh(side.vertices[:4], side.normals[:4], side.triangles[:2]))
         x, y = (x0 + x1) / 2 + 0.05 * normal[0], (y0 + y1) / 2 + 0.05 * normal[1]
-        faces.append((mesh, any(floor.contains(x, y) for floor in floors)))
-    return faces
+        inside.append(any(floor.contains(x, y) for floor in floors))
+    kinds = ["outside" if not inside[i] else "between" if inside[i - 2] else "inside" for i in range(4)]
+    return list(zip(meshes, kinds, strict=True))
 
 
 def make_target(instance: RoomInstance, target: Target) -> tuple[Painted, Painted, Painted]:

@@ -11,10 +11,9 @@ import threading
 import time
 from collections.abc import Callable
 
-import viser
-
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.viewer.extra import viser
 from hrl_escape.viewer.panels import make_graph
 from hrl_escape.viewer.poses import RoomPose, blend, make_pose
 from hrl_escape.viewer.scene import RoomScene, compute_overview

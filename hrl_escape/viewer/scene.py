@@ -11,8 +11,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import viser
-from viser.transforms import SO3
 
 from hrl_escape.env import looks
 from hrl_escape.env.config import RobotConfig
@@ -20,6 +18,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
 from hrl_escape.env.meshes import make_flat, make_prism, rotate_box
 from hrl_escape.env.robot import Robot
+from hrl_escape.viewer.extra import SO3, viser
 from hrl_escape.viewer.poses import RoomPose, make_pose
 from hrl_escape.viewer.robot_shapes import ArmPose, Shape, make_arm_shapes, make_base_shapes, to_quaternion
 from hrl_escape.viewer.room_meshes import LAYER, Painted, make_exit, make_fixtures, make_target

@@ -10,12 +10,8 @@ import io
 import socket
 from typing import Any
 
-from hrl_escape.errors import AddressError, MissingExtraError
-
-try:
-    import viser
-except ImportError as missing:
-    raise MissingExtraError("viser", "viewer", "The viewer") from missing
+from hrl_escape.errors import AddressError
+from hrl_escape.viewer.extra import viser
 
 __all__ = ["DEFAULT_PORT", "HOST", "Server", "get_url", "open_server"]
 

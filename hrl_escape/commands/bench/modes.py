@@ -1,0 +1,147 @@
+"""Measure how much faster the headless mode is than the real-time view, and than the published code.
+
+The same random primitives run in the same room: headless, with options (each decision a planned
+meta-action), and on the viewer's page as it moves in `hrl-escape play`. All are measured in turns
+in one run. The published code made 97 steps a second, rerun in its fastest setting.
+
+Examples:
+    hrl-escape bench modes
+    hrl-escape bench modes --preset clutter --seconds 2 --json
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import statistics
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from hrl_escape.commands.room_choice import RoomChoice
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.errors import ConfigError
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.viewer.play_page import STRIDE
+from hrl_escape.viewer.room_page import RoomPage
+from hrl_escape.viewer.server import open_server
+
+PUBLISHED = 97.0
+"""Steps a second of the published code (Menashe and Stone 2019), rerun on this project's machine."""
+_CHUNK = 50
+
+
+@dataclasses.dataclass(frozen=True)
+class BenchModesArgs(RoomChoice):
+    """Options of `hrl-escape bench modes`."""
+
+    repeats: int = 3
+    """How often each mode is measured, in turn."""
+    seconds: float = 1.0
+    """Length of one measurement, s."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def run(args: BenchModesArgs) -> None:
+    """Measure and print."""
+    if args.repeats < 1 or not args.seconds > 0:
+        raise ConfigError("bench", (args.repeats, args.seconds), "repeats of at least 1 and seconds above 0")
+    instance = args.make_instance()
+    server = open_server(port=0)
+    try:
+        modes: dict[str, Callable[[float], float]] = {
+            "headless, primitives": _Headless(instance).measure,
+            "headless, meta-actions": _Options(instance).measure,
+            "real-time view": _View(instance, server).measure,
+        }
+        rates: dict[str, list[float]] = {name: [] for name in modes}
+        for _ in range(args.repeats):
+            for name, measure in modes.items():
+                rates[name].append(measure(args.seconds))
+    finally:
+        server.stop()
+    found = {name: statistics.median(values) for name, values in rates.items()}
+    found["published code"] = PUBLISHED
+    view = found["real-time view"]
+    rows = [{"mode": name, "primitives_per_second": rate, "times_real_time": rate / view,
+             "times_published": rate / PUBLISHED} for name, rate in found.items()]
+    if args.json:
+        print(json.dumps({"room": instance.id, "name": instance.name, "stride": STRIDE, "modes": rows}, indent=2))
+    else:
+        _print(instance, rows)
+
+
+class _Headless:
+    """Random primitives in the flat room."""
+
+    def __init__(self, instance: RoomInstance) -> None:
+        self._env = EscapeRoomEnv(instance=instance)
+        self._env.reset(seed=0)
+        self._actions = np.random.default_rng(0).integers(len(self._env.rules.primitives), size=1000).tolist()
+
+    def measure(self, seconds: float) -> float:
+        step, number, begin = self._env.step, 0, time.perf_counter()
+        while (past := time.perf_counter() - begin) < seconds:
+            for _ in range(_CHUNK):
+                _, _, terminated, truncated, _ = step(self._actions[number % 1000])
+                number += 1
+                if terminated or truncated:
+                    self._env.reset()
+        return number / past
+
+
+class _Options:
+    """Random meta-actions, planned and run to their end."""
+
+    def __init__(self, instance: RoomInstance) -> None:
+        self._env = OptionsEnv(EscapeRoomEnv(instance=instance), include_primitives=False)
+        _, self._info = self._env.reset(seed=0)
+        self._rng = np.random.default_rng(0)
+
+    def measure(self, seconds: float) -> float:
+        number, begin = 0, time.perf_counter()
+        while (past := time.perf_counter() - begin) < seconds:
+            legal = np.flatnonzero(self._info["action_mask"])
+            _, _, terminated, truncated, self._info = self._env.step(int(self._rng.choice(legal)))
+            number += self._info["duration"]
+            if terminated or truncated:
+                _, self._info = self._env.reset()
+        return number / past
+
+
+class _View:
+    """Random primitives on the page, at the pace of manual mode."""
+
+    def __init__(self, instance: RoomInstance, server: Any) -> None:
+        self._env = EscapeRoomEnv(instance=instance)
+        self._env.reset(seed=0)
+        self._page = RoomPage(server, instance, self._env.get_state())
+        self._rng = np.random.default_rng(0)
+
+    def measure(self, seconds: float) -> float:
+        number, begin = 0, time.perf_counter()
+        while (past := time.perf_counter() - begin) < seconds:
+            _, _, terminated, truncated, _ = self._env.step(int(self._rng.integers(len(self._env.rules.primitives))))
+            self._page.move(self._env.get_state(), STRIDE)
+            number += 1
+            if terminated or truncated:
+                self._env.reset()
+        return number / past
+
+
+def _print(instance: RoomInstance, rows: list[dict[str, Any]]) -> None:
+    table = Table(box=None, padding=(0, 2), pad_edge=False)
+    table.add_column("mode", no_wrap=True)
+    for heading in ("primitives/s", "times real time", "times published"):
+        table.add_column(heading, justify="right")
+    for row in rows:
+        table.add_row(row["mode"], f"{row['primitives_per_second']:,.1f}", f"{row['times_real_time']:,.1f}",
+                      f"{row['times_published']:,.1f}")
+    table.caption = f"{instance.name}, room {instance.seed}; random choices, planning included; medians of one run"
+    Console(soft_wrap=True).print(table)
