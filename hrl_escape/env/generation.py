@@ -27,6 +27,8 @@ from hrl_escape.errors import ConfigError, GenerationError
 __all__ = ["find_unmet_constraint", "generate"]
 
 TRIES = 30
+_START_TRIES = 100
+_ARM_THICKNESS = 0.1  # m, from the line through an arm's joints
 _ADVICE = "Make the room larger, or ask for fewer or smaller things in it."
 
 
@@ -72,7 +74,7 @@ def find_unmet_constraint(instance: RoomInstance) -> str | None:
     """Say which part of the solvability certificate an instance breaks; None if it holds.
 
     The certificate is about this room's geometry: connected floor for start, touching and
-    exit. It does not search for a sequence of primitives.
+    exit, and under physics an arm that is not stuck in a wall. It does not search for a sequence of primitives.
     """
     return _find_unmet(instance, _make_floors(instance))
 
@@ -82,6 +84,8 @@ def _find_unmet(instance: RoomInstance, floors: _Floors) -> str | None:
     labels = {shut.find_label(start.x, start.y) for start in instance.starts}
     if 0 in labels or len(labels) != 1:
         return "every start must be free and on one connected floor"
+    if not all(_has_arm_free(instance, start) for start in instance.starts):
+        return "the arm must be clear of walls and obstacles at every start"
     label = labels.pop()
     for index, target in enumerate(instance.targets):
         if not _can_touch(instance, index, shut, label):
@@ -98,6 +102,23 @@ def _points_in(area: Rectangle) -> list[tuple[float, float]]:
     shares = (0.0, -0.5, 0.5, -0.95, 0.95)
     half_x, half_y = (area.x_max - area.x_min) / 2, (area.y_max - area.y_min) / 2
     return [(x + a * half_x, y + b * half_y) for a in shares for b in shares]
+
+
+def _has_arm_free(instance: RoomInstance, start: Start) -> bool:
+    """Whether the arm at home is clear of what stands; where no rigid bodies push, arms pass through everything."""
+    if instance.dynamics.kind != "physics" or not instance.robot.joints:
+        return True
+    robot = make_robot(instance.robot)
+    elbows, thick = robot.compute_elbows(robot.home), max(instance.robot.hand_radius, _ARM_THICKNESS)
+    solids = (*instance.solids, *((instance.door,) if instance.door else ()))
+    standing = [solid.footprint for solid in solids if solid.height > elbows[:, 2].min() - thick]
+    heading = start.heading_steps * math.radians(instance.robot.turn_step_deg) + start.heading_offset
+    cos, sin = math.cos(heading), math.sin(heading)
+    longest = np.linalg.norm(np.diff(elbows, axis=0), axis=1).max()
+    along = np.linspace(0.0, 1.0, math.ceil(longest / thick) + 1)[:, None]
+    points = np.concatenate([a + along * (b - a) for a, b in zip(elbows[:-1], elbows[1:], strict=True)])[:, :2]
+    points = (start.x, start.y) + points @ np.array([[cos, sin], [-sin, cos]])
+    return not standing or bool((compute_distance_many(points, stack_footprints(standing)) > thick).all())
 
 
 # --- touching ------------------------------------------------------------------------------
@@ -265,11 +286,17 @@ def _place_start(config: RoomConfig, instance: RoomInstance, rng: np.random.Gene
             centres = centres[allowed]
             break
     turns = round(360 / instance.robot.turn_step_deg)
-    starts = tuple(
+    starts = [
         Start(float(x), float(y), int(rng.integers(turns)))
         for x, y in centres[rng.integers(len(centres), size=config.start.choices)]
-    )
-    return dataclasses.replace(instance, starts=starts)
+    ]
+    for number in range(len(starts)):
+        for _ in range(_START_TRIES):
+            if _has_arm_free(instance, starts[number]):
+                break
+            x, y = centres[rng.integers(len(centres))].tolist()
+            starts[number] = Start(x, y, int(rng.integers(turns)))
+    return dataclasses.replace(instance, starts=tuple(starts))
 
 
 def _place_props(instance: RoomInstance, rng: np.random.Generator) -> RoomInstance:

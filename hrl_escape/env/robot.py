@@ -122,6 +122,19 @@ class Robot:
         hand[..., 0], hand[..., 1], hand[..., 2] = x, y, z
         return hand
 
+    def compute_elbows(self, angles: tuple[float, ...]) -> NDArray[np.float64]:
+        """Where the arm bends: origins of the chain's joints and of the hand in the base frame, shape (n, 3), m."""
+        values = self.rest | dict(zip(self.joint_names, angles, strict=True))
+        at, places = np.eye(4), []
+        for joint in self.chain:
+            at = at @ joint.origin
+            places.append(at[:3, 3].copy())
+            if joint.kind == "prismatic":
+                at[:3, 3] += at[:3, :3] @ joint.axis * values[joint.name]
+            elif joint.kind != "fixed":
+                at[:3, :3] = at[:3, :3] @ _rotate_about(joint.axis, values[joint.name])
+        return np.array([*places, at[:3, 3]])
+
 
 def sample_hand_positions(robot: Robot, count: int) -> NDArray[np.float64]:
     """Where the hand gets to on the joint lattice: every configuration, or a fixed sample of them.

@@ -124,6 +124,15 @@ def test_a_push_into_a_wall_stops_there_and_a_slanted_one_slides(make_room):
     assert 3.1 < slanted.y <= 3.0 + math.sin(math.radians(30)) + 0.05
 
 
+def test_no_episode_begins_with_the_arm_in_a_wall_or_an_obstacle(make_room):
+    config = RoomConfig(room=ShapeConfig(width=8, depth=8), robot=RobotConfig(body_radius=0.3, joints=3),
+                        obstacles=ObstaclesConfig(count=4, size_max=1.0), puzzle=ButtonsConfig(count=1))
+    for seed in range(12):
+        room = make_room(config, seed=seed)
+        for wall in room.scene.solids:
+            assert not pybullet.getClosestPoints(room.scene.robot, wall, 0.0, physicsClientId=room.client)
+
+
 def test_an_arm_is_blocked_by_a_wall(make_room):
     config = RoomConfig(robot=RobotConfig(body_radius=0.3, joints=1, link_length=2.0), start=StartConfig(place="fixed"))
     room = make_room(config)

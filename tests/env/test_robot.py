@@ -60,16 +60,20 @@ def sample_angles(robot: Robot, count: int) -> np.ndarray:
     return np.random.default_rng(5).uniform(low, high, size=(count, len(low)))
 
 
+def move_joints(model: pinocchio.Model, data: pinocchio.Data, robot: Robot, angles: np.ndarray) -> None:
+    q = pinocchio.neutral(model)
+    for name, angle in robot.rest.items() | dict(zip(robot.joint_names, angles, strict=True)).items():
+        joint = model.joints[model.getJointId(name)]
+        q[joint.idx_q : joint.idx_q + joint.nq] = angle if joint.nq == 1 else (math.cos(angle), math.sin(angle))
+    pinocchio.framesForwardKinematics(model, data, q)
+
+
 def find_hands_by_pinocchio(robot: Robot, angles: np.ndarray) -> np.ndarray:
     model = pinocchio.buildModelFromXML(robot.urdf)
     data, frame = model.createData(), model.getFrameId(robot.hand_link)
     hands = []
     for row in angles:
-        q = pinocchio.neutral(model)
-        for name, angle in robot.rest.items() | dict(zip(robot.joint_names, row, strict=True)).items():
-            joint = model.joints[model.getJointId(name)]
-            q[joint.idx_q : joint.idx_q + joint.nq] = angle if joint.nq == 1 else (math.cos(angle), math.sin(angle))
-        pinocchio.framesForwardKinematics(model, data, q)
+        move_joints(model, data, robot, row)
         hands.append(data.oMf[frame].translation.copy())
     return np.array(hands)
 
@@ -105,6 +109,21 @@ def test_hand_is_where_pinocchio_and_bullet_have_it(name: str, tmp_path: Path):
     assert np.ptp(own, axis=0).max() > 0.1  # the hand does move
     np.testing.assert_allclose(own, find_hands_by_pinocchio(robot, angles), rtol=0, atol=1e-6)
     np.testing.assert_allclose(own, find_hands_by_bullet(robot, angles, tmp_path), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_elbows_are_where_pinocchio_has_the_joints_and_end_with_the_hand(name: str):
+    robot = make_robot(ROBOTS[name])
+    model = pinocchio.buildModelFromXML(robot.urdf)
+    data, moving = model.createData(), [i for i, joint in enumerate(robot.chain) if joint.kind != "fixed"]
+    for angles in sample_angles(robot, 5):
+        elbows = robot.compute_elbows(tuple(angles.tolist()))
+        np.testing.assert_allclose(elbows[-1], robot.compute_hand(angles), rtol=0, atol=1e-9)
+        move_joints(model, data, robot, angles)
+        for i in moving:
+            if robot.chain[i].kind != "prismatic":  # its own frame slides
+                place = data.oMi[model.getJointId(robot.chain[i].name)].translation
+                np.testing.assert_allclose(elbows[i], place, rtol=0, atol=1e-6)
 
 
 def test_hand_of_one_configuration_is_that_of_many_at_once():
