@@ -26,7 +26,7 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.options.arm.joint_lattice import ALL, NEVER, ArmLattice, Halves, make_halves, make_lattice
 from hrl_escape.options.arm.model import Arm, ArmCollisions
 from hrl_escape.options.arm.reasons import find_reason
-from hrl_escape.options.arm.search import find_heights, find_touching
+from hrl_escape.options.arm.search import find_heights, find_touching, measure_gap
 from hrl_escape.options.arm.tables import bound_costs, map_hands
 
 __all__ = ["ALL", "NEVER", "QUICK", "ReachTable", "Reacher"]
@@ -248,7 +248,7 @@ class Reacher:
     # --- joint steps in order ----------------------------------------------------------
 
     def order_steps(self, state: RoomState, moves: Sequence[int], joint_steps: tuple[int, ...], target: int,
-                    most: int = 1_000) -> tuple[int, ...] | None:
+                    most: int | None = None) -> tuple[int, ...] | None:
         """Put joint steps between given moves of the base so that no other target is pressed on the way.
 
         Args:
@@ -256,12 +256,13 @@ class Reacher:
             moves: primitives of the base, kept in their order.
             joint_steps: the configuration to end in.
             target: index of the target whose touching shall begin; the primitives end with that.
-            most: states to look at before giving up.
+            most: states to look at before giving up; by default 1000, or 250 where each is tried for collisions.
 
         Returns:
             Primitives, tried out with the room's kinematics: as many as moves and joint steps where that can
             be, else the fewest more with which the arm gets round; None where no order was found.
         """
+        most = most or (250 if self.collide else 1_000)
         for detours in (False, True):
             actions = self._search_order(state, moves, joint_steps, target, detours, most)
             if actions is not None:
@@ -273,17 +274,19 @@ class Reacher:
         """A* over (moves made, joint steps); a step is tried out when its turn comes, moves first."""
         others, base = ~(1 << target), len(BASE_PRIMITIVES)
         known: set[tuple[int, tuple[int, ...]]] = set()
-        queue: list[tuple] = [(0, 0, 0, begin, None, 0, (), False)]
+        queue: list[tuple] = [(0, 0, 0, begin, None, 0, (), False, self.collide and self._collides(begin))]
         queued = tried = 0
         while queue and tried <= most:
-            _, _, _, state, action, made, actions, is_pressed = heapq.heappop(queue)
+            _, _, _, state, action, made, actions, is_pressed, is_stuck = heapq.heappop(queue)
             if action is not None:
                 before, state = state, self.kinematics.step(state, action).state
                 tried += 1
                 begun = state.touching & ~before.touching
                 at_limit = action >= base and state.joint_steps == before.joint_steps
-                if at_limit or begun & others or (self.collide and self._collides(state)):
+                collides = self.collide and self._collides(state)
+                if at_limit or begun & others or (collides and not is_stuck):
                     continue
+                is_stuck = collides  # what has been pushed into something may take its time to come out
                 made, actions, is_pressed = made + (action < base), (*actions, action), bool(is_pressed or begun)
             wanted = [b - a for a, b in zip(state.joint_steps, joint_steps, strict=True)]
             left = len(moves) - made + sum(map(abs, wanted))
@@ -301,8 +304,28 @@ class Reacher:
             for choice, change in choices:
                 queued += 1
                 estimate = len(actions) + 1 + left + change
-                heapq.heappush(queue, (estimate, -len(actions), queued, state, choice, made, actions, is_pressed))
+                heapq.heappush(queue, (estimate, -len(actions), queued, state, choice, made, actions, is_pressed,
+                                       is_stuck))
         return None
+
+    def is_push(self, state: RoomState, moves: Sequence[int], target: int) -> bool:
+        """Say whether moves of the base alone press a target by force, the arm clear of walls and obstacles.
+
+        Args:
+            state: where they begin; an arm that meets something there may take its time to come out.
+            moves: primitives, the last of which ends with the hand at the target.
+            target: index of the target.
+        """
+        is_stuck = self._collides(state)
+        for move in moves:
+            state = self.kinematics.step(state, move).state
+            collides = self._collides(state)
+            if collides and not is_stuck:
+                return False
+            is_stuck = collides
+        pose = (state.x, state.y, *self.kinematics.get_rotation(state.heading_steps, state.heading_offset))
+        hand = self.kinematics.get_hand_in_base(state.joint_steps, state.joint_offsets)
+        return measure_gap(pose, hand, self._boxes[target]) <= self.limit
 
     # --- collisions --------------------------------------------------------------------
 

@@ -668,6 +668,30 @@ def test_physics_takes_the_fewest_joint_steps_that_are_clear_of_obstacles():
     assert clear >= 20 and blocked >= 20 and dearer >= 10
 
 
+FORWARD, STRAFE_LEFT = 0, 2
+
+
+@pytest.mark.parametrize(("y", "presses"), [(-3.4, True), (-3.355, False), (-3.55, False)],
+                         ids=["pushed", "grazed", "through the wall"])
+def test_a_move_presses_by_force_only_where_the_hand_pushes_and_meets_no_wall(y: float, presses: bool):
+    reacher = Reacher(make_room(z=0.8, physics=True))
+    state = make_state(reacher.instance, 0.0, y, 27, (0, 0, 0))  # the arm points straight at the target
+    assert reacher.kinematics.step(state, FORWARD).state.touching & 1 or not presses
+    assert reacher.is_push(state, [FORWARD], 0) == presses
+
+
+@pytest.mark.parametrize(("post", "presses"), [(None, True), (-1.0, False), (-2.0, True)],
+                         ids=["nothing in the way", "a post in the way", "clear of it after the first move"])
+def test_an_arm_is_not_swung_into_an_obstacle_but_may_come_out_of_one(post: float | None, presses: bool):
+    solids = () if post is None else (Solid(shape="cylinder", x=post, y=-5.2, half_x=0.1, half_y=0.1, height=2.0),)
+    reacher = Reacher(make_room(z=0.8, physics=True, solids=solids))
+    state = make_state(reacher.instance, -2.0, -4.4, 27, (0, 0, 0))
+    moves = [STRAFE_LEFT, STRAFE_LEFT]  # facing south, left is east
+    assert reacher.is_push(state, moves, 0) == presses
+    by_arm = reacher.order_steps(state, moves, (0, 0, 0), 0)
+    assert (by_arm is not None and len(by_arm) == 2) == presses
+
+
 # --- as a value ------------------------------------------------------------------------------
 
 

@@ -13,7 +13,7 @@ from numba import njit
 
 from hrl_escape.options.arm.joint_lattice import GRID, NEVER
 
-__all__ = ["collect_hands", "find_heights", "find_place", "find_touching"]
+__all__ = ["collect_hands", "find_heights", "find_place", "find_touching", "measure_gap"]
 
 
 @njit(cache=True)
@@ -193,6 +193,20 @@ def _exceed(x, y, z, box):
     """Distance from a point in a box's own frame to the box."""
     qx, qy, qz = max(abs(x) - box[5], 0.0), max(abs(y) - box[6], 0.0), max(abs(z) - box[7], 0.0)
     return math.sqrt(qx * qx + qy * qy + qz * qz)
+
+
+@njit(cache=True)
+def measure_gap(pose, hand, box):
+    """Distance from the hand's centre to a target, m.
+
+    Args:
+        pose: of the base: x, y, cosine and sine of its heading.
+        hand: in the base frame, m.
+        box: (x, y, z, cos, sin, half_x, half_y, half_z).
+    """
+    dx = pose[0] + pose[2] * hand[0] - pose[3] * hand[1] - box[0]
+    dy = pose[1] + pose[3] * hand[0] + pose[2] * hand[1] - box[1]
+    return _exceed(box[3] * dx + box[4] * dy, box[3] * dy - box[4] * dx, hand[2] - box[2], box)
 
 
 @njit

@@ -64,8 +64,6 @@ class SearchResult:
         return self.status == "reached"
 
 
-
-
 class Job(NamedTuple):
     """One question, as all attempts at it share it.
 
@@ -230,10 +228,13 @@ class Attempt:
             moves.append(int(facts[at, 3]))
             at = int(facts[at, 2])
         moves.reverse()
-        if not by_table:
+        if self._reacher is None:
             return tuple(moves)
-        assert self._reacher is not None and isinstance(job.goal, PressGoal)
+        assert isinstance(job.goal, PressGoal)
         state, target = job.state, job.goal.target
+        if not by_table:
+            may_jam = self._reacher.collide and self._avoiding and not self._reacher.is_push(state, moves, target)
+            return None if may_jam else tuple(moves)
         x, y = self._frontier.places[last].tolist()
         joints = self._reacher.get_configuration(
             x, y, int(facts[last, 0]), state.joint_steps, target, joint_offsets=state.joint_offsets,
