@@ -27,7 +27,16 @@ from hrl_escape.env.tensor_puzzles import as_signed, get_tensor_puzzle, unpack_b
 from hrl_escape.env.tensor_rules import begin, restart, step
 from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError, StateError, UnsupportedError
 
-__all__ = ["AUTORESETS", "Autoreset", "Outcome", "RoomInfo", "TensorRoom"]
+__all__ = [
+    "AUTORESETS",
+    "CPU_OPTIONS",
+    "Autoreset",
+    "Outcome",
+    "RoomInfo",
+    "TensorRoom",
+    "check_compiler",
+    "list_shapes",
+]
 
 Autoreset = Literal["next-step", "same-step", "disabled"]
 AUTORESETS = ("next-step", "same-step", "disabled")
@@ -102,7 +111,7 @@ def inform(layout: Layout, tables: Tables, state: TensorState, pressed: Tensor) 
 
 # For the compiler of CPU kernels: keep loops over a few solids as loops, and look far before storing what several
 # results share. Both halve the time of a step (`hrl-escape bench batch`).
-_CPU_OPTIONS: dict[str, str | int | bool | Callable] = {"unroll_reductions_threshold": 1, "realize_reads_threshold": 8}
+CPU_OPTIONS: dict[str, str | int | bool | Callable] = {"unroll_reductions_threshold": 1, "realize_reads_threshold": 8}
 
 Kernel = Callable[[Tables, TensorState, Tensor], tuple[TensorState, Outcome]]
 
@@ -122,7 +131,7 @@ def _compile(layout: Layout, kind: str, autoreset: Autoreset, device: str, shape
     # isolated, because all kernels share this code and the compiler counts recompilations by code
     compiled = torch.compile(  # pyright: ignore[reportCallIssue]  # its overloads do not know isolate_recompiles
         kernel, fullgraph=True, dynamic=False, isolate_recompiles=True,
-        options=_CPU_OPTIONS if device == "cpu" else None,
+        options=CPU_OPTIONS if device == "cpu" else None,
     )
 
     def run(tables: Tables, state: TensorState, action: Tensor) -> tuple[TensorState, Outcome]:
@@ -193,8 +202,8 @@ class TensorRoom:
     def _make_kernel(self) -> Kernel | None:
         if not self._is_compiled:
             return None
-        _check_compiler(self.device)
-        shapes = (self.count, *_list_shapes(self.tables))
+        check_compiler(self.device)
+        shapes = (self.count, *list_shapes(self.tables))
         return _compile(self.layout, self._kind, self._autoreset, self.device.type, shapes)
 
     def to(self, device: str | torch.device) -> TensorRoom:
@@ -348,14 +357,20 @@ def _find_device(device: str | torch.device) -> torch.device:
         raise ConfigError("device", str(device), allowed) from None
 
 
-def _check_compiler(device: torch.device) -> None:
+def check_compiler(device: torch.device) -> None:
+    """Check that there is what compiling for a device takes.
+
+    Raises:
+        UnsupportedError: there is no C++ compiler.
+    """
     program = os.environ.get("CXX", "clang++" if sys.platform == "darwin" else "g++")
     if device.type == "cpu" and shutil.which(program) is None:
         raise UnsupportedError(f"compile=True needs a C++ compiler, and there is no {program!r}: install one, set CXX, "
                                "or step eagerly with compile=False")
 
 
-def _list_shapes(tree: object) -> list[tuple[int, ...]]:
+def list_shapes(tree: object) -> list[tuple[int, ...]]:
+    """Shapes of all tensors in nested named tuples and dicts."""
     shapes: list[tuple[int, ...]] = []
     map_tensors(lambda table: shapes.append(tuple(table.shape)) or table, tree)
     return shapes
