@@ -43,6 +43,8 @@ __all__ = ["DDPG", "DDPGSettings", "relax"]
 class DDPGSettings(NetworkSettings, EpsilonSettings, LearningSettings):
     """Settings of `ddpg`."""
 
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    """Step size of Adam, for actor and critic."""
     relaxation: Literal["one-hot", "linear"] = "one-hot"
     """What the critic sees of an action. `one-hot`: the action that ran, and for the actor's gradient a
     straight-through Gumbel softmax. `linear`: the actor's unbounded outputs with their noise, as in the paper."""
@@ -74,6 +76,7 @@ PAPER = DDPGSettings(
     clock="decision",
     hidden=(16, 16, 16),
     initialisation="glorot",
+    learning_rate=1e-3,
     adam_epsilon=1e-7,
     max_grad_norm=1.0,
     scale_observations=False,

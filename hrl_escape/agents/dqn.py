@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions, count_steps
+from hrl_escape.agents.bonuses import BonusSettings, CountBonus
 from hrl_escape.agents.exploration import (
     ExplorationSettings,
     choose_best,
@@ -39,7 +40,7 @@ __all__ = ["DQN", "DQNSettings", "compute_dqn_targets"]
 
 
 @dataclass(frozen=True)
-class DQNSettings(NetworkSettings, ExplorationSettings, LearningSettings):
+class DQNSettings(BonusSettings, NetworkSettings, ExplorationSettings, LearningSettings):
     """Settings of `dqn`."""
 
     learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
@@ -113,6 +114,7 @@ class DQN:
         self._learner = Learner("dqn", {"online": self.online, "target": self.target}, ["online"], settings)
         self.replay = ReplayBuffer(settings.replay_capacity, self._encoder.shape, self._encoder.dtype, actions)
         self._n_step = NStep(settings.n_step)
+        self._bonus = CountBonus(observation_space, settings, "dqn")
         self._action_rng, self._replay_rng = make_rng(seed, "actions"), make_rng(seed, "replay")
         self._steps, self._updates_due = 0, 0.0
 
@@ -137,6 +139,7 @@ class DQN:
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Store the decision, then make the updates that are due."""
         reward, bootstrap = compute_backup(transition, self.settings)
+        reward += self._bonus.visit(transition.next_observation)
         experience = Experience(
             self._encoder.encode(transition.observation),
             transition.action_mask,
@@ -183,6 +186,7 @@ class DQN:
             "learner": self._learner.state_dict(),
             "replay": self.replay.state_dict(),
             "n_step": self._n_step.state_dict(),
+            "bonus": self._bonus.state_dict(),
             "steps": self._steps,
             "updates_due": self._updates_due,
             "action_rng": self._action_rng.bit_generator.state,
@@ -194,6 +198,7 @@ class DQN:
         self._learner.load_state_dict(state["learner"])
         self.replay.load_state_dict(state["replay"])
         self._n_step.load_state_dict(state["n_step"])
+        self._bonus.load_state_dict(state["bonus"])
         self._steps, self._updates_due = int(state["steps"]), float(state["updates_due"])
         self._action_rng.bit_generator.state = state["action_rng"]
         self._replay_rng.bit_generator.state = state["replay_rng"]

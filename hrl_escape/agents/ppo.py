@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from torch.nn import functional
 
 from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions
+from hrl_escape.agents.bonuses import BonusSettings, CountBonus
 from hrl_escape.agents.exploration import choose_best, make_rng, sample_index
 from hrl_escape.agents.networks import (
     Learner,
@@ -32,7 +33,7 @@ __all__ = ["PPO", "PPOSettings", "Rollout", "compute_advantages"]
 
 
 @dataclass(frozen=True)
-class PPOSettings(NetworkSettings, LearningSettings):
+class PPOSettings(BonusSettings, NetworkSettings, LearningSettings):
     """Settings of `ppo`."""
 
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
@@ -113,6 +114,7 @@ class PPO:
         networks = {"policy": self.policy, "critic": self.critic}
         self._learner = Learner("ppo", networks, networks, settings)
         self._action_rng, self._batch_rng = make_rng(seed, "actions"), make_rng(seed, "batches")
+        self._bonus = CountBonus(observation_space, settings, "ppo")
         self._rows: list[Rollout] = []
 
     @property
@@ -141,6 +143,7 @@ class PPO:
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Keep the decision; update when the rollout is full."""
         reward, bootstrap = compute_backup(transition, self.settings)
+        reward += self._bonus.visit(transition.next_observation)
         self._rows.append(
             Rollout(
                 self._encoder.encode(transition.observation),
@@ -219,6 +222,7 @@ class PPO:
         return {
             "learner": self._learner.state_dict(),
             "rollout": _stack(self._rows)._asdict() if self._rows else None,
+            "bonus": self._bonus.state_dict(),
             "action_rng": self._action_rng.bit_generator.state,
             "batch_rng": self._batch_rng.bit_generator.state,
         }
@@ -226,6 +230,7 @@ class PPO:
     def load_state_dict(self, state: StateTree) -> None:
         """Restore what `state_dict` gave."""
         self._learner.load_state_dict(state["learner"])
+        self._bonus.load_state_dict(state["bonus"])
         self._rows = []
         if state["rollout"] is not None:
             self._rows = [Rollout(*row) for row in zip(*Rollout(**state["rollout"]), strict=True)]

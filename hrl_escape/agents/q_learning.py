@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions, count_steps
+from hrl_escape.agents.bonuses import BonusSettings, CountBonus
 from hrl_escape.agents.exploration import (
     ExplorationSettings,
     choose_best,
@@ -29,7 +30,7 @@ __all__ = ["QLearning", "QLearningSettings"]
 
 
 @dataclass(frozen=True)
-class QLearningSettings(TabularSettings, ExplorationSettings, LearningSettings):
+class QLearningSettings(BonusSettings, TabularSettings, ExplorationSettings, LearningSettings):
     """Settings of `q-learning`."""
 
 
@@ -55,6 +56,7 @@ class QLearning:
         self.settings = settings or QLearningSettings()
         self.table = QTable(count_actions(action_space, "q-learning"), self.settings)
         self._discretise = make_discretiser(observation_space, self.settings, "q-learning")
+        self._bonus = CountBonus(observation_space, self.settings, "q-learning")
         self._rng = make_rng(seed, "actions")
         self._steps = 0
 
@@ -79,7 +81,7 @@ class QLearning:
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """One backup."""
         reward, bootstrap = compute_backup(transition, self.settings)
-        target = reward
+        target = reward + self._bonus.visit(transition.next_observation)
         if bootstrap:
             next_values = self.compute_values(transition.next_observation)
             target += bootstrap * float(next_values[transition.next_action_mask].max())
@@ -92,6 +94,7 @@ class QLearning:
         """Table, counter, generator."""
         return {
             "table": self.table.state_dict(),
+            "bonus": self._bonus.state_dict(),
             "steps": self._steps,
             "rng": self._rng.bit_generator.state,
         }
@@ -99,5 +102,6 @@ class QLearning:
     def load_state_dict(self, state: StateTree) -> None:
         """Restore what `state_dict` gave."""
         self.table.load_state_dict(state["table"])
+        self._bonus.load_state_dict(state["bonus"])
         self._steps = int(state["steps"])
         self._rng.bit_generator.state = state["rng"]

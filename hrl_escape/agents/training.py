@@ -44,6 +44,7 @@ def train(
     env: gymnasium.Env,
     *,
     primitives: int,
+    decisions: int | None = None,
     seed: int = 0,
     recipe: str = "corrected",
     settings: Mapping[str, Any] | None = None,
@@ -63,6 +64,7 @@ def train(
         env: Discrete actions; what `step` must return is in `agent.make_transition`. It must depend on nothing
             before `reset(seed=...)`, which is called for every episode.
         primitives: the budget. The decision that reaches it is the last.
+        decisions: end after so many decisions too, if these are fewer; for programs that counted so.
         seed: 0 or more; fixes the agent (if named) and every training episode.
         recipe: `corrected` or `paper`, for a named agent.
         settings: fields of a named agent's settings to change.
@@ -90,6 +92,7 @@ def train(
     eval_every = eval_every or max(1, primitives // 20)
     for name, value, least in (
         ("primitives", primitives, 1),
+        ("decisions", 1 if decisions is None else decisions, 1),
         ("eval_every", eval_every, 1),
         ("eval_episodes", eval_episodes, 0),
         ("eval_seed", eval_seed, 0),
@@ -105,7 +108,8 @@ def train(
     else:
         name, learner = type(agent).__name__, agent
     chosen = json.loads(json.dumps(dataclasses.asdict(learner.settings)))
-    run = _Run(learner, env, eval_env or env, _Plan(name, seed, primitives, eval_every, eval_episodes, eval_seed))
+    plan = _Plan(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed)
+    run = _Run(learner, env, eval_env or env, plan)
     folder = None
     if out is not None:
         identity = {
@@ -174,6 +178,7 @@ class _Plan:
     name: str
     seed: int
     primitives: int
+    decisions: int | None
     eval_every: int
     eval_episodes: int
     eval_seed: int
@@ -196,17 +201,22 @@ class _Run:
         if not self.episodes:
             self._evaluate(folder)
         next_evaluation = self._next_evaluation()
-        while self.primitives < self.plan.primitives:
+        while not self.is_over:
             row = self._run_episode(report)
             if folder is not None:
                 folder.log(row)
-            if self.primitives >= min(next_evaluation, self.plan.primitives):
+            if self.is_over or self.primitives >= next_evaluation:
                 self._evaluate(folder)
                 next_evaluation = self._next_evaluation()
-            is_over = self.primitives >= self.plan.primitives
-            if folder is not None and (is_over or time.monotonic() - last_save >= checkpoint_seconds):
+            if folder is not None and (self.is_over or time.monotonic() - last_save >= checkpoint_seconds):
                 folder.save(self.state_dict())
                 last_save = time.monotonic()
+
+    @property
+    def is_over(self) -> bool:
+        """The budget is spent."""
+        most = self.plan.decisions
+        return self.primitives >= self.plan.primitives or (most is not None and self.decisions >= most)
 
     def _next_evaluation(self) -> int:
         return (self.primitives // self.plan.eval_every + 1) * self.plan.eval_every
@@ -220,7 +230,7 @@ class _Run:
         mask = read_action_mask(info, self.actions)
         words = self._describe()
         end = "budget"
-        while end == "budget" and self.primitives < self.plan.primitives:
+        while end == "budget" and not self.is_over:
             action = agent.act(observation, mask)
             step = env.step(action)
             transition = make_transition(observation, action, mask, step, agent.gamma)

@@ -49,7 +49,7 @@ class CompareArgs:
     """Options of `hrl-escape compare`."""
 
     what: Annotated[str, tyro.conf.Positional] = DEFAULT
-    """quickstart, paper or ladder; or a .toml or .json file with a grid of your own."""
+    """quickstart, paper, ladder or paper-figure-1 to -3; or a .toml or .json file with a grid of your own."""
     agents: tuple[str, ...] = ()
     """Other agents: names, smdp- in front for those that choose options, @paper behind for another recipe."""
     rooms: tuple[str, ...] = ()

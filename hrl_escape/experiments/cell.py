@@ -38,7 +38,7 @@ class CellResult:
     """What one run left; whose it is, its `Cell` says.
 
     Attributes:
-        budget: primitives it was to train for.
+        budget: primitives it was to train for; where decisions ended it, those it did train for.
         primitives: trained for; a last option may carry it beyond the budget.
         decisions: trained for.
         episodes: trained for.
@@ -114,8 +114,8 @@ def run_cell(cell: Cell, out: Path, checkpoint_seconds: float) -> None:
     env, recorder = make_env(cell.agent, instance, cell.grid.observation)
     try:
         result = train(
-            cell.agent.name, env, primitives=cell.grid.primitives, seed=cell.seed, settings=cell.settings,
-            eval_every=cell.grid.evaluation_step, eval_episodes=cell.grid.eval_episodes,
+            cell.agent.name, env, primitives=cell.grid.primitives, decisions=cell.grid.decisions, seed=cell.seed,
+            settings=cell.settings, eval_every=cell.grid.evaluation_step, eval_episodes=cell.grid.eval_episodes,
             eval_seed=cell.eval_seed, out=folder / "run", checkpoint_seconds=checkpoint_seconds, progress=False,
         )
         assert result.agent is not None, "a run that this process finished or loaded has its agent"
@@ -128,7 +128,7 @@ def run_cell(cell: Cell, out: Path, checkpoint_seconds: float) -> None:
     finally:
         env.close()
     write_json(folder / "episodes.json", episodes, indent=None)
-    value = dataclasses.asdict(CellResult.make(cell.grid.primitives, result, scale))
+    value = dataclasses.asdict(CellResult.make(min(cell.grid.primitives, result.primitives), result, scale))
     write_json(folder / "cell.json", {"identity": cell.identity, "result": value}, indent=None)
 
 

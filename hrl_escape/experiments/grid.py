@@ -142,6 +142,7 @@ class Grid(Settings):
     rooms: tuple[RoomSpec, ...] = knob((RoomSpec("paper-two-button"),), "Where.")
     runs: int = knob(10, "Training seeds, 0 to runs - 1; ten or more in a published table.", "", 1, 10_000)
     primitives: int = knob(20_000, "Training budget of a run.", "primitives", 1, LARGEST)
+    decisions: int | None = knob(None, "A run ends after so many decisions too, if these are fewer.", "", 1, LARGEST)
     eval_every: int | None = knob(None, "Between evaluations; None for a twentieth.", "primitives", 1, LARGEST)
     eval_episodes: int = knob(5, "Episodes in an evaluation, the same for all.", "", 1, 10_000)
     eval_seed: int = knob(0, "With the training seed, fixes the evaluation episodes.", "", 0, 2**31)
@@ -247,6 +248,7 @@ class Cell:
             "room": self.instance_id,
             "observation": self.grid.observation,
             "primitives": self.grid.primitives,
+            "decisions": self.grid.decisions,
             "eval_every": self.grid.evaluation_step,
             "eval_episodes": self.grid.eval_episodes,
             "eval_seed": self.eval_seed,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.experiments.grid import AgentSpec, Grid, RoomSpec
 
@@ -15,6 +17,12 @@ def _parse_agents(*texts: str) -> tuple[AgentSpec, ...]:
 def _parse_rooms(*texts: str) -> tuple[RoomSpec, ...]:
     return tuple(RoomSpec.parse(text) for text in texts)
 
+
+_FLAT = _parse_agents("random", "dqn@paper", "sarsa@paper", "ddpg@paper", "dqn", "sarsa", "ddpg")
+_OPTIONS = _parse_agents("smdp-random", "smdp-dqn@paper", "smdp-sarsa@paper", "smdp-ddpg@paper", "smdp-dqn",
+                         "smdp-sarsa", "smdp-ddpg")
+# The paper's rooms have one start and no chance: every episode of one evaluation is the same, so one is enough.
+_PAPER: dict[str, Any] = {"runs": 10, "primitives": 20_000, "eval_every": 500, "eval_episodes": 1}
 
 GRIDS: dict[str, Grid] = {
     grid.name: grid
@@ -39,6 +47,34 @@ GRIDS: dict[str, Grid] = {
             rooms=_parse_rooms("paper-one-button", "paper-two-button"),
             runs=10,
             primitives=20_000,
+        ),
+        Grid(
+            name="paper-figure-1",
+            description="Figure 1 of Menashe and Stone (2019): one button, primitives only.",
+            agents=_FLAT,
+            rooms=_parse_rooms("paper-one-button"),
+            **_PAPER,
+        ),
+        Grid(
+            name="paper-figure-2",
+            description="Figure 2 of Menashe and Stone (2019): two buttons, primitives only.",
+            agents=_FLAT,
+            rooms=_parse_rooms("paper-two-button"),
+            **_PAPER,
+        ),
+        Grid(
+            name="paper-figure-3",
+            description="Figure 3 of Menashe and Stone (2019): two buttons with meta-actions.",
+            agents=_OPTIONS,
+            rooms=_parse_rooms("paper-two-button"),
+            **_PAPER,
+        ),
+        Grid(
+            name="paper-figure-3-decisions",
+            description="Figure 3 with 20,000 decisions a run, as the published program counted its steps.",
+            agents=_OPTIONS[:4],
+            rooms=_parse_rooms("paper-two-button"),
+            **{**_PAPER, "primitives": 400_000, "decisions": 20_000, "eval_every": 1_000},
         ),
         Grid(
             name="ladder",

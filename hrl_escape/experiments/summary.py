@@ -235,7 +235,7 @@ def _summarise_room(instance: RoomInstance, runs: Sequence[Run]) -> RoomSummary:
 
 
 def _summarise_agent(comparison: Comparison, runs: Sequence[Run]) -> AgentSummary:
-    budget, cell = comparison.grid.primitives, runs[0][0]
+    budget, cell = max(result.budget for _, result in runs), runs[0][0]
     rooms = [[result for cell, result in runs if cell.instance_id == instance.id] for instance in comparison.instances]
     occupied = [room for room in rooms if room]
     results = [result for _, result in runs]

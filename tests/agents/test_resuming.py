@@ -43,6 +43,7 @@ VARIANTS = [
         for name in list_agents()
         if "paper" in get_agent_class(name).recipes  # pyright: ignore[reportAttributeAccessIssue]
     ),
+    *((name, "corrected", SMALL.get(name, {}) | {"bonus_weight": 2.0}) for name in ("dqn", "q-learning", "ppo")),
     ("sarsa", "corrected", {"replay_capacity": 0, "expected": False, "warmup": 5, "hidden": (8,)}),
 ]
 IDS = [f"{name}-{recipe}-{index}" for index, (name, recipe, _) in enumerate(VARIANTS)]

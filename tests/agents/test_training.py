@@ -45,6 +45,18 @@ def test_trap_6_the_budget_and_every_curve_are_in_primitives_not_decisions():
     assert result.evaluations[-1].lengths == (50, 50)
 
 
+def test_a_budget_of_decisions_ends_a_run_whichever_is_spent_first():
+    always_ten = SmdpEnv([[[Outcome(1.0, 0, (-1.0,) * 10)]]], horizon=50)
+    by_decisions = run(env=always_ten, primitives=400, decisions=12, eval_every=100)
+    assert (by_decisions.primitives, by_decisions.decisions) == (120, 12)
+    assert [e.decisions for e in by_decisions.evaluations] == [0, 10, 12]
+    assert (by_decisions.episodes[-1].end, by_decisions.episodes[-1].length) == ("budget", 20)
+    by_primitives = run(env=always_ten, primitives=400, decisions=41, eval_every=100)
+    assert (by_primitives.primitives, by_primitives.decisions) == (400, 40)
+    with pytest.raises(AgentSettingsError, match="decisions"):
+        run(decisions=0)
+
+
 def test_trap_6_planner_calls_are_counted(tmp_path):
     result = run("random", out=tmp_path)
     rows = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]

@@ -94,6 +94,7 @@ def test_a_cells_key_depends_on_what_decides_its_numbers_and_on_nothing_else():
         find_key(agents=[AgentSpec("smdp-dqn", options=OptionsView(include_primitives=False))]),
         find_key(agents=["smdp-dqn"], rooms=["paper-two-button"]),
         find_key(agents=["smdp-dqn"], primitives=601),
+        find_key(agents=["smdp-dqn"], decisions=300),
         find_key(agents=["smdp-dqn"], eval_every=100),
         find_key(agents=["smdp-dqn"], eval_episodes=4),
         find_key(agents=["smdp-dqn"], eval_seed=1),
