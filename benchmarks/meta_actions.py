@@ -26,6 +26,7 @@ DYNAMICS = {
     "physics, noise 0.1, slip 0.1": {"kind": "physics", "noise": 0.1, "slip": 0.1},
 }
 FAMILIES = ("paper-two-button", "four-button-chain", "clutter", "arm-two-button")
+PUSHES = "push-block"  # physics by itself; seconds of planning a push, so only if asked for
 A_ROOM = 10
 
 
@@ -61,7 +62,7 @@ def main() -> None:
     """Measure every family under every dynamics."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=int, default=200, help="meta-actions of each family and dynamics")
-    parser.add_argument("--family", choices=FAMILIES, help="only this family")
+    parser.add_argument("--family", choices=(*FAMILIES, PUSHES), help="only this family")
     parser.add_argument("--dynamics", choices=DYNAMICS, help="only these dynamics")
     parser.add_argument("--first", type=int, default=0, help="first instance seed")
     arguments = parser.parse_args()

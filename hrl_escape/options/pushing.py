@@ -39,7 +39,8 @@ ASIDE, ASKEW = 0.12, math.radians(6)
 GAPS = (0.1, 0.4, 0.7)
 """Distances from the block at which the body may stand before a push, in moves."""
 MOST_PRIMITIVES = 400
-DRIVE_BUDGET = 20_000
+DRIVES = ((3_000, False), (20_000, True))
+"""Nodes for a drive behind the block, and whether finer grids are looked at: first quickly to any place, then hard."""
 
 _TRANSLATIONS = tuple((i, math.atan2(p.left, p.forward)) for i, p in enumerate(BASE_PRIMITIVES) if not p.turn)
 
@@ -211,12 +212,13 @@ class PushOption(Option):
         facing = push.direction + turn * round((heading - push.direction) / turn)
         wanted = 1.0 - push.length / step
         failure: PlanningFailed | None = None
-        for gap in dict.fromkeys((max(wanted, 0.05), *(GAPS if push.length >= step else ()))):
+        gaps = dict.fromkeys((max(wanted, 0.05), *(GAPS if push.length >= step else ())))
+        for gap, (budget, refine) in ((gap, drive) for drive in DRIVES for gap in gaps):
             away = self._field.radius + self._field.half + gap * step
             self._place = PoseGoal(push.block[0] - away * math.cos(push.direction),
                                    push.block[1] - away * math.sin(push.direction), facing, 0.1 * step, ASKEW / 2)
             try:
-                route = self._planner.find_way_round(state, self._place, blocks, DRIVE_BUDGET, self.report)
+                route = self._planner.find_way_round(state, self._place, blocks, budget, self.report, refine=refine)
             except PlanningFailed as failed:
                 failure = failed
                 continue

@@ -152,8 +152,16 @@ class RouteFinder:
         return found
 
     def find_way_round(self, state: RoomState, goal: Goal, keep_out: Sequence[Footprint], budget: int,
-                       report: OptionReport) -> Route:
+                       report: OptionReport, *, refine: bool = True) -> Route:
         """Find the route to a goal that keeps clear of things which move, such as blocks; it is not remembered.
+
+        Args:
+            state: where to begin.
+            goal: what to reach.
+            keep_out: footprints that the body must not meet.
+            budget: search nodes that may be expanded.
+            report: where to count calls and seconds.
+            refine: look on finer grids, too, before giving up.
 
         Raises:
             PlanningFailed: no route within the budget.
@@ -161,7 +169,7 @@ class RouteFinder:
         began = time.perf_counter()
         report.planner_calls += 1
         with self._lock:
-            found = self._search_route(state, goal, keep_out, budget)
+            found = self._search_route(state, goal, keep_out, budget, refine)
         report.planner_seconds += time.perf_counter() - began
         if isinstance(found, PlanningFailed):
             raise found
@@ -199,12 +207,12 @@ class RouteFinder:
         return PlanningFailed(reason, name, pose, **details)
 
     def _search_route(self, state: RoomState, goal: Goal, keep_out: Sequence[Footprint] = (),
-                      budget: int | None = None) -> Route | PlanningFailed:
+                      budget: int | None = None, refine: bool = True) -> Route | PlanningFailed:
         begin = state._replace(primitives=0, noise_key=0, z=0.0, pitch=0.0, roll=0.0, physics=None)
         began = time.perf_counter()
         limit = self.time_limit if RouteFinder._has_searched else math.inf  # the first one may have to compile
         method, planner = (self.method, None) if self.method in METHODS else ("corridor", self.method)
-        result = self._search.search(begin, goal, method=method, planner=planner, keep_out=keep_out,
+        result = self._search.search(begin, goal, method=method, planner=planner, refine=refine, keep_out=keep_out,
                                      budget_expansions=budget or self.budget, deadline=limit)
         RouteFinder._has_searched = True
         if not result.is_reached:

@@ -30,6 +30,7 @@ from hrl_escape.options.goals import ExitGoal, Goal, PressGoal, is_reached
 from hrl_escape.options.lattice.areas import Area, compute_area, find_headings
 from hrl_escape.options.lattice.attempt import Attempt, Job, SearchResult
 from hrl_escape.options.lattice.fields import FieldMaker
+from hrl_escape.options.paths import TIME_LIMIT
 
 if TYPE_CHECKING:
     from hrl_escape.options.navigation import Navigator
@@ -49,7 +50,6 @@ SHORT = 8
 CORRIDORS = (3.0, 6.0)
 """Half widths of corridors, in moves."""
 MOST_REFINED_STATES = 6_000_000
-NAVIGATION_SECONDS = 1.0
 _PENETRATION = 0.02  # a body that rigid-body contacts have pushed into a wall by this much can still drive off
 
 Field: TypeAlias = NDArray[np.int16]
@@ -122,8 +122,8 @@ class PrimitiveSearch:
     # --- one question --------------------------------------------------------------------
 
     def search(self, state: RoomState, goal: Goal, *, method: str = "fields", planner: str | None = None,
-               avoid: bool = True, keep_out: Sequence[Footprint] = (), budget_expansions: int = EXPANSIONS,
-               deadline: float = math.inf) -> SearchResult:
+               avoid: bool = True, refine: bool = True, keep_out: Sequence[Footprint] = (),
+               budget_expansions: int = EXPANSIONS, deadline: float = math.inf) -> SearchResult:
         """Find the fewest primitives from a state to a goal.
 
         Args:
@@ -133,6 +133,7 @@ class PrimitiveSearch:
             planner: path planner for corridors, one of `navigation.list_planners()`; the default one if None.
             avoid: begin to touch no other target on the way, and do not leave by an open exit, unless
                 two resolutions show no other way; `also_pressed` says so.
+            refine: look on finer grids, too, before giving up.
             keep_out: footprints that the body must not meet on its way, such as blocks.
             budget_expansions: nodes that may be expanded; the same budget gives the same result anywhere.
             deadline: wall-clock guard, s.
@@ -146,15 +147,17 @@ class PrimitiveSearch:
             raise UnknownNameError("search method", method, METHODS)
         began = time.perf_counter()
         job = self._make_job(state, goal, tuple(keep_out), began + deadline)
-        result = self._answer(job, method, planner, avoid, budget_expansions)
+        result = self._answer(job, method, planner, avoid, refine, budget_expansions)
         if not result.is_reached and job.table is not None and job.table.complete_to < NEVER:
             # an arm of many joints may do what its first table left out
             job = self._make_job(state, goal, tuple(keep_out), began + deadline, thorough=True)
-            result = self._answer(job, method, planner, avoid, budget_expansions)
+            result = self._answer(job, method, planner, avoid, refine, budget_expansions)
         return dataclasses.replace(result, seconds=time.perf_counter() - began)
 
-    def _answer(self, job: Job, method: str, planner: str | None, avoid: bool, budget: int) -> SearchResult:
-        return self._answer_at_once(job) or self._try_all(job, self._iterate_tries(job, method, planner, avoid), budget)
+    def _answer(self, job: Job, method: str, planner: str | None, avoid: bool, refine: bool, budget: int
+                ) -> SearchResult:
+        tries = self._iterate_tries(job, method, planner, avoid, refine)
+        return self._answer_at_once(job) or self._try_all(job, tries, budget)
 
     def _make_job(self, state: RoomState, goal: Goal, keep_out: tuple[Footprint, ...] = (),
                   give_up: float = math.inf, thorough: bool = False) -> Job:
@@ -230,9 +233,13 @@ class PrimitiveSearch:
                 ended = better if isinstance(better, SearchResult) else ended
         return ended, spent
 
-    def _iterate_tries(self, job: Job, method: str, planner: str | None, avoid: bool) -> Iterator[_Try]:
+    def _iterate_tries(self, job: Job, method: str, planner: str | None, avoid: bool, refine: bool
+                       ) -> Iterator[_Try]:
         """What to try, one after the other."""
-        door_shut = not self.instance.puzzle.is_solved(job.state.puzzle)
+        is_open = self.instance.puzzle.is_solved(job.state.puzzle)
+        others = set(range(len(self.instance.targets))) - {getattr(job.goal, "target", -1)}
+        avoid = avoid and bool(others or (is_open and not isinstance(job.goal, ExitGoal)))
+        door_shut = not is_open
         if door_shut and not self.get_maker(True).collision.is_free(job.state.x, job.state.y):
             # in the doorway itself, where a shut door holds nobody
             door_shut = not self.get_maker(False).collision.is_free(job.state.x, job.state.y)
@@ -242,7 +249,8 @@ class PrimitiveSearch:
                 yield _Try(maker, self._make_field(job, maker, allowed), avoid, method)
         for refinement, avoiding in ((0, True), (1, True), (0, False), (1, False), (2, False), (3, False)):
             states = self.get_maker(door_shut).states * 4**refinement
-            if (avoid or not avoiding) and (refinement == 0 or states <= MOST_REFINED_STATES):
+            is_coarse = refinement == 0 or (refine and states <= MOST_REFINED_STATES)
+            if (avoid or not avoiding) and is_coarse:
                 maker = self.get_maker(door_shut, refinement)
                 yield _Try(maker, self._get_field(job, maker), avoiding, METHODS[0])
 
@@ -253,7 +261,7 @@ class PrimitiveSearch:
             states, costs = self._find_postures(job, maker)
             goal = maker.points[states[np.argsort(costs, kind="stable")[:64]] // maker.headings]
         found = self.navigator.plan((job.state.x, job.state.y), goal, planner, door_shut=maker.door_shut,
-                                    time_limit=min(job.give_up - time.perf_counter(), NAVIGATION_SECONDS))
+                                    time_limit=min(job.give_up - time.perf_counter(), TIME_LIMIT))
         if found.status != "exact":
             return
         legs = np.diff(found.path, axis=0)
