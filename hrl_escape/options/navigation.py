@@ -261,7 +261,7 @@ class _OmplPlanner:
         planner.setup()
 
         def stop(most: int) -> bool:
-            problem.spend(0)  # some planners go round for ever without testing a place
+            problem.spend(1)  # some planners go round for ever without testing a place
             return problem.calls > most
 
         try:

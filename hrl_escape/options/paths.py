@@ -21,8 +21,10 @@ from hrl_escape.options.collision import CollisionMap
 __all__ = ["CHECKER_CALLS", "TIME_LIMIT", "PathPlanner", "PathProblem", "PathResult", "PlannerFactory", "Spent",
            "Status", "compute_spacing", "get_factory", "list_planners", "register_planner"]
 
-TIME_LIMIT = 1.0
+TIME_LIMIT = 60.0
+"""Wall-clock guard, s, so late that it tells of a planner that hangs and not of a busy machine."""
 CHECKER_CALLS = 200_000
+"""What really limits planners: the same on any machine."""
 SPACING = 0.1
 
 Status: TypeAlias = Literal["exact", "approximate", "timeout", "no-path", "invalid-start", "invalid-goal"]
@@ -40,7 +42,8 @@ class PathResult:
         cost: its length, m; infinity without a path.
         planner: who planned it.
         seconds: wall time.
-        checker_calls: how many places were tested; a motion tested exactly counts as ten.
+        checker_calls: how many places were tested; a motion tested exactly counts as ten, and a round of a
+            planner's own loop as one.
     """
 
     status: Status

@@ -135,9 +135,9 @@ def test_budget_and_time_stop_every_planner_and_leave_nothing_running(clutter, p
     few = clutter.plan(start, HIDDEN, planner, budget=40)
     assert len(clutter.plan(start, HIDDEN).path) > 2
     assert few.status == "timeout" and few.checker_calls <= 50  # a whole motion counts as ten
-    began = time.perf_counter()
+    began = time.thread_time()
     assert clutter.plan(start, HIDDEN, planner, time_limit=0.0).status == "timeout"
-    assert time.perf_counter() - began < 2.0
+    assert time.thread_time() - began < 0.5
     assert threading.active_count() == threads
     if planner not in GAVE_UP:
         assert clutter.plan(start, HIDDEN, planner).status == "exact"
