@@ -31,9 +31,8 @@ __all__ = ["REMEMBERED", "Choice", "can_start", "choose", "is_in_exit", "is_solv
 
 REMEMBERED = 8
 """Cells a room remembers the cost of."""
+_MOVES = sum(not primitive.turn for primitive in BASE_PRIMITIVES)  # the first ones
 _BLOCKED = 0.01  # moves shorter than this do not count, m
-_MOVES = tuple(k for k, primitive in enumerate(BASE_PRIMITIVES) if not primitive.turn)
-_TURNS = tuple(k for k, primitive in enumerate(BASE_PRIMITIVES) if primitive.turn)
 
 
 class Choice(NamedTuple):
@@ -85,68 +84,75 @@ def choose(layout: Layout, tables: Tables, prices: Prices, state: TensorState, g
         cells: cells remembered, int64 (remembered, rooms).
         costs: the costs found there, float32 (remembered, rooms).
     """
-    instance, robot = state.instance, layout.robot
+    instance = state.instance
     solved = is_solved(layout, tables, state)
-    field = torch.where(goal < layout.targets, 2 * goal + solved, 2 * layout.targets)
+    is_press = goal < layout.targets
+    is_open = solved | _is_in_doorway(layout, tables, state)
+    field = torch.where(is_press, 2 * goal + is_open, 2 * layout.targets)
     heading = classify_headings(layout, prices, instance, state.heading_steps, state.heading_offset)
+    free, x, y = _move(layout, tables, state, is_open)
+    hit, still, others = _touch(layout, tables, state, goal, x, y)
+    arrived = is_in_exit(layout, tables, instance, x, y)
+    hit = torch.where(is_press, hit, arrived)
+    is_blocked = (free * layout.robot.move_step < _BLOCKED) & ~hit
 
-    ends = [_move(layout, tables, state, solved, BASE_PRIMITIVES[k].forward, BASE_PRIMITIVES[k].left) for k in _MOVES]
-    free = torch.stack([fraction for fraction, _, _ in ends])  # (moves, rooms)
-    x, y = torch.stack([x for _, x, _ in ends]), torch.stack([y for _, _, y in ends])
-    place = find_place(layout, prices, instance, torch.cat([x, state.x.unsqueeze(0)]),
-                       torch.cat([y, state.y.unsqueeze(0)]))
-    here = place.cell[-1] * prices.classes
-    candidates = [(k, type(place)(*(part[k] for part in place)), heading) for k in range(len(_MOVES))]
-    for k in _TURNS:
-        turned = torch.remainder(heading + BASE_PRIMITIVES[k].turn, prices.classes)
-        candidates.append((k, type(place)(*(part[-1] for part in place)), turned))
-
-    was_touching = ((state.touching >> goal.clamp(max=max(layout.targets - 1, 0))) & 1 != 0) & (goal < layout.targets)
-    best = torch.full_like(place.across[0], 4 * FAR)
-    primitive = torch.zeros_like(goal)
-    for k, at, facing in candidates:
-        worth = look_up(layout, prices, instance, field, at, facing)
-        key = at.cell * prices.classes + facing
-        worth = torch.maximum(worth, torch.where(cells == key, costs, 0.0).amax(0))
-        if k in _MOVES:
-            hit, still, others = _touch(layout, tables, state, goal, x[k], y[k])
-            arrived = is_in_exit(layout, tables, instance, x[k], y[k])
-            hit = torch.where(goal < layout.targets, hit, arrived)
-            worth = torch.where(hit, 0.0, worth.clamp(min=1.0) + still)
-            worth = worth + PENALTY * others + FAR * (arrived & solved & (goal < layout.targets))
-            worth = torch.where((free[k] * robot.move_step < _BLOCKED) & ~hit, 2 * FAR, worth)
-        else:
-            worth = worth.clamp(min=1.0) + was_touching
-        better = worth < best
-        best, primitive = torch.where(better, worth, best), torch.where(better, k, primitive)
-    return Choice(primitive, best + 1.0, here + heading)
+    place = find_place(layout, prices, instance, x, y)
+    facing = torch.remainder(heading + _column(state, "turn", torch.int64), prices.classes)
+    worth = look_up(layout, prices, instance, field, place, facing)
+    keys = place.cell * prices.classes + facing
+    found = torch.where(cells.unsqueeze(1) == keys, costs.unsqueeze(1), 0.0).amax(0)
+    worth = torch.maximum(worth, found).clamp(min=1.0) + still
+    worth = torch.where(hit, 0.0, worth) + PENALTY * others + FAR * (arrived & solved & is_press)
+    is_turn = _column(state, "turn", torch.int64) != 0
+    worth = torch.where(is_blocked & ~is_turn, 2 * FAR, worth)
+    best = worth.amin(0)
+    numbers = torch.arange(len(BASE_PRIMITIVES), device=x.device).unsqueeze(1)
+    primitive = torch.where(worth == best, numbers, len(BASE_PRIMITIVES)).amin(0)
+    here = find_place(layout, prices, instance, state.x, state.y)
+    return Choice(primitive, best + 1.0, here.cell * prices.classes + heading)
 
 
-def _move(layout: Layout, tables: Tables, state: TensorState, solved: Tensor, forward: int, left: int
-          ) -> tuple[Tensor, Tensor, Tensor]:
-    """Share of a move that can be made, and where it ends, (rooms,) each."""
+def _is_in_doorway(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
+    """Whether the body stands where the shut door would be, which then holds nobody, bool (rooms,)."""
+    doors: Shapes = pick(layout, tables.doors, state.instance)
+    return compute_distance(state.x, state.y, doors)[0] < layout.robot.body_radius + CONTACT_SKIN - 1e-6
+
+
+def _column(state: TensorState, name: str, dtype: torch.dtype) -> Tensor:
+    """What base primitives say under a name (`forward`, `left`, `turn`), shape (primitives, 1)."""
+    values = [getattr(primitive, name) for primitive in BASE_PRIMITIVES]
+    return torch.tensor(values, dtype=dtype, device=state.x.device).unsqueeze(1)
+
+
+def _move(layout: Layout, tables: Tables, state: TensorState, is_open: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Share of each base primitive's displacement that can be made, and where it ends, (primitives, rooms) each."""
     cos, sin = compute_rotation(layout, tables, state)
-    step = layout.robot.move_step
-    dx, dy = step * (forward * cos - left * sin), step * (forward * sin + left * cos)
-    reach = layout.robot.body_radius + CONTACT_SKIN
+    forward, left = (layout.robot.move_step * _column(state, name, torch.float64)[:_MOVES]
+                     for name in ("forward", "left"))
+    dx, dy = forward * cos - left * sin, forward * sin + left * cos
+    motion = (state.x, state.y, dx.unsqueeze(1), dy.unsqueeze(1), layout.robot.body_radius + CONTACT_SKIN)
     solids: Shapes = pick(layout, tables.solids, state.instance)
-    free = compute_first_contact(state.x, state.y, dx, dy, reach, solids.round()).amin(0)
+    free = compute_first_contact(*motion, solids.round()).amin(1)
     if layout.has_door:
         doors: Shapes = pick(layout, tables.doors, state.instance)
-        door = compute_first_contact(state.x, state.y, dx, dy, reach, doors)[0].to(free.dtype)
-        free = torch.where(solved, free, torch.minimum(free, door))
-    return free, state.x + free * dx, state.y + free * dy
+        door = compute_first_contact(*motion, doors.round()).amin(1)
+        free = torch.where(is_open, free, torch.minimum(free, door))
+    x, y = state.x + free * dx, state.y + free * dy
+    stays = len(BASE_PRIMITIVES) - _MOVES
+    return (torch.cat([free, torch.ones_like(free[:stays])]), torch.cat([x, state.x.expand(stays, -1)]),
+            torch.cat([y, state.y.expand(stays, -1)]))
 
 
 def _touch(layout: Layout, tables: Tables, state: TensorState, goal: Tensor, x: Tensor, y: Tensor
            ) -> tuple[Tensor, Tensor, Tensor]:
-    """Whether the goal's touching begins at a place, whether it goes on there, and whether another's begins."""
+    """At each place (primitives, rooms): whether the goal's touching begins, goes on, and whether another's begins."""
     if not layout.targets:
-        nothing = torch.zeros_like(goal, dtype=torch.bool)
+        nothing = torch.zeros_like(x, dtype=torch.bool)
         return nothing, nothing, nothing
     targets: Shapes = pick(layout, tables.targets, state.instance).round()
+    reach = pick(layout, tables.target_reach, state.instance)
+    touched = compute_distance(x.unsqueeze(1), y.unsqueeze(1), targets) <= reach  # (primitives, targets, rooms)
     places = torch.arange(layout.targets, device=x.device).unsqueeze(1)
-    touched = compute_distance(x, y, targets) <= pick(layout, tables.target_reach, state.instance)
     before = (state.touching >> places) & 1 != 0
     own, begun = places == goal, touched & ~before
-    return (begun & own).any(0), (touched & before & own).any(0), (begun & ~own).any(0)
+    return (begun & own).any(1), (touched & before & own).any(1), (begun & ~own).any(1)
