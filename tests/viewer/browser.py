@@ -16,11 +16,9 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import pytest
 from websockets.sync.client import connect
 
 PROGRAM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-needs_browser = pytest.mark.skipif(PROGRAM is None, reason="no Chromium on this machine (Debian: apt install chromium)")
 
 FLAGS = ("--headless=new", "--no-sandbox", "--disable-quic", "--no-first-run", "--disable-background-networking",
          "--disable-component-update", "--disable-sync", "--disable-extensions", "--disable-dev-shm-usage",
@@ -79,10 +77,16 @@ class Page:
         self.call("Input.dispatchKeyEvent", type="keyUp", **details)
 
     def click(self, text: str) -> None:
-        """Click the button that says so."""
-        found = self.run(f"(() => {{ const b = [...document.querySelectorAll('button')].find(b => "
-                         f"b.innerText.trim() === {json.dumps(text)}); if (b) b.click(); return !!b; }})()")
-        assert found, f"no button {text!r} on the page:\n{self.get_text()}"
+        """Click the button or tab that says so, with the mouse."""
+        where = self.run(
+            "(() => { const all = [...document.querySelectorAll('button,[role=tab]')];"
+            f"const found = all.find(b => b.innerText.trim() === {json.dumps(text)}); if (!found) return null;"
+            "found.scrollIntoView({block: 'center'}); const r = found.getBoundingClientRect();"
+            "return [r.x + r.width / 2, r.y + r.height / 2]; })()"
+        )
+        assert where, f"no button {text!r} on the page:\n{self.get_text()}"
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, x=where[0], y=where[1], button="left", clickCount=1)
 
     def get_text(self) -> str:
         return self.run("document.body.innerText")

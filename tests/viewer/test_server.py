@@ -1,0 +1,60 @@
+"""Where the viewer listens, and what it says when it cannot."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+
+import pytest
+
+from hrl_escape.cli import main
+from hrl_escape.errors import AddressError
+from hrl_escape.viewer.server import get_url, open_server
+
+
+def test_it_listens_on_this_machine_only(server):
+    port = server.get_port()
+    listening = [line.split()[1] for line in open("/proc/net/tcp").readlines()[1:]
+                 if line.split()[3] == "0A" and line.split()[1].endswith(f":{port:04X}")]
+    assert listening == [f"0100007F:{port:04X}"]
+    assert get_url(server) == f"http://127.0.0.1:{port}"
+
+
+def test_it_opens_no_tunnel(server):
+    assert server.request_share_url() is None
+
+
+@pytest.mark.parametrize("command", [["play"], ["watch"]])
+def test_a_port_in_use_gives_one_message_and_exit_code_2(capfd, command):
+    with socket.socket() as other:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1]
+        assert main([*command, "--no-open", "--port", str(port), "--preset", "paper-one-button"]) == 2
+    said = capfd.readouterr().err.strip()
+    assert f"127.0.0.1:{port}" in said and "--port 0" in said and len(said.splitlines()) == 1
+
+
+@pytest.mark.parametrize(("host", "port"), [("203.0.113.7", 8080), ("no.such.host.invalid", 0), ("127.0.0.1", 70000)])
+def test_an_impossible_address_is_refused_at_once(host: str, port: int):
+    with pytest.raises(AddressError):
+        open_server(host, port)
+
+
+def test_without_the_extra_one_message_names_it_and_terminal_and_window_do_without():
+    """In one process, for its imports are slow: four commands that need the extra and two that do not."""
+    code = ("import sys; sys.modules['viser'] = sys.modules['trimesh'] = None\n"
+            "from hrl_escape.cli import main\n"
+            "print([main(line.split()) for line in sys.argv[1:]])")
+    lines = ["play --no-open", "watch --no-open", "record", "bench modes",
+             "play --no-browser --preset paper-one-button", "play --window"]
+    environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
+    done = subprocess.run([sys.executable, "-c", code, *lines], capture_output=True, text=True, timeout=120,
+                          input="w", env=environment)
+    assert done.stdout.splitlines()[-1] == "[2, 2, 2, 2, 0, 2]", done.stderr
+    assert "1 primitives" in done.stdout
+    *missing, window = done.stderr.strip().splitlines()
+    assert missing == 4 * ["hrl-escape: The viewer needs viser: pip install 'hrl-escape[viewer]'"]
+    assert "display" in window

@@ -1,0 +1,76 @@
+"""Manual mode without a browser."""
+
+from __future__ import annotations
+
+import os
+import pty
+import subprocess
+import sys
+import time
+
+from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.viewer.episode import Episode, load_episode
+from hrl_escape.viewer.terminal import draw_room, play_in_terminal, read_keys
+
+COMMAND = [sys.executable, "-m", "hrl_escape.cli", "play", "--no-browser"]
+
+
+def test_keys_are_read_one_by_one_and_arrows_as_one_key():
+    here, there = os.pipe()
+    os.write(there, b"w\x1b[A\x1b[DM1\n\x1bOCz")
+    os.close(there)
+    assert list(read_keys(here)) == ["w", "up", "left", "m", "1", "right", "z"]
+    os.close(here)
+
+
+def test_the_map_shows_robot_walls_buttons_exit_and_trail(clutter):
+    rules = Kinematics(clutter)
+    states = [rules.make_state(clutter.starts[0])]
+    for action in (0, 0, 4):
+        states.append(rules.step(states[-1], action).state)
+    lines = draw_room(clutter, states, rules, 120, 36).plain.splitlines()
+    assert len({len(line) for line in lines}) == 1 and len(lines) <= 36 and len(lines[0]) <= 120
+    text = "".join(lines)
+    assert all(mark in text for mark in ("1", "2", "3", "4", "E", "\N{MIDDLE DOT}", "\N{FULL BLOCK}"))
+    assert sum("\N{LEFTWARDS ARROW}" <= mark <= "\N{SOUTH WEST ARROW}" for mark in text) == 1
+
+
+def test_a_game_that_is_piped_in_escapes_and_is_saved(two_buttons, tmp_path, capfd, monkeypatch):
+    def play(keys: bytes, episode: Episode) -> str:
+        here, there = os.pipe()
+        os.write(there, keys)
+        os.close(there)
+        with open(here) as stdin:
+            monkeypatch.setattr(sys, "stdin", stdin)
+            play_in_terminal(episode, tmp_path)
+        return next(line for line in capfd.readouterr().out.splitlines() if "primitives, return" in line)
+
+    tally = play(b"wzm1m2m0f", Episode(two_buttons))
+    assert "escaped" in tally
+    (file,) = tmp_path.iterdir()
+    saved = load_episode(file)
+    again = Episode(saved.instance, seed=saved.seed)
+    again.replay(saved)
+    assert play(b"", again) == tally
+
+
+def test_in_a_real_terminal_keys_work_at_once_and_q_leaves_it_as_it_was():
+    ours, theirs = pty.openpty()
+    game = subprocess.Popen([*COMMAND, "--preset", "paper-one-button"], stdin=theirs, stdout=theirs, stderr=theirs,
+                            env=os.environ | {"TERM": "xterm", "COLUMNS": "100", "LINES": "40"})
+    os.close(theirs)
+    shown = b""
+    try:
+        for key, expected in ((b"", b"0\x1b[0m primitives"), (b"w", b"1\x1b[0m primitives"), (b"z", b"taken back"),
+                              (b"q", b"")):
+            os.write(ours, key)
+            end = time.monotonic() + 60
+            while expected and expected not in shown and time.monotonic() < end:
+                shown += os.read(ours, 65536)
+            assert expected in shown, shown[-500:].decode(errors="replace")
+            shown = b""
+        assert game.wait(20) == 0
+    finally:
+        game.kill()
+        game.wait()
+        os.close(ours)
