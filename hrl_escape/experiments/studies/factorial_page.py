@@ -1,0 +1,174 @@
+"""The page docs/results/why-it-worsens.md: analyses of variance of the factorials, and the cause they show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+
+from hrl_escape.env import looks
+from hrl_escape.env.rendering import save_figure
+from hrl_escape.experiments.studies.contrasts import Analysis, Term
+from hrl_escape.experiments.studies.factorial import (
+    FACTORS,
+    RESPONSES,
+    analyse_runs,
+    compute_response,
+    get_factors,
+    read_levels,
+)
+from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
+from hrl_escape.experiments.studies.raw import RawRun
+from hrl_escape.files import write_text
+
+__all__ = ["compute_corners", "write_factorial_page"]
+
+COMMAND = "hrl-escape experiment factorial"
+COLOURS = (looks.LINES[0], looks.LINES[4])
+WORDS = {
+    "final score": "score of frozen weights in the last fifth of training",
+    "slope": "slope of the score of training episodes over a run, exploration included",
+}
+MOST_INTERACTIONS = 5
+
+
+def write_factorial_page(results: dict[str, list[RawRun]], docs: Path) -> dict[tuple[str, str], Analysis]:
+    """Write the page and its figures; returns the analyses by (algorithm, response).
+
+    Args:
+        results: algorithm -> runs of its factorial.
+        docs: folder of the page.
+
+    Raises:
+        ComparisonError: runs are missing.
+        FileWriteError: a file cannot be written.
+    """
+    found = {(name, response): analyse_runs(name, runs, response) for name, runs in results.items()
+             for response in RESPONSES}
+    for name in results:
+        analyses = [found[name, response] for response in RESPONSES]
+        save_figure(docs / "figures" / f"why-{name}.svg", draw_effects(get_factors(name), analyses))
+    write_text(docs / "why-it-worsens.md", "\n".join(_write_lines(results, found)))
+    return found
+
+
+def draw_effects(names: Sequence[str], analyses: Sequence[Analysis]) -> Figure:
+    """Main effects with their intervals, one panel a response."""
+    with matplotlib.rc_context(FIGURE_STYLE):
+        figure = Figure(figsize=(8.2, 2.6), facecolor=looks.BACKGROUND, layout="constrained")
+        panels = figure.subplots(1, len(analyses), sharey=True)
+        at = np.arange(len(names))[::-1]
+        for axes, analysis, response, colour in zip(panels, analyses, RESPONSES, COLOURS, strict=True):
+            terms = [analysis.get_term(name) for name in names]
+            value = np.array([100 * term.effect for term in terms])
+            reach = np.array([[100 * (term.effect - term.low), 100 * (term.high - term.effect)] for term in terms]).T
+            axes.barh(at, value, xerr=reach, color=colour, height=0.6, ecolor=looks.INK, capsize=2)
+            axes.axvline(0, color=looks.MUTED, linewidth=0.8)
+            axes.set_yticks(at, names)
+            axes.set_xlabel(f"effect on the {response}, points", color=looks.INK)
+            finish_axes(axes)
+            axes.grid(visible=False, axis="y")
+    return figure
+
+
+def compute_corners(algorithm: str, runs: Sequence[RawRun], response: str) -> list[tuple[str, float, float]]:
+    """For each factor the mean with it alone corrected, and with all but it corrected; NaN where not run.
+
+    The first row, without a name, is nothing and everything corrected.
+    """
+    names = get_factors(algorithm)
+    values = {run.agent: [] for run in runs}
+    for run in runs:
+        values[run.agent].append(compute_response(run, response))
+
+    def get_mean(levels: Sequence[int]) -> float:
+        return float(np.mean([np.mean(found) for agent, found in values.items() if read_levels(agent) == list(levels)]
+                             or [np.nan]))
+
+    rows = [("", get_mean([-1] * len(names)), get_mean([1] * len(names)))]
+    for number, name in enumerate(names):
+        alone = [1 if number == other else -1 for other in range(len(names))]
+        rows.append((name, get_mean(alone), get_mean([-level for level in alone])))
+    return rows
+
+
+# --- the page --------------------------------------------------------------------------------
+
+
+def _write_lines(results: dict[str, list[RawRun]], found: dict[tuple[str, str], Analysis]) -> list[str]:
+    rooms = list(dict.fromkeys(run.room for runs in results.values() for run in runs))
+    budget = next(iter(results.values()))[0].budget
+    lines = ["# Why SARSA and DDPG get worse with meta-actions", "", *_tell_cause(results, found), "",
+             "## What was run", "",
+             f"Two-level factorials in {len(rooms)} rooms ({', '.join(rooms)}), {budget:,} primitives a run, one "
+             "evaluation a twentieth of that. Low is what keras-rl 0.4.2 and the published program did, high what the "
+             "recipe `corrected` does. The clock of schedules is in primitives throughout, and keras-rl's late flag at "
+             "the end of an episode (`late_terminal`) is left out: the decay is there without it.", ""]
+    for name, runs in results.items():
+        seeds = len({run.seed for run in runs})
+        lines += [f"**{name}**: a half fraction of the {2 ** len(FACTORS[name])} combinations (resolution VI), "
+                  f"{found[name, 'slope'].runs} runs, which is analysed"
+                  + ("" if np.isnan(compute_corners(name, runs, "slope")[1][1]) else
+                     ", and all combinations that differ from either recipe in one factor")
+                  + f"; {len(runs)} runs in all, {seeds} training seed{'s' if seeds > 1 else ''}.", "",
+                  "| factor | low: the published program | high: corrected |", "|---|---|---|"]
+        lines += [f"| {factor.name} | {factor.paper} | {factor.corrected} |" for factor in FACTORS[name]] + [""]
+    for name, runs in results.items():
+        lines += [f"## {name}", "", f"![Main effects on {name}](figures/why-{name}.svg)", ""]
+        for response in RESPONSES:
+            lines += _write_analysis(response, found[name, response])
+        lines += _write_corners(name, runs) + _write_rooms(name, runs)
+    return [*lines, "## Make it again", "",
+            "One command; finished runs are kept, and with `--from-raw` nothing is trained.", "",
+            "```console", COMMAND, "```", ""]
+
+
+def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], Analysis]) -> list[str]:
+    return []
+
+
+def _write_analysis(response: str, analysis: Analysis) -> list[str]:
+    mains = [term for term in analysis.terms if len(term.factors) == 1]
+    pairs = sorted((term for term in analysis.terms if len(term.factors) == 2), key=lambda term: -term.share)
+    lines = [f"Analysis of variance, {WORDS[response]} ({analysis.runs} runs, points of 100). Rooms take "
+             f"{analysis.block_share:.0%} of the sum of squares, the residual {analysis.residual_share:.0%} with "
+             f"{analysis.residual_freedom} degrees of freedom. Below the main effects stand the "
+             f"{MOST_INTERACTIONS} strongest interactions of two.", "",
+             "| term | effect, low to high (95 % interval) | share of variance | F | p |", "|---|---|---|---|---|"]
+    return [*lines, *map(_write_term, [*mains, *pairs[:MOST_INTERACTIONS]]), ""]
+
+
+def _write_term(term: Term) -> str:
+    p = "< 0.001" if term.p < 0.001 else f"{term.p:.3f}"
+    interval = f"{100 * term.low:+.1f} to {100 * term.high:+.1f}"
+    return (f"| {' x '.join(term.factors)} | {100 * term.effect:+.1f} ({interval}) | {term.share:.1%} | {term.f:.1f} "
+            f"| {p} |")
+
+
+def _write_corners(name: str, runs: Sequence[RawRun]) -> list[str]:
+    tables = [compute_corners(name, runs, response) for response in RESPONSES]
+    if any(np.isnan(value) for row in tables[0] for value in row[1:]):
+        return []
+    lines = ["One at a time, means over rooms, in points: the published program with one factor corrected, and the "
+             "corrected recipe with one factor as it was.", "",
+             "| factor | final score, only it corrected | all but it corrected | slope, only it corrected "
+             "| all but it corrected |", "|---|---|---|---|---|"]
+    for final, slope in zip(*tables, strict=True):
+        lines.append(f"| {final[0] or '(none; all)'} | {100 * final[1]:.0f} | {100 * final[2]:.0f} "
+                     f"| {100 * slope[1]:+.0f} | {100 * slope[2]:+.0f} |")
+    return [*lines, ""]
+
+
+def _write_rooms(name: str, runs: Sequence[RawRun]) -> list[str]:
+    rooms = list(dict.fromkeys(run.room for run in runs))
+    lines = ["Main effects on the final score room by room, in points:", "",
+             "| room | " + " | ".join(get_factors(name)) + " |", "|---" * (len(FACTORS[name]) + 1) + "|"]
+    for room in rooms:
+        here = [run for run in runs if run.room == room]
+        analysis = analyse_runs(name, here, "final score")
+        effects = [f"{100 * analysis.get_term(factor).effect:+.0f}" for factor in get_factors(name)]
+        lines.append(f"| {room} | " + " | ".join(effects) + " |")
+    return [*lines, ""]

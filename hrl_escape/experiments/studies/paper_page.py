@@ -1,0 +1,120 @@
+"""The page docs/results/paper.md: the paper's figures made anew, and its claims one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hrl_escape.env.rendering import save_figure
+from hrl_escape.experiments.studies.claims import CLAIMS, FIGURES, Finding, judge_claim
+from hrl_escape.experiments.studies.measures import (
+    Results,
+    estimate,
+    estimate_final,
+    estimate_slope,
+    get_runs,
+    has_settled,
+    share_of_training,
+)
+from hrl_escape.experiments.studies.paper_figures import draw_figure
+from hrl_escape.experiments.studies.raw import NEAR_BEST
+from hrl_escape.experiments.summary import Estimate
+from hrl_escape.files import write_text
+
+__all__ = ["write_paper_page"]
+
+COMMAND = "hrl-escape experiment paper"
+CAPTIONS = {
+    "paper-figure-1": "Figure 1. One button, primitives only.",
+    "paper-figure-2": "Figure 2. Two buttons, primitives only.",
+    "paper-figure-3": "Figure 3. Two buttons with meta-actions, 20,000 primitives.",
+    "paper-figure-3-decisions": "Figure 3 again, 20,000 decisions, as the published program counted its steps.",
+}
+
+
+def write_paper_page(results: Results, docs: Path) -> list[Finding]:
+    """Write the page and its figures; returns what came of each claim.
+
+    Raises:
+        FileWriteError: a file cannot be written.
+        ComparisonError: an agent has no runs.
+    """
+    findings = [judge_claim(claim, results) for claim in CLAIMS]
+    for name in FIGURES:
+        save_figure(docs / "figures" / f"{name}.svg", draw_figure(results[name]))
+    write_text(docs / "paper.md", "\n".join(_write_lines(results, findings)))
+    return findings
+
+
+def _write_lines(results: Results, findings: Sequence[Finding]) -> list[str]:
+    runs = min(len(get_runs(results, name, agent)) for name in FIGURES
+               for agent in {run.agent for run in results[name]})
+    counts = {word: sum(finding.agrees == word for finding in findings) for word in ("yes", "no", "open")}
+    mixed = len(findings) - sum(counts.values())
+    best = {name: results[name][0].best for name in FIGURES[:2]}
+    lines = [
+        "# The paper's experiments, run again", "",
+        "Section 6 of Menashe and Stone (2019) compares DQN, Deep SARSA and DDPG in three figures. Here they are made "
+        f"anew, {runs} runs a line, with two recipes: `paper` is what keras-rl 0.4.2 and the published program did, "
+        "`corrected` is what this package recommends. Of "
+        f"{len(findings)} claims, tested on the recipe `paper`, {counts['yes']} are borne out, {counts['no']} are not, "
+        f"{mixed} hold for some of the algorithms, and {counts['open']} stay open.", "",
+        "Full lines are frozen weights (interquartile mean and 95 % interval over runs), dots are training episodes, "
+        "exploration included. Returns are in per cent of the way from -1,000 (never escaping) to the best known "
+        f"return, {best['paper-figure-1']:g} with one button and {best['paper-figure-2']:g} with two.", "",
+    ]
+    for name in FIGURES:
+        lines += [f"![{CAPTIONS[name]}](figures/{name}.svg)", "", f"*{CAPTIONS[name]}* `hrl-escape compare {name}`", ""]
+    lines += ["## Claim by claim", "",
+              "Numbers are means over runs with 95 % intervals; scores and shares are in per cent. A claim is borne "
+              "out where the whole interval is on its side, and open where the interval reaches across. An episode is "
+              f"optimal if it scores {NEAR_BEST:.0%} or more. The last column is what the published 2019 program gave "
+              "when it was rerun, its simulation stepped in lockstep, 1 to 3 runs a cell, trained continuously unless "
+              "it says *as released*.", "",
+              "| | the paper says | measured | recipe `paper` | recipe `corrected` | agree? | published program, rerun "
+              "|", "|---|---|---|---|---|---|---|"]
+    for number, finding in enumerate(findings, 1):
+        claim = finding.claim
+        lines.append(f"| {number} | {claim.says} | {claim.measured} | {_list(finding.paper, claim.unit)} "
+                     f"| {_list(finding.corrected, claim.unit) or 'not run'} | {finding.agrees} | {claim.rerun} |")
+    lines += ["", "## All numbers", "",
+              "Final score: frozen weights in the last fifth of training, interquartile mean. Slope: of that score "
+              "over the second half, in points a budget. Settled: runs in which every evaluation of the last fifth is "
+              "optimal. Escapes: training episodes in the last fifth.", "",
+              "| figure | agent | final score | slope | settled | escapes in training |", "|---|---|---|---|---|---|"]
+    for name in FIGURES:
+        for agent in dict.fromkeys(run.agent for run in results[name]):
+            lines.append(_make_row(results, name, agent))
+    return [*lines, "", "## Make it again", "",
+            "One command writes this page, its figures and the raw results in `raw/`; finished runs are kept, and with "
+            "`--from-raw` nothing is trained. Each figure alone is one command too, given under it.", "",
+            "```console", COMMAND, "```", "",
+            "Why two of the algorithms get worse is settled in [why it worsens](why-it-worsens.md); whether two "
+            "buttons are out of reach without options, in [flat learners](flat.md).", ""]
+
+
+def _make_row(results: Results, figure: str, agent: str) -> str:
+    runs = get_runs(results, figure, agent)
+    settled = sum(map(has_settled, runs))
+    escapes = estimate([share_of_training(run, run.training_successes) for run in runs])
+    return (f"| {figure.removeprefix('paper-')} | {agent} | {_format(estimate_final(runs), '%')} "
+            f"| {_format(estimate_slope(runs, False, 0.5), 'points')} | {settled} of {len(runs)} "
+            f"| {_format(escapes, '%')} |")
+
+
+def _list(estimates: dict[str, Estimate], unit: str) -> str:
+    return "<br>".join(f"{name} {_format(found, unit)}" for name, found in estimates.items())
+
+
+def _format(found: Estimate, unit: str) -> str:
+    sign = "+" if unit == "points" else ""
+    value, low, high = (f"{100 * np.round(number, 3) + 0.0:{sign}.{_get_digits(found)}f}"
+                        for number in (found.value, found.low, found.high))
+    return f"{value} ({low} to {high})"
+
+
+def _get_digits(found: Estimate) -> int:
+    """A decimal where whole numbers would hide the difference to 0 or 100."""
+    return 1 if any(0 < number < 0.01 or 0.985 < number < 1 for number in (found.value, found.low, found.high)) else 0

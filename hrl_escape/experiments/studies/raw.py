@@ -1,0 +1,166 @@
+"""Raw results in a compact form: one line of JSON a run, small enough to keep beside the page that tells them.
+
+A page is written from these lines alone, so that it can be checked, and written anew, without training anything.
+Training episodes are summed up in twentieths of the run; evaluations are kept one by one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.results import EpisodeRecord, load_result
+from hrl_escape.errors import FileReadError
+from hrl_escape.experiments.cell import CellResult, get_cell_folder
+from hrl_escape.experiments.comparison import Comparison
+from hrl_escape.experiments.grid import Cell
+from hrl_escape.experiments.statistics import compute_score
+from hrl_escape.experiments.summary import Summary
+from hrl_escape.files import read_text, write_text
+
+__all__ = ["NEAR_BEST", "RawRun", "collect_runs", "load_runs", "save_runs"]
+
+BINS = 20
+NEAR_BEST = 0.99
+"""An episode counts as optimal from this score on: within a hundredth of the way from never escaping to the best."""
+
+Axis = Literal["primitives", "decisions"]
+
+
+@dataclass(frozen=True)
+class RawRun:
+    """What one run of a study left.
+
+    Attributes:
+        agent: label.
+        room: name.
+        seed: of training.
+        worst: return without escape.
+        best: best known return.
+        axis: what its budget counted.
+        budget: in that unit.
+        primitives: trained for at each evaluation.
+        decisions: trained for at each evaluation.
+        returns: mean return of each evaluation, frozen weights.
+        successes: share of each evaluation's episodes that escaped.
+        episodes: training episodes that ended in each twentieth of the budget.
+        training_returns: mean return of these; None where none ended.
+        training_successes: how many of these escaped.
+        training_near_best: how many of these scored `NEAR_BEST` or more.
+        first_escape: primitives at the end of the first training episode that escaped; None if none did.
+    """
+
+    agent: str
+    room: str
+    seed: int
+    worst: float
+    best: float
+    axis: Axis
+    budget: int
+    primitives: tuple[int, ...]
+    decisions: tuple[int, ...]
+    returns: tuple[float, ...]
+    successes: tuple[float, ...]
+    episodes: tuple[int, ...]
+    training_returns: tuple[float | None, ...]
+    training_successes: tuple[int, ...]
+    training_near_best: tuple[int, ...]
+    first_escape: int | None
+
+    @property
+    def at(self) -> NDArray[np.float64]:
+        """Where each evaluation was made, in units of the budget."""
+        return np.array(getattr(self, self.axis), dtype=np.float64)
+
+    @property
+    def scores(self) -> NDArray[np.float64]:
+        """Score of each evaluation: 0 never escaping, 1 the best known."""
+        return compute_score(self.returns, self.worst, self.best)
+
+    @property
+    def training_at(self) -> NDArray[np.float64]:
+        """Middle of each twentieth, in units of the budget."""
+        return (np.arange(BINS) + 0.5) * self.budget / BINS
+
+    @property
+    def training_scores(self) -> NDArray[np.float64]:
+        """Mean score of training episodes in each twentieth; NaN where none ended."""
+        returns = [np.nan if value is None else value for value in self.training_returns]
+        return compute_score(returns, self.worst, self.best)
+
+
+def collect_runs(summary: Summary, comparison: Comparison) -> list[RawRun]:
+    """Read the finished runs of a comparison, with their training episodes.
+
+    Raises:
+        FileReadError: a run's log is missing or damaged.
+    """
+    runs = []
+    for cell, result in summary.runs:
+        episodes = load_result(get_cell_folder(comparison.out, cell) / "run").episodes
+        runs.append(_make_run(cell, result, episodes))
+    return runs
+
+
+def _make_run(cell: Cell, result: CellResult, episodes: Sequence[EpisodeRecord]) -> RawRun:
+    axis: Axis = "decisions" if cell.grid.decisions else "primitives"
+    budget = cell.grid.decisions or cell.grid.primitives
+    worst, best = result.scale.worst, float(np.mean(result.scale.best))
+    ended = [episode for episode in episodes if episode.end != "budget"]
+    at = np.array([getattr(episode, axis) for episode in ended], dtype=np.float64)
+    place = np.minimum((at - 1) * BINS // budget, BINS - 1).astype(np.int64)
+    returns = np.array([episode.episode_return for episode in ended])
+    escaped = np.array([episode.success for episode in ended], dtype=bool)
+    near_best = compute_score(returns, worst, best) >= NEAR_BEST
+
+    def count(chosen: NDArray[np.bool_]) -> tuple[int, ...]:
+        return tuple(np.bincount(place[chosen], minlength=BINS).tolist())
+
+    counts = count(np.ones(len(ended), dtype=bool))
+    sums = np.bincount(place, weights=returns, minlength=BINS)
+    return RawRun(
+        agent=cell.agent.label, room=cell.room, seed=cell.seed, worst=worst, best=best, axis=axis, budget=budget,
+        primitives=tuple(evaluation.primitives for evaluation in result.evaluations),
+        decisions=tuple(evaluation.decisions for evaluation in result.evaluations),
+        returns=tuple(round(evaluation.mean_return, 3) for evaluation in result.evaluations),
+        successes=tuple(round(evaluation.success_rate, 3) for evaluation in result.evaluations),
+        episodes=counts,
+        training_returns=tuple(round(total / n, 2) if n else None for total, n in zip(sums, counts, strict=True)),
+        training_successes=count(escaped),
+        training_near_best=count(near_best),
+        first_escape=next((episode.primitives for episode in ended if episode.success), None),
+    )
+
+
+def save_runs(path: Path, runs: Iterable[RawRun]) -> None:
+    """Write runs, a line each.
+
+    Raises:
+        FileWriteError: the file cannot be written.
+    """
+    lines = [json.dumps(dataclasses.asdict(run), separators=(",", ":"), allow_nan=False) for run in runs]
+    write_text(path, "\n".join(lines) + "\n")
+
+
+def load_runs(path: Path) -> list[RawRun]:
+    """Read what `save_runs` wrote.
+
+    Raises:
+        FileReadError: the file is missing or damaged.
+    """
+    runs = []
+    for number, line in enumerate(read_text(path, "file of raw results").splitlines(), 1):
+        try:
+            fields: dict[str, Any] = json.loads(line)
+            fields = {key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()}
+            runs.append(RawRun(**fields))
+        except (ValueError, TypeError, AttributeError) as error:
+            raise FileReadError(f"{path}, line {number}: this is no run of a study ({error})") from error
+    return runs

@@ -1,0 +1,59 @@
+"""Runs the grids of a study, or reads what an earlier run of them left, and keeps the raw results beside the page."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from pathlib import Path
+
+from hrl_escape.errors import ComparisonError
+from hrl_escape.experiments.comparison import run_grid
+from hrl_escape.experiments.grid import Grid
+from hrl_escape.experiments.launcher import LocalLauncher
+from hrl_escape.experiments.studies.raw import RawRun, collect_runs, load_runs, save_runs
+from hrl_escape.experiments.summary import summarise
+
+__all__ = ["StudyArgs", "get_raw_file", "run_study"]
+
+
+@dataclasses.dataclass(frozen=True)
+class StudyArgs:
+    """What the command of every study takes."""
+
+    docs: Path = Path("docs/results")
+    """Where the page, its figures and the raw results go."""
+    out: Path = Path("runs")
+    """Folder of the runs, one of its own for each grid; finished runs in it are kept."""
+    workers: int | None = None
+    """Runs at a time; one a core by default."""
+    from_raw: bool = False
+    """Train nothing: write the page anew from the raw results."""
+
+
+def get_raw_file(docs: Path, name: str) -> Path:
+    """Where a page keeps the raw results of a grid."""
+    return docs / "raw" / f"{name}.jsonl"
+
+
+def run_study(grids: Sequence[Grid], args: StudyArgs) -> dict[str, list[RawRun]]:
+    """Run grids one after another, keep their raw results, and return these by the grids' names.
+
+    Processes are started, so a script that calls this needs `if __name__ == "__main__":` around it.
+
+    Raises:
+        ComparisonError: a run failed.
+        FileReadError: `from_raw`, and a file of raw results is missing or damaged.
+        EscapeError: see `run_grid`.
+    """
+    found = {}
+    for grid in grids:
+        path = get_raw_file(args.docs, grid.name)
+        if not args.from_raw:
+            comparison = run_grid(grid, args.out / grid.name, LocalLauncher(args.workers))
+            if comparison.failures:
+                first = comparison.failures[0]
+                raise ComparisonError(f"{len(comparison.failures)} runs of {grid.name} failed; {first.cell.name}: "
+                                      f"{first.message}. The same command tries them again")
+            save_runs(path, collect_runs(summarise(comparison), comparison))
+        found[grid.name] = load_runs(path)
+    return found

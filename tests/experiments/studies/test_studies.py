@@ -1,0 +1,218 @@
+"""Studies: what is kept of runs, what is read off them, and what pages say; runs written by hand or really made."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hrl_escape.cli import main
+from hrl_escape.errors import ComparisonError, FileReadError
+from hrl_escape.experiments.comparison import Comparison
+from hrl_escape.experiments.presets import get_grid
+from hrl_escape.experiments.studies.claims import CLAIMS, FIGURES, judge_claim
+from hrl_escape.experiments.studies.contrasts import make_half_fraction
+from hrl_escape.experiments.studies.factorial import ALGORITHMS, analyse_runs, make_corners, make_factorial_grid
+from hrl_escape.experiments.studies.factorial_page import compute_corners, write_factorial_page
+from hrl_escape.experiments.studies.flat import (
+    BUTTONS,
+    CHAIN_AGENTS,
+    FLAT_AGENTS,
+    find_break,
+    make_flat_grid,
+    write_flat_page,
+)
+from hrl_escape.experiments.studies.measures import (
+    estimate_final,
+    estimate_gain,
+    estimate_share_of_runs,
+    estimate_slope,
+    has_escaped_by,
+    has_settled,
+    share_of_training,
+)
+from hrl_escape.experiments.studies.raw import BINS, collect_runs, load_runs, save_runs
+from hrl_escape.experiments.summary import summarise
+from tests.experiments.studies.made_up_runs import make_run
+
+# --- raw results -----------------------------------------------------------------------
+
+
+def test_raw_runs_hold_every_episode_and_evaluation_and_survive_their_file(finished: Comparison, tmp_path: Path):
+    summary = summarise(finished)
+    runs = collect_runs(summary, finished)
+    assert len(runs) == len(finished.runs)
+    for raw, (cell, result) in zip(runs, summary.runs, strict=True):
+        assert (raw.agent, raw.seed) == (cell.agent.label, cell.seed)
+        whole = result.episodes - sum(raw.episodes)
+        assert whole in (0, 1), "only an episode that the budget cut is left out"
+        assert raw.returns == tuple(round(evaluation.mean_return, 3) for evaluation in result.evaluations)
+        assert raw.best == pytest.approx(np.mean(result.scale.best))
+        assert all(won <= all_ for won, all_ in zip(raw.training_successes, raw.episodes, strict=True))
+        assert (raw.first_escape is None) == (sum(raw.training_successes) == 0)
+    assert any(run.first_escape for run in runs)
+    save_runs(tmp_path / "raw.jsonl", runs)
+    assert load_runs(tmp_path / "raw.jsonl") == runs
+    (tmp_path / "raw.jsonl").write_text('{"agent": "dqn"}\n')
+    with pytest.raises(FileReadError, match="line 1"):
+        load_runs(tmp_path / "raw.jsonl")
+
+
+# --- measures --------------------------------------------------------------------------
+
+
+def test_slopes_are_changes_over_a_whole_run_and_final_scores_those_of_the_last_fifth():
+    falling = [make_run("a", np.linspace(1, 0, 11), training=np.linspace(0.975, 0.025, BINS), seed=n) for n in range(4)]
+    assert estimate_slope(falling, training=False, since=0.5).value == pytest.approx(-1)
+    assert estimate_slope(falling, training=True, since=0.0).value == pytest.approx(-1)
+    assert estimate_final(falling).value == pytest.approx(0.1)
+    vee = [make_run("a", [1, 0.5, 0, 0.25, 0.5])]
+    assert estimate_slope(vee, training=False, since=0.5).value == pytest.approx(1)
+
+
+def test_what_runs_did_is_counted_from_their_training_episodes():
+    late = make_run("a", [0, 1], training=[0] * 15 + [0.5] * 3 + [1.0, 0.0])
+    assert late.first_escape == 800 and has_escaped_by(late, 800) and not has_escaped_by(late, 799)
+    assert share_of_training(late, late.training_successes) == 3 / 4
+    assert share_of_training(late, late.training_near_best) == 1 / 4
+    assert share_of_training(late, late.training_successes, slice(None)) == 4 / 20
+    assert has_settled(make_run("a", [0] * 8 + [1] * 3)) and not has_settled(make_run("a", [1] * 10 + [0.9]))
+    gain = estimate_gain([make_run("a", [1, 1])] * 3, [make_run("b", [0.25, 0.25])] * 3)
+    assert (gain.value, gain.low, gain.high) == pytest.approx((0.75, 0.75, 0.75))
+
+
+def test_shares_of_runs_have_wilsons_interval_even_where_none_did():
+    none = estimate_share_of_runs([False] * 10)  # z^2 / (n + z^2) with z = 1.96
+    assert (none.value, none.low) == (0, 0) and none.high == pytest.approx(3.8415 / 13.8415, abs=1e-4)
+
+
+# --- the paper -------------------------------------------------------------------------
+
+
+def make_paper_results(score: float, training: float, runs: int = 5) -> dict[str, list]:
+    return {
+        name: [make_run(agent.label, [score] * 11, training=[training] * BINS, seed=seed)
+               for agent in get_grid(name).agents for seed in range(runs)]
+        for name in FIGURES
+    }
+
+
+def test_every_claim_can_come_out_either_way():
+    good, bad = make_paper_results(1.0, 1.0), make_paper_results(0.0, 0.0)
+    mixed = make_paper_results(1.0, 1.0)
+    for name in FIGURES[2:]:  # falling with meta-actions
+        mixed[name] = [make_run(run.agent, np.linspace(1, 0, 11), training=np.linspace(1, 0, BINS), seed=run.seed)
+                       for run in mixed[name]]
+    better = good | {FIGURES[1]: bad[FIGURES[1]]}
+    seen = [{judge_claim(claim, results).agrees for results in (good, bad, mixed, better)} for claim in CLAIMS]
+    assert all({"yes", "no"} <= words for words in seen), seen
+
+
+def test_a_claim_is_judged_by_the_papers_recipe_agent_by_agent():
+    results = make_paper_results(1.0, 1.0)
+    results[FIGURES[0]] = [run if run.agent != "ddpg@paper" else make_run("ddpg@paper", [0.0] * 11, seed=run.seed)
+                           for run in results[FIGURES[0]]]
+    finding = judge_claim(next(c for c in CLAIMS if "25 %" in c.says), results)
+    assert finding.agrees == "yes: dqn, sarsa; no: ddpg"
+    assert finding.corrected["ddpg"].value == 1.0 and finding.paper["ddpg"].value == 0.0
+
+
+def test_the_papers_page_is_written_from_raw_results_alone(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    for name, runs in make_paper_results(1.0, 0.5).items():
+        save_runs(tmp_path / "raw" / f"{name}.jsonl", runs)
+    assert main(["experiment", "paper", "--from-raw", "--docs", str(tmp_path)]) == 0
+    page = (tmp_path / "paper.md").read_text()
+    assert all(claim.says in page for claim in CLAIMS)
+    assert all((tmp_path / "figures" / f"{name}.svg").exists() and f"figures/{name}.svg" in page for name in FIGURES)
+    assert page.count("| figure-1 |") == 7 and "5 runs a line" in page
+    first = {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}
+    assert main(["experiment", "paper", "--from-raw", "--docs", str(tmp_path)]) == 0
+    assert first == {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}, "the same bytes each time"
+    capsys.readouterr()
+    (tmp_path / "raw" / "paper-figure-1.jsonl").unlink()
+    assert main(["experiment", "paper", "--from-raw", "--docs", str(tmp_path)]) == 2
+    assert "no such file of raw results" in capsys.readouterr().err
+
+
+# --- the factorial ---------------------------------------------------------------------
+
+
+def make_factorial_runs(algorithm: str, corners: bool = True) -> list:
+    """The final score is 0.3, and 0.5 more with the third factor corrected; training falls unless it is."""
+    noise = np.random.default_rng(0)
+    runs = []
+    rows = [*make_half_fraction(6), *(make_corners(6) if corners else ())]
+    for levels, room in itertools.product(rows, ("x", "y", "z")):
+        label = f"{algorithm}-" + "".join("1" if level > 0 else "0" for level in levels)
+        score = 0.3 + 0.5 * (levels[2] > 0) + noise.normal(0, 0.01)
+        training = [1.0] * BINS if levels[2] > 0 else np.linspace(1, 0, BINS)
+        runs.append(make_run(label, [score] * 11, training=list(training), room=room))
+    return runs
+
+
+def test_a_factorials_agents_differ_in_the_factors_their_labels_say_and_in_nothing_else():
+    for algorithm in ALGORITHMS:
+        grid = make_factorial_grid(algorithm)
+        by_label = {agent.label: agent for agent in grid.agents}
+        assert len(by_label) == 44
+        paper, corrected = by_label[f"{algorithm}-000000"], by_label[f"{algorithm}-111111"]
+        settled = corrected.resolve_settings()
+        assert settled == dataclasses.replace(corrected, settings={}).resolve_settings()
+        assert not corrected.options.include_primitives and paper.options.include_primitives
+        published = dataclasses.replace(paper, settings={}, recipe="paper").resolve_settings()
+        kept = {"clock", "late_terminal", "warmup", "actor_warmup", "updates_per_step", "batch_size", "expected"}
+        differing = {name for name, value in paper.resolve_settings().items() if value != published[name]}
+        assert differing <= kept, differing - kept
+        assert make_factorial_grid(algorithm, corners=False).agents == grid.agents[:32]
+
+
+def test_the_factor_that_matters_is_found_with_its_size():
+    analysis = analyse_runs("sarsa", make_factorial_runs("sarsa"), "final score")
+    assert analysis.get_term("exploration").effect == pytest.approx(0.5, abs=0.01)
+    assert analysis.get_term("exploration").share > 0.95
+    assert all(term.share < 0.01 for term in analysis.terms if term.factors != ("exploration",))
+    slope = analyse_runs("ddpg", make_factorial_runs("ddpg", corners=False), "slope").get_term("exploration")
+    assert slope.effect == pytest.approx(1.05, abs=0.01)
+    rows = compute_corners("sarsa", make_factorial_runs("sarsa"), "final score")
+    assert dict((name, round(alone, 1)) for name, alone, _ in rows)["exploration"] == 0.8
+    assert dict((name, round(without, 1)) for name, _, without in rows)["exploration"] == 0.3
+    with pytest.raises(ComparisonError, match="all runs finished"):
+        analyse_runs("sarsa", make_factorial_runs("sarsa")[1:], "final score")
+
+
+def test_the_factorials_page_holds_both_analyses(tmp_path: Path):
+    write_factorial_page({name: make_factorial_runs(name, corners=name == "sarsa") for name in ALGORITHMS}, tmp_path)
+    page = (tmp_path / "why-it-worsens.md").read_text()
+    assert page.count("| exploration | +50.") == 2 and "96 runs, which is analysed" in page
+    assert page.count("One at a time") == 1, "a half fraction has no such corners"
+    assert (tmp_path / "figures" / "why-sarsa.svg").exists()
+
+
+# --- flat learners ---------------------------------------------------------------------
+
+
+def test_an_agent_breaks_where_less_than_half_of_its_runs_escape():
+    runs = [make_run("dqn", [0, 0], training=[float(seed >= buttons - 1)] * BINS, seed=seed, room=f"chain-{buttons}")
+            for buttons in BUTTONS for seed in range(4)]
+    assert find_break(runs) == 4
+    assert find_break([run for run in runs if run.room == "chain-1"]) is None
+
+
+def test_chains_have_the_buttons_they_say_and_the_flat_page_tells_all_agents(tmp_path: Path):
+    rooms = [room.make_instance() for room in make_flat_grid(1, 100).rooms]
+    assert [len(room.targets) for room in rooms] == list(BUTTONS)
+    assert all(set(room.puzzle.edges) == {(i, i + 1) for i in range(len(room.targets) - 1)} for room in rooms)
+    labels = [agent.label for agent in CHAIN_AGENTS]
+    chains = [make_run(label, [0, 0.5], seed=seed, room=f"chain-{n}") for label in labels for n in BUTTONS
+              for seed in range(2)]
+    paper = [make_run(agent.label, [0, 0.5], training=[float(agent.label == "dqn")] * BINS, room="paper-two-button")
+             for agent in FLAT_AGENTS]
+    breaks = write_flat_page({"flat-paper-room": paper, "flat-chains": chains}, tmp_path)
+    assert set(breaks.values()) == {None}
+    page = (tmp_path / "flat.md").read_text()
+    assert "not out of reach" in page and "dqn (1 of 1 runs)" in page
+    assert all(f"| {label} |" in page for label in [*labels, *(agent.label for agent in FLAT_AGENTS)])
+    assert (tmp_path / "figures" / "flat.svg").exists()
