@@ -157,18 +157,25 @@ def spread_costs(starts, sources, costs, classes, headings, allowed, seeds, seed
     """
     cells = (starts.shape[0] - 1) // classes
     best = np.full(cells * headings, FAR, dtype=np.int16)
-    wide = 2
+    wide, most_links = 2, 0
     for k in range(costs.shape[0]):
         wide = max(wide, costs[k] + 1)
+    for known in range(starts.shape[0] - 1):
+        most_links = max(most_links, starts[known + 1] - starts[known])
     buckets = np.empty((wide, 4096), dtype=np.int32)  # states of the next `wide` levels
     filled = np.zeros(wide, dtype=np.int64)
-    level, used = 0, 0
+    level, used, fullest = 0, 0, 0
     while level < FAR - wide:
         slot = level % wide
         while used < seeds.shape[0] and seed_costs[used] <= level:
-            if allowed[seeds[used] // headings] and level < best[seeds[used]]:
-                best[seeds[used]] = level
-                buckets = _append(buckets, filled, slot, seeds[used])
+            if fullest == buckets.shape[1]:
+                buckets = _widen(buckets, filled)
+            state = seeds[used]
+            if allowed[state // headings] and level < best[state]:
+                best[state] = level
+                buckets[slot, filled[slot]] = state
+                filled[slot] += 1
+                fullest = max(fullest, filled[slot])
             used += 1
         if filled[slot] == 0:
             waiting = 0
@@ -183,6 +190,8 @@ def spread_costs(starts, sources, costs, classes, headings, allowed, seeds, seed
             continue
         at = 0
         while at < filled[slot]:
+            if fullest + 2 + most_links > buckets.shape[1]:
+                buckets = _widen(buckets, filled)
             state = buckets[slot, at]
             at += 1
             if best[state] != level:
@@ -190,6 +199,8 @@ def spread_costs(starts, sources, costs, classes, headings, allowed, seeds, seed
             cell = state // headings
             heading = state - cell * headings
             cost = level + 1
+            to = cost % wide
+            first = filled[to]
             for turn in range(2):
                 if turn == 0:
                     before = state + 1 if heading + 1 < headings else state + 1 - headings
@@ -197,13 +208,19 @@ def spread_costs(starts, sources, costs, classes, headings, allowed, seeds, seed
                     before = state - 1 if heading > 0 else state - 1 + headings
                 if cost < best[before]:
                     best[before] = cost
-                    buckets = _append(buckets, filled, cost % wide, before)
+                    buckets[to, first] = before
+                    first += 1
+            filled[to] = first
+            fullest = max(fullest, first)
             known = cell * classes + (heading if headings == classes else heading % classes)
             for k in range(starts[known], starts[known + 1]):
                 before, cost = sources[k] * headings + heading, level + costs[k]
                 if cost < best[before] and allowed[sources[k]]:
                     best[before] = cost
-                    buckets = _append(buckets, filled, cost % wide, before)
+                    to = cost % wide
+                    buckets[to, filled[to]] = before
+                    filled[to] += 1
+                    fullest = max(fullest, filled[to])
         filled[slot] = 0
         level += 1
     for state in range(best.shape[0]):
@@ -213,17 +230,13 @@ def spread_costs(starts, sources, costs, classes, headings, allowed, seeds, seed
 
 
 @njit
-def _append(buckets, filled, slot, state):
-    """Put a state into a bucket; returns the buckets, wider ones if it was full."""
-    if filled[slot] == buckets.shape[1]:
-        wider = np.empty((buckets.shape[0], 2 * buckets.shape[1]), dtype=np.int32)
-        for row in range(buckets.shape[0]):  # slices of two dimensions take numba seconds to compile
-            for k in range(filled[row]):
-                wider[row, k] = buckets[row, k]
-        buckets = wider
-    buckets[slot, filled[slot]] = state
-    filled[slot] += 1
-    return buckets
+def _widen(buckets, filled):
+    """The same buckets with room for twice as many states."""
+    wider = np.empty((buckets.shape[0], 2 * buckets.shape[1]), dtype=np.int32)
+    for row in range(buckets.shape[0]):  # slices of two dimensions take numba seconds to compile
+        for k in range(filled[row]):
+            wider[row, k] = buckets[row, k]
+    return wider
 
 
 @njit(cache=True)
