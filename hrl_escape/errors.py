@@ -215,6 +215,29 @@ class RunBusyError(EscapeError, RuntimeError):
     """Another process is training into the same folder."""
 
 
+class WorkerLostError(EscapeError, RuntimeError):
+    """A process that trained some of several seeds is gone.
+
+    Attributes:
+        agent: the agent's name.
+        seeds: those it was training.
+        exit_code: what the system says of its end; negative for a signal.
+    """
+
+    def __init__(self, agent: str, seeds: list[int], exit_code: int | None) -> None:
+        self.agent, self.seeds, self.exit_code = agent, seeds, exit_code
+        listed = ", ".join(map(str, seeds))
+        super().__init__(
+            f"{agent}, seeds {listed}: their process ended with code {exit_code} before they were trained; the machine "
+            "may have run out of memory. With out= the same call goes on from their checkpoints; fewer workers or "
+            "trials need less memory"
+        )
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        """Pickle by the constructor's arguments."""
+        return type(self), (self.agent, self.seeds, self.exit_code)
+
+
 # --- options and planners --------------------------------------------------------------
 
 

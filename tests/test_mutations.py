@@ -61,14 +61,14 @@ MUTATIONS = [
     ),
     Mutation(
         "6 budget in decisions",
-        "agents/training.py",
+        "agents/run.py",
         "self.primitives += transition.duration",
         "self.primitives += 1",
         "agents/test_training.py::test_trap_6_the_budget_and_every_curve_are_in_primitives_not_decisions",
     ),
     Mutation(
         "6 planner calls not counted",
-        "agents/training.py",
+        "agents/run.py",
         'self.planner_calls += option.get("planner_calls", 0)',
         "self.planner_calls += 0",
         "agents/test_training.py::test_trap_6_planner_calls_are_counted",
@@ -166,7 +166,7 @@ MUTATIONS = [
     ),
     Mutation(
         "17 evaluation episodes follow the training seed",
-        "agents/training.py",
+        "agents/run.py",
         "self.plan.eval_seed,\n            primitives",
         "self.plan.seed,\n            primitives",
         "agents/test_training.py::test_evaluation_episodes_are_the_same_for_every_agent_and_training_seed",

@@ -6,7 +6,7 @@ recipe `paper` is keras-rl 0.4.2's DQNAgent as the published program configured 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -35,8 +35,11 @@ from hrl_escape.agents.networks import (
 )
 from hrl_escape.agents.replay import Experience, NStep, ReplayBuffer
 from hrl_escape.agents.settings import LearningSettings, Range
+from hrl_escape.agents.stacking import JointLearner, NetworkStack
+from hrl_escape.agents.updates import Metrics, Updates, run_alone
+from hrl_escape.errors import DivergenceError
 
-__all__ = ["DQN", "DQNSettings", "compute_dqn_targets"]
+__all__ = ["DQN", "DQNSettings", "DQNTogether", "compute_dqn_targets"]
 
 
 @dataclass(frozen=True)
@@ -138,6 +141,10 @@ class DQN:
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Store the decision, then make the updates that are due."""
+        return run_alone(self.learn(transition), self._update)
+
+    def learn(self, transition: SMDPTransition) -> Updates:
+        """As `observe`; hands out each update as rows of its replay."""
         reward, bootstrap = compute_backup(transition, self.settings)
         reward += self._bonus.visit(transition.next_observation)
         experience = Experience(
@@ -153,32 +160,28 @@ class DQN:
             self.replay.add(joined)
         steps = count_steps(transition, self.settings)
         self._steps += steps
-        metrics: dict[str, float] = {"epsilon": compute_epsilon(self.settings, self._steps)}
+        metrics: Metrics = {"epsilon": compute_epsilon(self.settings, self._steps)}
         if self._steps > self.settings.warmup and len(self.replay):
             self._updates_due += steps * self.settings.updates_per_step
             while self._updates_due >= 1:
                 self._updates_due -= 1
-                metrics |= self._update()
+                metrics |= yield self.replay.draw(self.settings.batch_size, self._replay_rng)
         return metrics
 
-    def _update(self) -> dict[str, float]:
-        batch = self.replay.sample(self.settings.batch_size, self._replay_rng)
-        loss, values = self.compute_loss(batch)
+    def _update(self, rows: NDArray[np.int64]) -> Metrics:
+        loss, values = self.compute_loss(self.replay.take(rows))
         value = self._learner.minimise(loss)
         self.target.blend(self.online, self.settings.target_rate)
         return {"loss": value, "value": values.mean().item() / self.settings.reward_scale}
 
     def compute_loss(self, batch: Experience) -> tuple[torch.Tensor, torch.Tensor]:
         """The loss over a batch of numpy arrays, and Q_theta(s, o), (batch,), without gradient."""
-        observation, _, action, reward, bootstrap, next_observation, next_mask = map(torch.from_numpy, batch)
-        with torch.no_grad():
-            next_values = self.target(next_observation)
-            next_choice = self.online(next_observation) if self.settings.double else next_values
-            targets = compute_dqn_targets(reward, bootstrap, next_choice, next_values, next_mask)
-        values = self.online(observation).gather(1, action.unsqueeze(1)).squeeze(1)
-        if self.settings.loss == "huber":
-            return functional.smooth_l1_loss(values, targets), values.detach()
-        return 0.5 * functional.mse_loss(values, targets), values.detach()
+        return compute_dqn_loss(self.online, self.target, batch, self.settings)
+
+    @staticmethod
+    def make_together(agents: Sequence[DQN]) -> DQNTogether:
+        """What makes the updates of several such agents at once."""
+        return DQNTogether(agents)
 
     def state_dict(self) -> StateTree:
         """Networks, optimiser, replay, counters, generators."""
@@ -204,6 +207,59 @@ class DQN:
         self._replay_rng.bit_generator.state = state["replay_rng"]
 
 
+class DQNTogether:
+    """The updates of several DQN agents, of the same settings, as one; see `updates.Together`."""
+
+    def __init__(self, agents: Sequence[DQN]) -> None:
+        self._agents = agents
+        self._learner = JointLearner([agent._learner for agent in agents])
+
+    def update(self, requests: Sequence[NDArray[np.int64]]) -> list[Metrics | DivergenceError]:
+        """One update of each from rows of its own replay."""
+        agents, settings = self._agents, self._agents[0].settings
+        online = NetworkStack([agent.online for agent in agents], with_gradient=True)
+        target = NetworkStack([agent.target for agent in agents])
+        batch = ReplayBuffer.take_together([agent.replay for agent in agents], requests)
+        losses, values = compute_dqn_loss(online, target, batch, settings)
+        results: list[Metrics | DivergenceError] = []
+        means = values.mean(dim=-1).tolist()
+        for agent, loss, mean in zip(agents, self._learner.minimise(losses, online), means, strict=True):
+            if isinstance(loss, DivergenceError):
+                results.append(loss)
+                continue
+            agent.target.blend(agent.online, settings.target_rate)
+            results.append({"loss": loss, "value": mean / settings.reward_scale})
+        return results
+
+
+def compute_dqn_loss(
+    online: Callable[[torch.Tensor], torch.Tensor],
+    target: Callable[[torch.Tensor], torch.Tensor],
+    batch: Experience,
+    settings: DQNSettings,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The mean loss over a batch, and Q_theta(s, o) without gradient.
+
+    Args:
+        online: Q_theta of observations.
+        target: Q_target of observations.
+        batch: numpy arrays (batch, ...), or (trials, batch, ...) for stacked networks.
+        settings: kind of target and loss.
+
+    Returns:
+        (), (batch,), or (trials,), (trials, batch).
+    """
+    observation, _, action, reward, bootstrap, next_observation, next_mask = map(torch.from_numpy, batch)
+    with torch.no_grad():
+        next_values = target(next_observation)
+        next_choice = online(next_observation) if settings.double else next_values
+        targets = compute_dqn_targets(reward, bootstrap, next_choice, next_values, next_mask)
+    values = online(observation).gather(-1, action.unsqueeze(-1)).squeeze(-1)
+    if settings.loss == "huber":
+        return functional.smooth_l1_loss(values, targets, reduction="none").mean(dim=-1), values.detach()
+    return 0.5 * functional.mse_loss(values, targets, reduction="none").mean(dim=-1), values.detach()
+
+
 def compute_dqn_targets(
     reward: torch.Tensor,
     bootstrap: torch.Tensor,
@@ -214,14 +270,14 @@ def compute_dqn_targets(
     """R + b Q(s', argmax over legal o' of choice(s', o')).
 
     Args:
-        reward: float32 (batch,), R.
-        bootstrap: float32 (batch,), b.
-        next_choice: (batch, actions), values that choose the next action.
-        next_values: (batch, actions), values that judge it.
-        next_mask: bool (batch, actions), legal at s'.
+        reward: float32 (..., batch), R.
+        bootstrap: float32 (..., batch), b.
+        next_choice: (..., batch, actions), values that choose the next action.
+        next_values: (..., batch, actions), values that judge it.
+        next_mask: bool (..., batch, actions), legal at s'.
 
     Returns:
-        float32 (batch,).
+        float32 (..., batch).
     """
-    best = next_choice.masked_fill(~next_mask, -torch.inf).argmax(dim=1, keepdim=True)
-    return reward + bootstrap * next_values.gather(1, best).squeeze(1)
+    best = next_choice.masked_fill(~next_mask, -torch.inf).argmax(dim=-1, keepdim=True)
+    return reward + bootstrap * next_values.gather(-1, best).squeeze(-1)

@@ -259,6 +259,14 @@ class Learner:
         networks: named networks that the checkpoint holds.
         trained: those whose parameters this optimiser moves.
         settings: learning rate and clipping.
+
+    Attributes:
+        updates: steps made.
+        adam: the optimiser's arguments.
+        max_norm: of the gradient; 0 for any.
+        trained: the networks it moves.
+        vectors: what it moves, one of all weights for each trained network.
+        optimiser: Adam over `vectors`.
     """
 
     def __init__(
@@ -266,13 +274,18 @@ class Learner:
     ) -> None:
         self.name, self.updates = name, 0
         self._networks = networks
-        self._max_norm = settings.max_grad_norm
-        self._trained = [networks[key] for key in trained]
-        self._inputs = [parameter for network in self._trained for parameter in network.parameters()]
-        vectors = [nn.Parameter(network.weights) for network in self._trained]
-        for vector, network in zip(vectors, self._trained, strict=True):
+        self.max_norm = settings.max_grad_norm
+        self.trained = [networks[key] for key in trained]
+        self._inputs = [parameter for network in self.trained for parameter in network.parameters()]
+        self.adam = {"lr": settings.learning_rate, "eps": settings.adam_epsilon, "fused": True}
+        self.vectors = [nn.Parameter(network.weights) for network in self.trained]
+        self.reset_gradient()
+        self.optimiser = torch.optim.Adam(self.vectors, **self.adam)
+
+    def reset_gradient(self) -> None:
+        """Let the optimiser read the networks' own gradients."""
+        for vector, network in zip(self.vectors, self.trained, strict=True):
             vector.grad = network.gradient
-        self._optimiser = torch.optim.Adam(vectors, settings.learning_rate, eps=settings.adam_epsilon, fused=True)
 
     def minimise(self, loss: torch.Tensor) -> float:
         """One step down the gradient; returns the loss.
@@ -283,21 +296,21 @@ class Learner:
         value = loss.item()
         if not math.isfinite(value):
             raise DivergenceError(self.name, self.updates)
-        for network in self._trained:
+        for network in self.trained:
             network.gradient.zero_()
         loss.backward(inputs=self._inputs)
-        if self._max_norm:
-            norm = math.hypot(*(network.gradient.norm().item() for network in self._trained))
-            if norm > self._max_norm:
-                for network in self._trained:
-                    network.gradient.mul_(self._max_norm / norm)
-        self._optimiser.step()
+        if self.max_norm:
+            norm = math.hypot(*(network.gradient.norm().item() for network in self.trained))
+            if norm > self.max_norm:
+                for network in self.trained:
+                    network.gradient.mul_(self.max_norm / norm)
+        self.optimiser.step()
         self.updates += 1
         return value
 
     def state_dict(self) -> StateTree:
         """Weights, optimiser moments and the counter, as arrays."""
-        moments = self._optimiser.state_dict()["state"]
+        moments = self.optimiser.state_dict()["state"]
         return {
             "updates": self.updates,
             "weights": {name: network.weights.numpy() for name, network in self._networks.items()},
@@ -323,5 +336,5 @@ class Learner:
             index: {key: torch.from_numpy(np.asarray(value)) for key, value in group.items()}
             for index, group in enumerate(state["moments"])
         }
-        groups = self._optimiser.state_dict()["param_groups"]
-        self._optimiser.load_state_dict({"state": moments, "param_groups": groups})
+        groups = self.optimiser.state_dict()["param_groups"]
+        self.optimiser.load_state_dict({"state": moments, "param_groups": groups})

@@ -9,6 +9,7 @@ samples several times faster than TorchRL's ReplayBuffer over LazyTensorStorage,
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -85,8 +86,26 @@ class ReplayBuffer:
 
     def sample(self, batch: int, rng: np.random.Generator) -> Experience:
         """Draw a batch; arrays are copies with leading dimension `batch`."""
-        rows = rng.integers(len(self), size=batch)
+        return self.take(self.draw(batch, rng))
+
+    def draw(self, batch: int, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Numbers of rows for a batch, (batch,)."""
+        return rng.integers(len(self), size=batch)
+
+    def take(self, rows: NDArray[np.int64]) -> Experience:
+        """The backups in these rows, copied."""
         return Experience(*(field.take(rows, axis=0) for field in self._fields))
+
+    @staticmethod
+    def take_together(buffers: Sequence[ReplayBuffer], rows: Sequence[NDArray[np.int64]]) -> Experience:
+        """As `take` from several buffers alike, with arrays (buffers, batch, ...)."""
+        stacked = []
+        for fields in zip(*(buffer._fields for buffer in buffers), strict=True):
+            found = np.empty((len(buffers), len(rows[0]), *fields[0].shape[1:]), fields[0].dtype)
+            for field, which, out in zip(fields, rows, found, strict=True):
+                field.take(which, axis=0, out=out, mode="clip")  # rows are in range; "raise" would copy twice
+            stacked.append(found)
+        return Experience(*stacked)
 
     def state_dict(self) -> StateTree:
         """The filled rows and the counter."""

@@ -6,9 +6,9 @@ the published program configured it, with that agent's mistake about the end of 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -36,9 +36,11 @@ from hrl_escape.agents.networks import (
 )
 from hrl_escape.agents.replay import Experience, ReplayBuffer
 from hrl_escape.agents.settings import LearningSettings, Range
-from hrl_escape.errors import AgentSettingsError
+from hrl_escape.agents.stacking import JointLearner, NetworkStack
+from hrl_escape.agents.updates import Metrics, Updates, run_alone
+from hrl_escape.errors import AgentSettingsError, DivergenceError
 
-__all__ = ["Sarsa", "SarsaSettings"]
+__all__ = ["Sarsa", "SarsaSettings", "SarsaTogether"]
 
 
 @dataclass(frozen=True)
@@ -92,6 +94,18 @@ PAPER = SarsaSettings(
     loss="squared",
     late_terminal=True,
 )
+
+
+class Request(NamedTuple):
+    """What an update is made from.
+
+    Attributes:
+        source: rows of the replay, int64 (batch,), or the decision itself as a batch of one.
+        next_action: the action at s' to bootstrap from, in a batch of one; None as `expected` says.
+    """
+
+    source: NDArray[np.int64] | Experience
+    next_action: int | None = None
 
 
 class Sarsa:
@@ -159,20 +173,24 @@ class Sarsa:
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Learn from this decision (or, with `late_terminal`, from the one before), or from replay."""
+        return run_alone(self.learn(transition), self._update)
+
+    def learn(self, transition: SMDPTransition) -> Updates:
+        """As `observe`; hands out each update as a `Request`."""
         self._steps += (steps := count_steps(transition, self.settings))
         learns = self._steps > self.settings.warmup
-        metrics: dict[str, float] = {"epsilon": compute_epsilon(self.settings, self._steps)}
+        metrics: Metrics = {"epsilon": compute_epsilon(self.settings, self._steps)}
         if self.replay is not None:
             self.replay.add(self._make_experience(transition))
             if learns:
                 self._updates_due += steps * self.settings.updates_per_step
                 while self._updates_due >= 1:
                     self._updates_due -= 1
-                    metrics |= self._update(self.replay.sample(self.settings.batch_size, self._replay_rng))
+                    metrics |= yield Request(self.replay.draw(self.settings.batch_size, self._replay_rng))
         elif self.settings.late_terminal:
-            metrics |= self._learn_late(transition, learns)
+            metrics |= yield from self._learn_late(transition, learns)
         else:
-            metrics |= self._learn_online(transition, learns)
+            metrics |= yield from self._learn_online(transition, learns)
         return metrics
 
     def _make_experience(self, transition: SMDPTransition) -> Experience:
@@ -187,12 +205,12 @@ class Sarsa:
             transition.next_action_mask,
         )
 
-    def _learn_online(self, transition: SMDPTransition, learns: bool) -> dict[str, float]:
+    def _learn_online(self, transition: SMDPTransition, learns: bool) -> Updates:
         """One update from this decision; the action it bootstraps from is the one taken next."""
         experience = self._make_experience(transition)
         next_action = self._draw_next(experience)
         self._next_action = None if transition.terminated or transition.truncated else next_action
-        return self._update(_as_batch(experience), next_action) if learns else {}
+        return dict((yield Request(_as_batch(experience), next_action)) if learns else {})
 
     def _draw_next(self, experience: Experience) -> int | None:
         """An action at s' to bootstrap from, or None where the expectation over all is taken."""
@@ -202,27 +220,36 @@ class Sarsa:
             self._forward(experience.next_observation) / self.settings.reward_scale, experience.next_mask
         )
 
-    def _learn_late(self, transition: SMDPTransition, learns: bool) -> dict[str, float]:
+    def _learn_late(self, transition: SMDPTransition, learns: bool) -> Updates:
         """As keras-rl 0.4.2: update the decision before with this one's end, then at an end this one without."""
-        metrics: dict[str, float] = {}
+        metrics: Metrics = {}
         over = transition.terminated or transition.truncated
         flagged = self._make_experience(transition)
         unflagged = self._make_experience(transition._replace(terminated=False, truncated=False))
         if learns and self._waiting is not None:
             ended = over and flagged.bootstrap == 0
             waiting = self._waiting._replace(bootstrap=np.float32(0)) if ended else self._waiting
-            metrics = self._update(_as_batch(waiting), None if self.settings.expected else transition.action)
+            metrics |= yield Request(_as_batch(waiting), None if self.settings.expected else transition.action)
         if learns and over:
-            metrics = self._update(_as_batch(unflagged), self._draw_next(unflagged))
+            metrics |= yield Request(_as_batch(unflagged), self._draw_next(unflagged))
         self._waiting = None if over else unflagged
         return metrics
 
-    def _update(self, batch: Experience, next_action: int | None = None) -> dict[str, float]:
-        loss, values = self.compute_loss(batch, next_action)
+    def _update(self, request: Request) -> Metrics:
+        loss, values = self.compute_loss(self._get_batch(request), request.next_action)
         value = self._learner.minimise(loss)
+        self._blend()
+        return {"loss": value, "value": values.mean().item() / self.settings.reward_scale}
+
+    def _get_batch(self, request: Request) -> Experience:
+        if isinstance(request.source, Experience):
+            return request.source
+        assert self.replay is not None, "rows are drawn from a replay"
+        return self.replay.take(request.source)
+
+    def _blend(self) -> None:
         if self.settings.target_rate < 1:
             self.target.blend(self.online, self.settings.target_rate)
-        return {"loss": value, "value": values.mean().item() / self.settings.reward_scale}
 
     def compute_loss(self, batch: Experience, next_action: int | None = None) -> tuple[torch.Tensor, torch.Tensor]:
         """The loss over a batch of numpy arrays, and Q_theta(s, o), (batch,), without gradient.
@@ -231,16 +258,15 @@ class Sarsa:
             batch: leading dimension batch.
             next_action: the action at s' to bootstrap from, in a batch of one; without it, as `expected` says.
         """
-        observation, _, action, reward, bootstrap, next_observation, _ = map(torch.from_numpy, batch)
-        with torch.no_grad():
-            next_online = self.online(next_observation)
-            next_values = next_online if self.settings.target_rate == 1 else self.target(next_observation)
-            weights = self._compute_weights(next_online.numpy(), batch.next_mask, next_action)
-            targets = reward + bootstrap * (torch.from_numpy(weights) * next_values).sum(dim=1)
-        values = self.online(observation).gather(1, action.unsqueeze(1)).squeeze(1)
-        if self.settings.loss == "huber":
-            return functional.smooth_l1_loss(values, targets), values.detach()
-        return 0.5 * functional.mse_loss(values, targets), values.detach()
+        return compute_sarsa_loss(
+            self.online, self.target, batch, self.settings,
+            lambda next_online: self._compute_weights(next_online, batch.next_mask, next_action),
+        )
+
+    @staticmethod
+    def make_together(agents: Sequence[Sarsa]) -> SarsaTogether:
+        """What makes the updates of several such agents at once."""
+        return SarsaTogether(agents)
 
     def _compute_weights(
         self, next_online: NDArray, next_mask: NDArray[np.bool_], next_action: int | None
@@ -279,6 +305,68 @@ class Sarsa:
         self._waiting = None if state["waiting"] is None else Experience(**state["waiting"])
         self._action_rng.bit_generator.state = state["action_rng"]
         self._replay_rng.bit_generator.state = state["replay_rng"]
+
+
+class SarsaTogether:
+    """The updates of several SARSA agents, of the same settings, as one; see `updates.Together`."""
+
+    def __init__(self, agents: Sequence[Sarsa]) -> None:
+        self._agents = agents
+        self._learner = JointLearner([agent._learner for agent in agents])
+
+    def update(self, requests: Sequence[Request]) -> list[Metrics | DivergenceError]:
+        """One update of each."""
+        agents, settings = self._agents, self._agents[0].settings
+        online = NetworkStack([agent.online for agent in agents], with_gradient=True)
+        target = NetworkStack([agent.target for agent in agents])
+        batches = [agent._get_batch(request) for agent, request in zip(agents, requests, strict=True)]
+        batch = Experience(*map(np.stack, zip(*batches, strict=True)))
+
+        def compute_weights(next_online: NDArray) -> NDArray[np.float32]:
+            rows = zip(agents, next_online, batch.next_mask, requests, strict=True)
+            return np.stack([agent._compute_weights(q, mask, request.next_action) for agent, q, mask, request in rows])
+
+        losses, values = compute_sarsa_loss(online, target, batch, settings, compute_weights)
+        results: list[Metrics | DivergenceError] = []
+        means = values.mean(dim=-1).tolist()
+        for agent, loss, mean in zip(agents, self._learner.minimise(losses, online), means, strict=True):
+            if isinstance(loss, DivergenceError):
+                results.append(loss)
+                continue
+            agent._blend()
+            results.append({"loss": loss, "value": mean / settings.reward_scale})
+        return results
+
+
+def compute_sarsa_loss(
+    online: Callable[[torch.Tensor], torch.Tensor],
+    target: Callable[[torch.Tensor], torch.Tensor],
+    batch: Experience,
+    settings: SarsaSettings,
+    compute_weights: Callable[[NDArray], NDArray[np.float32]],
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """The mean loss over a batch, and Q_theta(s, o) without gradient.
+
+    Args:
+        online: Q_theta of observations.
+        target: Q_target of observations; not asked where `target_rate` is 1.
+        batch: numpy arrays (batch, ...), or (trials, batch, ...) for stacked networks.
+        settings: kind of loss.
+        compute_weights: weight of each next action in V(s'), from Q_theta(s', .), (..., batch, actions).
+
+    Returns:
+        (), (batch,), or (trials,), (trials, batch).
+    """
+    observation, _, action, reward, bootstrap, next_observation, _ = map(torch.from_numpy, batch)
+    with torch.no_grad():
+        next_online = online(next_observation)
+        next_values = next_online if settings.target_rate == 1 else target(next_observation)
+        weights = torch.from_numpy(compute_weights(next_online.numpy()))
+        targets = reward + bootstrap * (weights * next_values).sum(dim=-1)
+    values = online(observation).gather(-1, action.unsqueeze(-1)).squeeze(-1)
+    if settings.loss == "huber":
+        return functional.smooth_l1_loss(values, targets, reduction="none").mean(dim=-1), values.detach()
+    return 0.5 * functional.mse_loss(values, targets, reduction="none").mean(dim=-1), values.detach()
 
 
 def _as_batch(experience: Experience) -> Experience:

@@ -33,6 +33,7 @@ from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
 
 from hrl_escape.agents import make_agent
 from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.sarsa import Request
 from hrl_escape.errors import MissingExtraError
 
 INPUTS, ACTIONS, HIDDEN, BATCH, STORED = 12, 9, (64, 64), 64, 10_000
@@ -71,10 +72,11 @@ def make_ours(name: str) -> Callable[[int], None]:
 
     def update(count: int) -> None:
         for _ in range(count):
-            if name == "sarsa":
-                agent._update(agent.replay.sample(BATCH, agent._replay_rng))
-            else:
+            if name == "ddpg":
                 agent._update()
+                continue
+            rows = agent.replay.draw(BATCH, agent._replay_rng)
+            agent._update(Request(rows) if name == "sarsa" else rows)
 
     return update
 
