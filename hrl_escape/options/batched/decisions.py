@@ -10,10 +10,13 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-__all__ = ["ENDINGS", "Decisions", "Running"]
+__all__ = ["ENDINGS", "PLANNED", "Decisions", "Running"]
 
 ENDINGS = ("reached", "timeout", "episode-over", "planning-failed")
 """How decisions end; `Decisions.ended` counts into it. The words are those of `info["option"]["ended"]`."""
+
+PLANNED = 64
+"""Primitives of a plan that a room keeps."""
 
 
 class Decisions(NamedTuple):
@@ -67,6 +70,8 @@ class Running(NamedTuple):
         waited: primitives since then, int32.
         places: cells lately decided in, int64 (remembered, rooms).
         costs: what was found there, float32 (remembered, rooms).
+        plan: primitives to follow where the field has led nowhere, the last ones of it, int8 (`PLANNED`, rooms).
+        planned: how many of them are left, int32.
     """
 
     action: Tensor
@@ -80,3 +85,5 @@ class Running(NamedTuple):
     waited: Tensor
     places: Tensor
     costs: Tensor
+    plan: Tensor
+    planned: Tensor

@@ -23,10 +23,12 @@ from hrl_escape.env.tensor_instances import InstanceSource, Layout, Tables, coll
 from hrl_escape.env.tensor_observations import compute_bounds
 from hrl_escape.env.tensor_poses import TensorState
 from hrl_escape.env.tensor_room import CPU_OPTIONS, TensorRoom, check_compiler, list_shapes
-from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError
-from hrl_escape.options.batched.decisions import ENDINGS, Decisions, Running
+from hrl_escape.errors import ActionError, BatchError, ConfigError, PlanningFailed, ResetNeededError
+from hrl_escape.options.batched.decisions import ENDINGS, PLANNED, Decisions, Running
 from hrl_escape.options.batched.prices import Prices, stack_prices
-from hrl_escape.options.batched.stepping import PATIENCE, Settings, Shown, advance, make_running, show
+from hrl_escape.options.batched.stepping import PATIENCE, STUCK, Settings, Shown, advance, make_running, show
+from hrl_escape.options.goals import ExitGoal, PressGoal
+from hrl_escape.options.planner import get_planner
 
 __all__ = ["ENDINGS", "BatchedOptionsEnv", "Decisions"]
 
@@ -39,8 +41,8 @@ class BatchedOptionsEnv:
 
     Actions are those of `OptionsEnv` on the same instance, with the same numbers, names and masks: primitives
     (unless `include_primitives` is false), `meta-01` to `meta-NN`, `meta-exit`. Options press with the body. Where
-    `OptionsEnv` follows a plan, options here are greedy on cost-to-go fields that were computed once an instance;
-    they reach what plans reach, in about as many primitives.
+    `OptionsEnv` follows a plan, options here are greedy on cost-to-go fields that were computed once an instance, and
+    ask the planner only where these lead nowhere; they reach what plans reach, in about as many primitives.
 
         seen = env.reset(torch.arange(env.count))
         while learning:
@@ -195,6 +197,7 @@ class BatchedOptionsEnv:
         action = self._check_action(action)
         room = self.room
         with torch.no_grad():
+            self._plan_for_the_stuck()
             if self._kernel is not None:
                 found = self._kernel(room.tables, self._prices, room.state, self._running, self._shown, action)
             else:
@@ -202,6 +205,27 @@ class BatchedOptionsEnv:
                                 self._shown, action)
         room.state, self._running, self._shown, decisions = found
         return decisions
+
+    def _plan_for_the_stuck(self) -> None:
+        """Ask the planners where greed has come no nearer for a while; they find what fields are too coarse for."""
+        running = self._running
+        stuck = (running.waited >= STUCK) & (running.planned == 0) & (running.action >= self._settings.primitives)
+        rooms = stuck.nonzero().squeeze(1).tolist()
+        if not rooms:
+            return
+        plan, planned, waited = running.plan.clone(), running.planned.clone(), running.waited.clone()
+        for room in rooms:
+            option = int(running.action[room]) - self._settings.primitives
+            goal = PressGoal(option) if option < self.room.layout.targets else ExitGoal()
+            planner = get_planner(self.room.instances[int(self.room.state.instance[room])])
+            try:
+                found = planner.find_route(self.room.get_room_state(room), goal).primitives[:PLANNED]
+            except PlanningFailed:
+                waited[room] = self._settings.patience  # one more primitive in vain, and it gives up
+                continue
+            plan[PLANNED - len(found) :, room] = torch.tensor(found, dtype=torch.int8, device=self.device)
+            planned[room] = len(found)
+        self._running = running._replace(plan=plan, planned=planned, waited=waited)
 
     def _check_action(self, action: Tensor) -> Tensor:
         if not isinstance(action, Tensor) or action.shape != (self.count,) or action.dtype != torch.int64 \

@@ -32,6 +32,7 @@ __all__ = ["REMEMBERED", "Choice", "can_start", "choose", "is_in_exit", "is_solv
 REMEMBERED = 8
 """Cells a room remembers the cost of."""
 _MOVES = sum(not primitive.turn for primitive in BASE_PRIMITIVES)  # the first ones
+_FINE_HEADINGS = 16  # robots that turn in coarser steps look two primitives ahead, for fields tell them less
 _BLOCKED = 0.01  # moves shorter than this do not count, m
 
 
@@ -84,32 +85,56 @@ def choose(layout: Layout, tables: Tables, prices: Prices, state: TensorState, g
         cells: cells remembered, int64 (remembered, rooms).
         costs: the costs found there, float32 (remembered, rooms).
     """
+    depth = 1 if layout.headings >= _FINE_HEADINGS else 2
+    worth = _judge(layout, tables, prices, state, goal, cells, costs, depth)
+    best = worth.amin(0)
+    numbers = torch.arange(len(BASE_PRIMITIVES), device=goal.device).unsqueeze(1)
+    primitive = torch.where(worth == best, numbers, len(BASE_PRIMITIVES)).amin(0)
+    here = find_place(layout, prices, state.instance, state.x, state.y)
+    heading = classify_headings(layout, prices, state.instance, state.heading_steps, state.heading_offset)
+    return Choice(primitive, best + 1.0, here.cell * prices.classes + heading)
+
+
+def _judge(layout: Layout, tables: Tables, prices: Prices, state: TensorState, goal: Tensor, cells: Tensor,
+           costs: Tensor, depth: int) -> Tensor:
+    """Primitives still to go after each base primitive, looking so many primitives ahead; (primitives, rooms)."""
     instance = state.instance
     solved = is_solved(layout, tables, state)
     is_press = goal < layout.targets
     is_open = solved | _is_in_doorway(layout, tables, state)
-    field = torch.where(is_press, 2 * goal + is_open, 2 * layout.targets)
-    heading = classify_headings(layout, prices, instance, state.heading_steps, state.heading_offset)
     free, x, y = _move(layout, tables, state, is_open)
-    hit, still, others = _touch(layout, tables, state, goal, x, y)
+    touched = _touch(layout, tables, state, x, y)
+    own = torch.where(is_press, 1 << goal.clamp(max=max(layout.targets - 1, 0)), 0)
+    begun = touched & ~state.touching
     arrived = is_in_exit(layout, tables, instance, x, y)
-    hit = torch.where(is_press, hit, arrived)
-    is_blocked = (free * layout.robot.move_step < _BLOCKED) & ~hit
+    hit = torch.where(is_press, begun & own != 0, arrived)
+    turn = _column(state, "turn", torch.int64)
+    if depth == 1:
+        place = find_place(layout, prices, instance, x, y)
+        heading = classify_headings(layout, prices, instance, state.heading_steps, state.heading_offset)
+        facing = torch.remainder(heading + turn, prices.classes)
+        field = torch.where(is_press, 2 * goal + is_open, 2 * layout.targets)
+        worth = look_up(layout, prices, instance, field, place, facing)
+        keys = place.cell * prices.classes + facing
+        found = torch.where(cells.unsqueeze(1) == keys, costs.unsqueeze(1), 0.0).amax(0)
+        worth = torch.maximum(worth, found).clamp(min=1.0) + (touched & own != 0)
+    else:
+        worth = _look_on(layout, tables, prices, state, goal, cells, costs, depth, x, y, touched, turn)
+    worth = torch.where(hit, 0.0, worth) + PENALTY * (begun & ~own != 0) + FAR * (arrived & solved & is_press)
+    is_blocked = (free * layout.robot.move_step < _BLOCKED) & (turn == 0) & ~hit
+    return torch.where(is_blocked, 2 * FAR, worth)
 
-    place = find_place(layout, prices, instance, x, y)
-    facing = torch.remainder(heading + _column(state, "turn", torch.int64), prices.classes)
-    worth = look_up(layout, prices, instance, field, place, facing)
-    keys = place.cell * prices.classes + facing
-    found = torch.where(cells.unsqueeze(1) == keys, costs.unsqueeze(1), 0.0).amax(0)
-    worth = torch.maximum(worth, found).clamp(min=1.0) + still
-    worth = torch.where(hit, 0.0, worth) + PENALTY * others + FAR * (arrived & solved & is_press)
-    is_turn = _column(state, "turn", torch.int64) != 0
-    worth = torch.where(is_blocked & ~is_turn, 2 * FAR, worth)
-    best = worth.amin(0)
-    numbers = torch.arange(len(BASE_PRIMITIVES), device=x.device).unsqueeze(1)
-    primitive = torch.where(worth == best, numbers, len(BASE_PRIMITIVES)).amin(0)
-    here = find_place(layout, prices, instance, state.x, state.y)
-    return Choice(primitive, best + 1.0, here.cell * prices.classes + heading)
+
+def _look_on(layout: Layout, tables: Tables, prices: Prices, state: TensorState, goal: Tensor, cells: Tensor,
+             costs: Tensor, depth: int, x: Tensor, y: Tensor, touched: Tensor, turn: Tensor) -> Tensor:
+    """Primitives to go from where each base primitive leads: its best successor's and one more."""
+    count = len(x)
+    later = TensorState(*(field.repeat(*(1,) * (field.dim() - 1), count) for field in state))
+    headings = torch.remainder(state.heading_steps + turn, layout.headings).to(torch.int32)
+    later = later._replace(x=x.flatten(), y=y.flatten(), heading_steps=headings.flatten(), touching=touched.flatten())
+    worth = _judge(layout, tables, prices, later, goal.repeat(count), cells.repeat(1, count), costs.repeat(1, count),
+                   depth - 1)
+    return worth.amin(0).view_as(x) + 1.0
 
 
 def _is_in_doorway(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
@@ -143,16 +168,12 @@ def _move(layout: Layout, tables: Tables, state: TensorState, is_open: Tensor) -
             torch.cat([y, state.y.expand(stays, -1)]))
 
 
-def _touch(layout: Layout, tables: Tables, state: TensorState, goal: Tensor, x: Tensor, y: Tensor
-           ) -> tuple[Tensor, Tensor, Tensor]:
-    """At each place (primitives, rooms): whether the goal's touching begins, goes on, and whether another's begins."""
+def _touch(layout: Layout, tables: Tables, state: TensorState, x: Tensor, y: Tensor) -> Tensor:
+    """Bits of the targets that the body touches at places (primitives, rooms), int64."""
     if not layout.targets:
-        nothing = torch.zeros_like(x, dtype=torch.bool)
-        return nothing, nothing, nothing
+        return torch.zeros_like(x, dtype=torch.int64)
     targets: Shapes = pick(layout, tables.targets, state.instance).round()
     reach = pick(layout, tables.target_reach, state.instance)
     touched = compute_distance(x.unsqueeze(1), y.unsqueeze(1), targets) <= reach  # (primitives, targets, rooms)
     places = torch.arange(layout.targets, device=x.device).unsqueeze(1)
-    before = (state.touching >> places) & 1 != 0
-    own, begun = places == goal, touched & ~before
-    return (begun & own).any(1), (touched & before & own).any(1), (begun & ~own).any(1)
+    return (touched.to(torch.int64) << places).sum(1)

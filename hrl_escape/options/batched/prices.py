@@ -42,7 +42,7 @@ __all__ = [
 PENALTY = 100.0
 """What beginning to touch another target costs: an option does it where nothing else leads to its goal."""
 CACHE_BYTES = 512_000_000
-_FINE_STATES = 400_000  # rooms of at most so many (cell, heading) states get cells of half the size
+_FINE_STATES = 400_000  # cells are halved, twice at most, while there are no more (cell, heading) states than that
 _TOLERANCE, _SWEEPS, _BETWEEN = 0.02, 80, 4  # sweeps at most, and after how many states are put in order anew
 _NONE = -1  # stored where the body does not stand, or where the goal cannot be reached from
 
@@ -138,8 +138,9 @@ class _Floor:
         self.instance, self.is_solved = instance, is_solved
         shut = not is_solved
         self.maker = FieldMaker(instance, rules, door_shut=shut)
-        if 4 * self.maker.states <= _FINE_STATES:
-            self.maker = FieldMaker(instance, rules, door_shut=shut, refinement=1)
+        refinement = min(int(math.log(max(_FINE_STATES / self.maker.states, 1.0), 4)), 2)
+        if refinement:
+            self.maker = FieldMaker(instance, rules, door_shut=shut, refinement=refinement)
         maker, exit_ = self.maker, instance.exit
         angles = np.arange(maker.classes) * rules.turn_step + offset
         ahead = np.stack([np.cos(angles), np.sin(angles)], axis=-1)

@@ -17,16 +17,18 @@ from hrl_escape.env.tensor_instances import Layout, Tables
 from hrl_escape.env.tensor_observations import observe
 from hrl_escape.env.tensor_poses import TensorState
 from hrl_escape.env.tensor_rules import restart, step
-from hrl_escape.options.batched.decisions import ENDINGS, Decisions, Running
+from hrl_escape.options.batched.decisions import ENDINGS, PLANNED, Decisions, Running
 from hrl_escape.options.batched.policy import REMEMBERED, can_start, choose, is_in_exit
 from hrl_escape.options.batched.prices import Prices
 from hrl_escape.options.batched.relaxing import FAR
 
-__all__ = ["PATIENCE", "Settings", "Shown", "advance", "make_running", "show"]
+__all__ = ["PATIENCE", "STUCK", "Settings", "Shown", "advance", "make_running", "show"]
 
 WAIT = [primitive.name for primitive in BASE_PRIMITIVES].index("turn-left")
-PATIENCE = 40
-"""Primitives without coming nearer after which an option gives up; more where primitives slip."""
+STUCK = 4
+"""Primitives without coming nearer after which an option follows a plan instead of its field."""
+PATIENCE = 120
+"""Primitives without coming nearer after which it gives up; more where primitives slip."""
 REACHED, TIMEOUT, EPISODE_OVER, FAILED = range(len(ENDINGS))
 
 
@@ -68,12 +70,14 @@ def advance(layout: Layout, settings: Settings, tables: Tables, prices: Prices, 
 
     choice = choose(layout, tables, prices, state, goal, running.places, running.costs)
     has_failed = is_new & is_option & (~is_legal | (choice.cost >= FAR))
-    primitive = torch.where(has_failed, WAIT, torch.where(is_option, choice.primitive, running.action))
+    next_planned = torch.gather(running.plan, 0, (PLANNED - running.planned).clamp(max=PLANNED - 1).unsqueeze(0))[0]
+    chosen = torch.where(running.planned > 0, next_planned.to(torch.int64), choice.primitive)
+    primitive = torch.where(has_failed, WAIT, torch.where(is_option, chosen, running.action))
     is_nearer = choice.cost < running.least - 0.5
     waited = torch.where(is_nearer, 0, running.waited + 1)
     slot = torch.arange(REMEMBERED, device=action.device).unsqueeze(1) == running.duration % REMEMBERED
     running = running._replace(
-        least=torch.minimum(running.least, choice.cost), waited=waited,
+        least=torch.minimum(running.least, choice.cost), waited=waited, planned=(running.planned - 1).clamp(min=0),
         places=torch.where(slot, choice.cell, running.places), costs=torch.where(slot, choice.cost, running.costs),
     )
 
@@ -120,4 +124,5 @@ def make_running(observation: Tensor) -> Running:
         action=word - 1, observation=observation, reward=number, discounted_reward=number, discount=number + 1.0,
         duration=count, pressed=word, least=number + math.inf, waited=count,
         places=word.expand(REMEMBERED, -1) - 1, costs=number.expand(REMEMBERED, -1).clone(),
+        plan=count.to(torch.int8).expand(PLANNED, -1).clone(), planned=count,
     )

@@ -20,6 +20,7 @@ from hrl_escape.options.goals import PressGoal
 from hrl_escape.options.lattice.areas import compute_area
 from hrl_escape.options.lattice.reference import find_fewest_primitives
 from hrl_escape.options.options_env import OptionsEnv
+from tests.env.rooms import all_schematics
 
 FORWARD, TURN_LEFT = 0, 4
 META_1, META_2, META_EXIT = 6, 7, 8  # in a room with two buttons
@@ -160,13 +161,21 @@ def test_without_automatic_reset_a_room_stands_still_until_it_is_reset():
 # --- agreement with planned options --------------------------------------------------------
 
 
-@pytest.mark.parametrize("name", ["clutter", "bit-flip"])
-def test_what_options_env_reaches_is_reached_in_about_as_many_primitives(name):
-    found = compare_options([generate(get_preset(name), 1)], 40)
+@pytest.mark.parametrize(("name", "most"), [("clutter", 0.05), ("door", 0.05), ("coarse-steps", 0.15)])
+def test_what_options_env_reaches_is_reached_in_about_as_many_primitives(name, most):
+    found = compare_options([generate(all_schematics()[name], 1)], 40)
     assert found.decisions >= 40 and found.reached >= 38
     assert not found.missed, found.missed[0]
-    assert abs(found.more) < 0.05
+    assert abs(found.more) < most, "moves of 3.7 m among cells of 6 cm are hardest to foresee"
     assert not found.side_presses
+
+
+def test_where_greed_leads_nowhere_the_planner_is_asked():
+    env = begin(make_env(config="paper-two-button", include_primitives=False))
+    env.step(torch.tensor([0]))
+    env._prices.values.fill_(1)  # fields that say nothing
+    done = decide(env, 0)
+    assert ENDINGS[done.ended] == "reached" and int(done.duration) <= 9 + 2 * 5, "four primitives in vain, then a plan"
 
 
 def test_greedy_presses_come_near_the_exact_fewest_primitives():
