@@ -12,7 +12,7 @@ import shutil
 import sys
 from collections.abc import Callable, Sequence
 from functools import lru_cache
-from typing import Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -29,12 +29,12 @@ from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededE
 
 __all__ = [
     "AUTORESETS",
-    "CPU_OPTIONS",
     "Autoreset",
     "Outcome",
     "RoomInfo",
     "TensorRoom",
     "check_compiler",
+    "compile_step",
     "list_shapes",
 ]
 
@@ -111,28 +111,37 @@ def inform(layout: Layout, tables: Tables, state: TensorState, pressed: Tensor) 
 
 # For the compiler of CPU kernels: keep loops over a few solids as loops, and look far before storing what several
 # results share. Both halve the time of a step (`hrl-escape bench batch`).
-CPU_OPTIONS: dict[str, str | int | bool | Callable] = {"unroll_reductions_threshold": 1, "realize_reads_threshold": 8}
+_CPU_OPTIONS: dict[str, str | int | bool | Callable] = {"unroll_reductions_threshold": 1, "realize_reads_threshold": 8}
 
 Kernel = Callable[[Tables, TensorState, Tensor], tuple[TensorState, Outcome]]
 
 
-@lru_cache(maxsize=256)
-def _compile(layout: Layout, kind: str, autoreset: Autoreset, device: str, shapes: tuple) -> Kernel:
-    """Compile a step for one shape of batch; engines of the same shape share it.
+def compile_step(step: Callable[..., Any], device: str, threads: int) -> Callable[..., Any]:
+    """Compile a step of a batch for one shape of it.
 
-    Kernels hand flags over as words, for the compiler would write truth values byte by byte.
+    Args:
+        step: a pure function of tensors. It should hand flags over as words, for the compiler would write truth
+            values byte by byte.
+        device: type of the device.
+        threads: threads that a CPU kernel divides its rooms among. They are part of its code, but the compiler's
+            cache on disk would not know unless it is told.
     """
+    options = _CPU_OPTIONS | {"cpp.threads": threads} if device == "cpu" else None
+    # isolated, because all kernels share this code and the compiler counts recompilations by code
+    return torch.compile(  # pyright: ignore[reportCallIssue]  # its overloads do not know isolate_recompiles
+        step, fullgraph=True, dynamic=False, isolate_recompiles=True, options=options)
+
+
+@lru_cache(maxsize=256)
+def _compile(layout: Layout, kind: str, autoreset: Autoreset, device: str, threads: int, shapes: tuple) -> Kernel:
+    """Compile a step for one shape of batch; engines of the same shape share it."""
 
     def kernel(tables: Tables, state: TensorState, action: Tensor) -> tuple[TensorState, Outcome]:
         state, outcome = advance(layout, kind, autoreset, tables, state, action)
         flags = outcome.terminated.to(torch.int32), outcome.truncated.to(torch.int32)
         return state, outcome._replace(terminated=flags[0], truncated=flags[1])
 
-    # isolated, because all kernels share this code and the compiler counts recompilations by code
-    compiled = torch.compile(  # pyright: ignore[reportCallIssue]  # its overloads do not know isolate_recompiles
-        kernel, fullgraph=True, dynamic=False, isolate_recompiles=True,
-        options=CPU_OPTIONS if device == "cpu" else None,
-    )
+    compiled = compile_step(kernel, device, threads)
 
     def run(tables: Tables, state: TensorState, action: Tensor) -> tuple[TensorState, Outcome]:
         state, outcome = compiled(tables, state, action)
@@ -204,7 +213,8 @@ class TensorRoom:
             return None
         check_compiler(self.device)
         shapes = (self.count, *list_shapes(self.tables))
-        return _compile(self.layout, self._kind, self._autoreset, self.device.type, shapes)
+        return _compile(self.layout, self._kind, self._autoreset, self.device.type, torch.get_num_threads(),
+                        shapes)
 
     def to(self, device: str | torch.device) -> TensorRoom:
         """Move the batch, and where it is in its episodes, to another device; returns itself."""

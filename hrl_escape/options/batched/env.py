@@ -22,7 +22,7 @@ from hrl_escape.env.primitives import make_primitives
 from hrl_escape.env.tensor_instances import InstanceSource, Layout, Tables, collect_instances, map_tensors
 from hrl_escape.env.tensor_observations import compute_bounds
 from hrl_escape.env.tensor_poses import TensorState
-from hrl_escape.env.tensor_room import CPU_OPTIONS, TensorRoom, check_compiler, list_shapes
+from hrl_escape.env.tensor_room import TensorRoom, check_compiler, compile_step, list_shapes
 from hrl_escape.errors import ActionError, BatchError, ConfigError, PlanningFailed, ResetNeededError
 from hrl_escape.options.batched.decisions import ENDINGS, PLANNED, Decisions, Running
 from hrl_escape.options.batched.prices import Prices, stack_prices
@@ -121,7 +121,7 @@ class BatchedOptionsEnv:
         if compile:
             check_compiler(self.device)
             shapes = (num_envs, *list_shapes(self.room.tables), *list_shapes(self._prices))
-            self._kernel = _compile(layout, self._settings, self.device.type, shapes)
+            self._kernel = _compile(layout, self._settings, self.device.type, torch.get_num_threads(), shapes)
 
     # --- what there is to see --------------------------------------------------------------
 
@@ -243,7 +243,7 @@ class BatchedOptionsEnv:
 
 
 @lru_cache(maxsize=64)
-def _compile(layout: Layout, settings: Settings, device: str, shapes: tuple) -> Kernel:
+def _compile(layout: Layout, settings: Settings, device: str, threads: int, shapes: tuple) -> Kernel:
     """Compile a step for one shape of batch; kernels hand flags over as words, as in `tensor_room.py`."""
 
     def kernel(tables: Tables, prices: Prices, state: TensorState, running: Running, shown: Shown, action: Tensor
@@ -252,10 +252,7 @@ def _compile(layout: Layout, settings: Settings, device: str, shapes: tuple) -> 
         words = map_tensors(lambda field: field.to(torch.int32) if field.dtype == torch.bool else field, found[2:])
         return (*found[:2], *words)
 
-    compiled = torch.compile(  # pyright: ignore[reportCallIssue]  # its overloads do not know isolate_recompiles
-        kernel, fullgraph=True, dynamic=False, isolate_recompiles=True,
-        options=CPU_OPTIONS if device == "cpu" else None,
-    )
+    compiled = compile_step(kernel, device, threads)
 
     def run(tables: Tables, prices: Prices, state: TensorState, running: Running, shown: Shown, action: Tensor
             ) -> tuple[TensorState, Running, Shown, Decisions]:
