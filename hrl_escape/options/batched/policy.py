@@ -91,7 +91,7 @@ def choose(layout: Layout, tables: Tables, prices: Prices, state: TensorState, g
     numbers = torch.arange(len(BASE_PRIMITIVES), device=goal.device).unsqueeze(1)
     primitive = torch.where(worth == best, numbers, len(BASE_PRIMITIVES)).amin(0)
     here = find_place(layout, prices, state.instance, state.x, state.y)
-    heading = classify_headings(layout, prices, state.instance, state.heading_steps, state.heading_offset)
+    heading, _ = classify_headings(layout, prices, state)
     return Choice(primitive, best + 1.0, here.cell * prices.classes + heading)
 
 
@@ -111,10 +111,10 @@ def _judge(layout: Layout, tables: Tables, prices: Prices, state: TensorState, g
     turn = _column(state, "turn", torch.int64)
     if depth == 1:
         place = find_place(layout, prices, instance, x, y)
-        heading = classify_headings(layout, prices, instance, state.heading_steps, state.heading_offset)
+        heading, between = classify_headings(layout, prices, state)
         facing = torch.remainder(heading + turn, prices.classes)
         field = torch.where(is_press, 2 * goal + is_open, 2 * layout.targets)
-        worth = look_up(layout, prices, instance, field, place, facing)
+        worth = look_up(layout, prices, instance, field, place, facing, between)
         keys = place.cell * prices.classes + facing
         found = torch.where(cells.unsqueeze(1) == keys, costs.unsqueeze(1), 0.0).amax(0)
         worth = torch.maximum(worth, found).clamp(min=1.0) + (touched & own != 0)

@@ -22,6 +22,7 @@ from torch import Tensor
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.tensor_instances import Layout, pick
+from hrl_escape.env.tensor_poses import TensorState
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.options.batched.relaxing import FAR, relax, trace_moves
 from hrl_escape.options.goals import ExitGoal, Goal, PressGoal
@@ -42,7 +43,7 @@ __all__ = [
 PENALTY = 100.0
 """What beginning to touch another target costs: an option does it where nothing else leads to its goal."""
 CACHE_BYTES = 512_000_000
-_FINE_STATES = 400_000  # cells are halved, twice at most, while there are no more (cell, heading) states than that
+_FINE_STATES = 600_000  # cells are halved, twice at most, while there are no more (cell, heading) states than that
 _TOLERANCE, _SWEEPS, _BETWEEN = 0.02, 80, 4  # sweeps at most, and after how many states are put in order anew
 _NONE = -1  # stored where the body does not stand, or where the goal cannot be reached from
 
@@ -227,7 +228,8 @@ def find_place(layout: Layout, prices: Prices, instance: Tensor, x: Tensor, y: T
     return Place(i * rows + j, across.to(torch.float32), along.to(torch.float32))
 
 
-def look_up(layout: Layout, prices: Prices, instance: Tensor, field: Tensor, place: Place, heading: Tensor) -> Tensor:
+def look_up(layout: Layout, prices: Prices, instance: Tensor, field: Tensor, place: Place, heading: Tensor,
+            between: Tensor | None) -> Tensor:
     """Primitives to go, interpolated among the cells from which there is a way; float32 (..., rooms).
 
     Args:
@@ -237,27 +239,33 @@ def look_up(layout: Layout, prices: Prices, instance: Tensor, field: Tensor, pla
         field: which of its fields, int64 (rooms,).
         place: where, from `find_place`.
         heading: class of the heading, int64 (..., rooms).
+        between: share of the way to the next class, float32 (rooms,); None where all headings are classes.
     """
     column = torch.zeros_like(instance) if layout.is_shared else instance
-    first = prices.begins[field, column] + place.cell * prices.classes + heading
+    first = prices.begins[field, column] + place.cell * prices.classes
     aside = pick(layout, prices.shape, instance)[1] * prices.classes
+    layers = [(heading, torch.ones_like(place.across))]
+    if between is not None:
+        layers = [(heading, 1.0 - between), (torch.remainder(heading + 1, prices.classes), between)]
     total, weight = torch.zeros_like(place.across), torch.zeros_like(place.across)
-    for far_x in (False, True):
-        for far_y in (False, True):
-            at = first + (aside if far_x else 0) + (prices.classes if far_y else 0)
-            value = prices.values[at].to(torch.float32)
-            share = (place.across if far_x else 1.0 - place.across) * (place.along if far_y else 1.0 - place.along)
-            share = torch.where(value < 0.0, 0.0, share)
-            total, weight = total + share * value, weight + share
+    for layer, part in layers:
+        for far_x in (False, True):
+            for far_y in (False, True):
+                at = first + layer + (aside if far_x else 0) + (prices.classes if far_y else 0)
+                value = prices.values[at].to(torch.float32)
+                share = (place.across if far_x else 1.0 - place.across) * (place.along if far_y else 1.0 - place.along)
+                share = torch.where(value < 0.0, 0.0, part * share)
+                total, weight = total + share * value, weight + share
     worth = total / weight.clamp(min=1e-6) * prices.scales[field, column]
     return torch.where(weight > 1e-6, worth, FAR)
 
 
-def classify_headings(layout: Layout, prices: Prices, instance: Tensor, heading_steps: Tensor, offset: Tensor
-                      ) -> Tensor:
-    """Class of each heading, int64 (rooms,): the nearest of those that fields were made for."""
-    steps = heading_steps.to(torch.int64)
-    if layout.has_offsets:
-        beyond = offset - pick(layout, prices.offsets, instance)[0]
-        steps = steps + torch.round(beyond * (layout.headings / math.tau)).to(torch.int64)
-    return torch.remainder(steps, prices.classes)
+def classify_headings(layout: Layout, prices: Prices, state: TensorState) -> tuple[Tensor, Tensor | None]:
+    """Class of each heading that fields were made for, int64 (rooms,), and the share of the way to the next one."""
+    steps = state.heading_steps.to(torch.int64)
+    if not layout.has_offsets:
+        return torch.remainder(steps, prices.classes), None
+    beyond = (state.heading_offset - pick(layout, prices.offsets, state.instance)[0]) * (layout.headings / math.tau)
+    whole = torch.floor(beyond + 1e-9)
+    share = (beyond - whole).clamp(min=0.0).to(torch.float32)
+    return torch.remainder(steps + whole.to(torch.int64), prices.classes), share
