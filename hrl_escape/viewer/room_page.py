@@ -42,7 +42,7 @@ class RoomPage:
 
     def __init__(self, server: Server, instance: RoomInstance, state: RoomState, owns_keys: bool = False) -> None:
         self.server = server
-        self._lock = threading.Lock()
+        self._lock, self._panel = threading.Lock(), threading.Lock()
         self._cameras: dict[int, str] = {}
         self.scene = RoomScene(server, instance)
         gui = server.gui
@@ -99,14 +99,16 @@ class RoomPage:
 
     def _welcome(self, client: viser.ClientHandle) -> None:
         """Give a new client its own choice of camera."""
-        with self._lock:
-            self._cameras[client.client_id] = CAMERAS[0]
-        with self.view_folder:
+        with self._panel, self.view_folder:  # which only one thread may enter, and several clients may come at once
             choice = client.gui.add_button_group("camera", CAMERAS)
 
         @choice.on_click
         def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
             self._choose(client, choice.value)
+
+        with self._lock:
+            if client.client_id in self.server.get_clients():  # else it has gone already, and been forgotten
+                self._cameras[client.client_id] = CAMERAS[0]
 
     def _forget(self, client: viser.ClientHandle) -> None:
         with self._lock:
