@@ -30,6 +30,9 @@ _SHIPPED = {
     "sarsa": "hrl_escape.agents.sarsa:Sarsa",
     "ddpg": "hrl_escape.agents.ddpg:DDPG",
     "ppo": "hrl_escape.agents.ppo:PPO",
+    "r-max": "hrl_escape.agents.r_max:RMax",
+    "factored-r-max": "hrl_escape.agents.factored_r_max:FactoredRMax",
+    "monte-carlo-model": "hrl_escape.agents.monte_carlo_model:MonteCarloModel",
 }
 
 
