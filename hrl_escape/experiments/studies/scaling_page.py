@@ -1,0 +1,220 @@
+"""Writes docs/results/scaling.md from the raw results of the scaling study: tables, figures, and what was run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from hrl_escape.env import looks
+from hrl_escape.env.rendering import save_figure
+from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
+from hrl_escape.experiments.studies.scaling import (
+    AGENTS,
+    BAR,
+    BAR_AGENT,
+    BAR_RUNS,
+    GRAPHS,
+    NEAR_BEST,
+    RULES,
+    SIZES,
+    TrialResult,
+)
+from hrl_escape.experiments.style import CHANCE
+from hrl_escape.files import write_text
+
+__all__ = ["draw_escapes", "draw_structure", "write_scaling_page"]
+
+COMMAND = "hrl-escape experiment scaling"
+COLOURS = dict(zip(AGENTS, (*looks.LINES[:3], *looks.LINES[4:6], CHANCE[0]), strict=True))
+MARKERS = dict(zip(AGENTS, "od^svx", strict=True))
+Pick = Callable[[TrialResult], int | None]
+
+
+def write_scaling_page(results: Sequence[TrialResult], docs: Path) -> None:
+    """Write the page and its figures.
+
+    Args:
+        results: at least one.
+        docs: folder of the page.
+
+    Raises:
+        FileWriteError: a file cannot be written.
+    """
+    save_figure(docs / "figures" / "scaling.svg", draw_escapes(results))
+    save_figure(docs / "figures" / "scaling-structure.svg", draw_structure(results))
+    write_text(docs / "scaling.md", "\n".join(_write_lines(results)))
+
+
+def draw_escapes(results: Sequence[TrialResult]) -> Figure:
+    """Primitives to the first escape against buttons: a column a graph, a row a rule; dots are runs."""
+    budget = max(result.primitives for result in results)
+    with matplotlib.rc_context(FIGURE_STYLE):
+        figure = Figure(figsize=(10.4, 5.0), facecolor=looks.BACKGROUND, layout="constrained")
+        panels = figure.subplots(len(RULES), len(GRAPHS), sharex=True, sharey=True, squeeze=False)
+        for row, rule in zip(panels, RULES, strict=True):
+            for axes, graph in zip(row, GRAPHS, strict=True):
+                here = [result for result in results if (result.graph, result.rule) == (graph, rule)]
+                for number, agent in enumerate(AGENTS):
+                    own = [result for result in here if result.agent == agent and result.first_escape is not None]
+                    sizes = sorted({result.buttons for result in own})
+                    escapes = {size: [float(r.first_escape or 0) for r in own if r.buttons == size] for size in sizes}
+                    middle = [np.median(escapes[size]) for size in sizes]
+                    style = {"color": COLOURS[agent], "marker": MARKERS[agent]}
+                    axes.plot(sizes, middle, linewidth=1.5, markersize=5, label=agent, **style)
+                    shift = 0.12 * (number - 2.5)
+                    dots = [(r.buttons + shift, r.first_escape) for r in own]
+                    axes.scatter(*zip(*dots, strict=True) if dots else ([], []), s=7, alpha=0.5, **style)
+                axes.axhline(budget, color=looks.MUTED, linestyle=":", linewidth=1)
+                axes.set_title(f"{graph}, {rule}", fontsize=9, color=looks.INK, loc="left")
+                axes.set_yscale("log")
+                axes.set_xticks(SIZES)
+                finish_axes(axes)
+                axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.0f}"))
+                axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+        for axes in panels[-1]:
+            axes.set_xlabel("buttons", color=looks.INK)
+        for axes in panels[:, 0]:
+            axes.set_ylabel("primitives to the\nfirst escape", color=looks.INK)
+        panels[0, -1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
+    return figure
+
+
+def draw_structure(results: Sequence[TrialResult]) -> Figure:
+    """Precision and recall of the recovered graph against primitives, means over runs and graphs, 10 and 20 buttons."""
+    agents = [agent for agent in AGENTS if any(result.agent == agent and result.structure for result in results)]
+    columns = [(rule, buttons) for rule in RULES for buttons in (10, 20)]
+    budget = max(result.primitives for result in results)
+    grid = np.linspace(0, budget, 201)
+    with matplotlib.rc_context(FIGURE_STYLE):
+        figure = Figure(figsize=(10.4, 2.9), facecolor=looks.BACKGROUND, layout="constrained")
+        panels = figure.subplots(1, len(columns), sharey=True)
+        for axes, (rule, buttons) in zip(panels, columns, strict=True):
+            for agent in agents:
+                here = [r for r in results if (r.rule, r.buttons, r.agent) == (rule, buttons, agent) and r.edges]
+                for measure, dash in ((1, "--"), (2, "-")):
+                    curves = [_sample(result, measure, grid) for result in here]
+                    middle = np.mean(curves, axis=0) if curves else np.full(len(grid), np.nan)
+                    label = f"{agent}, {'precision' if measure == 1 else 'recall'}"
+                    axes.plot(grid, middle, dash, color=COLOURS[agent], linewidth=1.6, label=label)
+            axes.set_title(f"{buttons} buttons, {rule}", fontsize=9, color=looks.INK, loc="left")
+            axes.set_xlabel("primitives", color=looks.INK)
+            axes.set_ylim(-0.04, 1.04)
+            finish_axes(axes)
+            axes.set_xticks([0, budget // 20_000 * 10_000 or budget // 2, budget // 10_000 * 10_000 or budget])
+        panels[-1].legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+    return figure
+
+
+def _sample(result: TrialResult, measure: int, grid: np.ndarray) -> np.ndarray:
+    """A measure of the graph as a step function; it stays as it was when the trial was over."""
+    at = [step[0] for step in result.structure]
+    values = np.array([0.0, *(step[measure] for step in result.structure)])
+    return values[np.searchsorted(at, grid, side="right")]
+
+
+def _write_lines(results: Sequence[TrialResult]) -> list[str]:
+    budget = max(result.primitives for result in results) // 1_000 * 1_000
+    cells = {result.trial for result in results}
+    hours = sum(result.seconds for result in results) / 3600
+    lines = [
+        "# From 2 to 20 buttons", "",
+        f"Who still escapes as buttons grow, and how soon the graph of buttons is known? {len(cells)} trials of at "
+        f"most {budget:,} primitives each, {hours:.1f} hours of one core in all. The literature's bar (Menashe and "
+        "Stone 2015, 2019) is 10 to 20 buttons modelled and solved within 20,000 steps.", "",
+        *_tell_bar(results), "",
+        "## First escape", "",
+        "![Primitives to the first escape](figures/scaling.svg)", "",
+        "Each line joins the medians of the runs that escaped, each dot is a run, the dotted line is the budget.", "",
+        *_make_table(results, lambda result: result.first_escape), "",
+        f"Each cell: runs that escaped in training, of those that were tried, over the graphs {', '.join(GRAPHS)}; "
+        "median primitives at the end of the first episode that did. An agent that did not escape with fewer buttons "
+        "(same graph, rule and run) was not tried with more and is not counted; — where none was tried.", "",
+        f"## {NEAR_BEST:.0%} of the best known return", "",
+        *_make_table(results, lambda result: result.near_best), "",
+        f"The same for the first of two evaluations in a row, frozen weights, that scored {NEAR_BEST:g} or more on the "
+        "scale from never escaping (0) to the best return known for these options (1). Evaluations are made every "
+        "500 primitives from the first escape on.",
+        "",
+        "## The recovered graph", "",
+        "![Precision and recall against primitives](figures/scaling-structure.svg)", "",
+        "Means over graphs and runs. Only edges that matter count: those among the ancestors of the goal that no "
+        "longer way implies. Where a must be on before b, and b before c, a further edge from a to c changes nothing "
+        "that anybody can see.", "",
+        *_make_structure_table(results), "",
+        "## What was run", "",
+        "Rooms are the ladder's: 20 x 20 m (30 x 30 m from 11 buttons on), small buttons anywhere on the walls, "
+        "`max_parents` 2 for layered and random graphs, cap of 1,000 primitives; a run has a room of its own. In the "
+        f"two rooms of the bar `{BAR_AGENT.removeprefix('smdp-')}` has up to {BAR_RUNS} runs, in all tables. Agents "
+        "choose among the options that press one button and the one to the exit (`include_primitives` off), with "
+        "their recommended settings. `smdp-dqn` was run with at most "
+        f"{AGENTS['smdp-dqn']} buttons: it takes minutes where the others take seconds. A trial ends early once its "
+        "agent is near the best and has the whole graph; that of `smdp-random`, which learns nothing, with its first "
+        "escape.", "",
+        "What the structure learners are told: a press does one thing where all its parents are on and another "
+        "where not (`conditions=\"all-on\"`), there are at most two parents, and outcomes are not random. Which bit "
+        "belongs to which option, the parents, the exit, what a wrong press does, durations and rewards they find "
+        "out.", "",
+        *_make_counts(results), "",
+        "## Make it again", "",
+        "Finished trials are kept; with `--from-raw` the page is written anew from "
+        "[raw/scaling.csv](raw/scaling.csv).", "",
+        "```console", COMMAND, "```", "",
+    ]  # fmt: skip
+    return lines
+
+
+def _tell_bar(results: Sequence[TrialResult]) -> list[str]:
+    lines = ["| " + " | ".join(("room", "runs", "escape within the budget", "first escape, median",
+                                "precision, mean (least)", "recall, mean (least)", "near the best")) + " |",
+             "|---|---|---|---|---|---|---|"]  # fmt: skip
+    for graph, buttons, rule in BAR:
+        own = [r for r in results if (r.graph, r.buttons, r.rule, r.agent) == (graph, buttons, rule, BAR_AGENT)]
+        own = [r for r in own if r.run < BAR_RUNS]
+        if not own:
+            continue
+        escapes = [r.first_escape for r in own if r.first_escape is not None]
+        last = [np.array([r.structure[-1][measure] if r.structure else 0.0 for r in own]) for measure in (1, 2)]
+        shares = " | ".join(f"{values.mean():.3f} ({values.min():.2f})" for values in last)
+        near = sum(r.near_best is not None for r in own)
+        lines.append(f"| {buttons} buttons, {graph}, {rule} | {len(own)} | {len(escapes)} "
+                     f"| {f'{np.median(escapes):,.0f}' if escapes else 'never'} | {shares} | {near} of {len(own)} |")
+    return [f"The bar, by `{BAR_AGENT.removeprefix('smdp-')}`, at the end of each trial:", "", *lines]
+
+
+def _make_table(results: Sequence[TrialResult], pick: Pick) -> list[str]:
+    lines = ["| rule | agent | " + " | ".join(f"{size}" for size in SIZES) + " |", "|---|---|" + "---|" * len(SIZES)]
+    for rule in RULES:
+        for agent in AGENTS:
+            cells = []
+            for size in SIZES:
+                own = [r for r in results if (r.rule, r.agent, r.buttons) == (rule, agent, size)]
+                at = [value for value in map(pick, own) if value is not None]
+                cells.append(f"{len(at)} of {len(own)}" + (f"; {np.median(at):,.0f}" if at else "") if own else "—")
+            lines.append(f"| {rule} | {agent} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def _make_structure_table(results: Sequence[TrialResult]) -> list[str]:
+    lines = ["| rule | agent | " + " | ".join(f"{size}" for size in SIZES) + " |", "|---|---|" + "---|" * len(SIZES)]
+    for rule in RULES:
+        for agent in AGENTS:
+            if not any(r.agent == agent and r.structure for r in results):
+                continue
+            cells = []
+            for size in SIZES:
+                own = [r for r in results if (r.rule, r.agent, r.buttons) == (rule, agent, size) and r.structure]
+                ends = [np.mean([r.structure[-1][measure] for r in own]) for measure in (1, 2)] if own else []
+                cells.append(" / ".join(f"{end:.2f}" for end in ends) or "—")
+            lines.append(f"| {rule} | {agent} | " + " | ".join(cells) + " |")
+    return [*lines, "", "Each cell: mean precision / mean recall at the end of the trials."]
+
+
+def _make_counts(results: Sequence[TrialResult]) -> list[str]:
+    """How many trials each agent had, for the tables count only those."""
+    counts = [f"`{agent}` {sum(r.agent == agent for r in results)}" for agent in AGENTS]
+    return [f"Trials: {', '.join(counts)}."]
