@@ -115,6 +115,23 @@ def test_train_refuses_a_folder_with_another_room_or_other_settings(capsys: pyte
     assert code == 2 and "seed: 0 there, 1 now" in err
 
 
+def test_train_makes_trials_that_each_keep_a_run_of_their_own(capsys: pytest.CaptureFixture[str], tmp_path: Path):
+    shared = ("--primitives", 120, "--eval-episodes", 1, "--eval-every", 120)
+    arguments = ("train", "smdp-q-learning", *shared, "--out", tmp_path / "many", "--training-seed", 4, "--trials", 2)
+    code, out, err = call(capsys, *arguments, "--json")
+    assert code == 0, err
+    trials = json.loads(out)["trials"]
+    _, out, _ = call(capsys, "train", "smdp-q-learning", *shared, "--out", tmp_path / "one", "--training-seed", 5,
+                     "--json")
+    assert [trial["seed"] for trial in trials] == [4, 5]
+    assert trials[1]["decisions"] == json.loads(out)["decisions"]
+    assert (tmp_path / "many" / "seed-5" / "result.json").exists()
+    _, out, _ = call(capsys, *arguments)
+    assert "2 seeds; the best known return is 66" in out
+    code, _, err = call(capsys, "train", "ppo", "--trials", 2, "--out", tmp_path / "ppo")
+    assert code == 2 and "ppo has no batched form; these have: q-learning, dqn, sarsa" in err
+
+
 def test_every_setting_of_an_agent_is_listed_with_what_it_means(capsys: pytest.CaptureFixture[str]):
     code, out, _ = call(capsys, "train", "smdp-intra-option-q", "--list-settings", "--json")
     listed = json.loads(out)

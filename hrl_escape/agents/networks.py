@@ -116,6 +116,7 @@ class Network(nn.Sequential):
     Attributes:
         weights: float32 (parameters,), all parameters.
         gradient: float32 (parameters,), where `backward` accumulates.
+        sizes: elements of each parameter, in order.
     """
 
     def __init__(self, *layers: nn.Module) -> None:
@@ -123,8 +124,8 @@ class Network(nn.Sequential):
         parameters = list(self.parameters())
         self.weights = torch.cat([parameter.detach().reshape(-1) for parameter in parameters])
         self.gradient = torch.zeros_like(self.weights)
-        sizes = [parameter.numel() for parameter in parameters]
-        pieces = zip(parameters, self.weights.split(sizes), self.gradient.split(sizes), strict=True)
+        self.sizes = [parameter.numel() for parameter in parameters]
+        pieces = zip(parameters, self.weights.split(self.sizes), self.gradient.split(self.sizes), strict=True)
         for parameter, weights, gradient in pieces:
             parameter.data = weights.view(parameter.shape)
             parameter.grad = gradient.view(parameter.shape)

@@ -32,7 +32,7 @@ class NetworkStack:
 
     def __init__(self, networks: Sequence[Network], with_gradient: bool = False) -> None:
         self._layers = list(networks[0])
-        self._sizes = [parameter.numel() for parameter in networks[0].parameters()]
+        self._sizes = networks[0].sizes
         self.weights = torch.stack([network.weights for network in networks]).requires_grad_(with_gradient)
 
     def __call__(self, values: Tensor) -> Tensor:
@@ -79,7 +79,7 @@ class JointLearner:
         if self._max_norm:
             gradient.mul_((self._max_norm / gradient.norm(dim=1, keepdim=True)).clamp_(max=1.0))
         results: list[float | DivergenceError] = []
-        for learner, vector, row, value in zip(self._learners, self._vectors, gradient, values, strict=True):
+        for learner, vector, row, value in zip(self._learners, self._vectors, gradient.unbind(), values, strict=True):
             if math.isfinite(value):
                 vector.grad = row
                 learner.updates += 1

@@ -35,7 +35,7 @@ from hrl_escape.errors import AgentSettingsError, DivergenceError, WorkerLostErr
 __all__ = ["Trials", "check_batched", "find_maker", "list_batched_agents"]
 
 TICK_SECONDS = 0.2
-"""Between looks at the progress of other processes."""
+"""Between looks at the progress."""
 
 
 def list_batched_agents() -> list[str]:
@@ -136,10 +136,14 @@ class Trials:
         self, numbers: Sequence[int], counts: MutableSequence[int], report: Callable[[], None]
     ) -> list[TrainResult | Exception]:
         runs: list[Run] = []
+        last = time.monotonic()
 
         def note(number: int, primitives: int, words: str) -> None:
+            nonlocal last
             counts[number] = primitives
-            report()
+            if (now := time.monotonic()) - last >= TICK_SECONDS:
+                last = now
+                report()
 
         try:
             for number in numbers:

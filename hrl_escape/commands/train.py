@@ -5,6 +5,7 @@
     hrl-escape train smdp-dqn --settings gamma=0.995 hidden=[128,128]
     hrl-escape train smdp-dqn --list-settings
     hrl-escape train dqn --recipe paper --training-seed 7 --json
+    hrl-escape train smdp-dqn --trials 16 --workers 2
 
 `hrl-escape list agents` names the agents; with smdp- in front they choose options beside primitives.
 """
@@ -45,6 +46,10 @@ class TrainArgs(RoomChoice):
     """Training budget."""
     training_seed: int = 0
     """Fixes the agent and every training episode."""
+    trials: Annotated[int, tyro.conf.arg(metavar="N")] = 1
+    """Train so many seeds at once, the training seed and those after it (dqn, sarsa, q-learning)."""
+    workers: int = 1
+    """Processes that share the trials; one a core is fastest."""
     recipe: str = "corrected"
     """Where its settings come from: corrected, or paper."""
     settings: tuple[str, ...] = ()
@@ -62,7 +67,7 @@ class TrainArgs(RoomChoice):
     eval_episodes: int = 5
     """Episodes in an evaluation."""
     out: Path | None = None
-    """Folder of log, checkpoint and result; runs/AGENT-ROOM-SEED by default."""
+    """Folder of log, checkpoint and result; runs/AGENT-ROOM-SEED by default. Trials have a folder each in it."""
     tensorboard: bool = False
     """Also write TensorBoard's files (extra `tensorboard`)."""
     threads: int = 1
@@ -86,13 +91,26 @@ def run(args: TrainArgs) -> None:
         return
     torch.set_num_threads(args.threads)
     instance = args.make_instance()
-    out = args.out or Path("runs") / f"{spec.label}-{name_room(instance)}-{args.training_seed}"
+    last = args.training_seed + args.trials - 1
+    seeds = str(args.training_seed) if args.trials == 1 else f"{args.training_seed}-to-{last}"
+    out = args.out or Path("runs") / f"{spec.label}-{name_room(instance)}-{seeds}"
     _claim(out, instance)
+    asked: dict[str, Any] = {
+        "primitives": args.primitives, "seed": args.training_seed, "settings": resolved, "eval_every": args.eval_every,
+        "eval_episodes": args.eval_episodes, "out": out, "tensorboard": args.tensorboard,
+    }
+    if args.trials != 1:
+        results = train(args.agent, lambda: make_env(spec, instance, args.observation)[0], trials=args.trials,
+                        workers=args.workers, **asked)
+        best = best_known_return(instance)
+        if args.json:
+            trials = [result.to_json() for result in results]
+            print(json.dumps({"best_known": best, "folder": str(out), "trials": trials}, indent=2))
+        else:
+            _print_trials(results, best, out)
+        return
     env, _ = make_env(spec, instance, args.observation)
-    result = train(
-        args.agent, env, primitives=args.primitives, seed=args.training_seed, settings=resolved,
-        eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out, tensorboard=args.tensorboard,
-    )
+    result = train(args.agent, env, **asked)
     env.close()
     best = best_known_return(instance)
     if args.json:
@@ -146,3 +164,18 @@ def _print(result: TrainResult, best: float, out: Path) -> None:
     if evaluations:
         console.print(f"return {evaluations[-1].mean_return:.1f} at the end; the best known is {best:g}")
     console.print(f"log, checkpoint and result: {out}")
+
+
+def _print_trials(results: list[TrainResult], best: float, out: Path) -> None:
+    console = Console(soft_wrap=True, highlight=False)
+    table = Table(box=None, padding=(0, 2, 0, 0), header_style="dim")
+    for heading in ("seed", "primitives", "decisions", "episodes", "return", "escapes", "seconds"):
+        table.add_column(heading, justify="right")
+    for result in results:
+        last = result.evaluations[-1] if result.evaluations else None
+        table.add_row(str(result.seed), f"{result.primitives:,}", f"{result.decisions:,}", f"{len(result.episodes):,}",
+                      *((f"{last.mean_return:.1f}", f"{last.success_rate:.0%}") if last else ("", "")),
+                      f"{result.seconds:.1f}")
+    console.print(table)
+    console.print(f"[bold]{results[0].agent_name}[/bold]: {len(results)} seeds; the best known return is {best:g}")
+    console.print(f"log, checkpoint and result of each: {out}/seed-N")

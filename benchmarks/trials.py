@@ -1,0 +1,69 @@
+"""How long do 16 training seeds take at once, and how long one after another? Are the results the same?
+
+Run: `python benchmarks/trials.py` (some two minutes on two idle cores). Both ways train the same seeds in the
+same room in one run; wall and CPU seconds are printed, their ratios, and how many seeds came to the same decisions and
+evaluations both ways. Exits with 1 if at once takes more than a third of the wall time of the sequence (for
+smdp-dqn), or if a seed differs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from collections.abc import Callable
+
+import gymnasium
+import torch
+
+import hrl_escape  # noqa: F401  # registers the environments
+from hrl_escape.agents import TrainResult, train
+from hrl_escape.options.options_env import OptionsEnv
+
+NEEDED = {"smdp-dqn": 1 / 3}
+
+
+def measure(work: Callable[[], list[TrainResult]]) -> tuple[list[TrainResult], float, float]:
+    """Results, wall seconds, and CPU seconds of this process and its children."""
+    cpu, wall = sum(os.times()[:4]), time.perf_counter()
+    results = work()
+    return results, time.perf_counter() - wall, sum(os.times()[:4]) - cpu
+
+
+def main() -> int:
+    """Measure each agent both ways."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--agents", nargs="+", default=["smdp-dqn"], help="names, such as smdp-sarsa or dqn")
+    parser.add_argument("--trials", type=int, default=16)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--primitives", type=int, default=20_000, help="budget of a trial")
+    parser.add_argument("--eval-episodes", type=int, default=5)
+    parser.add_argument("--preset", default="paper-two-button")
+    parser.add_argument("--recipe", default="corrected")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    failed = False
+    for name in arguments.agents:
+        env: gymnasium.Env = gymnasium.make("hrl_escape/EscapeRoom-v0", config=arguments.preset, observation="features")
+        if name.startswith("smdp-"):
+            env = OptionsEnv(env)
+        budget = {"primitives": arguments.primitives, "eval_episodes": arguments.eval_episodes,
+                  "recipe": arguments.recipe}
+        train(name, env, primitives=300, eval_episodes=0)  # kernels compiled, the room's tables made
+        together, wall, cpu = measure(
+            lambda: train(name, env, trials=arguments.trials, workers=arguments.workers, **budget))  # noqa: B023
+        print(f"{name}: {arguments.trials} at once in {arguments.workers} processes {wall:.1f} s, {cpu:.1f} CPU s",
+              flush=True)
+        alone, wall_alone, cpu_alone = measure(
+            lambda: [train(name, env, seed=seed, **budget) for seed in range(arguments.trials)])  # noqa: B023
+        same = sum(one == other for one, other in zip(together, alone, strict=True))
+        print(f"{name}: one after another {wall_alone:.1f} s, {cpu_alone:.1f} CPU s; at once takes "
+              f"{wall / wall_alone:.2f} of the time, {cpu / cpu_alone:.2f} of the CPU; {same} of {arguments.trials} "
+              "seeds came to the same", flush=True)
+        failed |= same < arguments.trials or wall / wall_alone > NEEDED.get(name, 1.0)
+    return int(failed)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
