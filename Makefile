@@ -9,7 +9,7 @@ STAMP := $(VENV)/.installed
 export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint clean
+.PHONY: help demo test docs lint clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -24,6 +24,10 @@ demo: $(STAMP) ## compare five agents in a room with two buttons, leave a report
 
 test: $(STAMP) ## every test but those marked slow or gpu
 	python -m pytest tests -n $(JOBS) -m "not slow and not gpu"
+
+docs: $(STAMP) ## the site, into build/docs
+	sphinx-build -W --keep-going -q docs build/docs
+	@echo "Read it: $(CURDIR)/build/docs/index.html"
 
 lint: $(STAMP) ## style, types and which way imports run
 	ruff check .
