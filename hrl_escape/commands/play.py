@@ -76,5 +76,7 @@ def run(args: PlayArgs) -> None:
         if saved is not None:
             page.replay(saved)
         page.run()
+    except KeyboardInterrupt:
+        pass  # the way to end it
     finally:
         server.stop()

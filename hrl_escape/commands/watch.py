@@ -64,17 +64,19 @@ def run(args: WatchArgs) -> None:
                          include_primitives=not args.options_only, recipe=args.recipe, seed=args.episode_seed)
     gate = Gate(args.pace or None, args.paused)
     server = open_server(args.host, args.port)
+    page = WatchPage(server, Watch(driver, gate, args.episode_seed))
+    thread = run_in_thread(page)
     try:
-        page = WatchPage(server, Watch(driver, gate, args.episode_seed))
         Console(soft_wrap=True).print(f"Watch {driver.name} at [bold]{get_url(server)}[/bold] (Ctrl-C ends)")
         if args.open:
             webbrowser.open(get_url(server))
-        thread = run_in_thread(page)
-        while thread.is_alive():
-            thread.join(1.0)
+        page.finished.wait()
         if page.problem:
             print(f"The driver stopped: {page.problem}. The page stays until Ctrl-C", file=sys.stderr)
         server.sleep_forever()
+    except KeyboardInterrupt:
+        pass  # the way to end it
     finally:
         gate.stop()
+        thread.join(5.0)
         server.stop()

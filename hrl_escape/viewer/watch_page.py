@@ -43,11 +43,13 @@ class WatchPage:
 
     Attributes:
         problem: why the driver gave up; empty while it drives.
+        finished: set once it drives no more.
     """
 
     def __init__(self, server: Server, watch: Watch) -> None:
         self.server, self.watch = server, watch
         self.problem = ""
+        self.finished = threading.Event()
         self._refreshed = 0.0
         room = watch.driver.room
         self._navigator = Navigator(room.instance)
@@ -63,7 +65,10 @@ class WatchPage:
             self.problem = "that was all"
         except EscapeError as error:
             self.problem = str(error)
-        self._refresh()
+        finally:
+            if not self.watch.gate.is_stopped:
+                self._refresh()
+            self.finished.set()
 
     # --- the panel -------------------------------------------------------------------------------
 

@@ -53,6 +53,11 @@ class Gate:
         """Nothing passes but what is let through by a step."""
         return self._paused
 
+    @property
+    def is_stopped(self) -> bool:
+        """Nothing passes any more."""
+        return self._stopped
+
     def pause(self, paused: bool = True) -> None:
         """Close or open."""
         with self._turn:
