@@ -1,0 +1,107 @@
+"""Pictures drawn while the site is built: rooms by the real generator, learning curves from stored runs.
+
+`{room}` takes the arguments of `hrl-escape room` (or, with `:solve:`, of `hrl-escape solve`) and
+shows the map that the command draws. `{curve}` draws what `python docs/make_curves.py` has kept.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shlex
+from pathlib import Path
+
+import tyro
+from docutils import nodes
+from docutils.parsers.rst import directives
+from matplotlib.figure import Figure
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+from hrl_escape.commands.room_choice import RoomChoice
+from hrl_escape.env import looks
+from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.rendering import Trajectory, save_figure, save_map
+from hrl_escape.options.planner import get_planner
+
+CURVES = Path(__file__).parents[1] / "curves"
+
+
+class Picture(SphinxDirective):
+    """A directive that draws a file and shows it with a caption (its content) and the command behind it."""
+
+    required_arguments = 1
+    final_argument_whitespace = True
+    has_content = True
+
+    def show(self, path: Path, words: str, command: str) -> list[nodes.Node]:
+        """A figure of the file at `path`."""
+        here = Path(self.env.doc2path(self.env.docname)).parent
+        image = nodes.image(uri=Path(os.path.relpath(path, here)).as_posix(), alt=words or command)
+        caption = nodes.caption("", f"{words} " if words else "", nodes.literal("", command))
+        return [nodes.figure("", image, caption)]
+
+    def choose_path(self, key: str) -> Path:
+        """Where to draw, outside the sources; the same for the same key."""
+        folder = Path(self.env.doctreedir).parent / "drawn"
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder / f"{hashlib.sha256(key.encode()).hexdigest()[:16]}.svg"
+
+
+class Room(Picture):
+    """`{room} --preset clutter --seed 3`."""
+
+    option_spec = {"solve": directives.flag, "bare": directives.flag}
+
+    def run(self) -> list[nodes.Node]:
+        """Generate, plan if asked, draw."""
+        words = shlex.split(self.arguments[0])
+        instance = tyro.cli(RoomChoice, args=words).make_instance()
+        verb, state, paths = "room", None, []
+        if "solve" in self.options:
+            verb = "solve"
+            state = Kinematics(instance).make_state(instance.starts[0], 0)
+            plan = get_planner(instance).solve(state)
+            paths = [Trajectory(plan.path[part.start : part.stop + 1], part.name) for part in plan.parts]
+            state = plan.states[-1]
+        path = self.choose_path(f"{verb} {self.arguments[0]} {sorted(self.options)}")
+        save_map(path, instance, state, paths, panel="bare" not in self.options)
+        command = f"hrl-escape {verb} {self.arguments[0]} --draw {verb}.svg"
+        return self.show(path, " ".join(self.content), command)
+
+
+class Curve(Picture):
+    """`{curve} dqn`: the agent flat and over options, mean and range over runs."""
+
+    def run(self) -> list[nodes.Node]:
+        """Draw the stored curves."""
+        name = self.arguments[0]
+        source = CURVES / f"{name}.json"
+        self.env.note_dependency(str(source))
+        if not source.is_file():
+            raise self.error(f"no curve of {name!r}: run python docs/make_curves.py {name}")
+        stored = json.loads(source.read_text(encoding="utf-8"))
+        figure = Figure(figsize=(6.6, 3.0), dpi=150, layout="constrained")
+        axes = figure.add_subplot()
+        for curve, colour in zip(stored["curves"], (looks.LINES[1], looks.LINES[0]), strict=False):
+            axes.plot(curve["primitives"], curve["mean"], color=colour, label=curve["agent"], linewidth=1.8)
+            axes.fill_between(curve["primitives"], curve["low"], curve["high"], color=colour, alpha=0.15, linewidth=0)
+        axes.axhline(stored["best"], color=looks.MUTED, linewidth=0.8, linestyle=":")
+        axes.annotate(f"best known {stored['best']:g}", (0, stored["best"]), (3, 2), textcoords="offset points",
+                      fontsize=7, color=looks.MUTED)
+        axes.set(xlabel="primitives", ylabel="greedy return", xlim=(0, stored["primitives"]), ylim=(-1040, 190))
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.legend(frameon=False, fontsize=8, loc="center right")
+        path = self.choose_path(f"curve {name}")
+        save_figure(path, figure)
+        words = (f"{stored['room']}, mean and range of {stored['runs']} runs, "
+                 f"{stored['primitives']:,} primitives each.")
+        return self.show(path, words, stored["command"])
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register the directives."""
+    app.add_directive("room", Room)
+    app.add_directive("curve", Curve)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,170 @@
+"""Tables that are read from the package: knobs, agents' settings, logged metrics, names, the command line.
+
+Each directive writes Markdown and has it parsed in place, so nothing on the site repeats by
+hand what a dataclass or a registry says.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import importlib
+import io
+import json
+import re
+from collections.abc import Iterable, Sequence
+from typing import Any, get_type_hints
+
+from docutils import nodes
+from docutils.parsers.rst import directives
+from sphinx.application import Sphinx
+from sphinx.util.docutils import SphinxDirective
+
+from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe
+from hrl_escape.agents.results import METRICS
+from hrl_escape.agents.settings import read_field_documents
+from hrl_escape.cli import main
+from hrl_escape.env.generation import generate
+from hrl_escape.env.kinematics import Rules
+from hrl_escape.env.observations import make_observer
+from hrl_escape.env.presets import PRESETS, get_preset, make_env_name
+from hrl_escape.env.settings import Knob, Settings
+
+
+def find(path: str) -> Any:
+    """What a dotted path names."""
+    module, _, name = path.rpartition(".")
+    return getattr(importlib.import_module(module), name)
+
+
+def make_table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """A Markdown table."""
+    lines = [list(head), ["---"] * len(head), *map(list, rows)]
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
+
+
+def run_command(*arguments: str) -> str:
+    """What `hrl-escape` prints."""
+    printed = io.StringIO()
+    with contextlib.redirect_stdout(printed):
+        main(arguments)
+    return printed.getvalue()
+
+
+class Table(SphinxDirective):
+    """A directive that is replaced by the Markdown it writes."""
+
+    optional_arguments = 1
+    final_argument_whitespace = True
+
+    def run(self) -> list[nodes.Node]:
+        """Write and parse."""
+        return self.parse_text_to_nodes(self.write())
+
+    def write(self) -> str:
+        """The Markdown."""
+        raise NotImplementedError
+
+
+class Knobs(Table):
+    """`{knobs} hrl_escape.env.config.ShapeConfig`, under the path that `--set` knows: `:under: room`."""
+
+    option_spec = {"under": directives.unchanged}
+
+    def write(self) -> str:
+        """One row a field; nested parts have tables of their own."""
+        config = find(self.arguments[0])
+        hints = get_type_hints(config)
+        under = self.options.get("under", "")
+        rows = []
+        for field in dataclasses.fields(config):
+            knob: Knob = field.metadata["knob"]
+            kind = hints[field.name]
+            if isinstance(kind, type) and issubclass(kind, Settings):
+                continue
+            base = next((part for part in (bool, int, float, str) if part is kind or str(part.__name__) in str(kind)),
+                        kind)
+            path = f"{under}.{field.name}" if under else field.name
+            allowed = re.sub(r"'([^']*)'", r"`\1`", knob.describe(base))
+            rows.append((f"`{path}`", f"`{json.dumps(field.default)}`", allowed.removeprefix("one of "), knob.doc))
+        return make_table(("knob", "default", "allowed", "what it is"), rows)
+
+
+class AgentSettings(Table):
+    """`{settings} dqn`: an agent's settings, and those that the paper's recipe changes."""
+
+    def write(self) -> str:
+        """One row a field; the last column only where there is a recipe `paper`."""
+        name = self.arguments[0]
+        documents = read_field_documents(get_agent_class(name).Settings)
+        recommended = dataclasses.asdict(get_recipe(name))
+        recipes = getattr(get_agent_class(name), "recipes", {})
+        head, columns = ["setting", "default"], [recommended]
+        for recipe, title in (("paper", "paper"), (f"{SMDP_PREFIX}paper", "paper, options")):
+            if recipe in recipes:
+                head.append(title)
+                columns.append(dataclasses.asdict(recipes[recipe]))
+        rows = []
+        for field, value in recommended.items():
+            cells = [f"`{json.dumps(column[field])}`" if number == 0 or column[field] != value else ""
+                     for number, column in enumerate(columns)]
+            rows.append((f"`{field}`", *cells, documents.get(field, "")))
+        return make_table((*head, "what it is"), rows)
+
+
+class Metrics(Table):
+    """`{metrics}`: every logged name, explained once."""
+
+    def write(self) -> str:
+        """One row a name."""
+        return make_table(("name", "what it is"), ((f"`{name}`", text) for name, text in METRICS.items()))
+
+
+class Names(Table):
+    """`{names} observations`: what `hrl-escape list` lists."""
+
+    def write(self) -> str:
+        """One row a name."""
+        kind = self.arguments[0]
+        (entries,) = json.loads(run_command("list", kind, "--json")).values()
+        return make_table(("name", ""), ((f"`{name}`", re.sub(r"(?<!`)smdp-[\w-]+", r"`\g<0>`", line))
+                                         for name, line in entries.items()))
+
+
+class Ladder(Table):
+    """`{ladder}`: every preset and its environment."""
+
+    def write(self) -> str:
+        """One row a preset."""
+        about = json.loads(run_command("list", "presets", "--json"))["presets"]
+        return make_table(("preset", "what it is", "id"), (
+            (f"`{name}`", about[name], f"`hrl_escape/{make_env_name(name)}-v0`") for name in PRESETS))
+
+
+class Layout(Table):
+    """`{layout} arm-two-button features`: what each number of an observation is, in a real room."""
+
+    def write(self) -> str:
+        """One row a number."""
+        preset, kind = self.arguments[0].split()
+        observer = make_observer(kind, Rules(generate(get_preset(preset), 0)))
+        return make_table(("index", "number", "lowest", "highest"), (
+            (str(index), f"`{name}`", f"{low:.4g}", f"{high:.4g}")
+            for index, (name, low, high) in enumerate(zip(observer.names, observer.low, observer.high, strict=True))))
+
+
+class Usage(Table):
+    """`{usage} room`: what a command says with `--help`."""
+
+    def write(self) -> str:
+        """The help as it is printed."""
+        words = self.arguments[0].split() if self.arguments else []
+        return f"```text\n{run_command(*words, '--help').strip()}\n```"
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Register the directives."""
+    for name, directive in {"knobs": Knobs, "settings": AgentSettings, "metrics": Metrics, "names": Names,
+                            "ladder": Ladder, "layout": Layout, "usage": Usage}.items():
+        app.add_directive(name, directive)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}

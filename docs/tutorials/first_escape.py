@@ -1,0 +1,52 @@
+"""Your first escape.
+
+A room is a Gymnasium environment. The robot is a disc that moves in steps of 1 m and turns by 10 degrees; every
+primitive costs 1, and leaving by the exit brings 100 more. The exit opens once both buttons are lit, in their order.
+"""
+
+import gymnasium
+
+import hrl_escape  # noqa: F401  # registers the environments
+from hrl_escape.options.best_known import best_known_return
+
+env = gymnasium.make("hrl_escape/PaperTwoButton-v0")
+observation, info = env.reset(seed=0)
+room = env.unwrapped.instance
+print(f"{env.action_space.n} primitives: {', '.join(p.name for p in env.unwrapped.rules.primitives)}")
+print(f"x {observation[0]:g}, y {observation[1]:g}, heading {observation[3]:g}, buttons {observation[6:8]}")
+for target in room.targets:
+    print(f"{target.name} at ({target.x:g}, {target.y:g})")
+print(f"exit: x from {room.exit.x_min:g} to {room.exit.x_max:g}, y from {room.exit.y_min:g} to {room.exit.y_max:g}")
+
+# The heading 0 looks along +x, so +y is to the left. We drive by hand: one primitive, again and again, until something
+# has happened. A move stops where something is in the way, and a press is the moment at which touching begins.
+
+FORWARD, BACK, LEFT, RIGHT = 0, 1, 2, 3
+total, ended = 0.0, False
+
+
+def drive(primitive, until):
+    """Repeat a primitive until `until(observation, info)` holds, or the episode ends."""
+    global total, ended
+    count = 0
+    while not ended:
+        observation, reward, terminated, truncated, info = env.step(primitive)
+        total, ended, count = total + reward, terminated or truncated, count + 1
+        if until(observation, info):
+            break
+    return count
+
+
+print("to button-1:", drive(LEFT, lambda seen, info: info["pressed"]), "primitives")
+print("back beside button-2:", drive(RIGHT, lambda seen, info: seen[1] < 3), "primitives")
+print("to button-2:", drive(BACK, lambda seen, info: info["pressed"]), "primitives")
+
+# Both are lit; the exit stands open. Standing in it ends the episode.
+
+print("to the exit, along:", drive(FORWARD, lambda seen, info: seen[0] > room.exit.x_min), "primitives")
+print("to the exit, across:", drive(LEFT, lambda seen, info: False), "primitives")
+print(f"escaped: {ended}, return {total:g}")
+
+# How good is that? The planner knows what is possible here.
+
+print(f"best known return: {best_known_return(room):g}")

@@ -1,0 +1,68 @@
+"""Options by hand.
+
+An option has three parts: where it may start (initiation), what it does there (policy), and when it ends
+(termination). Sutton, Precup and Singh (1999) write it (I, pi, beta). Here are two, written by hand.
+"""
+
+import gymnasium
+
+from hrl_escape import OptionsEnv
+from hrl_escape.checks import check_option
+from hrl_escape.options.option import Option, ScriptedOption
+
+# The simplest option is a list of primitives, whatever happens. Nine left turns make a quarter turn of 90 degrees.
+
+quarter_turn = ScriptedOption("quarter-turn", [4] * 9)
+
+# A better one looks where it is. This one crosses the room sideways. Its `policy` and `termination` are functions of
+# the state alone, which `is_markov` promises (intra-option learning needs to know).
+
+
+class Cross(Option):
+    """Strafes until near the wall on that side; only where it looks along +x, or it would go elsewhere."""
+
+    is_markov = True
+
+    def __init__(self, name, primitive, edge):
+        super().__init__(name)
+        self.primitive, self.edge = primitive, edge
+
+    def initiation(self, state):
+        """Wherever the heading is 0 and it has not arrived."""
+        return state.heading_steps % 36 == 0 and not self.has_arrived(state)
+
+    def policy(self, state):
+        """Always the same primitive."""
+        return self.primitive
+
+    def termination(self, state):
+        """1 where it has arrived, else 0."""
+        return float(self.has_arrived(state))
+
+    def has_arrived(self, state):
+        """Look at one coordinate."""
+        return state.y >= self.edge if self.edge > 0 else state.y <= self.edge
+
+
+env = gymnasium.make("hrl_escape/EscapeRoom-v0", config="paper-two-button")
+north, south = Cross("to-the-left-wall", 2, 8.0), Cross("to-the-right-wall", 3, -8.0)
+check_option(north, env)  # the contract, as a check that you can run on your own
+
+# `OptionsEnv` puts them beside the primitives. One `step` runs one of them to its end, and `info` says what it was
+# worth: k primitives, the sum of gamma^i r_i, and the gamma^k by which what follows is discounted.
+
+env = OptionsEnv(env, [north, south, quarter_turn], discount=0.99)
+_, info = env.reset(seed=0)
+print(f"{len(env.action_names)} actions; the last: {', '.join(env.action_names[-3:])}")
+left, right, turn = "to-the-left-wall", "to-the-right-wall", "quarter-turn"
+for name in (left, left, right, turn, left):
+    action = env.action_names.index(name)
+    if not info["action_mask"][action]:
+        print(f"{name}: cannot start here")
+        continue
+    _, reward, _, _, info = env.step(action)
+    print(f"{name}: {info['duration']} primitives, {info['option']['ended']}, reward {reward:g}, "
+          f"discounted {info['discounted_reward']:.2f}, gamma^k {info['discount']:.3f}")
+
+# An option that could not start is masked, not missing: its number stays its number. A decision for a masked option
+# costs one primitive, so that no agent can stand still for nothing.
