@@ -191,7 +191,7 @@ class RMax:
         return current
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Count; once a pair is known its samples no longer change."""
+        """Count, also what is known: it plans anew when a pair's samples have doubled or show something new."""
         if transition.truncated and transition.duration > 1:
             return {}  # a cut inside an action does not show where it leads
         kept = transition._replace(trace=())
@@ -201,32 +201,30 @@ class RMax:
         ]
         if self._reader is not None and self._reader.notice(np.stack(flats)):
             self._rebuild()
-        elif not self._learn(kept):
-            self._history.pop()
+        else:
+            self._learn(kept)
         return {"states": len(self._legal)}
 
-    def _learn(self, transition: SMDPTransition) -> bool:
-        """Take one transition in; False if there was nothing new in it."""
+    def _learn(self, transition: SMDPTransition) -> None:
+        """Take one transition in."""
+        action = transition.action
         before, after = self._number(transition.observation), self._number(transition.next_observation)
         is_new = bool((transition.action_mask & ~self._legal[before]).any())
-        is_new |= not transition.terminated and bool((transition.next_action_mask & ~self._legal[after]).any())
         self._legal[before] |= transition.action_mask
         if not transition.terminated:
+            is_new |= bool((transition.next_action_mask & ~self._legal[after]).any())
             self._legal[after] |= transition.next_action_mask
-        counts = self._counts[before]
-        if counts[transition.action] < self.settings.visits:
-            is_new = True
-            counts[transition.action] += 1
-            self._rewards[before][transition.action] += transition.reward
-            if not transition.terminated:
-                key = transition.action, after
-                self._weights[before][key] = self._weights[before].get(key, 0.0) + transition.discount
-        if is_new:
+            key = action, after
+            is_new |= key not in self._weights[before]
+            self._weights[before][key] = self._weights[before].get(key, 0.0) + transition.discount
+        self._rewards[before][action] += transition.reward
+        self._counts[before][action] += 1
+        count = int(self._counts[before][action])
+        if is_new or count == self.settings.visits or (count > self.settings.visits and count & (count - 1) == 0):
             self._is_stale = self._is_known_stale = True
-        return is_new
 
     def state_dict(self) -> StateTree:
-        """The transitions that taught something, and the generator."""
+        """All transitions, values, generator."""
         fields = SMDPTransition._fields[:-1]
         columns = {name: np.array([getattr(each, name) for each in self._history]) for name in fields}
         return {"history": columns, "values": self._values, "known_values": self._known_values,

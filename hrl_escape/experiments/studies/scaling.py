@@ -275,7 +275,7 @@ class _Watch:
 def run_trials(
     out: Path, runs: int, primitives: int, jobs: int, minutes: float, report: Callable[[TrialResult, int, int], None]
 ) -> list[TrialResult]:
-    """Run what has no result yet: run by run, agent by agent, from small rooms to large.
+    """Run what has no result yet: run by run, from small rooms to large, agent by agent.
 
     An agent that did not escape with fewer buttons is not tried with more (same graph, rule and run).
 
@@ -317,8 +317,8 @@ def _list_rounds(runs: int, results: dict[Trial, TrialResult]) -> Iterator[list[
     if runs:
         yield [Trial(*cell, BAR_AGENT, run) for run in range(BAR_RUNS) for cell in BAR]
     for run in range(runs):
-        for agent, most in AGENTS.items():
-            for place, buttons in enumerate(size for size in SIZES if size <= most):
+        for place, buttons in enumerate(SIZES):
+            for agent in (name for name, most in AGENTS.items() if buttons <= most):
                 trials = []
                 for graph in GRAPHS:
                     for rule in RULES:

@@ -69,15 +69,18 @@ def draw_escapes(results: Sequence[TrialResult]) -> Figure:
                     shift = 0.12 * (number - 2.5)
                     dots = [(r.buttons + shift, r.first_escape) for r in own]
                     axes.scatter(*zip(*dots, strict=True) if dots else ([], []), s=7, alpha=0.5, **style)
+                    failed = [r.buttons + shift for r in here if r.agent == agent and r.first_escape is None]
+                    axes.scatter(failed, [1.5 * budget] * len(failed), s=14, linewidths=0.8, **style)
                 axes.axhline(budget, color=looks.MUTED, linestyle=":", linewidth=1)
                 axes.set_title(f"{graph}, {rule}", fontsize=9, color=looks.INK, loc="left")
                 axes.set_yscale("log")
-                axes.set_xticks(SIZES)
                 finish_axes(axes)
                 axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.0f}"))
                 axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
         for axes in panels[-1]:
             axes.set_xlabel("buttons", color=looks.INK)
+            axes.set_xlim(0.5, SIZES[-1] + 1.5)
+            axes.set_xticks(SIZES)
         for axes in panels[:, 0]:
             axes.set_ylabel("primitives to the\nfirst escape", color=looks.INK)
         panels[0, -1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
@@ -124,12 +127,13 @@ def _write_lines(results: Sequence[TrialResult]) -> list[str]:
     lines = [
         "# From 2 to 20 buttons", "",
         f"Who still escapes as buttons grow, and how soon the graph of buttons is known? {len(cells)} trials of at "
-        f"most {budget:,} primitives each, {hours:.1f} hours of one core in all. The literature's bar (Menashe and "
+        f"most {budget:,} primitives each, {hours:.1f} hours of one process in all. The literature's bar (Menashe and "
         "Stone 2015, 2019) is 10 to 20 buttons modelled and solved within 20,000 steps.", "",
         *_tell_bar(results), "",
         "## First escape", "",
         "![Primitives to the first escape](figures/scaling.svg)", "",
-        "Each line joins the medians of the runs that escaped, each dot is a run, the dotted line is the budget.", "",
+        "Each line joins the medians of the runs that escaped, each dot is a run. The dotted line is the budget; above it "
+        "are runs that did not escape within it.", "",
         *_make_table(results, lambda result: result.first_escape), "",
         f"Each cell: runs that escaped in training, of those that were tried, over the graphs {', '.join(GRAPHS)}; "
         "median primitives at the end of the first episode that did. An agent that did not escape with fewer buttons "
