@@ -248,9 +248,10 @@ def _compile(layout: Layout, settings: Settings, device: str, threads: int, shap
 
     def kernel(tables: Tables, prices: Prices, state: TensorState, running: Running, shown: Shown, action: Tensor
                ) -> tuple[TensorState, Running, Shown, Decisions]:
-        found = advance(layout, settings, tables, prices, state, running, shown, action)
-        words = map_tensors(lambda field: field.to(torch.int32) if field.dtype == torch.bool else field, found[2:])
-        return (*found[:2], *words)
+        state, running, shown, done = advance(layout, settings, tables, prices, state, running, shown, action)
+        shown, done = (map_tensors(lambda field: field.to(torch.int32) if field.dtype == torch.bool else field, part)
+                       for part in (shown, done))
+        return state, running, shown, done
 
     compiled = compile_step(kernel, device, threads)
 
