@@ -132,8 +132,8 @@ def _write_lines(results: Sequence[TrialResult]) -> list[str]:
         *_tell_bar(results), "",
         "## First escape", "",
         "![Primitives to the first escape](figures/scaling.svg)", "",
-        "Each line joins the medians of the runs that escaped, each dot is a run. The dotted line is the budget; above it "
-        "are runs that did not escape within it.", "",
+        "Each line joins the medians of the runs that escaped, each dot is a run. The dotted line is the budget; above "
+        "it are runs that did not escape within it.", "",
         *_make_table(results, lambda result: result.first_escape), "",
         f"Each cell: runs that escaped in training, of those that were tried, over the graphs {', '.join(GRAPHS)}; "
         "median primitives at the end of the first episode that did. An agent that did not escape with fewer buttons "
