@@ -44,6 +44,7 @@ html_css_files = ["site.css"]
 html_math_renderer = "mathml"
 html_copy_source = False
 html_show_sphinx = False
+html_show_copyright = False
 templates_path = []
 html_theme_options = {
     "light_css_variables": {"color-brand-primary": "#1d4474", "color-brand-content": "#2f6db5"},

@@ -20,13 +20,16 @@ from hrl_escape.experiments.launcher import LocalLauncher
 from hrl_escape.files import write_json
 
 ROOM, RUNS, PRIMITIVES, POINTS = "paper-one-button", 3, 10_000, 20
+OPTIONS_ONLY = {"factored-r-max", "monte-carlo-model"}
+"""Made for options; among primitives they would plan for hours."""
 CURVES = Path(__file__).parent / "curves"
 
 
 def make_grid(name: str) -> Grid:
     """An agent without options and with."""
+    names = (SMDP_PREFIX + name,) if name in OPTIONS_ONLY else (name, SMDP_PREFIX + name)
     return Grid(name=f"curve-{name}", description=f"How {name} learns.", rooms=(RoomSpec(ROOM),), runs=RUNS,
-                agents=(AgentSpec(name), AgentSpec(SMDP_PREFIX + name)), primitives=PRIMITIVES,
+                agents=tuple(map(AgentSpec, names)), primitives=PRIMITIVES,
                 eval_every=PRIMITIVES // POINTS, eval_episodes=1)
 
 

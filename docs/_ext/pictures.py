@@ -1,7 +1,8 @@
 """Pictures drawn while the site is built: rooms by the real generator, learning curves from stored runs.
 
 `{room}` takes the arguments of `hrl-escape room` (or, with `:solve:`, of `hrl-escape solve`) and
-shows the map that the command draws. `{curve}` draws what `python docs/make_curves.py` has kept.
+shows the map that the command draws, or with `:camera: chase` what a camera sees. `{curve}` draws
+what `python docs/make_curves.py` has kept.
 """
 
 from __future__ import annotations
@@ -21,8 +22,10 @@ from sphinx.util.docutils import SphinxDirective
 
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.env import looks
+from hrl_escape.env.bullet_cameras import film
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.rendering import Trajectory, save_figure, save_map
+from hrl_escape.env.video import save_picture
 from hrl_escape.options.planner import get_planner
 
 CURVES = Path(__file__).parents[1] / "curves"
@@ -52,7 +55,7 @@ class Picture(SphinxDirective):
 class Room(Picture):
     """`{room} --preset clutter --seed 3`."""
 
-    option_spec = {"solve": directives.flag, "bare": directives.flag}
+    option_spec = {"solve": directives.flag, "camera": directives.unchanged}
 
     def run(self) -> list[nodes.Node]:
         """Generate, plan if asked, draw."""
@@ -66,7 +69,13 @@ class Room(Picture):
             paths = [Trajectory(plan.path[part.start : part.stop + 1], part.name) for part in plan.parts]
             state = plan.states[-1]
         path = self.choose_path(f"{verb} {self.arguments[0]} {sorted(self.options)}")
-        save_map(path, instance, state, paths, panel="bare" not in self.options)
+        if camera := self.options.get("camera"):
+            path = path.with_suffix(".png")
+            state = Kinematics(instance).make_state(instance.starts[0], 0)
+            save_picture(path, *film(instance, [state], camera, 960, 720))
+            return self.show(path, " ".join(self.content),
+                             f"hrl-escape room {self.arguments[0]} --camera {camera} --draw room.png")
+        save_map(path, instance, state, paths)
         command = f"hrl-escape {verb} {self.arguments[0]} --draw {verb}.svg"
         return self.show(path, " ".join(self.content), command)
 
@@ -84,7 +93,7 @@ class Curve(Picture):
         stored = json.loads(source.read_text(encoding="utf-8"))
         figure = Figure(figsize=(6.6, 3.0), dpi=150, layout="constrained")
         axes = figure.add_subplot()
-        for curve, colour in zip(stored["curves"], (looks.LINES[1], looks.LINES[0]), strict=False):
+        for curve, colour in zip(stored["curves"][::-1], looks.LINES, strict=False):  # options first
             axes.plot(curve["primitives"], curve["mean"], color=colour, label=curve["agent"], linewidth=1.8)
             axes.fill_between(curve["primitives"], curve["low"], curve["high"], color=colour, alpha=0.15, linewidth=0)
         axes.axhline(stored["best"], color=looks.MUTED, linewidth=0.8, linestyle=":")

@@ -15,7 +15,7 @@ from hrl_escape import OptionsEnv
 
 GAMMA, ALPHA, EPSILON, EPISODES = 0.99, 0.5, 0.2, 40
 
-env = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v0", config="paper-two-button", observation="features"),
+env = OptionsEnv(gymnasium.make("hrl_escape/PaperTwoButton-v0", observation="features"),
                  discount=GAMMA, include_primitives=False)
 rng = np.random.default_rng(0)
 table = {}  # rounded observation -> Q of every option
@@ -45,8 +45,8 @@ def play(seed, learn):
         names.append(info["option"]["name"])
         if learn:
             following = np.where(info["action_mask"], read(observation), -np.inf).max()
-            # Only termination ends the value of what follows. An episode that was merely cut off goes on being
-            # worth something where it stopped; and the sum is discounted per primitive, not per decision.
+            # Only termination ends the value of what follows: where an episode was merely cut off,
+            # the state keeps its value. And time is discounted per primitive, not per decision.
             target = info["discounted_reward"] + info["discount"] * (0.0 if terminated else following)
             state[option] += ALPHA * (target - state[option])
     return total, names
