@@ -24,7 +24,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from tests.agents.small_envs import ButtonGrid
 from tests.agents.test_resuming import flatten, read_log
 
-SMALL = {"hidden": (16,), "batch_size": 8, "warmup": 20, "updates_per_step": 0.1}
+SMALL = {"hidden": (16,), "batch_size": 8, "warmup": 20, "updates_per_step": 0.1, "max_grad_norm": 0.05}  # it binds
 VARIANTS = {
     "dqn": ("dqn", "corrected", SMALL),
     "dqn-n-step-squared-tanh": ("dqn", "corrected", SMALL | {"n_step": 3, "loss": "squared", "double": False,
