@@ -137,9 +137,10 @@ def _write_lines(results: Sequence[TrialResult]) -> list[str]:
         *_make_table(results, lambda result: result.first_escape), "",
         f"Each cell: runs that escaped in training, of those that were tried, over the graphs {', '.join(GRAPHS)}; "
         "median primitives at the end of the first episode that did. An agent that did not escape with fewer buttons "
-        "(same graph, rule and run) was not tried with more and is not counted; — where none was tried.", "",
+        "(same graph, rule and run) was not tried with more and is not counted. — says that none was tried, for that "
+        "reason or because the study's time (`--minutes`) was up: it is no failure.", "",
         f"## {NEAR_BEST:.0%} of the best known return", "",
-        *_make_table(results, lambda result: result.near_best), "",
+        *_make_table([r for r in results if r.agent != "smdp-random"], lambda result: result.near_best), "",
         f"The same for the first of two evaluations in a row, frozen weights, that scored {NEAR_BEST:g} or more on the "
         "scale from never escaping (0) to the best return known for these options (1). Evaluations are made every "
         "500 primitives from the first escape on.",
@@ -199,6 +200,8 @@ def _make_table(results: Sequence[TrialResult], pick: Pick) -> list[str]:
                 own = [r for r in results if (r.rule, r.agent, r.buttons) == (rule, agent, size)]
                 at = [value for value in map(pick, own) if value is not None]
                 cells.append(f"{len(at)} of {len(own)}" + (f"; {np.median(at):,.0f}" if at else "") if own else "—")
+            if set(cells) == {"—"}:
+                continue
             lines.append(f"| {rule} | {agent} | " + " | ".join(cells) + " |")
     return lines
 
