@@ -59,7 +59,7 @@ def make_facts(facts: Iterable[tuple[str, str]], note: str = "", **data: object)
     cells = "".join(f'<div style="flex:1 1 0;min-width:0"><div style="color:{looks.MUTED};font-size:11px">'
                     f'{escape(name)}</div><div style="font-size:19px;font-weight:600;'
                     f'font-variant-numeric:tabular-nums">{escape(value)}</div></div>' for name, value in facts)
-    line = f'<div style="min-height:1.5em;margin-top:4px">{escape(note)}</div>'
+    line = f'<div style="min-height:3em;line-height:1.5;margin-top:4px">{escape(note)}</div>'
     return f'<div id="facts"{tags} style="{_STYLE}"><div style="display:flex;gap:8px">{cells}</div>{line}</div>'
 
 

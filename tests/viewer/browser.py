@@ -57,7 +57,7 @@ class Page:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def wait(self, script: str, seconds: float = 30.0) -> Any:
+    def wait(self, script: str, seconds: float = 90.0) -> Any:
         """Wait until an expression becomes true."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -77,14 +77,17 @@ class Page:
         self.call("Input.dispatchKeyEvent", type="keyUp", **details)
 
     def click(self, text: str) -> None:
-        """Click the button or tab that says so, with the mouse."""
+        """Click the button or tab that says so; tabs listen to the mouse only."""
         where = self.run(
             "(() => { const all = [...document.querySelectorAll('button,[role=tab]')];"
             f"const found = all.find(b => b.innerText.trim() === {json.dumps(text)}); if (!found) return null;"
+            "if (found.tagName === 'BUTTON' && found.role !== 'tab') { found.click(); return [0, 0]; }"
             "found.scrollIntoView({block: 'center'}); const r = found.getBoundingClientRect();"
             "return [r.x + r.width / 2, r.y + r.height / 2]; })()"
         )
         assert where, f"no button {text!r} on the page:\n{self.get_text()}"
+        if where == [0, 0]:
+            return
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=where[0], y=where[1], button="left", clickCount=1)
 

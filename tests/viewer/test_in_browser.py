@@ -55,7 +55,7 @@ def playing(instance: RoomInstance, browser: Browser, folder: Path) -> Iterator[
         assert not thread.is_alive()
 
 
-def wait_until(condition: Callable[[], Any], seconds: float = 30.0) -> None:
+def wait_until(condition: Callable[[], Any], seconds: float = 90.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end
@@ -63,7 +63,7 @@ def wait_until(condition: Callable[[], Any], seconds: float = 30.0) -> None:
 
 
 def wait_for(page: Page, **facts: object) -> None:
-    page.wait(" && ".join(f"{FACTS}?.{name} === {json.dumps(str(value))}" for name, value in facts.items()), 40)
+    page.wait(" && ".join(f"{FACTS}?.{name} === {json.dumps(str(value))}" for name, value in facts.items()))
 
 
 def test_play_escapes_by_key_presses_alone_and_undo_returns_the_exact_state(one_button, browser, tmp_path: Path):
