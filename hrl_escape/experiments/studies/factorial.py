@@ -7,6 +7,7 @@ which is analysed, and 12 more that differ from either recipe in one factor alon
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,8 +20,8 @@ from hrl_escape.experiments.statistics import compute_final, compute_slope
 from hrl_escape.experiments.studies.contrasts import Analysis, analyse, make_half_fraction
 from hrl_escape.experiments.studies.raw import RawRun
 
-__all__ = ["ALGORITHMS", "FACTORS", "RESPONSES", "Factor", "analyse_runs", "get_factors", "make_corners",
-           "make_factorial_grid", "read_levels"]
+__all__ = ["ALGORITHMS", "CONTROLS", "FACTORS", "RESPONSES", "Factor", "analyse_runs", "get_factors", "make_corners",
+           "make_factorial_grid", "name_control", "read_levels"]
 
 ALGORITHMS = ("sarsa", "ddpg")
 ROOMS = ("paper-two-button", "larg-2019", "four-button-chain")
@@ -88,6 +89,13 @@ FACTORS: dict[str, tuple[Factor, ...]] = {
 critic sees actions."""
 
 
+CONTROLS: dict[str, dict[str, dict[str, Any]]] = {
+    "sarsa": {"temperature 10": {"temperature": 10.0}, "temperature 100": {"temperature": 100.0}},
+    "ddpg": {},
+}
+"""Algorithm -> name of a control -> what it changes in the published program's settings."""
+
+
 def get_factors(algorithm: str) -> list[str]:
     """Names of an algorithm's factors."""
     return [factor.name for factor in FACTORS[algorithm]]
@@ -98,16 +106,22 @@ def make_factorial_grid(algorithm: str, corners: bool = True, runs: int = 1, pri
 
     Args:
         algorithm: one of `ALGORITHMS`.
-        corners: with the agents that differ from a recipe in one factor, besides the half fraction.
+        corners: with the controls and the agents that differ from a recipe in one factor, besides the half fraction.
         runs: training seeds.
         primitives: budget of a run.
     """
     factors = len(FACTORS[algorithm])
-    rows = [*make_half_fraction(factors), *(make_corners(factors) if corners else ())]
+    agents = [_make_agent(algorithm, row) for row in make_half_fraction(factors)]
+    if corners:
+        agents += [_make_agent(algorithm, row) for row in make_corners(factors)]
+        published = agents[0]
+        agents += [dataclasses.replace(published, label=name_control(algorithm, name),
+                                       settings=published.settings | changes)
+                   for name, changes in CONTROLS[algorithm].items()]
     return Grid(
         name=f"factorial-{algorithm}",
         description=f"What makes {algorithm} worsen with meta-actions: six factors at two levels.",
-        agents=tuple(_make_agent(algorithm, row) for row in rows),
+        agents=tuple(agents),
         rooms=tuple(map(RoomSpec.parse, ROOMS)),
         runs=runs,
         primitives=primitives,
@@ -133,9 +147,14 @@ def _make_agent(algorithm: str, levels: Sequence[int]) -> AgentSpec:
                      options=OptionsView(include_primitives=not options_only))
 
 
+def name_control(algorithm: str, name: str) -> str:
+    """The label of a control."""
+    return f"{algorithm}, {name}"
+
+
 def read_levels(label: str) -> list[int]:
-    """The levels that an agent's label tells: -1 the paper's, 1 the corrected."""
-    return [1 if letter == "1" else -1 for letter in label.rpartition("-")[2]]
+    """The levels that an agent's label tells: -1 the paper's, 1 the corrected; none for a control."""
+    return [] if "," in label else [1 if letter == "1" else -1 for letter in label.rpartition("-")[2]]
 
 
 def compute_response(run: RawRun, response: str) -> float:

@@ -13,11 +13,13 @@ from hrl_escape.env import looks
 from hrl_escape.env.rendering import save_figure
 from hrl_escape.experiments.studies.contrasts import Analysis, Term
 from hrl_escape.experiments.studies.factorial import (
+    CONTROLS,
     FACTORS,
     RESPONSES,
     analyse_runs,
     compute_response,
     get_factors,
+    name_control,
     read_levels,
 )
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
@@ -33,6 +35,9 @@ WORDS = {
     "slope": "slope of the score of training episodes over a run, exploration included",
 }
 MOST_INTERACTIONS = 5
+SIGNIFICANT = 0.05
+HEALED = 0.9
+"""Mean final score from which on a correction is said to heal."""
 
 
 def write_factorial_page(results: dict[str, list[RawRun]], docs: Path) -> dict[tuple[str, str], Analysis]:
@@ -99,18 +104,18 @@ def compute_corners(algorithm: str, runs: Sequence[RawRun], response: str) -> li
 
 
 def _write_lines(results: dict[str, list[RawRun]], found: dict[tuple[str, str], Analysis]) -> list[str]:
-    rooms = list(dict.fromkeys(run.room for runs in results.values() for run in runs))
+    rooms = {name: list(dict.fromkeys(run.room for run in runs)) for name, runs in results.items()}
     budget = next(iter(results.values()))[0].budget
     lines = ["# Why SARSA and DDPG get worse with meta-actions", "", *_tell_cause(results, found), "",
              "## What was run", "",
-             f"Two-level factorials in {len(rooms)} rooms ({', '.join(rooms)}), {budget:,} primitives a run, one "
-             "evaluation a twentieth of that. Low is what keras-rl 0.4.2 and the published program did, high what the "
-             "recipe `corrected` does. The clock of schedules is in primitives throughout, and keras-rl's late flag at "
-             "the end of an episode (`late_terminal`) is left out: the decay is there without it.", ""]
+             f"Two-level factorials, {budget:,} primitives a run, an evaluation each twentieth of that. Low is what "
+             "keras-rl 0.4.2 and the published program did, high what the recipe `corrected` does. The clock of "
+             "schedules is in primitives throughout, and keras-rl's late flag at the end of an episode "
+             "(`late_terminal`) is left out: the decay is there without it.", ""]
     for name, runs in results.items():
         seeds = len({run.seed for run in runs})
-        lines += [f"**{name}**: a half fraction of the {2 ** len(FACTORS[name])} combinations (resolution VI), "
-                  f"{found[name, 'slope'].runs} runs, which is analysed"
+        lines += [f"**{name}**, in {_join(rooms[name])}: a half fraction of the {2 ** len(FACTORS[name])} combinations "
+                  f"(resolution VI), {found[name, 'slope'].runs} runs, which is analysed"
                   + ("" if np.isnan(compute_corners(name, runs, "slope")[1][1]) else
                      ", and all combinations that differ from either recipe in one factor")
                   + f"; {len(runs)} runs in all, {seeds} training seed{'s' if seeds > 1 else ''}.", "",
@@ -127,7 +132,60 @@ def _write_lines(results: dict[str, list[RawRun]], found: dict[tuple[str, str], 
 
 
 def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], Analysis]) -> list[str]:
-    return []
+    """The cause in two sentences, then what bears it out, as far as it was run."""
+    effects = {name: {factor: found[name, "final score"].get_term(factor) for factor in get_factors(name)}
+               for name in results}
+    smdp = "; ".join(f"{name} {_points(terms['discount'].effect, '+')} and {_points(terms['truncation'].effect, '+')}"
+                     for name, terms in effects.items())
+    strong = "; ".join(f"{name} " + ", ".join(
+        f"{term.factors[0]} {_points(term.effect, '+')}" for term in sorted(terms.values(), key=lambda t: -t.effect)
+        if term.p < SIGNIFICANT) for name, terms in effects.items())
+    large = "; ".join(f"{name} {_points(_compute_mean_with_options_only(name, runs))}"
+                      for name, runs in results.items())
+    lines = [
+        "**The cause is neither the large changes of state (with options as the only choices, where every change is "
+        f"large, the mean final score is {large} of 100) nor the missing gamma^k (correcting discount and truncation "
+        f"moves it by {smdp}). It is that exploration dies while the values are still wrong (Boltzmann at temperature "
+        "1 among values tens apart is greedy, and so is a small noise on an actor's unbounded outputs), so that an "
+        "agent which may also choose primitives repeats one of them for whole episodes and learns from nothing else; "
+        f"what moves the final score (p < {SIGNIFICANT:g}) is {strong}.**", "",
+    ]
+    for name, runs in results.items():
+        final, slope = (compute_corners(name, runs, response) for response in RESPONSES)
+        lines.append(f"- `{name}` as published ends at {_points(final[0][1])} points (slope "
+                     f"{_points(slope[0][1], '+')}), with all factors corrected at {_points(final[0][2])} "
+                     f"({_points(slope[0][2], '+')}).")
+        if not np.isnan(final[1][1]):
+            healing = [factor for factor, alone, _ in final[1:] if alone >= HEALED]
+            others = [f"{factor} ({_points(alone)})" for factor, alone, _ in final[1:] if alone < HEALED]
+            lines.append(f"- Corrected alone, {_join(healing) or 'no factor'} "
+                         f"{'heals' if len(healing) < 2 else 'heal'} it ({_points(HEALED)} points or more); "
+                         f"{_join(others) or 'none'} {'does' if len(others) == 1 else 'do'} not.")
+        lines += [f"- Control: published but for {control}, `{name}` ends at {_points(float(np.mean(values)))} points "
+                  f"({len(values)} run{'s' if len(values) > 1 else ''})."
+                  for control, values in compute_controls(name, runs).items()]
+    return lines
+
+
+def _compute_mean_with_options_only(algorithm: str, runs: Sequence[RawRun]) -> float:
+    at = get_factors(algorithm).index("choices")
+    levels = [(run, read_levels(run.agent)) for run in runs]
+    return float(np.mean([compute_response(run, "final score") for run, row in levels if row and row[at] > 0]))
+
+
+def compute_controls(algorithm: str, runs: Sequence[RawRun]) -> dict[str, list[float]]:
+    """Final scores of each control that was run."""
+    values = {control: [compute_response(run, "final score") for run in runs
+                        if run.agent == name_control(algorithm, control)] for control in CONTROLS[algorithm]}
+    return {control: found for control, found in values.items() if found}
+
+
+def _points(value: float, sign: str = "") -> str:
+    return f"{100 * value:{sign}.0f}"
+
+
+def _join(names: Sequence[str]) -> str:
+    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
 
 
 def _write_analysis(response: str, analysis: Analysis) -> list[str]:

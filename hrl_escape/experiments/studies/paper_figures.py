@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from hrl_escape.env import looks
 from hrl_escape.experiments.statistics import Floats, compute_interval, compute_iqm
@@ -40,7 +40,10 @@ def draw_figure(runs: Sequence[RawRun]) -> Figure:
             finish_axes(axes)
         panels[0].set_ylabel("return, % from -1,000 to best known", color=looks.INK)
         panels[-1].plot([], [], ":", color=looks.MUTED, linewidth=1.2, label="training\nepisodes")
-        panels[-1].legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
+        shown = {label: handle for axes in panels
+                 for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
+        panels[-1].legend(list(shown.values()), list(shown), loc="center left", bbox_to_anchor=(1.01, 0.5),
+                          frameon=False)
     return figure
 
 
@@ -61,10 +64,10 @@ def _draw_agent(axes: Axes, runs: Sequence[RawRun], algorithm: str) -> None:
     seen = np.isfinite(training).any(axis=0)
     middle: Floats = np.full(training.shape[1], np.nan)
     middle[seen] = np.nanmean(training[:, seen], axis=0)
-    axes.plot(runs[0].training_at, 100 * middle, ":", color=colour, linewidth=1.2)
     if algorithm == "random":
         axes.axhline(100 * float(np.nanmean(training)), color=colour, linestyle="--", linewidth=1.4, label="random")
         return
+    axes.plot(runs[0].training_at, 100 * middle, ":", color=colour, linewidth=1.2)
     curves = [np.stack([np.interp(grid, run.at, run.scores) for run in runs], axis=-1)]
     low, high = compute_interval(compute_iqm, curves, rng=np.random.default_rng(2019), resamples=1_000)
     axes.fill_between(grid, 100 * low, 100 * high, color=colour, alpha=0.14, linewidth=0)
@@ -74,6 +77,7 @@ def _draw_agent(axes: Axes, runs: Sequence[RawRun], algorithm: str) -> None:
 def finish_axes(axes: Axes) -> None:
     """Thousands on the x-axis, a light grid, no box."""
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+    axes.xaxis.set_major_locator(MaxNLocator(5, integer=True, steps=[1, 2, 5, 10]))
     axes.grid(axis="y", color="#e5dfd2", linewidth=0.8)
     axes.set_axisbelow(True)
     for side in ("top", "right"):

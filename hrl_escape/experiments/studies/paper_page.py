@@ -49,16 +49,15 @@ def write_paper_page(results: Results, docs: Path) -> list[Finding]:
 
 
 def _write_lines(results: Results, findings: Sequence[Finding]) -> list[str]:
-    runs = min(len(get_runs(results, name, agent)) for name in FIGURES
-               for agent in {run.agent for run in results[name]})
+    runs = {name: _count_runs(results, name) for name in FIGURES}
     counts = {word: sum(finding.agrees == word for finding in findings) for word in ("yes", "no", "open")}
     mixed = len(findings) - sum(counts.values())
     best = {name: results[name][0].best for name in FIGURES[:2]}
     lines = [
         "# The paper's experiments, run again", "",
         "Section 6 of Menashe and Stone (2019) compares DQN, Deep SARSA and DDPG in three figures. Here they are made "
-        f"anew, {runs} runs a line, with two recipes: `paper` is what keras-rl 0.4.2 and the published program did, "
-        "`corrected` is what this package recommends. Of "
+        "anew with two recipes: `paper` is what keras-rl 0.4.2 and the published program did, `corrected` is what "
+        "this package recommends. Of "
         f"{len(findings)} claims, tested on the recipe `paper`, {counts['yes']} are borne out, {counts['no']} are not, "
         f"{mixed} hold for some of the algorithms, and {counts['open']} stay open.", "",
         "Full lines are frozen weights (interquartile mean and 95 % interval over runs), dots are training episodes, "
@@ -66,7 +65,8 @@ def _write_lines(results: Results, findings: Sequence[Finding]) -> list[str]:
         f"return, {best['paper-figure-1']:g} with one button and {best['paper-figure-2']:g} with two.", "",
     ]
     for name in FIGURES:
-        lines += [f"![{CAPTIONS[name]}](figures/{name}.svg)", "", f"*{CAPTIONS[name]}* `hrl-escape compare {name}`", ""]
+        lines += [f"![{CAPTIONS[name]}](figures/{name}.svg)", "", f"*{CAPTIONS[name]} {runs[name]} runs a line.* "
+                  f"`hrl-escape compare {name}`", ""]
     lines += ["## Claim by claim", "",
               "Numbers are means over runs with 95 % intervals; scores and shares are in per cent. A claim is borne "
               "out where the whole interval is on its side, and open where the interval reaches across. An episode is "
@@ -93,6 +93,11 @@ def _write_lines(results: Results, findings: Sequence[Finding]) -> list[str]:
             "```console", COMMAND, "```", "",
             "Why two of the algorithms get worse is settled in [why it worsens](why-it-worsens.md); whether two "
             "buttons are out of reach without options, in [flat learners](flat.md).", ""]
+
+
+def _count_runs(results: Results, figure: str) -> str:
+    counts = sorted(len(get_runs(results, figure, agent)) for agent in {run.agent for run in results[figure]})
+    return f"{counts[0]}" if counts[0] == counts[-1] else f"{counts[0]} to {counts[-1]}"
 
 
 def _make_row(results: Results, figure: str, agent: str) -> str:

@@ -35,6 +35,7 @@ from hrl_escape.experiments.studies.measures import (
     share_of_training,
 )
 from hrl_escape.experiments.studies.raw import BINS, collect_runs, load_runs, save_runs
+from hrl_escape.experiments.studies.running import StudyArgs, run_study
 from hrl_escape.experiments.summary import summarise
 from tests.experiments.studies.made_up_runs import make_run
 
@@ -59,6 +60,17 @@ def test_raw_runs_hold_every_episode_and_evaluation_and_survive_their_file(finis
     (tmp_path / "raw.jsonl").write_text('{"agent": "dqn"}\n')
     with pytest.raises(FileReadError, match="line 1"):
         load_runs(tmp_path / "raw.jsonl")
+
+
+def test_a_study_keeps_finished_runs_and_goes_on_from_its_raw_results(finished: Comparison, tmp_path: Path,
+                                                                      capsys: pytest.CaptureFixture[str]):
+    (tmp_path / finished.grid.name).symlink_to(finished.out)
+    args = StudyArgs(docs=tmp_path / "docs", out=tmp_path, workers=1)
+    first = run_study([finished.grid], args)
+    assert f"{len(finished.runs)} of {len(finished.runs)} runs were finished before" in capsys.readouterr().err
+    assert first == {finished.grid.name: collect_runs(summarise(finished), finished)}
+    (tmp_path / finished.grid.name).unlink()
+    assert run_study([finished.grid], dataclasses.replace(args, from_raw=True)) == first
 
 
 # --- measures --------------------------------------------------------------------------
@@ -127,7 +139,7 @@ def test_the_papers_page_is_written_from_raw_results_alone(tmp_path: Path, capsy
     page = (tmp_path / "paper.md").read_text()
     assert all(claim.says in page for claim in CLAIMS)
     assert all((tmp_path / "figures" / f"{name}.svg").exists() and f"figures/{name}.svg" in page for name in FIGURES)
-    assert page.count("| figure-1 |") == 7 and "5 runs a line" in page
+    assert page.count("| figure-1 |") == 7 and page.count("5 runs a line") == len(FIGURES)
     first = {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}
     assert main(["experiment", "paper", "--from-raw", "--docs", str(tmp_path)]) == 0
     assert first == {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}, "the same bytes each time"
@@ -157,7 +169,8 @@ def test_a_factorials_agents_differ_in_the_factors_their_labels_say_and_in_nothi
     for algorithm in ALGORITHMS:
         grid = make_factorial_grid(algorithm)
         by_label = {agent.label: agent for agent in grid.agents}
-        assert len(by_label) == 44
+        controls = [agent for label, agent in by_label.items() if "," in label]
+        assert len(by_label) - len(controls) == 44
         paper, corrected = by_label[f"{algorithm}-000000"], by_label[f"{algorithm}-111111"]
         settled = corrected.resolve_settings()
         assert settled == dataclasses.replace(corrected, settings={}).resolve_settings()
@@ -167,6 +180,9 @@ def test_a_factorials_agents_differ_in_the_factors_their_labels_say_and_in_nothi
         differing = {name for name, value in paper.resolve_settings().items() if value != published[name]}
         assert differing <= kept, differing - kept
         assert make_factorial_grid(algorithm, corners=False).agents == grid.agents[:32]
+        for control in controls:
+            changed = {key for key, value in control.settings.items() if paper.settings.get(key) != value}
+            assert changed == {"temperature"}
 
 
 def test_the_factor_that_matters_is_found_with_its_size():
@@ -213,6 +229,6 @@ def test_chains_have_the_buttons_they_say_and_the_flat_page_tells_all_agents(tmp
     breaks = write_flat_page({"flat-paper-room": paper, "flat-chains": chains}, tmp_path)
     assert set(breaks.values()) == {None}
     page = (tmp_path / "flat.md").read_text()
-    assert "not out of reach" in page and "dqn (1 of 1 runs)" in page
+    assert "not out of reach of flat learning" in page and "dqn (1 of 1 runs)" in page
     assert all(f"| {label} |" in page for label in [*labels, *(agent.label for agent in FLAT_AGENTS)])
     assert (tmp_path / "figures" / "flat.svg").exists()
