@@ -175,7 +175,8 @@ class BatchedOptionsEnv:
             if where is not None and hasattr(self, "_running"):
                 fresh = fresh._replace(action=torch.where(where, -1, self._running.action))
                 fresh = self._running._replace(action=fresh.action)
-            self._running = fresh
+            # each tensor its own memory, as steps leave them: a compiled step would compile anew for shared ones
+            self._running, self.room.state = map_tensors(_own, fresh), map_tensors(_own, self.room.get_state())
         return self._shown.observation
 
     def step(self, action: Tensor) -> Decisions:
@@ -240,6 +241,10 @@ class BatchedOptionsEnv:
         if not self._settings.autoreset and bool(self.is_over.all()):
             raise ResetNeededError("every room's episode has ended and autoreset is false: reset some first")
         return action
+
+
+def _own(field: Tensor) -> Tensor:
+    return field.clone(memory_format=torch.contiguous_format)
 
 
 @lru_cache(maxsize=64)

@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
+from torch._dynamo.utils import counters
 
 from benchmarks.options_conformance import compare_options
 from hrl_escape.env.config import DynamicsConfig, ExitConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
@@ -232,9 +233,13 @@ def test_instances_may_differ_and_be_drawn_anew():
 
 
 @pytest.mark.slow
-def test_compiled_steps_do_what_eager_ones_do():
-    found = [play(make_env(16, NOISY, compile=compiled), list(range(16))) for compiled in (False, True)]
+def test_compiled_steps_do_what_eager_ones_do_and_never_recompile():
+    compiled, before = make_env(16, NOISY, compile=True), counters["stats"]["unique_graphs"]
+    found = [play(env, list(range(16))) for env in (make_env(16, NOISY), compiled)]
     assert torch.allclose(found[0], found[1], atol=1e-5)
+    compiled.reset(torch.arange(16), torch.arange(16) < 3)
+    compiled.step(torch.zeros(16, dtype=torch.int64))
+    assert counters["stats"]["unique_graphs"] == before + 1
 
 
 # --- refusals --------------------------------------------------------------------------------
