@@ -1,0 +1,80 @@
+"""Every command and code block of the README and the site runs."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from hrl_escape.cli import main
+from tests.docs.blocks import PAGES, ROOT, Block, parse, read_blocks, read_commands
+
+BLOCKS = {page: read_blocks(page) for page in PAGES}
+KNOWN = {"python", "console", "bibtex", "text", "toml", "json"}
+
+
+def name_page(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def pages_with(language: str) -> list[Path]:
+    return [page for page, blocks in BLOCKS.items() if any(block.language == language for block in blocks)]
+
+
+@pytest.mark.parametrize("page", pages_with("python"), ids=name_page)
+def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    """A page's blocks in order, as one program."""
+    monkeypatch.chdir(tmp_path)
+    names: dict[str, object] = {"__name__": "page"}
+    for block in BLOCKS[page]:
+        if block.language == "python":
+            exec(compile(block.text, name_page(page), "exec"), names)
+
+
+@pytest.mark.parametrize("page", pages_with("console"), ids=name_page)
+def test_commands_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]):
+    monkeypatch.chdir(tmp_path)
+    for block in BLOCKS[page]:
+        if block.language == "console":
+            for words in read_commands(block):
+                run(block, words)
+
+
+def run(block: Block, words: list[str]) -> None:
+    program, *arguments = words
+    if program == "hrl-escape":
+        if block.is_parsed_only:
+            parse(arguments)
+        else:
+            assert main(arguments) == 0, words
+    elif program == "make":
+        assert re.search(rf"^{arguments[0]}:", (ROOT / "Makefile").read_text(), re.M), words
+    elif program == "pip":
+        extras = re.findall(r"\.\[([\w,]+)\]", " ".join(arguments))
+        listed = (ROOT / "pyproject.toml").read_text()
+        assert all(re.search(rf"^{extra} = \[", listed, re.M) for part in extras for extra in part.split(",")), words
+    elif program in ("python", "pytest", "sphinx-build"):  # scripts have tests of their own
+        paths = [word for word in arguments if "/" in word and not word.startswith(("-", "build/", "runs/"))]
+        assert paths and all((ROOT / path).exists() for path in paths), words
+    else:
+        raise AssertionError(f"{block.page}: who tests {' '.join(words)}?")
+
+
+def test_every_block_is_of_a_kind_that_is_tested_or_only_shown():
+    unknown = {block.language for blocks in BLOCKS.values() for block in blocks} - KNOWN
+    assert not unknown
+
+
+def test_a_wrong_argument_is_found():
+    with pytest.raises(SystemExit):
+        parse(["room", "--prest", "clutter"])
+    with pytest.raises(ModuleNotFoundError):
+        parse(["bench", "nothing"])
+
+
+def test_a_replacement_that_fits_nothing_is_found(tmp_path: Path):
+    page = tmp_path / "page.md"
+    page.write_text("<!-- tests: 20_000 -> 500 -->\n```python\ntrain(primitives=30_000)\n```\n")
+    with pytest.raises(AssertionError, match="20_000"):
+        read_blocks(page)

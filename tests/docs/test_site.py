@@ -1,0 +1,112 @@
+"""The site builds without a warning, says what the package says, and its tutorials show what they teach."""
+
+from __future__ import annotations
+
+import ast
+import html
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import hrl_escape
+from hrl_escape.agents.registry import SMDP_PREFIX, list_agents
+from hrl_escape.agents.results import METRICS
+from hrl_escape.env.presets import PRESETS
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built once for all tests; a warning is an error."""
+    out = tmp_path_factory.mktemp("site")
+    done = subprocess.run([sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "docs", out], cwd=ROOT,
+                          capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return out
+
+
+def read(page: Path) -> str:
+    """The words of a page."""
+    return " ".join(html.unescape(re.sub(r"<[^>]+>", "", page.read_text(encoding="utf-8"))).split())
+
+
+def test_the_site_builds_without_a_warning(site: Path):
+    assert (site / "index.html").is_file()
+
+
+def test_a_page_that_is_wrong_fails_the_build(tmp_path: Path):
+    """The strictness is real: an unknown agent, an unknown page."""
+    (tmp_path / "conf.py").write_text((ROOT / "docs/conf.py").read_text().replace(
+        "Path(__file__).parent", f"Path({str(ROOT / 'docs')!r})").replace('"_static"', ""))
+    (tmp_path / "index.md").write_text("# Page\n\n[gone](nowhere.md)\n")
+    done = subprocess.run([sys.executable, "-m", "sphinx", "-W", "-q", tmp_path, tmp_path / "out"],
+                          capture_output=True, text=True)
+    assert done.returncode != 0 and "nowhere.md" in done.stderr
+
+
+def test_every_public_name_is_in_the_reference(site: Path):
+    """By its anchor, so that links to it work."""
+    anchors = "".join(page.read_text() for page in (site / "api").glob("*.html"))
+    for name in hrl_escape.__all__:
+        thing = getattr(hrl_escape, name)
+        if hasattr(thing, "__module__"):
+            assert f'id="{thing.__module__}.{name}"' in anchors, name
+
+
+def test_every_agent_has_a_page_with_equation_settings_and_curve(site: Path):
+    for name in list_agents():
+        page = site / "agents" / f"{name}.html"
+        source = page.read_text(encoding="utf-8")
+        assert "<math" in source, name
+        assert "make_curves.py" in source and "_images/" in source, name
+        assert f"{SMDP_PREFIX}{name}" in source
+
+
+def test_every_metric_and_preset_is_explained(site: Path):
+    metrics, ladder = read(site / "metrics.html"), read(site / "ladder.html")
+    assert all(name in metrics for name in METRICS)
+    assert all(name in ladder for name in PRESETS)
+
+
+def test_every_command_is_on_the_page_of_the_command_line(site: Path):
+    commands = {path.stem.replace("_", "-") for path in (ROOT / "hrl_escape/commands").iterdir()
+                if (path / "__init__.py").is_file() or (path.suffix == ".py" and "\ndef run(" in path.read_text())}
+    assert commands <= set(re.findall(r"<h2>([\w-]+)<", (site / "cli.html").read_text()))
+
+
+TUTORIALS = {
+    "first_escape": r"escaped: True, return 61 best known return: 66",
+    "flat_gets_stuck": r"paper-two-button: random, 5,000 primitives: 0 escapes, "
+                       r".*primitives: returns \[(-1000, )+-1000\].*options: returns \[-?\d+, .* [3-6]\d\] chance",
+    "options_by_hand": r"reached, reward -8, discounted -7.73, gamma\^k 0.923 to-the-left-wall: cannot start here",
+    "planned_options": r"plan: (\d+) primitives, return (\d+) .*by options: escaped True, return \2 with noise .* True",
+    "smdp_q_learning": r"episode 0: return .*greedy: return 64 by meta-01, then meta-02, then meta-exit",
+    "new_puzzle": r"combination: button-4, button-3, button-1, button-2 plan: press-button-4, .* return [1-9]\d",
+}
+
+
+@pytest.mark.parametrize("name", TUTORIALS)
+def test_a_tutorial_shows_what_it_teaches(site: Path, name: str):
+    assert re.search(TUTORIALS[name], read(site / "tutorials" / f"{name}.html"))
+
+
+@pytest.mark.parametrize(("name", "most"), [("new_puzzle", 50), ("smdp_q_learning", 60)])
+def test_a_tutorial_is_as_short_as_its_title_says(name: str, most: int):
+    """Lines of code: no blank lines, comments or docstrings."""
+    source = (ROOT / f"docs/tutorials/{name}.py").read_text()
+    assert f"in {most} lines" in source
+    documents = {number for node in ast.walk(ast.parse(source))
+                 if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+                 for number in range(node.lineno, (node.end_lineno or node.lineno) + 1)}
+    code = [number for number, line in enumerate(source.splitlines(), 1)
+            if line.strip() and not line.lstrip().startswith("#") and number not in documents]
+    assert len(code) <= most
+
+
+def test_every_tutorial_is_on_the_site_and_tested():
+    scripts = {path.stem for path in (ROOT / "docs/tutorials").glob("*.py")}
+    assert scripts == set(TUTORIALS) == {path.stem for path in (ROOT / "docs/tutorials").glob("*.md")} - {"index"}
