@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import ast
+import fcntl
 import html
+import os
 import re
 import subprocess
 import sys
@@ -19,13 +21,18 @@ from hrl_escape.env.presets import PRESETS
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The site, built once for all tests; a warning is an error."""
-    out = tmp_path_factory.mktemp("site")
-    done = subprocess.run([sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "docs", out], cwd=ROOT,
-                          capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr
+    """The site, built once for all tests, in parallel ones too; a warning is an error."""
+    base = tmp_path_factory.getbasetemp()
+    base = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base  # what the workers of one run share
+    out = base / "site"
+    with (base / "site.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not (out / "objects.inv").exists():  # written last
+            done = subprocess.run([sys.executable, "-m", "sphinx", "-W", "--keep-going", "-q", "docs", out], cwd=ROOT,
+                                  capture_output=True, text=True)
+            assert done.returncode == 0, done.stderr
     return out
 
 
