@@ -81,7 +81,7 @@ def compute_distance(x: Tensor, y: Tensor, shapes: Shapes) -> Tensor:
 
 
 def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: float, shapes: Shapes) -> Tensor:
-    """Share in [0, 1] of displacements that discs can make before they meet each outline.
+    """Share of displacements that discs can make before they meet each outline.
 
     The branch-free form of `geometry.compute_first_contact`: where the disc's centre enters the box
     grown by the radius, and, if that is at a rounded corner, where it enters the corner's
@@ -96,7 +96,8 @@ def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: 
         shapes: what may be hit.
 
     Returns:
-        Shape (shapes, rooms); 1 where a shape lets the disc by.
+        Shape (shapes, rooms), in [0, 1]; 1 where a shape lets the disc by. Less than 0 where the disc touches already
+        and is stopped: the less, the straighter inwards it moves, so that of several the least is the surest.
     """
     dx, dy = dx.to(shapes.cos.dtype), dy.to(shapes.cos.dtype)
     eps = torch.finfo(dx.dtype).eps
@@ -143,7 +144,7 @@ def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: 
 
     met = torch.where(torch.where(is_corner, corner, face), torch.where(is_corner, met_corner, enter), 1.0)
     met = torch.where(enter <= leave, met, 1.0)
-    return torch.where(touching, torch.where(stopped, 0.0, 1.0), met).clamp(0.0, 1.0)
+    return torch.where(touching, torch.where(stopped, inwards, 1.0), met.clamp(0.0, 1.0))
 
 
 def _invert(velocity: Tensor) -> Tensor:

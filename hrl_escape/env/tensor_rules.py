@@ -94,7 +94,7 @@ def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: 
     nearly, which = compute_first_contact(*motion, solids.round()).min(0)
     column = torch.zeros_like(which) if layout.is_shared else state.instance
     first: Shapes = map_tensors(lambda table: table[which, column].unsqueeze(0), tables.solids)
-    exactly = compute_first_contact(*motion, first)[0]
+    nearly, exactly = nearly.clamp(min=0.0), compute_first_contact(*motion, first)[0].clamp(min=0.0)
     free = torch.where((exactly - nearly).abs() < 1e-3, exactly, nearly)  # let by one solid, it may meet another
     if not layout.has_door:
         return free
@@ -102,7 +102,7 @@ def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: 
     puzzle = pick(layout, tables.puzzle, state.instance)
     is_open = get_tensor_puzzle(layout.puzzle).is_solved(puzzle, state.puzzle)
     is_inside = compute_distance(state.x, state.y, doors)[0] < motion[-1] - 1e-6  # it cannot close on a robot
-    door = compute_first_contact(*motion, doors)[0]
+    door = compute_first_contact(*motion, doors)[0].clamp(min=0.0)
     return torch.where(is_open | is_inside, free, torch.minimum(free, door))
 
 

@@ -3,13 +3,20 @@
 A small version of `benchmarks/conformance.py`, which has the full one.
 """
 
+import dataclasses
+import math
+
 import numpy as np
 import pytest
 import torch
 
 from benchmarks.conformance import compare
 from hrl_escape.env.bullet_room import BulletRoom
+from hrl_escape.env.config import CONTACT_SKIN, DynamicsConfig, RoomConfig
 from hrl_escape.env.generation import generate
+from hrl_escape.env.geometry import Solid
+from hrl_escape.env.instance import Start
+from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.tensor_room import TensorRoom
 from tests.env.rooms import all_schematics
 
@@ -43,3 +50,24 @@ def test_the_batched_engine_agrees_with_the_bullet_engine(name):
         if transition.terminated:
             break
     bullet.close()
+
+
+def test_of_two_solids_that_touch_the_one_that_truly_does_stops_the_body():
+    """Seven micrometres from a wall, which single precision takes for touching, and against a cylinder."""
+    wall = Solid(x=0, y=1, half_x=10, half_y=0.1)
+    pillar = Solid("cylinder", x=-1.2, y=-0.8, half_x=0.8, half_y=0.8)
+    schematic = RoomConfig(dynamics=DynamicsConfig(noise=0.1))
+    instance = dataclasses.replace(generate(schematic, 0), solids=(wall, pillar))
+    scalar, room = Kinematics(instance), TensorRoom([instance], 1)
+    room.reset(torch.tensor([0]))
+    radius = instance.robot.body_radius + CONTACT_SKIN
+    y = 0.9 - radius - 7e-6
+    x = pillar.x + math.sqrt((pillar.half_x + radius) ** 2 - (y - pillar.y) ** 2)
+    heading = math.radians(177)
+    state = scalar.make_state(Start(x, y), 1)._replace(
+        heading_steps=round(heading // scalar.turn_step), heading_offset=heading % scalar.turn_step)
+    for noise_key in range(10):
+        room.set_room_state(0, state._replace(noise_key=noise_key))
+        room.step(torch.tensor([0]))  # forward
+        found, expected = room.get_room_state(0), scalar.step(state._replace(noise_key=noise_key), 0).state
+        assert abs(found.x - expected.x) < 1e-5 and abs(found.y - expected.y) < 1e-5

@@ -30,7 +30,7 @@ def meet(x: float, y: float, dx: float, dy: float, radius: float, outline: Footp
     shapes = shapes_of(outline)
     fraction = compute_first_contact(column(x), column(y), column(dx), column(dy), radius,
                                      shapes.round() if single else shapes)
-    return fraction.item()
+    return max(fraction.item(), 0.0)
 
 
 @given(st.lists(outlines, min_size=1, max_size=4), numbers, numbers)
