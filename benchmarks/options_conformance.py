@@ -21,7 +21,6 @@ import torch
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.generation import generate
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.errors import UnsupportedError
 from hrl_escape.files import read_json, write_json
 from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.options_env import OptionsEnv
@@ -137,17 +136,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, config in all_schematics().items():
         if chosen.rooms and name not in chosen.rooms:
             continue
+        if config.dynamics.kind != "kinematic":
+            print(f"{name:20} left out: the batched engine knows no physics")
+            continue
         findings = read_json(chosen.json) if chosen.json and os.path.exists(chosen.json) else {}
         known = findings.get(name, {})
         if settings.items() <= known.items():
             found = OptionAgreement(**{f.name: known[f.name] for f in dataclasses.fields(OptionAgreement)})
         else:
-            try:
-                rooms = [generate(config, seed) for seed in range(chosen.instances)]
-                found = compare_options(rooms, chosen.decisions, seed=chosen.seed)
-            except UnsupportedError as error:
-                print(f"{name:20} left out: {str(error).split(':')[0]}")
-                continue
+            rooms = [generate(config, seed) for seed in range(chosen.instances)]
+            found = compare_options(rooms, chosen.decisions, seed=chosen.seed)
             if chosen.json:
                 write_json(chosen.json, findings | {name: settings | dataclasses.asdict(found)})
         print(f"{name:20} {found.decisions:9,} {found.reached:8,} {len(found.missed):7} {found.planned:8,} "

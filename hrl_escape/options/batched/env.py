@@ -23,16 +23,15 @@ from hrl_escape.env.tensor_instances import InstanceSource, Layout, Tables, coll
 from hrl_escape.env.tensor_observations import compute_bounds
 from hrl_escape.env.tensor_poses import TensorState
 from hrl_escape.env.tensor_room import TensorRoom, check_compiler, compile_step, list_shapes
-from hrl_escape.errors import ActionError, BatchError, ConfigError, PlanningFailed, ResetNeededError
-from hrl_escape.options.batched.decisions import ENDINGS, PLANNED, Decisions, Running
+from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError
+from hrl_escape.options.batched.decisions import ENDINGS, Decisions, Running
+from hrl_escape.options.batched.planning import Guide
 from hrl_escape.options.batched.prices import Prices, stack_prices
-from hrl_escape.options.batched.stepping import PATIENCE, STUCK, Settings, Shown, advance, make_running, show
-from hrl_escape.options.goals import ExitGoal, PressGoal
-from hrl_escape.options.planner import get_planner
+from hrl_escape.options.batched.stepping import PATIENCE, STUCK, Settings, Shown, advance, begin, make_running, show
 
 __all__ = ["ENDINGS", "BatchedOptionsEnv", "Decisions"]
 
-Kernel: TypeAlias = Callable[[Tables, Prices, TensorState, Running, Shown, Tensor],
+Kernel: TypeAlias = Callable[[Tables, Prices | None, TensorState, Running, Shown, Tensor],
                              tuple[TensorState, Running, Shown, Decisions]]
 
 
@@ -40,9 +39,11 @@ class BatchedOptionsEnv:
     """Many rooms whose robots choose among options and primitives, each at its own pace.
 
     Actions are those of `OptionsEnv` on the same instance, with the same numbers, names and masks: primitives
-    (unless `include_primitives` is false), `meta-01` to `meta-NN`, `meta-exit`. Options press with the body. Where
-    `OptionsEnv` follows a plan, options here are greedy on cost-to-go fields that were computed once an instance, and
-    ask the planner only where these lead nowhere; they reach what plans reach, in about as many primitives.
+    (unless `include_primitives` is false), `meta-01` to `meta-NN`, `meta-exit`. Where `OptionsEnv` follows a plan,
+    options here are greedy on cost-to-go fields that were computed once an instance, and ask the planner only where
+    these lead nowhere; they reach what plans reach, in about as many primitives. Rooms pressed by hand have no fields,
+    for what is left to do depends on every joint: their options are planned on the host, one room after the other,
+    as `OptionsEnv` plans them (under noise or slip, at every primitive). Only their primitives run in the batch.
 
         seen = env.reset(torch.arange(env.count))
         while learning:
@@ -80,7 +81,7 @@ class BatchedOptionsEnv:
         action_space: of one room.
 
     Raises:
-        UnsupportedError: targets are pressed by hand, or the batched engine cannot step these rooms.
+        UnsupportedError: the batched engine cannot step these rooms.
         ConfigError: an argument is impossible.
     """
 
@@ -109,18 +110,22 @@ class BatchedOptionsEnv:
                                observation=observation, autoreset="disabled", resample=resample_instance, device=device)
         self.count, self.device, self.gamma = num_envs, self.room.device, float(discount)
         layout = self.room.layout
-        self._prices = stack_prices(self.room.instances, self.device)
+        self._by_hand = layout.dynamics.press_with == "hand"
+        self._prices = None if self._by_hand else stack_prices(self.room.instances, self.device)
+        self._guide = Guide(self.room)
         names = [primitive.name for primitive in make_primitives(layout.robot.joints)] if include_primitives else []
         self.action_names = (*names, *(f"meta-{n + 1:02d}" for n in range(layout.targets)), "meta-exit")
         self.actions = len(self.action_names)
         self.action_space = spaces.Discrete(self.actions)
         self.observation_space = spaces.Box(*compute_bounds(self.room.instances, observation), dtype=np.float32)
         patience = math.ceil(PATIENCE / (1.0 - layout.dynamics.slip)) if layout.dynamics.slip < 1.0 else PATIENCE
+        if self._by_hand:
+            patience = 2**31 - 1  # planned options have their own
         self._settings = Settings(observation, len(names), self.gamma, patience, max_duration or 2**31 - 1, autoreset)
         self._kernel: Kernel | None = None
         if compile:
             check_compiler(self.device)
-            shapes = (num_envs, *list_shapes(self.room.tables), *list_shapes(self._prices))
+            shapes = (num_envs, *list_shapes(self.room.tables), *(list_shapes(self._prices) if self._prices else ()))
             self._kernel = _compile(layout, self._settings, self.device.type, torch.get_num_threads(), shapes)
 
     # --- what there is to see --------------------------------------------------------------
@@ -198,7 +203,7 @@ class BatchedOptionsEnv:
         action = self._check_action(action)
         room = self.room
         with torch.no_grad():
-            self._plan_for_the_stuck()
+            self._plan(action)
             if self._kernel is not None:
                 found = self._kernel(room.tables, self._prices, room.state, self._running, self._shown, action)
             else:
@@ -207,26 +212,21 @@ class BatchedOptionsEnv:
         room.state, self._running, self._shown, decisions = found
         return decisions
 
-    def _plan_for_the_stuck(self) -> None:
-        """Ask the planners where greed has come no nearer for a while; they find what fields are too coarse for."""
-        running = self._running
-        stuck = (running.waited >= STUCK) & (running.planned == 0) & (running.action >= self._settings.primitives)
-        rooms = stuck.nonzero().squeeze(1).tolist()
-        if not rooms:
-            return
-        plan, planned, waited = running.plan.clone(), running.planned.clone(), running.waited.clone()
-        for room in rooms:
-            option = int(running.action[room]) - self._settings.primitives
-            goal = PressGoal(option) if option < self.room.layout.targets else ExitGoal()
-            planner = get_planner(self.room.instances[int(self.room.state.instance[room])])
-            try:
-                found = planner.find_route(self.room.get_room_state(room), goal).primitives[:PLANNED]
-            except PlanningFailed:
-                waited[room] = self._settings.patience  # one more primitive in vain, and it gives up
-                continue
-            plan[PLANNED - len(found) :, room] = torch.tensor(found, dtype=torch.int8, device=self.device)
-            planned[room] = len(found)
-        self._running = running._replace(plan=plan, planned=planned, waited=waited)
+    def _plan(self, action: Tensor) -> None:
+        """Ask the planners for all who press by hand, else where greed has come no nearer for a while."""
+        primitives = self._settings.primitives
+        running = begin(self._running, self.is_waiting, action, self._shown.observation) if self._by_hand \
+            else self._running
+        where = (running.action >= primitives) & (running.planned == 0) & ~self.is_over
+        goals = running.action - primitives
+        if self._by_hand:
+            legal = torch.gather(self._shown.mask, 1, running.action.clamp(min=0).unsqueeze(1)).squeeze(1)
+            self._running, _ = self._guide.pursue(running, where & legal, goals)
+        else:
+            running, has_failed = self._guide.plan(running, where & (running.waited >= STUCK), goals)
+            # one more primitive in vain, and those that planning has failed give up
+            self._running = running._replace(
+                waited=torch.where(has_failed, self._settings.patience, running.waited))
 
     def _check_action(self, action: Tensor) -> Tensor:
         if not isinstance(action, Tensor) or action.shape != (self.count,) or action.dtype != torch.int64 \
@@ -251,7 +251,7 @@ def _own(field: Tensor) -> Tensor:
 def _compile(layout: Layout, settings: Settings, device: str, threads: int, shapes: tuple) -> Kernel:
     """Compile a step for one shape of batch; kernels hand flags over as words, as in `tensor_room.py`."""
 
-    def kernel(tables: Tables, prices: Prices, state: TensorState, running: Running, shown: Shown, action: Tensor
+    def kernel(tables: Tables, prices: Prices | None, state: TensorState, running: Running, shown: Shown, action: Tensor
                ) -> tuple[TensorState, Running, Shown, Decisions]:
         state, running, shown, done = advance(layout, settings, tables, prices, state, running, shown, action)
         shown, done = (map_tensors(lambda field: field.to(torch.int32) if field.dtype == torch.bool else field, part)
@@ -260,7 +260,7 @@ def _compile(layout: Layout, settings: Settings, device: str, threads: int, shap
 
     compiled = compile_step(kernel, device, threads)
 
-    def run(tables: Tables, prices: Prices, state: TensorState, running: Running, shown: Shown, action: Tensor
+    def run(tables: Tables, prices: Prices | None, state: TensorState, running: Running, shown: Shown, action: Tensor
             ) -> tuple[TensorState, Running, Shown, Decisions]:
         state, running, shown, done = compiled(tables, prices, state, running, shown, action)
         done = done._replace(where=done.where != 0, next_action_mask=done.next_action_mask != 0,

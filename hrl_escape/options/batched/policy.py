@@ -157,10 +157,10 @@ def _move(layout: Layout, tables: Tables, state: TensorState, is_open: Tensor) -
     dx, dy = forward * cos - left * sin, forward * sin + left * cos
     motion = (state.x, state.y, dx.unsqueeze(1), dy.unsqueeze(1), layout.robot.body_radius + CONTACT_SKIN)
     solids: Shapes = pick(layout, tables.solids, state.instance)
-    free = compute_first_contact(*motion, solids.round()).amin(1)
+    free = compute_first_contact(*motion, solids.round()).amin(1).clamp(min=0.0)
     if layout.has_door:
         doors: Shapes = pick(layout, tables.doors, state.instance)
-        door = compute_first_contact(*motion, doors.round()).amin(1)
+        door = compute_first_contact(*motion, doors.round()).amin(1).clamp(min=0.0)
         free = torch.where(is_open, free, torch.minimum(free, door))
     x, y = state.x + free * dx, state.y + free * dy
     stays = len(BASE_PRIMITIVES) - _MOVES

@@ -100,12 +100,10 @@ def compute_prices(instance: RoomInstance) -> InstancePrices:
     """The fields of an instance, computed when first asked for (some tenths of a second) and kept by its id.
 
     Raises:
-        UnsupportedError: targets of this room are pressed by hand, or it has props to push.
+        UnsupportedError: targets of this room are pressed by hand.
     """
-    if instance.dynamics.press_with == "hand" or instance.props:
-        what = "pressed by hand" if instance.dynamics.press_with == "hand" else "pushed about"
-        raise UnsupportedError(f"batched options drive the body; in this room things are {what}: use OptionsEnv, one "
-                               "room at a time (gymnasium.make('hrl_escape/EscapeRoomOptions-v0', ...))")
+    if instance.dynamics.press_with == "hand":
+        raise UnsupportedError("there are no cost-to-go fields for presses by hand: ask the room's planner")
     with _LOCK:
         found = _CACHE.get(instance.id)
         if found is None:

@@ -18,11 +18,11 @@ from hrl_escape.env.tensor_observations import observe
 from hrl_escape.env.tensor_poses import TensorState
 from hrl_escape.env.tensor_rules import restart, step
 from hrl_escape.options.batched.decisions import ENDINGS, PLANNED, Decisions, Running
-from hrl_escape.options.batched.policy import REMEMBERED, can_start, choose, is_in_exit
+from hrl_escape.options.batched.policy import REMEMBERED, Choice, can_start, choose, is_in_exit
 from hrl_escape.options.batched.prices import Prices
 from hrl_escape.options.batched.relaxing import FAR
 
-__all__ = ["PATIENCE", "STUCK", "Settings", "Shown", "advance", "make_running", "show"]
+__all__ = ["PATIENCE", "STUCK", "Settings", "Shown", "advance", "begin", "make_running", "show"]
 
 WAIT = [primitive.name for primitive in BASE_PRIMITIVES].index("turn-left")
 STUCK = 4
@@ -58,20 +58,24 @@ def show(layout: Layout, tables: Tables, state: TensorState, settings: Settings)
     return Shown(observe(layout, tables, state, settings.kind), mask)
 
 
-def advance(layout: Layout, settings: Settings, tables: Tables, prices: Prices, state: TensorState, running: Running,
-            shown: Shown, action: Tensor) -> tuple[TensorState, Running, Shown, Decisions]:
+def advance(layout: Layout, settings: Settings, tables: Tables, prices: Prices | None, state: TensorState,
+            running: Running, shown: Shown, action: Tensor) -> tuple[TensorState, Running, Shown, Decisions]:
     """One primitive in every room, and whatever begins and ends with it: what gets compiled."""
     is_over = state.has_ended != 0
-    is_new = (running.action < 0) & ~is_over
-    running = _begin(running, is_new, action, shown.observation)
+    running = begin(running, (running.action < 0) & ~is_over, action, shown.observation)
+    is_new = running.duration == 0
     is_option = running.action >= settings.primitives
     goal = (running.action - settings.primitives).clamp(min=0)
     is_legal = torch.gather(shown.mask, 1, running.action.clamp(min=0).unsqueeze(1)).squeeze(1)
 
-    choice = choose(layout, tables, prices, state, goal, running.places, running.costs)
-    has_failed = is_new & is_option & (~is_legal | (choice.cost >= FAR))
-    next_planned = torch.gather(running.plan, 0, (PLANNED - running.planned).clamp(max=PLANNED - 1).unsqueeze(0))[0]
-    chosen = torch.where(running.planned > 0, next_planned.to(torch.int64), choice.primitive)
+    planned = _look_ahead(running)
+    if prices is None:  # all is planned, and where no plan has come none was found
+        choice = Choice(planned, running.planned.to(torch.float32), torch.zeros_like(planned))
+        has_failed = is_option & (is_new & ~is_legal | (running.planned == 0))
+    else:
+        choice = choose(layout, tables, prices, state, goal, running.places, running.costs)
+        has_failed = is_new & is_option & (~is_legal | (choice.cost >= FAR))
+    chosen = torch.where(running.planned > 0, planned, choice.primitive)
     primitive = torch.where(has_failed, WAIT, torch.where(is_option, chosen, running.action))
     is_nearer = choice.cost < running.least - 0.5
     waited = torch.where(is_nearer, 0, running.waited + 1)
@@ -110,7 +114,14 @@ def advance(layout: Layout, settings: Settings, tables: Tables, prices: Prices, 
     return after, running._replace(action=torch.where(where, -1, running.action)), final, decisions
 
 
-def _begin(running: Running, where: Tensor, action: Tensor, observation: Tensor) -> Running:
+def _look_ahead(running: Running) -> Tensor:
+    """The next primitive of each room's plan, int64 (rooms,); anything where it has none."""
+    at = (PLANNED - running.planned).clamp(max=PLANNED - 1).to(torch.int64)
+    return torch.gather(running.plan, 0, at.unsqueeze(0))[0].to(torch.int64)
+
+
+def begin(running: Running, where: Tensor, action: Tensor, observation: Tensor) -> Running:
+    """Begin decisions in some rooms, bool (rooms,), for the actions given."""
     fresh = make_running(observation)._replace(action=action)
     return Running(*(torch.where(where.unsqueeze(1) if new is observation else where, new, old)
                      for new, old in zip(fresh, running, strict=True)))
