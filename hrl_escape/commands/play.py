@@ -1,4 +1,4 @@
-"""Play a room yourself: drive, press, undo, and beat the best known return; in the browser, a window or a terminal.
+"""Play a room yourself: drive, press, undo, and beat the best known return; in browser, window or terminal.
 
     hrl-escape play
     hrl-escape play --preset clutter --seed 3

@@ -1,4 +1,4 @@
-"""Watch an agent drive and see what it thinks: option and plan, action values, SMDP bookkeeping, what-if previews.
+"""Watch an agent drive and see what it thinks: option and plan, action values, SMDP numbers, what-if.
 
     hrl-escape watch
     hrl-escape watch smdp-dqn --preset clutter --seed 3
