@@ -69,9 +69,9 @@ def advance(layout: Layout, settings: Settings, tables: Tables, prices: Prices |
     is_legal = torch.gather(shown.mask, 1, running.action.clamp(min=0).unsqueeze(1)).squeeze(1)
 
     planned = _look_ahead(running)
-    if prices is None:  # all is planned, and where no plan has come none was found
+    if prices is None:  # all is planned; no plan means that none was found, or that the option was masked
         choice = Choice(planned, running.planned.to(torch.float32), torch.zeros_like(planned))
-        has_failed = is_option & (is_new & ~is_legal | (running.planned == 0))
+        has_failed = is_option & (running.planned == 0)
     else:
         choice = choose(layout, tables, prices, state, goal, running.places, running.costs)
         has_failed = is_new & is_option & (~is_legal | (choice.cost >= FAR))
