@@ -1,4 +1,4 @@
-"""Train one agent in one room: learning curve, log, checkpoints, and a run that goes on where it was stopped.
+"""Train one agent in one room, or many seeds at once: curve, log, checkpoints; goes on where it was stopped.
 
     hrl-escape train smdp-dqn
     hrl-escape train smdp-ppo --preset clutter --seed 3 --primitives 50000 --out runs/clutter-ppo
