@@ -1,6 +1,7 @@
-"""Endurance: a million steps and a thousand open/close cycles, and how much memory they leave behind.
+"""Endurance: a million steps, a thousand open/close cycles, minutes of batched steps: how much memory do they leave?
 
-Run: `python benchmarks/endurance.py` (about two minutes on one core); exits with 1 if memory grew.
+Run: `python benchmarks/endurance.py` (about two minutes on one core); exits with 1 if memory grew. With
+`--batched-minutes 10` the batched engine is stepped for ten minutes besides.
 """
 
 from __future__ import annotations
@@ -60,15 +61,37 @@ def run_cycles(name: str, cycles: int) -> float:
     return growth
 
 
+def run_batch(name: str, rooms: int, minutes: float) -> float:
+    """Step a batch of rooms, compiled, with random primitives and automatic resets; returns the growth in MB."""
+    env = gymnasium.make_vec(name, num_envs=rooms, compile=True)
+    env.reset(seed=0)
+    rng = np.random.default_rng(0)
+    count = env.single_action_space.n  # type: ignore[attr-defined]
+    env.step(np.zeros(rooms, dtype=np.int64))  # compiles
+    end, before, steps, warm = time.monotonic() + 60 * minutes, 0.0, 0, time.monotonic() + 12 * minutes
+    while time.monotonic() < end:
+        if before == 0.0 and time.monotonic() > warm:
+            before = get_memory_mb()
+        env.step(rng.integers(count, size=rooms))
+        steps += rooms
+    growth = get_memory_mb() - before
+    print(f"{name}: {steps:,} batched steps in {minutes:g} minutes, {growth:+.1f} MB after the first fifth")
+    env.close()
+    return growth
+
+
 def main() -> int:
-    """Run both and say whether memory grew."""
+    """Run all and say whether memory grew."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=1_000_000)
     parser.add_argument("--cycles", type=int, default=1000)
+    parser.add_argument("--batched-minutes", type=float, default=0.0, help="of stepping 1,024 rooms at once")
     options = parser.parse_args()
     names = ("hrl_escape/PaperTwoButton-v0", "hrl_escape/ArmTwoButton-v0", "hrl_escape/Clutter-v0")
     growth = [run_steps(name, options.steps // len(names)) for name in names]
     growth.append(run_cycles("hrl_escape/PaperTwoButton-v0", options.cycles))
+    if options.batched_minutes:
+        growth.append(run_batch("hrl_escape/Clutter-v0", 1024, options.batched_minutes))
     return int(max(growth) > ALLOWED_GROWTH_MB)
 
 

@@ -10,6 +10,7 @@ import base64
 import io
 import json
 import re
+import shlex
 from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any
@@ -20,6 +21,7 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from hrl_escape.env.rendering import make_map
+from hrl_escape.experiments.cell import get_cell_folder, get_room_file
 from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.figures import save_figures
 from hrl_escape.experiments.page_data import MEDIAN, choose_replays, make_page_data
@@ -83,6 +85,7 @@ def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
         findings=[text for kind, text in verdict if kind == "finding"],
         cautions=[text for kind, text in verdict if kind == "caution"],
         hero="" if hero is None else hero,
+        viewings=[] if hero is None else _list_viewings(comparison, replays[hero]),
         hero_caption="" if hero is None else _describe_hero(replays[hero], chips[leader.label]),
         facts=_list_facts(summary),
         rows=[_make_row(agent, look, chips[agent.label], agent is leader)
@@ -119,6 +122,18 @@ def _mark_agents(text: str, chips: dict[str, Markup]) -> Markup:
 def _describe_hero(replay: dict[str, Any], chip: Markup) -> Markup:
     return Markup("{}: its median episode at the end of training, {:,} primitives, return {:g}.").format(
         chip, replay["primitives"], replay["return"])
+
+
+def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
+    """The commands that show a replay's run in 3D: with what it thinks, and as a page that plays offline."""
+    instance = comparison.instances[replay["room"]]
+    cell = next(cell for cell, _ in comparison.runs if (cell.agent.label, cell.instance_id, cell.seed)
+                == (replay["agent"], instance.id, replay["seed"]))
+    run = shlex.join([str(get_cell_folder(comparison.out, cell) / "run"),
+                      "--load", str(get_room_file(comparison.out, instance.id))])
+    flavour = cell.agent.options.flavour
+    run += f" --flavour {flavour}" if cell.agent.chooses_options and flavour != "press" else ""
+    return [f"hrl-escape watch {run}", f"hrl-escape record {run} --out escape.html"]
 
 
 def _describe_kind(agent: AgentSummary) -> str:

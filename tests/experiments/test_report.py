@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import dataclasses
+import html
 import json
 import re
+import shlex
 import shutil
 import subprocess
 from html.parser import HTMLParser
@@ -16,6 +18,7 @@ import numpy as np
 import pytest
 
 from hrl_escape import __version__
+from hrl_escape.cli import main
 from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.page_data import choose_replays
 from hrl_escape.experiments.report import write_report
@@ -251,3 +254,12 @@ def test_the_page_works_in_a_browser_without_network(summary: Summary, source: s
     assert report["cards"] == len(labels)
     for player in report["players"]:
         assert player["moved"] and player["words"].endswith(f"of {player['count']:,}")
+
+
+def test_the_page_names_commands_that_show_the_best_run_in_three_dimensions(finished: Comparison, source: str,
+                                                                          tmp_path: Path):
+    commands = re.findall(r"hrl-escape (?:watch|record) .*", html.unescape(source))
+    assert [shlex.split(command)[1] for command in commands] == ["watch", "record"]
+    arguments = shlex.split(commands[1])[1:-1] + [str(tmp_path / "run.html")]
+    assert main(arguments) == 0
+    assert (tmp_path / "run.html").stat().st_size > 100_000
