@@ -12,22 +12,20 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import os
 import sys
 import time
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import torch
 
+from benchmarks.findings import list_batched_rooms, load_findings
 from hrl_escape.env.generation import generate
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, Transition
 from hrl_escape.env.tensor_puzzles import as_signed
 from hrl_escape.env.tensor_room import Outcome, TensorRoom
-from hrl_escape.files import read_json, write_json
-from tests.env.rooms import all_schematics
+from hrl_escape.files import write_json
 
 TOLERANCE = 1e-4
 THRESHOLD = 1e-3
@@ -161,15 +159,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     torch.set_num_threads(1)
     settings = {name: getattr(chosen, name) for name in ("instances", "primitives", "copies", "seed")}
-    findings = _load(chosen.json)
+    findings = load_findings(chosen.json)
     good = True
     print(f"{'room':20} {'primitives':>12} {'worst pose':>11} {'close calls':>11} {'disagreements':>13} {'seconds':>8}")
-    for name, config in all_schematics().items():
-        if chosen.rooms and name not in chosen.rooms:
-            continue
-        if config.dynamics.kind != "kinematic":
-            print(f"{name:20} left out: the batched engine knows no physics")
-            continue
+    for name, config in list_batched_rooms(chosen.rooms):
         begun, done = time.perf_counter(), findings.get(name, {})
         if settings.items() <= done.items():
             found = Agreement(**{field.name: done[field.name] for field in dataclasses.fields(Agreement)})
@@ -177,7 +170,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             rooms = [generate(config, seed) for seed in range(chosen.instances)]
             found = compare(rooms, chosen.primitives, copies=chosen.copies, seed=chosen.seed)
             seconds = time.perf_counter() - begun
-            findings = _load(chosen.json) | {name: settings | dataclasses.asdict(found) | {"seconds": seconds}}
+            findings = load_findings(chosen.json) | {name: settings | dataclasses.asdict(found) | {"seconds": seconds}}
             if chosen.json:
                 write_json(chosen.json, findings)
         print(f"{name:20} {found.primitives:12,} {found.worst:9.1e} m {found.close_calls:11} "
@@ -185,10 +178,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\n".join(found.disagreements[:3]), end="\n" if found.disagreements else "")
         good &= found.is_good
     return 0 if good else 1
-
-
-def _load(path: str | None) -> dict[str, Any]:
-    return read_json(path, "findings of a conformance check") if path and os.path.exists(path) else {}
 
 
 if __name__ == "__main__":

@@ -11,20 +11,19 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import os
 import sys
 import time
 from collections.abc import Sequence
 
 import torch
 
+from benchmarks.findings import list_batched_rooms, load_findings
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.generation import generate
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.files import read_json, write_json
+from hrl_escape.files import write_json
 from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.options_env import OptionsEnv
-from tests.env.rooms import all_schematics
 
 MOST_MORE = 0.05
 
@@ -133,21 +132,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     good = True
     print(f"{'room':20} {'decisions':>9} {'reached':>8} {'missed':>7} {'planned':>8} {'taken':>8} {'more':>7} "
           f"{'side presses':>12} {'fields s':>8} {'batch s':>8} {'single s':>8}")
-    for name, config in all_schematics().items():
-        if chosen.rooms and name not in chosen.rooms:
-            continue
-        if config.dynamics.kind != "kinematic":
-            print(f"{name:20} left out: the batched engine knows no physics")
-            continue
-        findings = read_json(chosen.json) if chosen.json and os.path.exists(chosen.json) else {}
-        known = findings.get(name, {})
+    for name, config in list_batched_rooms(chosen.rooms):
+        known = load_findings(chosen.json).get(name, {})
         if settings.items() <= known.items():
             found = OptionAgreement(**{f.name: known[f.name] for f in dataclasses.fields(OptionAgreement)})
         else:
             rooms = [generate(config, seed) for seed in range(chosen.instances)]
             found = compare_options(rooms, chosen.decisions, seed=chosen.seed)
             if chosen.json:
-                write_json(chosen.json, findings | {name: settings | dataclasses.asdict(found)})
+                write_json(chosen.json, load_findings(chosen.json) | {name: settings | dataclasses.asdict(found)})
         print(f"{name:20} {found.decisions:9,} {found.reached:8,} {len(found.missed):7} {found.planned:8,} "
               f"{found.taken:8,} {found.more:7.2%} {found.side_presses:12} "
               + " ".join(f"{seconds:8.1f}" for seconds in found.seconds), flush=True)

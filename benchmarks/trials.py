@@ -15,6 +15,8 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
+from typing import Any
 
 import gymnasium
 import torch
@@ -49,6 +51,11 @@ def measure(work: Callable[[], list[TrainResult]]) -> tuple[list[TrainResult], f
     return results, time.perf_counter() - wall, sum(os.times()[:4]) - cpu
 
 
+def train_in_turn(name: str, env: gymnasium.Env, trials: int, **budget: Any) -> list[TrainResult]:
+    """Train the seeds one after another."""
+    return [train(name, env, seed=seed, **budget) for seed in range(trials)]
+
+
 def main() -> int:
     """Measure each agent both ways."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -70,11 +77,10 @@ def main() -> int:
                   "recipe": arguments.recipe}
         train(name, env, primitives=300, eval_episodes=0)  # kernels compiled, the room's tables made
         together, wall, cpu = measure(
-            lambda: train(name, env, trials=arguments.trials, workers=arguments.workers, **budget))  # noqa: B023
+            partial(train, name, env, trials=arguments.trials, workers=arguments.workers, **budget))
         print(f"{name}: {arguments.trials} at once in {arguments.workers} processes {wall:.1f} s, {cpu:.1f} CPU s",
               flush=True)
-        alone, wall_alone, cpu_alone = measure(
-            lambda: [train(name, env, seed=seed, **budget) for seed in range(arguments.trials)])  # noqa: B023
+        alone, wall_alone, cpu_alone = measure(partial(train_in_turn, name, env, arguments.trials, **budget))
         parting = [find_parting(one, other) for one, other in zip(together, alone, strict=True)]
         print(f"{name}: one after another {wall_alone:.1f} s, {cpu_alone:.1f} CPU s; at once takes "
               f"{wall / wall_alone:.2f} of the time, {cpu / cpu_alone:.2f} of the CPU", flush=True)

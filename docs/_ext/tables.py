@@ -12,6 +12,7 @@ import importlib
 import io
 import json
 import re
+from abc import abstractmethod
 from collections.abc import Iterable, Sequence
 from typing import Any, get_type_hints
 
@@ -61,9 +62,9 @@ class Table(SphinxDirective):
         """Write and parse."""
         return self.parse_text_to_nodes(self.write())
 
+    @abstractmethod
     def write(self) -> str:
         """The Markdown."""
-        raise NotImplementedError
 
 
 class Knobs(Table):

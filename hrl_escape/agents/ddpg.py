@@ -29,6 +29,7 @@ from hrl_escape.agents.networks import (
     Learner,
     NetworkSettings,
     ObservationEncoder,
+    compute_td_loss,
     make_forward,
     make_generator,
     make_network,
@@ -216,9 +217,7 @@ class DDPG:
             next_value = self.target_critic(torch.cat((next_observation, next_action), dim=1)).squeeze(1)
             targets = reward + bootstrap * next_value
         value = self.critic(torch.cat((observation, action), dim=1)).squeeze(1)
-        if self.settings.loss == "huber":
-            return functional.smooth_l1_loss(value, targets)
-        return 0.5 * functional.mse_loss(value, targets)
+        return compute_td_loss(value, targets, self.settings.loss)
 
     def compute_actor_loss(self, batch: Experience, noise: NDArray[np.float32]) -> torch.Tensor:
         """Minus the mean of Q(s, mu(s)), less the weighted entropy.

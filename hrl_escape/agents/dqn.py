@@ -14,7 +14,6 @@ import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.nn import functional
 
 from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions, count_steps
 from hrl_escape.agents.bonuses import BonusSettings, CountBonus
@@ -29,13 +28,14 @@ from hrl_escape.agents.networks import (
     Learner,
     NetworkSettings,
     ObservationEncoder,
+    compute_td_loss,
     make_forward,
     make_generator,
     make_network,
 )
 from hrl_escape.agents.replay import Experience, NStep, ReplayBuffer
 from hrl_escape.agents.settings import LearningSettings, Range
-from hrl_escape.agents.stacking import JointLearner, NetworkStack
+from hrl_escape.agents.stacking import JointLearner, NetworkStack, finish_updates
 from hrl_escape.agents.updates import Metrics, Updates, run_alone
 from hrl_escape.errors import DivergenceError
 
@@ -171,8 +171,11 @@ class DQN:
     def _update(self, rows: NDArray[np.int64]) -> Metrics:
         loss, values = self.compute_loss(self.replay.take(rows))
         value = self._learner.minimise(loss)
-        self.target.blend(self.online, self.settings.target_rate)
+        self._blend()
         return {"loss": value, "value": values.mean().item() / self.settings.reward_scale}
+
+    def _blend(self) -> None:
+        self.target.blend(self.online, self.settings.target_rate)
 
     def compute_loss(self, batch: Experience) -> tuple[torch.Tensor, torch.Tensor]:
         """The loss over a batch of numpy arrays, and Q_theta(s, o), (batch,), without gradient."""
@@ -221,15 +224,8 @@ class DQNTogether:
         target = NetworkStack([agent.target for agent in agents])
         batch = ReplayBuffer.take_together([agent.replay for agent in agents], requests)
         losses, values = compute_dqn_loss(online, target, batch, settings)
-        results: list[Metrics | DivergenceError] = []
-        means = values.mean(dim=-1).tolist()
-        for agent, loss, mean in zip(agents, self._learner.minimise(losses, online), means, strict=True):
-            if isinstance(loss, DivergenceError):
-                results.append(loss)
-                continue
-            agent.target.blend(agent.online, settings.target_rate)
-            results.append({"loss": loss, "value": mean / settings.reward_scale})
-        return results
+        outcomes = self._learner.minimise(losses, online)
+        return finish_updates(outcomes, values, settings.reward_scale, [agent._blend for agent in agents])
 
 
 def compute_dqn_loss(
@@ -255,9 +251,7 @@ def compute_dqn_loss(
         next_choice = online(next_observation) if settings.double else next_values
         targets = compute_dqn_targets(reward, bootstrap, next_choice, next_values, next_mask)
     values = online(observation).gather(-1, action.unsqueeze(-1)).squeeze(-1)
-    if settings.loss == "huber":
-        return functional.smooth_l1_loss(values, targets, reduction="none").mean(dim=-1), values.detach()
-    return 0.5 * functional.mse_loss(values, targets, reduction="none").mean(dim=-1), values.detach()
+    return compute_td_loss(values, targets, settings.loss), values.detach()
 
 
 def compute_dqn_targets(

@@ -130,6 +130,7 @@ class FactoredModel:
         self._before: list[NDArray[np.float64]] = []
         self._after: list[NDArray[np.float64]] = []
         self._rows: list[tuple[int, int, float, bool, int]] = []  # action, duration, summed reward, over, previous
+        self._previous = -1  # the action before in the same episode
         self._rates: Counter[float] = Counter()
         self._beliefs: list[Belief] = []
         self._rebuild()
@@ -194,13 +195,10 @@ class FactoredModel:
         self._beliefs.append(belief)
         return belief
 
-    def record(self, transition: SMDPTransition, previous: int) -> None:
-        """Take in a decision; one that a cut ended inside says nothing and is left out.
-
-        Args:
-            transition: what happened.
-            previous: the action before in the same episode, or -1.
-        """
+    def record(self, transition: SMDPTransition) -> None:
+        """Take in a decision; one that a cut ended inside says nothing and is left out."""
+        previous = self._previous
+        self._previous = -1 if transition.terminated or transition.truncated else transition.action
         if transition.truncated and transition.duration > 1:
             return
         before = self._reader.flatten(transition.observation)
@@ -274,6 +272,7 @@ class FactoredModel:
         columns = zip(*self._rows, strict=True) if self._rows else ([] for _ in names)
         return {
             "rate": self.rate,
+            "last": self._previous,
             "before": np.array(self._before),
             "after": np.array(self._after),
             **{name: np.array(list(column)) for name, column in zip(names, columns, strict=True)},
@@ -281,6 +280,7 @@ class FactoredModel:
 
     def load_state_dict(self, state: StateTree) -> None:
         """Restore what `state_dict` gave."""
+        self._previous = int(state["last"])
         self._before, self._after = list(state["before"]), list(state["after"])
         columns = (state[name].tolist() for name in ("action", "duration", "reward", "over", "previous"))
         self._rows = [tuple(row) for row in zip(*columns, strict=True)]

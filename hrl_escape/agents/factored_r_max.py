@@ -69,7 +69,6 @@ class FactoredRMax:
         self._bold = self.model.make_belief(self.model.get_likeliest, self.settings.visits)
         self._rng = make_rng(seed, "actions")
         self._pending = PendingPlan()
-        self._previous = -1
         self._is_exploring = False
 
     @property
@@ -114,9 +113,8 @@ class FactoredRMax:
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Add to the history."""
-        self.model.record(transition, self._previous)
+        self.model.record(transition)
         is_over = transition.terminated or transition.truncated
-        self._previous = -1 if is_over else transition.action
         if is_over:
             self._pending.drop()
         return {"exploring": float(self._is_exploring)}
@@ -126,7 +124,6 @@ class FactoredRMax:
         return {
             "model": self.model.state_dict(),
             "pending": self._pending.state_dict(),
-            "previous": self._previous,
             "exploring": self._is_exploring,
             "rng": self._rng.bit_generator.state,
         }
@@ -135,5 +132,5 @@ class FactoredRMax:
         """Restore what `state_dict` gave."""
         self.model.load_state_dict(state["model"])
         self._pending.load_state_dict(state["pending"])
-        self._previous, self._is_exploring = int(state["previous"]), bool(state["exploring"])
+        self._is_exploring = bool(state["exploring"])
         self._rng.bit_generator.state = state["rng"]

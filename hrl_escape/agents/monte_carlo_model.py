@@ -76,7 +76,7 @@ class MonteCarloModel:
         self._seed = seed
         self._rng = make_rng(seed, "actions")
         self._pending = PendingPlan()
-        self._previous, self._episode, self._redraws = -1, 0, 0
+        self._episode, self._redraws = 0, 0
         self._is_exploring = False
 
     @property
@@ -138,9 +138,8 @@ class MonteCarloModel:
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Add to the history; a new episode draws anew."""
-        self.model.record(transition, self._previous)
+        self.model.record(transition)
         is_over = transition.terminated or transition.truncated
-        self._previous = -1 if is_over else transition.action
         if is_over:
             self._episode += 1
             self._pending.drop()
@@ -152,7 +151,6 @@ class MonteCarloModel:
         return {
             "model": self.model.state_dict(),
             "pending": self._pending.state_dict(),
-            "previous": self._previous,
             "episode": self._episode,
             "redraws": self._redraws,
             "seed": self._seed,
@@ -165,5 +163,5 @@ class MonteCarloModel:
         self._episode, self._redraws, self._seed = (int(state[name]) for name in ("episode", "redraws", "seed"))
         self.model.load_state_dict(state["model"])
         self._pending.load_state_dict(state["pending"])
-        self._previous, self._is_exploring = int(state["previous"]), bool(state["exploring"])
+        self._is_exploring = bool(state["exploring"])
         self._rng.bit_generator.state = state["rng"]

@@ -20,6 +20,7 @@ from gymnasium import spaces
 from gymnasium.spaces.utils import flatten, flatten_space
 from numpy.typing import NDArray
 from torch import nn
+from torch.nn import functional
 
 from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.settings import AgentSettings, Range
@@ -30,6 +31,7 @@ __all__ = [
     "Network",
     "NetworkSettings",
     "ObservationEncoder",
+    "compute_td_loss",
     "make_forward",
     "make_generator",
     "make_network",
@@ -250,6 +252,13 @@ def make_forward(network: Network) -> Callable[[NDArray], NDArray]:
         return values
 
     return forward_numpy
+
+
+def compute_td_loss(values: torch.Tensor, targets: torch.Tensor, kind: str) -> torch.Tensor:
+    """Mean over the last dimension of the loss of values against targets: `huber`, or half the square (`squared`)."""
+    if kind == "huber":
+        return functional.smooth_l1_loss(values, targets, reduction="none").mean(dim=-1)
+    return 0.5 * functional.mse_loss(values, targets, reduction="none").mean(dim=-1)
 
 
 class Learner:

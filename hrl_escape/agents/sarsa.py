@@ -14,7 +14,6 @@ import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch.nn import functional
 
 from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions, count_steps
 from hrl_escape.agents.exploration import (
@@ -30,13 +29,14 @@ from hrl_escape.agents.networks import (
     Learner,
     NetworkSettings,
     ObservationEncoder,
+    compute_td_loss,
     make_forward,
     make_generator,
     make_network,
 )
 from hrl_escape.agents.replay import Experience, ReplayBuffer
 from hrl_escape.agents.settings import LearningSettings, Range
-from hrl_escape.agents.stacking import JointLearner, NetworkStack
+from hrl_escape.agents.stacking import JointLearner, NetworkStack, finish_updates
 from hrl_escape.agents.updates import Metrics, Updates, run_alone
 from hrl_escape.errors import AgentSettingsError, DivergenceError
 
@@ -327,15 +327,8 @@ class SarsaTogether:
             return np.stack([agent._compute_weights(q, mask, request.next_action) for agent, q, mask, request in rows])
 
         losses, values = compute_sarsa_loss(online, target, batch, settings, compute_weights)
-        results: list[Metrics | DivergenceError] = []
-        means = values.mean(dim=-1).tolist()
-        for agent, loss, mean in zip(agents, self._learner.minimise(losses, online), means, strict=True):
-            if isinstance(loss, DivergenceError):
-                results.append(loss)
-                continue
-            agent._blend()
-            results.append({"loss": loss, "value": mean / settings.reward_scale})
-        return results
+        outcomes = self._learner.minimise(losses, online)
+        return finish_updates(outcomes, values, settings.reward_scale, [agent._blend for agent in agents])
 
 
 def compute_sarsa_loss(
@@ -364,9 +357,7 @@ def compute_sarsa_loss(
         weights = torch.from_numpy(compute_weights(next_online.numpy()))
         targets = reward + bootstrap * (weights * next_values).sum(dim=-1)
     values = online(observation).gather(-1, action.unsqueeze(-1)).squeeze(-1)
-    if settings.loss == "huber":
-        return functional.smooth_l1_loss(values, targets, reduction="none").mean(dim=-1), values.detach()
-    return 0.5 * functional.mse_loss(values, targets, reduction="none").mean(dim=-1), values.detach()
+    return compute_td_loss(values, targets, settings.loss), values.detach()
 
 
 def _as_batch(experience: Experience) -> Experience:

@@ -8,15 +8,16 @@ agents' own vectors. Perceptrons only.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor, nn
 
 from hrl_escape.agents.networks import Learner, Network
+from hrl_escape.agents.updates import Metrics
 from hrl_escape.errors import DivergenceError, UnsupportedSpaceError
 
-__all__ = ["JointLearner", "NetworkStack"]
+__all__ = ["JointLearner", "NetworkStack", "finish_updates"]
 
 
 class NetworkStack:
@@ -91,3 +92,27 @@ class JointLearner:
         for learner in self._learners:
             learner.reset_gradient()
         return results
+
+
+def finish_updates(
+    outcomes: Sequence[float | DivergenceError],
+    values: Tensor,
+    reward_scale: float,
+    blend: Sequence[Callable[[], None]],
+) -> list[Metrics | DivergenceError]:
+    """Move each trial's target network and tell its metrics; a trial that diverged is left as it is.
+
+    Args:
+        outcomes: (trials,), what `JointLearner.minimise` gave.
+        values: (trials, batch), the values that were trained, in scaled rewards.
+        reward_scale: of the agents' settings.
+        blend: moves a trial's target network.
+    """
+    results: list[Metrics | DivergenceError] = []
+    for outcome, mean, move in zip(outcomes, values.mean(dim=-1).tolist(), blend, strict=True):
+        if isinstance(outcome, DivergenceError):
+            results.append(outcome)
+            continue
+        move()
+        results.append({"loss": outcome, "value": mean / reward_scale})
+    return results

@@ -8,11 +8,9 @@ makes the decisions that it would make alone. No result depends on which other s
 from __future__ import annotations
 
 import multiprocessing
-import os
 import pickle
 import signal
 import sys
-import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, MutableSequence, Sequence
@@ -31,6 +29,7 @@ from hrl_escape.agents.registry import get_agent_class, list_agents
 from hrl_escape.agents.results import TrainResult
 from hrl_escape.agents.run import Reply, Run
 from hrl_escape.errors import AgentSettingsError, DivergenceError, WorkerLostError
+from hrl_escape.processes import die_with_parent
 
 __all__ = ["Trials", "check_batched", "find_maker", "list_batched_agents"]
 
@@ -186,7 +185,7 @@ class Trials:
     def _work(self, numbers: Sequence[int], counts: MutableSequence[int], sender: Connection) -> None:
         """What a process does: train its share, and send results with the agents' states."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent too, and the parent decides
-        _die_with_parent()
+        die_with_parent()
         if "torch" in sys.modules:
             sys.modules["torch"].set_num_threads(1)  # the processes fill the cores already
         try:
@@ -273,16 +272,3 @@ def _pack(outcome: TrainResult | Exception) -> Any:
         return pickle.loads(pickle.dumps(outcome))
     except Exception:
         return RuntimeError("".join(traceback.format_exception(outcome)))
-
-
-def _die_with_parent() -> None:
-    """End this process when the one that started it is gone, however that ended."""
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-
-    def watch() -> None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()

@@ -25,7 +25,7 @@ class Together(Protocol):
     """Several agents of one class and the same settings, whose updates are made at once.
 
     An agent class that has `learn(transition) -> Updates` can be trained in trials; one whose `learn` yields
-    names such a class in its attribute `together`, which is constructed with the agents.
+    has a static method `make_together(agents)` that gives such an object.
     """
 
     def update(self, requests: Sequence[Any]) -> list[Metrics | DivergenceError]:

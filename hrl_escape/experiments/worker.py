@@ -7,13 +7,10 @@ process in milliseconds.
 from __future__ import annotations
 
 import faulthandler
-import multiprocessing
 import os
 import signal
-import threading
 import time
 import traceback
-from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +22,7 @@ from hrl_escape.errors import EscapeError, RunBusyError
 from hrl_escape.experiments.cell import get_cell_folder, run_cell
 from hrl_escape.experiments.grid import Cell
 from hrl_escape.files import write_json
+from hrl_escape.processes import die_with_parent
 
 __all__ = ["run_guarded", "work"]
 
@@ -35,7 +33,7 @@ ORPHAN_SECONDS = 20.0
 def work(cell: Cell, out: Path, checkpoint_seconds: float) -> None:
     """What a process of the local launcher does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the parent too, and the parent decides
-    _die_with_parent()
+    die_with_parent()
     folder = get_cell_folder(out, cell)
     folder.mkdir(parents=True, exist_ok=True)
     with open(folder / "output.txt", "wb") as output:
@@ -75,16 +73,3 @@ def describe_error(error: Exception) -> dict[str, Any]:
         "message": str(error) if expected else "".join(traceback.format_exception_only(error)).strip(),
         "traceback": "" if expected else "".join(traceback.format_exception(error)),
     }
-
-
-def _die_with_parent() -> None:
-    """End this process when the one that started it is gone, however that ended."""
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-
-    def watch() -> None:
-        wait([parent.sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()

@@ -256,9 +256,9 @@ def test_what_a_cut_ended_inside_is_no_evidence():
     model = FactoredModel(spaces.MultiBinary(2), 1, 0.9, 2, "all-on", "test")
     bits, mask = np.zeros(2), np.ones(1, np.bool_)
     cut = SMDPTransition(bits, 0, mask, -5.0, -5.0, 5, 0.5, bits, mask, False, True)
-    model.record(cut, -1)
+    model.record(cut)
     assert model.is_empty
-    model.record(cut._replace(duration=1), -1)
+    model.record(cut._replace(duration=1))
     assert not model.is_empty
 
 

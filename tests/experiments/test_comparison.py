@@ -98,14 +98,27 @@ def test_finished_cells_are_kept_and_new_ones_added(finished: Comparison, tmp_pa
 # --- killed ----------------------------------------------------------------------------
 
 
+def wait_until(happens, seconds: float = 20.0) -> bool:
+    deadline = time.monotonic() + seconds
+    while not happens():
+        if time.monotonic() > deadline:
+            return False
+        time.sleep(0.05)
+    return True
+
+
+def count_log_bytes(out: Path) -> int:
+    return sum(log.stat().st_size for log in out.glob("cells/*/run/log.jsonl"))
+
+
 def test_killed_at_any_moment_and_resumed_gives_the_uninterrupted_results(finished: Comparison, tmp_path: Path):
     write_json(tmp_path / "small.json", SMALL.to_dict())
     out, rng, kills = tmp_path / "out", np.random.default_rng(4), 0
     while kills < 4:
+        before = count_log_bytes(out)
         process = start_cli(tmp_path / "small.json", out)
-        deadline = time.monotonic() + rng.uniform(0.5, 9.0)
-        while process.poll() is None and time.monotonic() < deadline:
-            time.sleep(0.02)
+        wait_until(lambda: process.poll() is not None or count_log_bytes(out) > before, 60)  # noqa: B023  # called here
+        time.sleep(rng.uniform(0.0, 0.8))
         if process.poll() is None:
             process.send_signal(signal.SIGKILL)
             kills += 1
@@ -116,15 +129,6 @@ def test_killed_at_any_moment_and_resumed_gives_the_uninterrupted_results(finish
     resumed = run(SMALL, out)
     assert [result for _, result in resumed.runs] == [result for _, result in finished.runs]
     assert read_tables(resumed) == read_tables(finished)
-
-
-def wait_until(happens, seconds: float = 20.0) -> bool:
-    deadline = time.monotonic() + seconds
-    while not happens():
-        if time.monotonic() > deadline:
-            return False
-        time.sleep(0.05)
-    return True
 
 
 @pytest.mark.parametrize("signal_", [signal.SIGINT, signal.SIGKILL], ids=["ctrl-c", "kill -9"])

@@ -1,0 +1,29 @@
+"""What the conformance benchmarks share: which rooms they go through, and findings kept in a file to go on from."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Collection, Iterator
+from typing import Any
+
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.files import read_json
+from tests.env.rooms import all_schematics
+
+__all__ = ["list_batched_rooms", "load_findings"]
+
+
+def list_batched_rooms(names: Collection[str] | None) -> Iterator[tuple[str, RoomConfig]]:
+    """Presets and knob extremes that the batched engine knows, of these names; all of them where there are none."""
+    for name, config in all_schematics().items():
+        if names and name not in names:
+            continue
+        if config.dynamics.kind == "kinematic":
+            yield name, config
+        else:
+            print(f"{name:20} left out: the batched engine knows no physics")
+
+
+def load_findings(path: str | None) -> dict[str, Any]:
+    """Room -> settings and findings of earlier calls; empty where there is no file yet."""
+    return read_json(path, "findings of a conformance check") if path and os.path.exists(path) else {}
