@@ -52,8 +52,11 @@ class DDPGSettings(NetworkSettings, EpsilonSettings, LearningSettings):
     exploration: Literal["epsilon-greedy", "ornstein-uhlenbeck"] = "epsilon-greedy"
     """`epsilon-greedy`: a random legal action with probability epsilon. `ornstein-uhlenbeck`: noise with memory on the
     actor's outputs."""
-    target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
+    target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.005
     """Share of the online networks blended into the target networks at each update."""
+    average_actor: bool = True
+    """The greedy policy is the target actor's, whose weights are an average of the actor's recent ones (Polyak and
+    Juditsky 1992): the argmax of an actor that is still learning changes from one update to the next."""
     replay_capacity: Annotated[int, Range(1)] = 100_000
     """Decisions kept for replay."""
     batch_size: Annotated[int, Range(1)] = 64
@@ -85,6 +88,7 @@ PAPER = DDPGSettings(
     relaxation="linear",
     exploration="ornstein-uhlenbeck",
     target_rate=0.001,
+    average_actor=False,
     batch_size=32,
     warmup=1_000,
     actor_warmup=100,
@@ -127,7 +131,8 @@ class DDPG:
         self.target_critic = make_network(encoder, 1, settings, generator, actions).requires_grad_(False)
         self.target_actor.blend(self.actor, 1.0)
         self.target_critic.blend(self.critic, 1.0)
-        self._forward = make_forward(self.actor)
+        self._explore = make_forward(self.actor)
+        self._exploit = make_forward(self.target_actor) if settings.average_actor else self._explore
         actors = {"actor": self.actor, "target_actor": self.target_actor}
         critics = {"critic": self.critic, "target_critic": self.target_critic}
         self._actor_learner = Learner("ddpg", actors, ["actor"], settings)
@@ -146,12 +151,12 @@ class DDPG:
         return self.settings.gamma
 
     def compute_preferences(self, observation: Any) -> NDArray:
-        """The actor's outputs at an observation, before noise and mask, float32 (actions,)."""
-        return self._forward(self._encoder.encode(observation))
+        """What the greedy policy takes the argmax of at an observation, before the mask, float32 (actions,)."""
+        return self._exploit(self._encoder.encode(observation))
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """The argmax of the actor's outputs with noise, or a random action, as the settings say."""
-        outputs = self.compute_preferences(observation)
+        outputs = self._explore(self._encoder.encode(observation))
         if self.settings.exploration == "ornstein-uhlenbeck":
             outputs = outputs + self._noise.sample(self._action_rng).astype(np.float32)
             action = choose_best(outputs, action_mask)
@@ -167,7 +172,7 @@ class DDPG:
         return action
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The argmax of the actor's outputs over legal actions."""
+        """The argmax of `compute_preferences` over legal actions."""
         return choose_best(self.compute_preferences(observation), action_mask)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:

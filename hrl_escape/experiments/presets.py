@@ -72,7 +72,7 @@ GRIDS: dict[str, Grid] = {
         Grid(
             name="paper-figure-3-decisions",
             description="Figure 3 with 20,000 decisions a run, as the published program counted its steps.",
-            agents=_OPTIONS[:4],
+            agents=_OPTIONS,
             rooms=_parse_rooms("paper-two-button"),
             **{**_PAPER, "primitives": 400_000, "decisions": 20_000, "eval_every": 1_000},
         ),

@@ -212,6 +212,18 @@ def test_ddpgs_relaxed_action_is_legal_one_hot_and_carries_the_softmaxs_gradient
     assert outputs.grad[0].tolist() == pytest.approx([0, 3 * p * (1 - p), -3 * p * (1 - p)], abs=1e-6)
 
 
+@pytest.mark.parametrize("average_actor", [True, False])
+def test_ddpgs_greedy_policy_is_the_argmax_of_the_averaged_actor_or_of_the_actor(average_actor):
+    agent = make(DDPG, DDPGSettings(**COMMON, average_actor=average_actor))
+    rng, mask = np.random.default_rng(0), np.array([True] * (ACTIONS - 1) + [False])
+    agent.actor.weights.copy_(torch.from_numpy(rng.standard_normal(len(agent.actor.weights)).astype(np.float32)))
+    observations = rng.standard_normal((50, INPUTS)).astype(np.float32)
+    network, other = (agent.target_actor, agent.actor) if average_actor else (agent.actor, agent.target_actor)
+    expected, others = (forward(each, observations)[:, :-1].argmax(axis=1) for each in (network, other))
+    assert [agent.act_greedy(observation, mask, rng) for observation in observations] == expected.tolist()
+    assert (expected != others).any()
+
+
 # --- PPO ------------------------------------------------------------------------------------
 
 

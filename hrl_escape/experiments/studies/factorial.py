@@ -82,7 +82,7 @@ FACTORS: dict[str, tuple[Factor, ...]] = {
         _CHOICES,
         Factor("numerics", *_NUMERICS_WORDS,
                _NUMERICS_LOW | {"hidden": (4, 4, 4), "learning_rate": 1e-3, "max_grad_norm": 1.0, "target_rate": 0.001,
-                                "batch_size": 32}),
+                                "batch_size": 32, "average_actor": False}),
     ),
 }
 """Algorithm -> its six factors. DDPG has replay and target networks in either recipe; in their place stands how the
