@@ -30,6 +30,7 @@ from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.errors import FileReadError
+from hrl_escape.experiments.grid import AgentSpec
 from hrl_escape.experiments.launcher import THREAD_SETTINGS
 from hrl_escape.files import read_json, read_text, write_json, write_text
 
@@ -41,15 +42,18 @@ __all__ = [
 GRAPHS = ("chain", "tree", "layered", "random")
 SIZES = (2, 4, 6, 10, 15, 20)
 RULES = ("ignore", "reset")
-AGENTS = {
-    "smdp-factored-r-max": 20,
-    "smdp-monte-carlo-model": 20,
-    "smdp-r-max": 20,
-    "smdp-q-learning": 20,
-    "smdp-dqn": 2,
-    "smdp-random": 20,
-}
-"""Who runs, and with how many buttons at most: deep networks take minutes where tables take seconds."""
+AGENTS = (
+    "smdp-factored-r-max",
+    "smdp-monte-carlo-model",
+    "smdp-r-max",
+    "smdp-q-learning",
+    "smdp-intra-option-q",
+    "smdp-dqn",
+    "smdp-sarsa",
+    "smdp-ddpg",
+    "smdp-ppo",
+    "smdp-random",
+)
 BAR = (("layered", 20, "ignore"), ("layered", 10, "reset"))
 """Where factored R-MAX has ten runs: the literature's bar of 10 to 20 buttons modelled within 20,000 steps."""
 BAR_AGENT, BAR_RUNS = "smdp-factored-r-max", 10
@@ -189,7 +193,7 @@ def run_trial(trial: Trial, primitives: int) -> TrialResult:
     instance = generate(make_room(trial.graph, trial.buttons, trial.rule), trial.run)
     flat = gymnasium.make("hrl_escape/EscapeRoom-v0", instance=instance, observation="features",
                           disable_env_checker=True)
-    env = OptionsEnv(flat, include_primitives=False)
+    env = OptionsEnv(flat, include_primitives=False, trace=AgentSpec(trial.agent).needs_trace)
     try:
         worst = instance.horizon * instance.reward.step
         best = best_known_return(instance, options="press")
@@ -318,7 +322,7 @@ def _list_rounds(runs: int, results: dict[Trial, TrialResult]) -> Iterator[list[
         yield [Trial(*cell, BAR_AGENT, run) for run in range(BAR_RUNS) for cell in BAR]
     for run in range(runs):
         for place, buttons in enumerate(SIZES):
-            for agent in (name for name, most in AGENTS.items() if buttons <= most):
+            for agent in AGENTS:
                 trials = []
                 for graph in GRAPHS:
                     for rule in RULES:

@@ -12,6 +12,7 @@ from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.env import looks
 from hrl_escape.env.rendering import save_figure
+from hrl_escape.experiments.grid import AgentSpec
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
 from hrl_escape.experiments.studies.scaling import (
     AGENTS,
@@ -24,14 +25,14 @@ from hrl_escape.experiments.studies.scaling import (
     SIZES,
     TrialResult,
 )
-from hrl_escape.experiments.style import CHANCE
+from hrl_escape.experiments.style import choose_looks
 from hrl_escape.files import write_text
 
 __all__ = ["draw_escapes", "draw_structure", "write_scaling_page"]
 
 COMMAND = "hrl-escape experiment scaling"
-COLOURS = dict(zip(AGENTS, (*looks.LINES[:3], *looks.LINES[4:6], CHANCE[0]), strict=True))
-MARKERS = dict(zip(AGENTS, "od^svx", strict=True))
+COLOURS = {agent: look.colour for agent, look in zip(AGENTS, choose_looks(list(map(AgentSpec, AGENTS))), strict=True)}
+MARKERS = dict(zip(AGENTS, "od^svPX*<x", strict=True))
 Pick = Callable[[TrialResult], int | None]
 
 
@@ -66,7 +67,7 @@ def draw_escapes(results: Sequence[TrialResult]) -> Figure:
                     middle = [np.median(escapes[size]) for size in sizes]
                     style = {"color": COLOURS[agent], "marker": MARKERS[agent]}
                     axes.plot(sizes, middle, linewidth=1.5, markersize=5, label=agent, **style)
-                    shift = 0.12 * (number - 2.5)
+                    shift = 0.08 * (number - (len(AGENTS) - 1) / 2)
                     dots = [(r.buttons + shift, r.first_escape) for r in own]
                     axes.scatter(*zip(*dots, strict=True) if dots else ([], []), s=7, alpha=0.5, **style)
                     failed = [r.buttons + shift for r in here if r.agent == agent and r.first_escape is None]
@@ -156,10 +157,8 @@ def _write_lines(results: Sequence[TrialResult]) -> list[str]:
         "`max_parents` 2 for layered and random graphs, cap of 1,000 primitives; a run has a room of its own. In the "
         f"two rooms of the bar `{BAR_AGENT.removeprefix('smdp-')}` has up to {BAR_RUNS} runs, in all tables. Agents "
         "choose among the options that press one button and the one to the exit (`include_primitives` off), with "
-        "their recommended settings. `smdp-dqn` was run with at most "
-        f"{AGENTS['smdp-dqn']} buttons: it takes minutes where the others take seconds. A trial ends early once its "
-        "agent is near the best and has the whole graph; that of `smdp-random`, which learns nothing, with its first "
-        "escape.", "",
+        "their recommended settings. A trial ends early once its agent is near the best and has the whole graph; that "
+        "of `smdp-random`, which learns nothing, with its first escape.", "",
         "What the structure learners are told: a press does one thing where all its parents are on and another "
         "where not (`conditions=\"all-on\"`), there are at most two parents, and outcomes are not random. Which bit "
         "belongs to which option, the parents, the exit, what a wrong press does, durations and rewards they find "

@@ -8,6 +8,7 @@ from hrl_escape.cli import main
 from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.studies import scaling
 from hrl_escape.experiments.studies.scaling import (
+    AGENTS,
     Trial,
     TrialResult,
     compare_graphs,
@@ -57,9 +58,15 @@ def test_factored_r_max_is_near_the_best_of_a_real_room_and_has_its_graph(rule):
     assert result.structure[-1][1:] == (1.0, 1.0)
 
 
+@pytest.mark.parametrize("agent", AGENTS)
+def test_every_agent_is_tried(agent):
+    result = run_trial(Trial("chain", 2, "ignore", agent, 0), primitives=60)
+    assert result.primitives >= 60 or result.first_escape is not None
+
+
 def test_a_study_goes_on_where_it_was_stopped_and_tries_no_hopeless_rooms(tmp_path, monkeypatch):
     for name, value in (("GRAPHS", ("chain",)), ("RULES", ("ignore",)), ("SIZES", (2, 4)), ("BAR_RUNS", 0),
-                        ("AGENTS", {"smdp-r-max": 4, "smdp-q-learning": 4})):
+                        ("AGENTS", ("smdp-r-max", "smdp-q-learning"))):
         monkeypatch.setattr(scaling, name, value)
     heard = []
 
