@@ -4,7 +4,7 @@ Writes docs/results/flat.md with its figure and raw results.
 
 Examples:
     hrl-escape experiment flat --workers 2
-    hrl-escape experiment flat --runs 10 --primitives 100000 --out /tmp/runs --docs /tmp/page
+    hrl-escape experiment flat --runs 20 --primitives 100000 --out /tmp/runs --docs /tmp/page
     hrl-escape experiment flat --from-raw                # the page anew from the raw results, nothing is trained
 """
 
@@ -22,7 +22,7 @@ from hrl_escape.experiments.studies.running import StudyArgs, run_study
 class FlatArgs(StudyArgs):
     """Options of `hrl-escape experiment flat`."""
 
-    runs: int = 5
+    runs: int = 10
     """Training seeds of each agent in each room."""
     primitives: int = 20_000
     """Training budget of a run."""

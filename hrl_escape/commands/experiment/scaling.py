@@ -3,7 +3,7 @@
 Writes docs/results/scaling.md with its figures and raw results. Killed, the same command goes on.
 
 Examples:
-    hrl-escape experiment scaling --jobs 2
+    hrl-escape experiment scaling --workers 2
     hrl-escape experiment scaling --runs 5 --minutes 120 --out /tmp/runs --docs /tmp/page
     hrl-escape experiment scaling --from-raw             # the page anew from the raw results, nothing is trained
 """
@@ -11,33 +11,26 @@ Examples:
 from __future__ import annotations
 
 import dataclasses
-from pathlib import Path
 
 from rich.console import Console
 
 from hrl_escape.errors import ComparisonError
+from hrl_escape.experiments.launcher import count_cores
+from hrl_escape.experiments.studies.running import StudyArgs
 from hrl_escape.experiments.studies.scaling import TrialResult, load_results, run_trials, save_results
 from hrl_escape.experiments.studies.scaling_page import write_scaling_page
 
 
 @dataclasses.dataclass(frozen=True)
-class ScalingArgs:
+class ScalingArgs(StudyArgs):
     """Options of `hrl-escape experiment scaling`."""
 
-    docs: Path = Path("docs/results")
-    """Where the page, its figures and the raw results go."""
-    out: Path = Path("runs/scaling")
-    """Folder of the trials; finished ones in it are kept."""
     runs: int = 2
     """Trials of each agent in each kind of room, each in another room."""
     primitives: int = 20_000
     """Training budget of a trial."""
-    jobs: int = 1
-    """Trials at a time."""
     minutes: float = 40.0
     """Begin no trial after so long; the page says what was run."""
-    from_raw: bool = False
-    """Train nothing: write the page anew from the raw results."""
 
 
 def run(args: ScalingArgs) -> None:
@@ -51,7 +44,8 @@ def run(args: ScalingArgs) -> None:
 
     raw = args.docs / "raw" / "scaling.csv"
     if not args.from_raw:
-        save_results(raw, run_trials(args.out, args.runs, args.primitives, args.jobs, args.minutes, report))
+        out, workers = args.out / "scaling", args.workers or count_cores()
+        save_results(raw, run_trials(out, args.runs, args.primitives, workers, args.minutes, report))
     results = load_results(raw)
     if not results:
         raise ComparisonError(f"{raw} holds no trial: give --runs and --minutes above 0")

@@ -277,7 +277,7 @@ class _Watch:
 
 
 def run_trials(
-    out: Path, runs: int, primitives: int, jobs: int, minutes: float, report: Callable[[TrialResult, int, int], None]
+    out: Path, runs: int, primitives: int, workers: int, minutes: float, report: Callable[[TrialResult, int, int], None]
 ) -> list[TrialResult]:
     """Run what has no result yet: run by run, from small rooms to large, agent by agent.
 
@@ -287,7 +287,7 @@ def run_trials(
         out: folder of results, one file a trial.
         runs: of each agent in each kind of room; the cells of `BAR` have `BAR_RUNS` if `runs` is positive.
         primitives: budget of a trial.
-        jobs: processes.
+        workers: processes.
         minutes: begin no trial after so long.
         report: hears each result, how many trials of its round are done, and of how many.
 
@@ -298,7 +298,7 @@ def run_trials(
     deadline = time.monotonic() + 60 * minutes
     for name in THREAD_SETTINGS:
         os.environ.setdefault(name, "1")
-    with ProcessPoolExecutor(jobs, mp_context=get_context("forkserver")) as pool:
+    with ProcessPoolExecutor(workers, mp_context=get_context("forkserver")) as pool:
         for trials in _list_rounds(runs, results):
             waiting = []
             for trial in trials:
