@@ -47,8 +47,9 @@ class DDPGSettings(NetworkSettings, EpsilonSettings, LearningSettings):
     learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
     """Step size of Adam, for actor and critic."""
     relaxation: Literal["one-hot", "linear"] = "one-hot"
-    """What the critic sees of an action. `one-hot`: the action that ran, and for the actor's gradient a
-    straight-through Gumbel softmax. `linear`: the actor's unbounded outputs with their noise, as in the paper."""
+    """What the critic sees of an action. `one-hot`: the action that ran, so that the actor can follow the value it
+    expects over the softmax of its outputs. `linear`: the actor's unbounded outputs with their noise, as in the
+    paper."""
     exploration: Literal["epsilon-greedy", "ornstein-uhlenbeck"] = "epsilon-greedy"
     """`epsilon-greedy`: a random legal action with probability epsilon. `ornstein-uhlenbeck`: noise with memory on the
     actor's outputs."""
@@ -67,7 +68,7 @@ class DDPGSettings(NetworkSettings, EpsilonSettings, LearningSettings):
     """Steps of the clock before the actor's first update."""
     updates_per_step: Annotated[float, Range(0)] = 0.25
     """Updates for each step of the clock."""
-    entropy_weight: Annotated[float, Range(0)] = 1.0
+    entropy_weight: Annotated[float, Range(0)] = 0.3
     """Weight of the actor's entropy in its loss, in scaled rewards; `one-hot` only. It keeps the softmax's gradient
     alive and leaves the argmax of the best policy where it is."""
     loss: Literal["huber", "squared"] = "huber"
@@ -103,8 +104,9 @@ class DDPG:
 
     R = sum gamma^i r_i, b = gamma^k (1 - terminated), primes are target networks. The action that runs is the
     argmax of the actor's outputs over legal actions. With `relaxation="one-hot"`, a and mu' are one-hot vectors of
-    legal actions and mu is a legal action drawn from the softmax of the outputs, one-hot, with that softmax's gradient
-    (Jang, Gu and Poole 2017), as is usual for discrete actions since Lowe et al. (2017).
+    legal actions, and the actor maximises the mean of sum over legal o of pi(o | s) Q(s, o), pi the softmax of its
+    outputs: with few actions that sum is exact (Christodoulou 2019), where a drawn relaxation (Jang, Gu and Poole 2017;
+    Lowe et al. 2017) only estimates its gradient.
     """
 
     Settings: ClassVar[type] = DDPGSettings
@@ -209,8 +211,7 @@ class DDPG:
             metrics["loss"] = self._critic_learner.minimise(self.compute_critic_loss(batch))
             self.target_critic.blend(self.critic, self.settings.target_rate)
         if self._steps > self.settings.actor_warmup:
-            noise = self._replay_rng.gumbel(size=batch.mask.shape).astype(np.float32)
-            metrics["actor_loss"] = self._actor_learner.minimise(self.compute_actor_loss(batch, noise))
+            metrics["actor_loss"] = self._actor_learner.minimise(self.compute_actor_loss(batch))
             self.target_actor.blend(self.actor, self.settings.target_rate)
         return metrics
 
@@ -224,22 +225,24 @@ class DDPG:
         value = self.critic(torch.cat((observation, action), dim=1)).squeeze(1)
         return compute_td_loss(value, targets, self.settings.loss)
 
-    def compute_actor_loss(self, batch: Experience, noise: NDArray[np.float32]) -> torch.Tensor:
-        """Minus the mean of Q(s, mu(s)), less the weighted entropy.
-
-        Args:
-            batch: numpy arrays.
-            noise: (batch, actions), standard Gumbel; not used with `relaxation="linear"`.
-        """
+    def compute_actor_loss(self, batch: Experience) -> torch.Tensor:
+        """Minus the mean of what the actor's choice is worth to the critic, less the weighted entropy."""
         observation, mask = torch.from_numpy(batch.observation), torch.from_numpy(batch.mask)
         outputs = self.actor(observation)
         if self.settings.relaxation == "linear":
             return -self.critic(torch.cat((observation, outputs), dim=1)).mean()
-        action = relax(outputs + torch.from_numpy(noise), mask, "one-hot")
         log_policy = functional.log_softmax(outputs.masked_fill(~mask, -1e9), dim=1)
-        entropy = -(log_policy.exp() * log_policy).sum(dim=1).mean()
-        value = self.critic(torch.cat((observation, action), dim=1)).mean()
+        policy = log_policy.exp()
+        entropy = -(policy * log_policy).sum(dim=1).mean()
+        value = (policy * self._compute_values(observation)).sum(dim=1).mean()
         return -value - self.settings.entropy_weight * entropy
+
+    @torch.no_grad()
+    def _compute_values(self, observation: torch.Tensor) -> torch.Tensor:
+        """Q(s, o) of every action, (batch, actions)."""
+        batch, actions = len(observation), self._actions
+        pairs = torch.cat((observation.repeat_interleave(actions, 0), torch.eye(actions).repeat(batch, 1)), dim=1)
+        return self.critic(pairs).view(batch, actions)
 
     def state_dict(self) -> StateTree:
         """Networks, optimisers, replay, counters, noise, generators."""
@@ -272,14 +275,12 @@ def relax(outputs: torch.Tensor, mask: torch.Tensor, relaxation: str) -> torch.T
     Args:
         outputs: (batch, actions), the actor's.
         mask: bool (batch, actions), legal actions.
-        relaxation: `linear` gives the outputs themselves; `one-hot` the best legal action, with the gradient of the
-            softmax over legal actions (straight-through, Bengio, Leonard and Courville 2013).
+        relaxation: `linear` gives the outputs themselves; `one-hot` the best legal action.
 
     Returns:
         float32 (batch, actions).
     """
     if relaxation == "linear":
         return outputs
-    soft = outputs.masked_fill(~mask, -torch.inf).softmax(dim=1)
-    hard = functional.one_hot(soft.argmax(dim=1), outputs.shape[1]).to(outputs.dtype)
-    return hard + soft - soft.detach()
+    best = outputs.masked_fill(~mask, -torch.inf).argmax(dim=1)
+    return functional.one_hot(best, outputs.shape[1]).to(outputs.dtype)

@@ -190,26 +190,41 @@ def test_ddpg_losses_equal_the_formulas_by_hand(seed, relaxation):
     value = forward(agent.critic, np.hstack((batch.observation, relaxed)))[:, 0]
     assert agent.compute_critic_loss(batch).item() == pytest.approx(huber(value - targets), abs=1e-6)
 
-    noise = rng.gumbel(size=(SIZE, ACTIONS)).astype(np.float32)
     outputs = forward(agent.actor, batch.observation)
-    action = act(outputs if relaxation == "linear" else outputs + noise, batch.mask)
-    expected = -forward(agent.critic, np.hstack((batch.observation, action))).mean()
-    if relaxation == "one-hot":
+    if relaxation == "linear":
+        expected = -forward(agent.critic, np.hstack((batch.observation, outputs))).mean()
+    else:
         weights = np.where(batch.mask, np.exp(outputs), 0)
         policy = weights / weights.sum(axis=1, keepdims=True)
+        rows = [np.tile(one_hot, (SIZE, 1)) for one_hot in np.eye(ACTIONS)]
+        values = np.hstack([forward(agent.critic, np.hstack((batch.observation, row))) for row in rows])
+        expected = -(policy * values).sum(axis=1).mean()
         expected += 0.1 * np.where(batch.mask, policy * np.log(np.maximum(policy, 1e-300)), 0).sum(axis=1).mean()
-    assert agent.compute_actor_loss(batch, noise).item() == pytest.approx(expected, abs=1e-6)
+    assert agent.compute_actor_loss(batch).item() == pytest.approx(expected, abs=1e-6)
 
 
-def test_ddpgs_relaxed_action_is_legal_one_hot_and_carries_the_softmaxs_gradient():
-    outputs = torch.tensor([[3.0, 1.0, 0.5]], requires_grad=True)
-    mask = torch.tensor([[False, True, True]])
-    action = relax(outputs, mask, "one-hot")
-    assert action.tolist() == [[0.0, 1.0, 0.0]]
-    weights = torch.tensor([5.0, 2.0, -1.0])
-    (action * weights).sum().backward()
-    p = np.exp(1.0) / (np.exp(1.0) + np.exp(0.5))  # softmax over the two legal actions
-    assert outputs.grad[0].tolist() == pytest.approx([0, 3 * p * (1 - p), -3 * p * (1 - p)], abs=1e-6)
+def test_ddpgs_actor_loss_has_the_policy_gradient_and_leaves_the_critic_alone():
+    batch, _, _ = make_batch(0)
+    agent = make(DDPG, DDPGSettings(**COMMON, entropy_weight=0.0))
+    agent.actor.gradient.zero_()
+    agent.critic.gradient.zero_()
+    agent.compute_actor_loss(batch).backward()
+    weights = agent.actor.weights.clone()
+    direction = torch.from_numpy(np.random.default_rng(0).standard_normal(len(weights)).astype(np.float32))
+    ends = []
+    for sign in (1, -1):
+        agent.actor.weights.copy_(weights + sign * 1e-2 * direction / direction.norm())
+        ends.append(agent.compute_actor_loss(batch).item())
+    slope = (agent.actor.gradient @ direction / direction.norm()).item()
+    assert slope == pytest.approx((ends[0] - ends[1]) / 2e-2, rel=0.02)
+    assert not agent.critic.gradient.any()
+
+
+def test_ddpgs_relaxed_action_is_the_best_legal_one_hot():
+    outputs = torch.tensor([[3.0, 1.0, 0.5], [0.1, 0.0, 0.2]])
+    mask = torch.tensor([[False, True, True], [True, True, True]])
+    assert relax(outputs, mask, "one-hot").tolist() == [[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    assert relax(outputs, mask, "linear") is outputs
 
 
 @pytest.mark.parametrize("average_actor", [True, False])
