@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -38,6 +38,8 @@ MOST_INTERACTIONS = 5
 SIGNIFICANT = 0.05
 HEALED = 0.9
 """Mean final score from which on a correction is said to heal."""
+LITTLE = 0.1
+"""An effect on the final score that is small beside those that heal."""
 
 
 def write_factorial_page(results: dict[str, list[RawRun]], docs: Path) -> dict[tuple[str, str], Analysis]:
@@ -142,14 +144,20 @@ def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], A
         if term.p < SIGNIFICANT) for name, terms in effects.items())
     large = "; ".join(f"{name} {_points(_compute_mean_with_options_only(name, runs))}"
                       for name, runs in results.items())
-    lines = [
-        "**The cause is neither the large changes of state (with options as the only choices, where every change is "
-        f"large, the mean final score is {large} of 100) nor the missing gamma^k (correcting discount and truncation "
-        f"moves it by {smdp}). It is that exploration dies while the values are still wrong (Boltzmann at temperature "
-        "1 among values tens apart is greedy, and so is a small noise on an actor's unbounded outputs), so that an "
-        "agent which may also choose primitives repeats one of them for whole episodes and learns from nothing else; "
-        f"what moves the final score (p < {SIGNIFICANT:g}) is {strong}.**", "",
-    ]
+    if all(map(_shows_dead_exploration, effects.values())):
+        cause = (
+            "The cause is neither the large changes of state (with options as the only choices, where every change is "
+            f"large, the mean final score is {large} of 100) nor the missing gamma^k (correcting discount and "
+            f"truncation moves it by {smdp}). It is that exploration dies while the values are still wrong (Boltzmann "
+            "at temperature 1 among values tens apart is greedy, and so is a small noise on an actor's unbounded "
+            "outputs), so that an agent which may also choose primitives repeats one of them for whole episodes and "
+            "learns from nothing else")
+    else:
+        cause = (
+            "These runs do not show one cause for both algorithms. With options as the only choices, where every "
+            f"change of state is large, the mean final score is {large} of 100, and correcting discount and truncation "
+            f"moves it by {smdp}")
+    lines = [f"**{cause}; what moves the final score (p < {SIGNIFICANT:g}) is {strong}.**", ""]
     for name, runs in results.items():
         final, slope = (compute_corners(name, runs, response) for response in RESPONSES)
         lines.append(f"- `{name}` as published ends at {_points(final[0][1])} points (slope "
@@ -165,6 +173,13 @@ def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], A
                   f"({len(values)} run{'s' if len(values) > 1 else ''})."
                   for control, values in compute_controls(name, runs).items()]
     return lines
+
+
+def _shows_dead_exploration(effects: Mapping[str, Term]) -> bool:
+    """Exploration and the choices move the final score for the better, discount and truncation by little if at all."""
+    helps = [effects[name].p < SIGNIFICANT and effects[name].effect > 0 for name in ("exploration", "choices")]
+    idle = [effects[name].p >= SIGNIFICANT or abs(effects[name].effect) < LITTLE for name in ("discount", "truncation")]
+    return all(helps + idle)
 
 
 def _compute_mean_with_options_only(algorithm: str, runs: Sequence[RawRun]) -> float:

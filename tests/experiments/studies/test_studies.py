@@ -152,14 +152,14 @@ def test_the_papers_page_is_written_from_raw_results_alone(tmp_path: Path, capsy
 # --- the factorial ---------------------------------------------------------------------
 
 
-def make_factorial_runs(algorithm: str, corners: bool = True) -> list:
-    """The final score is 0.3, and 0.5 more with the third factor corrected; training falls unless it is."""
+def make_factorial_runs(algorithm: str, corners: bool = True, helpful: tuple[int, ...] = (2,)) -> list:
+    """The final score is 0.3, and 0.5 more with all helpful factors corrected; training falls unless the third is."""
     noise = np.random.default_rng(0)
     runs = []
     rows = [*make_half_fraction(6), *(make_corners(6) if corners else ())]
     for levels, room in itertools.product(rows, ("x", "y", "z")):
         label = f"{algorithm}-" + "".join("1" if level > 0 else "0" for level in levels)
-        score = 0.3 + 0.5 * (levels[2] > 0) + noise.normal(0, 0.01)
+        score = 0.3 + 0.5 * np.mean([levels[factor] > 0 for factor in helpful]) + noise.normal(0, 0.01)
         training = [1.0] * BINS if levels[2] > 0 else np.linspace(1, 0, BINS)
         runs.append(make_run(label, [score] * 11, training=list(training), room=room))
     return runs
@@ -205,6 +205,14 @@ def test_the_factorials_page_holds_both_analyses(tmp_path: Path):
     assert page.count("| exploration | +50.") == 2 and "96 runs, which is analysed" in page
     assert page.count("One at a time") == 1, "a half fraction has no such corners"
     assert (tmp_path / "figures" / "why-sarsa.svg").exists()
+
+
+@pytest.mark.parametrize(("helpful", "is_shown"), [((2, 4), True), ((2,), False), ((2, 4, 0), False)])
+def test_the_page_names_the_cause_only_where_the_runs_show_it(tmp_path: Path, helpful: tuple[int, ...], is_shown: bool):
+    write_factorial_page({name: make_factorial_runs(name, helpful=helpful) for name in ALGORITHMS}, tmp_path)
+    page = (tmp_path / "why-it-worsens.md").read_text()
+    assert ("exploration dies while the values are still wrong" in page) == is_shown
+    assert ("do not show one cause" in page) != is_shown
 
 
 # --- flat learners ---------------------------------------------------------------------
