@@ -139,6 +139,20 @@ def read_toml(path: str | os.PathLike[str], what: str = "TOML file") -> dict[str
         raise FileReadError(f"{path}: this {what} is not TOML: {error}") from error
 
 
+def claim_folder(path: str | os.PathLike[str]) -> None:
+    """Make a folder and see that files can be written there, before work begins whose results belong there.
+
+    Raises:
+        FileWriteError: they cannot.
+    """
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(prefix=TEMPORARY_PREFIX, dir=path):
+            pass
+    except OSError as error:
+        raise FileWriteError(describe_write_failure(path, error)) from error
+
+
 def describe_write_failure(path: str | os.PathLike[str], error: OSError) -> str:
     """The message for a failed write: what, where, why, and what to do about it."""
     return f"cannot write {path}: {error.strerror or error}. Free some space or choose a folder you may write to"

@@ -107,6 +107,8 @@ def test_every_command_explains_itself(capsys):
     (["room", "--set", "obstacles.count=200", "obstacles.size_min=8", "obstacles.size_max=9"], "no solvable room"),
     (["bench", "env", "--presets", "cluter"], "Perhaps you meant 'clutter'"),
     (["bench", "env", "--repeats", "0"], "at least 1"),
+    (["train", "dqn", "--threads", "0"], "threads = 0 is not possible"),
+    (["compare", "quickstart", "--workers", "-1"], "workers = -1 is not possible"),
 ])
 def test_a_users_mistake_is_one_line_and_exit_code_2(capsys, tmp_path, monkeypatch, arguments, said):
     monkeypatch.chdir(tmp_path)

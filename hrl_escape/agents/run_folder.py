@@ -128,8 +128,9 @@ class RunFolder:
             return
         found = read_json(path, "description of a run")
         if found != identity:
-            differing = [key for key in identity if not isinstance(found, dict) or found.get(key) != identity[key]]
-            changes = "; ".join(f"{key}: {_get(found, key)!r} there, {identity[key]!r} now" for key in differing)
+            there, now = _flatten(found), _flatten(identity)
+            differing = [key for key in {**there, **now} if there.get(key) != now.get(key)]
+            changes = "; ".join(f"{key}: {there.get(key)!r} there, {now.get(key)!r} now" for key in differing)
             raise RunMismatchError(
                 f"{self.path} holds a run that differs in {changes or 'its form'}. Choose another folder, or delete "
                 "this one"
@@ -155,8 +156,12 @@ class RunFolder:
         return offset
 
 
-def _get(found: Any, key: str) -> Any:
-    return found.get(key) if isinstance(found, dict) else None
+def _flatten(value: Any, path: str = "") -> dict[str, Any]:
+    """Dotted path -> value, of everything inside; what is no dict has none."""
+    if not isinstance(value, dict):
+        return {path: value} if path else {}
+    parts = (_flatten(part, f"{path}.{name}" if path else name) for name, part in value.items())
+    return {name: part for found in parts for name, part in found.items()}
 
 
 def _open_events(path: Path, purge_step: int) -> Any:

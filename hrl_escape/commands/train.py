@@ -28,7 +28,7 @@ from hrl_escape.agents.settings import read_field_documents
 from hrl_escape.agents.training import train
 from hrl_escape.commands.room_choice import RoomChoice, split_assignment
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.errors import RunMismatchError
+from hrl_escape.errors import ConfigError, RunMismatchError
 from hrl_escape.experiments.cell import make_env
 from hrl_escape.experiments.grid import AgentSpec, OptionsView, name_room
 from hrl_escape.options.best_known import best_known_return
@@ -89,6 +89,8 @@ def run(args: TrainArgs) -> None:
     if args.list_settings:
         _print_settings(args, resolved)
         return
+    if args.threads < 1:
+        raise ConfigError("threads", args.threads, "it must be a whole number, 1 or more")
     torch.set_num_threads(args.threads)
     instance = args.make_instance()
     last = args.training_seed + args.trials - 1
@@ -97,11 +99,11 @@ def run(args: TrainArgs) -> None:
     _claim(out, instance)
     asked: dict[str, Any] = {
         "primitives": args.primitives, "seed": args.training_seed, "settings": resolved, "eval_every": args.eval_every,
-        "eval_episodes": args.eval_episodes, "out": out, "tensorboard": args.tensorboard,
+        "eval_episodes": args.eval_episodes, "out": out, "tensorboard": args.tensorboard, "workers": args.workers,
     }
     if args.trials != 1:
         results = train(args.agent, lambda: make_env(spec, instance, args.observation)[0], trials=args.trials,
-                        workers=args.workers, **asked)
+                        **asked)
         best = best_known_return(instance)
         if args.json:
             trials = [result.to_json() for result in results]

@@ -19,12 +19,12 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Protocol
 
-from hrl_escape.errors import FileReadError
+from hrl_escape.errors import ConfigError, FileReadError
 from hrl_escape.experiments.cell import CellResult, get_cell_folder, read_cell
 from hrl_escape.experiments.grid import Cell
 from hrl_escape.files import read_json
 
-__all__ = ["Failure", "Launcher", "Listener", "LocalLauncher", "count_cores", "report_outcome"]
+__all__ = ["Failure", "Launcher", "Listener", "LocalLauncher", "choose_workers", "count_cores", "report_outcome"]
 
 TICK_SECONDS = 0.5
 THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
@@ -81,10 +81,13 @@ class LocalLauncher:
     workers: int | None = None
     checkpoint_seconds: float = 10.0
 
+    def __post_init__(self) -> None:
+        choose_workers(self.workers)  # a wrong number is refused before anything is begun
+
     def run(self, cells: Sequence[Cell], out: Path, listener: Listener) -> None:
         """Run them; on an interruption the processes are ended first, and can go on another time."""
         waiting, active = deque(cells), dict[int, tuple[BaseProcess, Cell]]()
-        workers = self.workers or count_cores()
+        workers = choose_workers(self.workers)
         try:
             while waiting or active:
                 while waiting and len(active) < workers:
@@ -171,6 +174,19 @@ def read_progress(out: Path, cell: Cell) -> int:
         return int(json.loads(lines[-2])["primitives"])
     except (OSError, IndexError, ValueError, KeyError, TypeError):
         return 0
+
+
+def choose_workers(workers: int | None) -> int:
+    """How many processes to use: one a core where nothing else is asked for.
+
+    Raises:
+        ConfigError: fewer than one.
+    """
+    if workers is None:
+        return count_cores()
+    if workers < 1:
+        raise ConfigError("workers", workers, "it must be a whole number, 1 or more; leave it out for one a core")
+    return workers
 
 
 def count_cores() -> int:

@@ -219,6 +219,8 @@ def test_a_folder_of_another_run_is_left_alone_and_the_difference_named(tmp_path
     with pytest.raises(RunMismatchError, match="seed: 3 there, 4 now"):
         run("q-learning", "corrected", {}, make_env(), tmp_path, seed=4)
     assert (tmp_path / "log.jsonl").read_bytes() == before
+    with pytest.raises(RunMismatchError, match=r"differs in settings\.gamma: 0\.99 there, 0\.9 now\. Choose"):
+        run("q-learning", "corrected", {"gamma": 0.9}, make_env(), tmp_path)
 
 
 def test_two_processes_cannot_train_into_one_folder(tmp_path):

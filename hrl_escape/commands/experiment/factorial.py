@@ -14,7 +14,7 @@ import dataclasses
 
 from rich.console import Console
 
-from hrl_escape.errors import UnknownNameError
+from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.experiments.studies.factorial import ALGORITHMS, get_factors, make_factorial_grid
 from hrl_escape.experiments.studies.factorial_page import write_factorial_page
 from hrl_escape.experiments.studies.running import StudyArgs, run_study
@@ -36,6 +36,8 @@ class FactorialArgs(StudyArgs):
 
 def run(args: FactorialArgs) -> None:
     """Run, write the page, and print the main effects."""
+    if not args.algorithms:
+        raise ConfigError("algorithms", "", f"name one or more of {', '.join(ALGORITHMS)}")
     for name in args.algorithms:
         if name not in ALGORITHMS:
             raise UnknownNameError("algorithm of this factorial", name, ALGORITHMS)

@@ -14,11 +14,12 @@ import dataclasses
 
 from rich.console import Console
 
-from hrl_escape.errors import ComparisonError
-from hrl_escape.experiments.launcher import count_cores
+from hrl_escape.errors import ConfigError, FileReadError
+from hrl_escape.experiments.launcher import choose_workers
 from hrl_escape.experiments.studies.running import StudyArgs
 from hrl_escape.experiments.studies.scaling import TrialResult, load_results, run_trials, save_results
 from hrl_escape.experiments.studies.scaling_page import write_scaling_page
+from hrl_escape.files import claim_folder
 
 
 @dataclasses.dataclass(frozen=True)
@@ -44,10 +45,14 @@ def run(args: ScalingArgs) -> None:
 
     raw = args.docs / "raw" / "scaling.csv"
     if not args.from_raw:
-        out, workers = args.out / "scaling", args.workers or count_cores()
+        for name in ("runs", "primitives", "minutes"):
+            if getattr(args, name) <= 0:
+                raise ConfigError(name, getattr(args, name), "it must be above 0")
+        claim_folder(raw.parent)
+        out, workers = args.out / "scaling", choose_workers(args.workers)
         save_results(raw, run_trials(out, args.runs, args.primitives, workers, args.minutes, report))
     results = load_results(raw)
     if not results:
-        raise ComparisonError(f"{raw} holds no trial: give --runs and --minutes above 0")
+        raise FileReadError(f"{raw} holds no trial; without --from-raw trials are run")
     write_scaling_page(results, args.docs)
     console.print(f"Page: {args.docs / 'scaling.md'}")

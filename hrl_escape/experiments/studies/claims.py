@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from hrl_escape.experiments.studies.measures import (
     Results,
@@ -33,6 +34,18 @@ EARLY = 2_000
 """Primitives; a tenth of a run."""
 
 
+class Criterion(NamedTuple):
+    """When an estimate bears a claim out.
+
+    Attributes:
+        words: where its interval must lie.
+        judge: whether it does; None where the interval leaves it open.
+    """
+
+    words: str
+    judge: Callable[[Estimate], bool | None]
+
+
 @dataclass(frozen=True)
 class Claim:
     """One claim.
@@ -43,7 +56,7 @@ class Claim:
         figure: the grid in which.
         agents: algorithms it is about.
         compute: the measurement, from (results, agent's label).
-        holds: whether an estimate bears the claim out; None where the interval leaves it open.
+        holds: when an estimate bears the claim out.
         unit: `%`, or `points` for differences and slopes of a score in per cent.
         rerun: what the published program gave when rerun.
     """
@@ -53,7 +66,7 @@ class Claim:
     figure: str
     agents: tuple[str, ...]
     compute: Callable[[Results, str], Estimate]
-    holds: Callable[[Estimate], bool | None]
+    holds: Criterion
     unit: str
     rerun: str
 
@@ -98,7 +111,7 @@ def judge_claim(claim: Claim, results: Results) -> Finding:
     for recipe in ("paper", "corrected"):
         names = {algorithm: name_agent(algorithm, recipe, claim.figure) for algorithm in claim.agents}
         found[recipe] = {key: claim.compute(results, name) for key, name in names.items() if name in labels}
-    verdicts = {name: claim.holds(estimate) for name, estimate in found["paper"].items()}
+    verdicts = {name: claim.holds.judge(estimate) for name, estimate in found["paper"].items()}
     return Finding(claim, found["paper"], found["corrected"], verdicts)
 
 
@@ -125,18 +138,18 @@ def _gain_by_options(results: Results, agent: str) -> Estimate:
     return estimate_gain(get_runs(results, META, agent), get_runs(results, TWO, agent.removeprefix("smdp-")))
 
 
-def _above(level: float) -> Callable[[Estimate], bool | None]:
+def _above(level: float) -> Criterion:
     """The whole interval above a level, or below it."""
-    return lambda e: True if e.low > level else False if e.high <= level else None
+    return Criterion(f"above {100 * level:g}", lambda e: True if e.low > level else False if e.high <= level else None)
 
 
-def _below(level: float) -> Callable[[Estimate], bool | None]:
-    return lambda e: True if e.high < level else False if e.low >= level else None
+def _below(level: float) -> Criterion:
+    return Criterion(f"below {100 * level:g}", lambda e: True if e.high < level else False if e.low >= level else None)
 
 
-def _not_below(level: float) -> Callable[[Estimate], bool | None]:
-    """The interval reaches up to a level."""
-    return lambda e: e.high >= level
+def _not_below(level: float) -> Criterion:
+    """The interval reaches up to a level: a claim that nothing happens is refuted or not."""
+    return Criterion(f"reaching {100 * level:g}", lambda e: e.high >= level)
 
 
 def _late_near_best(run: RawRun) -> float:

@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from hrl_escape.env.rendering import save_figure
+from hrl_escape.errors import ComparisonError
+from hrl_escape.experiments.presets import get_grid
 from hrl_escape.experiments.studies.claims import CLAIMS, FIGURES, Finding, judge_claim
 from hrl_escape.experiments.studies.measures import (
     Results,
@@ -41,6 +43,10 @@ def write_paper_page(results: Results, docs: Path) -> list[Finding]:
         FileWriteError: a file cannot be written.
         ComparisonError: an agent has no runs.
     """
+    for name in FIGURES:
+        missing = {agent.label for agent in get_grid(name).agents} - {run.agent for run in results[name]}
+        if missing:
+            raise ComparisonError(f"{name} has no run of {', '.join(sorted(missing))}: run it again without --from-raw")
     findings = [judge_claim(claim, results) for claim in CLAIMS]
     for name in FIGURES:
         save_figure(docs / "figures" / f"{name}.svg", draw_figure(results[name]))
@@ -68,8 +74,10 @@ def _write_lines(results: Results, findings: Sequence[Finding]) -> list[str]:
         lines += [f"![{CAPTIONS[name]}](figures/{name}.svg)", "", f"*{CAPTIONS[name]} {runs[name]} runs a line.* "
                   f"`hrl-escape compare {name}`", ""]
     lines += ["## Claim by claim", "",
-              "Numbers are means over runs with 95 % intervals; scores and shares are in per cent. A claim is borne "
-              "out where the whole interval is on its side, and open where the interval reaches across. An episode is "
+              "Numbers are means over runs with 95 % intervals; scores and shares are in per cent. Behind what is "
+              "measured stands where the interval must lie to bear the claim out: it does where the whole interval "
+              "lies there, and leaves the claim open where it reaches across. That something does not happen (reaching "
+              "0) cannot be shown in this way; such a claim stands until the whole interval is below 0. An episode is "
               f"optimal if it scores {NEAR_BEST:.0%} or more. The last column is what the published 2019 program gave "
               "when it was rerun, its simulation stepped in lockstep, 1 to 3 runs a cell, trained continuously unless "
               "it says *as released*.", "",
@@ -77,8 +85,9 @@ def _write_lines(results: Results, findings: Sequence[Finding]) -> list[str]:
               "|", "|---|---|---|---|---|---|---|"]
     for number, finding in enumerate(findings, 1):
         claim = finding.claim
-        lines.append(f"| {number} | {claim.says} | {claim.measured} | {_list(finding.paper, claim.unit)} "
-                     f"| {_list(finding.corrected, claim.unit) or 'not run'} | {finding.agrees} | {claim.rerun} |")
+        lines.append(f"| {number} | {claim.says} | {claim.measured}: {claim.holds.words} "
+                     f"| {_list(finding.paper, claim.unit)} | {_list(finding.corrected, claim.unit) or 'not run'} "
+                     f"| {finding.agrees} | {claim.rerun} |")
     lines += ["", "## All numbers", "",
               "Final score: frozen weights in the last fifth of training, interquartile mean. Slope: of that score "
               "over the second half, in points a budget. Settled: runs in which every evaluation of the last fifth is "

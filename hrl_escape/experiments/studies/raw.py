@@ -11,7 +11,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,7 +160,36 @@ def load_runs(path: Path) -> list[RawRun]:
         try:
             fields: dict[str, Any] = json.loads(line)
             fields = {key: tuple(value) if isinstance(value, list) else value for key, value in fields.items()}
-            runs.append(RawRun(**fields))
+            runs.append(_check(RawRun(**fields)))
         except (ValueError, TypeError, AttributeError) as error:
             raise FileReadError(f"{path}, line {number}: this is no run of a study ({error})") from error
+    if not runs:
+        raise FileReadError(f"{path}: this file of raw results holds no run")
     return runs
+
+
+def _check(run: RawRun) -> RawRun:
+    """Raise where a field cannot be what it is."""
+    evaluations = len(run.primitives)
+    for names, length in ((("primitives", "decisions", "returns", "successes"), max(1, evaluations)),
+                          (("episodes", "training_returns", "training_successes", "training_near_best"), BINS)):
+        for name in names:
+            values = getattr(run, name)
+            if not isinstance(values, tuple) or len(values) != length:
+                raise ValueError(f"{name} is not a list of {length}")
+            if not all(_is_number(value) or (value is None and name == "training_returns") for value in values):
+                raise ValueError(f"{name} holds something else than numbers")
+    if run.axis not in get_args(Axis):
+        raise ValueError(f"axis is {run.axis!r}")
+    for name in ("seed", "worst", "best", "budget"):
+        if not _is_number(getattr(run, name)):
+            raise ValueError(f"{name} is no number")
+    if run.budget < 1 or run.best <= run.worst:
+        raise ValueError("a budget below 1, or a best return that is not above the worst")
+    if not (run.first_escape is None or _is_number(run.first_escape)):
+        raise ValueError("first_escape is no number")
+    return run
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -12,6 +12,7 @@ from hrl_escape.experiments.grid import Grid
 from hrl_escape.experiments.launcher import LocalLauncher
 from hrl_escape.experiments.studies.raw import RawRun, collect_runs, load_runs, save_runs
 from hrl_escape.experiments.summary import summarise
+from hrl_escape.files import claim_folder
 
 __all__ = ["StudyArgs", "get_raw_file", "run_study"]
 
@@ -42,9 +43,11 @@ def run_study(grids: Sequence[Grid], args: StudyArgs) -> dict[str, list[RawRun]]
 
     Raises:
         ComparisonError: a run failed.
+        FileWriteError: the page's folder cannot be written.
         FileReadError: `from_raw`, and a file of raw results is missing or damaged.
         EscapeError: see `run_grid`.
     """
+    claim_folder(args.docs / "raw")
     found = {}
     for grid in grids:
         path = get_raw_file(args.docs, grid.name)

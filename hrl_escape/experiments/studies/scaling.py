@@ -380,6 +380,8 @@ def load_results(path: Path) -> list[TrialResult]:
     for number, row in enumerate(csv.DictReader(io.StringIO(read_text(path, "file of raw results"))), 2):
         try:
             steps = [step.split(":") for step in row["structure"].split(";") if step]
+            if row["agent"] not in AGENTS:
+                raise ValueError(f"no agent of this study is called {row['agent']!r}")
             found.append(TrialResult(
                 row["graph"], int(row["buttons"]), row["rule"], row["agent"], int(row["run"]), row["room"],
                 float(row["best"]), float(row["worst"]), int(row["primitives"]), int(row["decisions"]),

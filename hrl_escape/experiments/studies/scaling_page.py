@@ -158,7 +158,9 @@ def _write_lines(results: Sequence[TrialResult]) -> list[str]:
         f"two rooms of the bar `{BAR_AGENT.removeprefix('smdp-')}` has up to {BAR_RUNS} runs, in all tables. Agents "
         "choose among the options that press one button and the one to the exit (`include_primitives` off), with "
         "their recommended settings. A trial ends early once its agent is near the best and has the whole graph; that "
-        "of `smdp-random`, which learns nothing, with its first escape.", "",
+        "of `smdp-random`, which learns nothing, with its first escape. `smdp-intra-option-q` does here what "
+        "`smdp-q-learning` does: these options follow plans, so that a primitive inside one says nothing of another.",
+        "",
         "What the structure learners are told: a press does one thing where all its parents are on and another "
         "where not (`conditions=\"all-on\"`), there are at most two parents, and outcomes are not random. Which bit "
         "belongs to which option, the parents, the exit, what a wrong press does, durations and rewards they find "

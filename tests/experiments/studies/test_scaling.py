@@ -103,6 +103,21 @@ def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
     assert ((tmp_path / "scaling.md").read_text(), (tmp_path / "figures" / "scaling.svg").read_bytes()) == before
 
 
+@pytest.mark.parametrize("option", ["--runs=0", "--runs=-3", "--primitives=0", "--minutes=0"])
+def test_a_study_of_nothing_is_refused_and_leaves_earlier_results_alone(tmp_path, capsys, option):
+    raw = tmp_path / "raw" / "scaling.csv"
+    save_results(raw, [make_result()])
+    assert main(["experiment", "scaling", "--docs", str(tmp_path), "--out", str(tmp_path), option]) == 2
+    assert "it must be above 0" in capsys.readouterr().err
+    assert load_results(raw) == [make_result()]
+
+
+def test_results_of_an_unknown_agent_are_refused(tmp_path):
+    save_results(tmp_path / "scaling.csv", [make_result(), make_result("smdp-dreamer")])
+    with pytest.raises(FileReadError, match="line 2.*smdp-dreamer"):
+        load_results(tmp_path / "scaling.csv")
+
+
 def test_no_trial_makes_no_page(tmp_path, capsys):
     save_results(tmp_path / "raw" / "scaling.csv", [])
     assert main(["experiment", "scaling", "--from-raw", "--docs", str(tmp_path)]) == 2

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -144,9 +146,52 @@ def test_the_papers_page_is_written_from_raw_results_alone(tmp_path: Path, capsy
     assert main(["experiment", "paper", "--from-raw", "--docs", str(tmp_path)]) == 0
     assert first == {path.name: path.read_bytes() for path in tmp_path.rglob("*.*")}, "the same bytes each time"
     capsys.readouterr()
+    save_runs(tmp_path / "raw" / f"{FIGURES[0]}.jsonl",
+              [run for run in make_paper_results(1.0, 0.5)[FIGURES[0]] if run.agent != "sarsa"])
+    assert main(["experiment", "paper", "--from-raw", "--docs", str(tmp_path)]) == 2
+    assert "paper-figure-1 has no run of sarsa" in capsys.readouterr().err
     (tmp_path / "raw" / "paper-figure-1.jsonl").unlink()
     assert main(["experiment", "paper", "--from-raw", "--docs", str(tmp_path)]) == 2
     assert "no such file of raw results" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("damage", [
+    {"budget": "abc"}, {"budget": 0}, {"returns": []}, {"returns": ["a"] * 11}, {"axis": "hours"}, {"best": -2000.0},
+    {"episodes": [1]}, {"first_escape": "soon"},
+])
+def test_a_damaged_run_is_named_by_file_and_line(tmp_path: Path, damage: dict[str, Any]):
+    path = tmp_path / "raw.jsonl"
+    save_runs(path, [make_run("dqn", [0.5] * 11)])
+    whole = path.read_text()
+    path.write_text(whole + json.dumps(json.loads(whole) | damage) + "\n")
+    with pytest.raises(FileReadError, match="raw.jsonl, line 2: this is no run of a study"):
+        load_runs(path)
+    path.write_text("")
+    with pytest.raises(FileReadError, match="holds no run"):
+        load_runs(path)
+
+
+@pytest.mark.parametrize("workers", ["0", "-1"])
+@pytest.mark.parametrize("study", ["flat", "scaling"])
+def test_a_study_wants_at_least_one_worker(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], study: str, workers: str
+):
+    assert main(["experiment", study, "--docs", str(tmp_path), "--out", str(tmp_path), f"--workers={workers}"]) == 2
+    assert f"workers = {workers} is not possible" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("study", ["paper", "scaling"])
+def test_a_page_that_cannot_be_written_is_noticed_before_anything_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], study: str
+):
+    (tmp_path / "docs").write_text("a file where the folder should be")
+    assert main(["experiment", study, "--docs", str(tmp_path / "docs"), "--out", str(tmp_path / "runs")]) == 2
+    assert "cannot write" in capsys.readouterr().err and not (tmp_path / "runs").exists()
+
+
+def test_a_factorial_wants_an_algorithm(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+    assert main(["experiment", "factorial", "--docs", str(tmp_path), "--algorithms"]) == 2
+    assert "name one or more of sarsa, ddpg" in capsys.readouterr().err
 
 
 # --- the factorial ---------------------------------------------------------------------
