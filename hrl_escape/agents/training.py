@@ -112,6 +112,8 @@ def train(  # pyright: ignore[reportInconsistentOverload]  # the other arguments
     ):
         if not isinstance(value, (int, np.integer)) or value < least:
             raise AgentSettingsError(name, value, f"it must be a whole number, {least} or more")
+    if settings is not None and not isinstance(settings, Mapping):
+        raise AgentSettingsError("settings", settings, "it must map names of settings to values, or be None")
     if tensorboard and out is None:
         raise AgentSettingsError("tensorboard", True, "event files need a folder: give out=")
     name = agent if isinstance(agent, str) else type(agent).__name__

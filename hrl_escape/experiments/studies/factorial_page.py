@@ -107,7 +107,8 @@ def compute_corners(algorithm: str, runs: Sequence[RawRun], response: str) -> li
 
 def _write_lines(results: dict[str, list[RawRun]], found: dict[tuple[str, str], Analysis]) -> list[str]:
     rooms = {name: list(dict.fromkeys(run.room for run in runs)) for name, runs in results.items()}
-    budget = next(iter(results.values()))[0].budget
+    everything = [run for runs in results.values() for run in runs]
+    budget, seeds = everything[0].budget, len({run.seed for run in everything})
     lines = ["# Why SARSA and DDPG get worse with meta-actions", "", *_tell_cause(results, found), "",
              "## What was run", "",
              f"Two-level factorials, {budget:,} primitives a run, an evaluation each twentieth of that. Low is what "
@@ -115,12 +116,12 @@ def _write_lines(results: dict[str, list[RawRun]], found: dict[tuple[str, str], 
              "schedules is in primitives throughout, and keras-rl's late flag at the end of an episode "
              "(`late_terminal`) is left out: the decay is there without it.", ""]
     for name, runs in results.items():
-        seeds = len({run.seed for run in runs})
+        own = len({run.seed for run in runs})
         lines += [f"**{name}**, in {_join(rooms[name])}: a half fraction of the {2 ** len(FACTORS[name])} combinations "
                   f"(resolution VI), {found[name, 'slope'].runs} runs, which is analysed"
                   + ("" if np.isnan(compute_corners(name, runs, "slope")[1][1]) else
                      ", and all combinations that differ from either recipe in one factor")
-                  + f"; {len(runs)} runs in all, {seeds} training seed{'s' if seeds > 1 else ''}.", "",
+                  + f"; {len(runs)} runs in all, {own} training seed{'s' if own > 1 else ''}.", "",
                   "| factor | low: the published program | high: corrected |", "|---|---|---|"]
         lines += [f"| {factor.name} | {factor.paper} | {factor.corrected} |" for factor in FACTORS[name]] + [""]
     for name, runs in results.items():
@@ -130,7 +131,7 @@ def _write_lines(results: dict[str, list[RawRun]], found: dict[tuple[str, str], 
         lines += _write_corners(name, runs) + _write_rooms(name, runs)
     return [*lines, "## Make it again", "",
             "One command; finished runs are kept, and with `--from-raw` nothing is trained.", "",
-            "```console", COMMAND, "```", ""]
+            "```console", f"{COMMAND} --runs {seeds} --primitives {budget}", "```", ""]
 
 
 def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], Analysis]) -> list[str]:

@@ -157,7 +157,7 @@ def _write_lines(results: Results, breaks: dict[str, int | None]) -> list[str]:
     return [*lines, "", "Each cell: runs that ever escape in training; final score of frozen weights, mean, in per "
             "cent.", "", "## Make it again", "",
             "One command; finished runs are kept, and with `--from-raw` nothing is trained.", "",
-            "```console", COMMAND, "```", ""]
+            "```console", f"{COMMAND} --runs {runs} --primitives {paper[0].budget}", "```", ""]
 
 
 def _tell_outcome(paper: Sequence[RawRun]) -> list[str]:

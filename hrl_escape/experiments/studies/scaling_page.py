@@ -122,7 +122,9 @@ def _sample(result: TrialResult, measure: int, grid: np.ndarray) -> np.ndarray:
 
 
 def _write_lines(results: Sequence[TrialResult]) -> list[str]:
-    budget = max(result.primitives for result in results) // 1_000 * 1_000
+    most = max(result.primitives for result in results)
+    budget = most // 1_000 * 1_000 or most  # the last option may have gone beyond it
+    runs = 1 + max((r.run for r in results if (r.graph, r.buttons, r.rule) not in BAR), default=0)
     cells = {result.trial for result in results}
     hours = sum(result.seconds for result in results) / 3600
     lines = [
@@ -169,7 +171,7 @@ def _write_lines(results: Sequence[TrialResult]) -> list[str]:
         "## Make it again", "",
         "Finished trials are kept; with `--from-raw` the page is written anew from "
         "[raw/scaling.csv](raw/scaling.csv).", "",
-        "```console", COMMAND, "```", "",
+        "```console", f"{COMMAND} --runs {runs} --primitives {budget}", "```", "",
     ]  # fmt: skip
     return lines
 
