@@ -23,7 +23,7 @@ from hrl_escape.experiments.studies.factorial import (
     read_levels,
 )
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
-from hrl_escape.experiments.studies.raw import RawRun
+from hrl_escape.experiments.studies.raw import BINS, RawRun
 from hrl_escape.files import write_text
 
 __all__ = ["compute_corners", "write_factorial_page"]
@@ -136,57 +136,75 @@ def _write_lines(results: dict[str, list[RawRun]], found: dict[tuple[str, str], 
 
 def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], Analysis]) -> list[str]:
     """The cause in two sentences, then what bears it out, as far as it was run."""
-    effects = {name: {factor: found[name, "final score"].get_term(factor) for factor in get_factors(name)}
-               for name in results}
-    smdp = "; ".join(f"{name} {_points(terms['discount'].effect, '+')} and {_points(terms['truncation'].effect, '+')}"
-                     for name, terms in effects.items())
-    strong = "; ".join(f"{name} " + ", ".join(
-        f"{term.factors[0]} {_points(term.effect, '+')}" for term in sorted(terms.values(), key=lambda t: -t.effect)
-        if term.p < SIGNIFICANT) for name, terms in effects.items())
-    large = "; ".join(f"{name} {_points(_compute_mean_with_options_only(name, runs))}"
-                      for name, runs in results.items())
-    if all(map(_shows_dead_exploration, effects.values())):
+    effects = {response: {name: {factor: found[name, response].get_term(factor) for factor in get_factors(name)}
+                          for name in results} for response in RESPONSES}
+    final, slope = (effects[response] for response in RESPONSES)
+    corrected = ", ".join(f"the {response} by {_quote(of, 'discount', 'truncation')}"
+                          for response, of in effects.items())
+    large = _quote(final, "choices")
+    if all(map(_shows_dead_exploration, final.values(), slope.values())):
         cause = (
-            "The cause is neither the large changes of state (with options as the only choices, where every change is "
-            f"large, the mean final score is {large} of 100) nor the missing gamma^k (correcting discount and "
-            f"truncation moves it by {smdp}). It is that exploration dies while the values are still wrong (Boltzmann "
-            "at temperature 1 among values tens apart is greedy, and so is a small noise on an actor's unbounded "
-            "outputs), so that an agent which may also choose primitives repeats one of them for whole episodes and "
-            "learns from nothing else")
+            "Neither the missing gamma^k nor the large changes of state is the cause: correcting discount and "
+            f"truncation moves {corrected}, and with options as the only choices, where every change is large, runs "
+            f"end higher, by {large}, not lower. It is that exploration dies while the values are still wrong (Boltzmann "
+            "at temperature 1 among values tens apart is greedy, and a small noise on an actor's unbounded outputs "
+            "changes no choice), so that an agent which may also choose primitives repeats one of them for whole "
+            "episodes and learns from nothing else")
     else:
-        cause = (
-            "These runs do not show one cause for both algorithms. With options as the only choices, where every "
-            f"change of state is large, the mean final score is {large} of 100, and correcting discount and truncation "
-            f"moves it by {smdp}")
-    lines = [f"**{cause}; what moves the final score (p < {SIGNIFICANT:g}) is {strong}.**", ""]
+        cause = ("These runs do not show one cause for both algorithms: correcting discount and truncation moves "
+                 f"{corrected}; leaving options as the only choices moves the final score by {large}")
+    lines = [f"**{cause}.**", "", f"In points of 100, where p < {SIGNIFICANT:g}, corrections move", ""]
+    lines += [f"- the {response} of {name} by {_list_significant(terms)}"
+              for response, of in effects.items() for name, terms in of.items()]
+    lines += ["", "What became of single corrections:", ""]
     for name, runs in results.items():
         final, slope = (compute_corners(name, runs, response) for response in RESPONSES)
-        lines.append(f"- `{name}` as published ends at {_points(final[0][1])} points (slope "
+        first, last = _compute_span(runs)
+        lines.append(f"- Training episodes of `{name}` as published go from {_points(first)} points in the first tenth "
+                     f"to {_points(last)} in the last fifth; frozen weights end at {_points(final[0][1])} (slope "
                      f"{_points(slope[0][1], '+')}), with all factors corrected at {_points(final[0][2])} "
                      f"({_points(slope[0][2], '+')}).")
         if not np.isnan(final[1][1]):
             healing = [factor for factor, alone, _ in final[1:] if alone >= HEALED]
-            others = [f"{factor} ({_points(alone)})" for factor, alone, _ in final[1:] if alone < HEALED]
+            others = [f"{factor} ({_points(alone)}, slope {_points(trend, '+')})"
+                      for (factor, alone, _), (_, trend, _) in zip(final[1:], slope[1:], strict=True) if alone < HEALED]
             lines.append(f"- Corrected alone, {_join(healing) or 'no factor'} "
                          f"{'heals' if len(healing) < 2 else 'heal'} it ({_points(HEALED)} points or more); "
                          f"{_join(others) or 'none'} {'does' if len(others) == 1 else 'do'} not.")
         lines += [f"- Control: published but for {control}, `{name}` ends at {_points(float(np.mean(values)))} points "
                   f"({len(values)} run{'s' if len(values) > 1 else ''})."
                   for control, values in compute_controls(name, runs).items()]
+        if effects["slope"][name]["exploration"].effect < 0 < effects["final score"][name]["exploration"].effect:
+            lines.append(f"- That exploration lowers the slope of `{name}` tells of its beginning: as published it is "
+                         "down in the first tenth; epsilon-greedy begins with the random policy's score and falls from "
+                         "there where nothing is learned.")
     return lines
 
 
-def _shows_dead_exploration(effects: Mapping[str, Term]) -> bool:
-    """Exploration and the choices move the final score for the better, discount and truncation by little if at all."""
-    helps = [effects[name].p < SIGNIFICANT and effects[name].effect > 0 for name in ("exploration", "choices")]
-    idle = [effects[name].p >= SIGNIFICANT or abs(effects[name].effect) < LITTLE for name in ("discount", "truncation")]
+def _shows_dead_exploration(final: Mapping[str, Term], slope: Mapping[str, Term]) -> bool:
+    """Exploration and the choices move the final score for the better; discount and truncation move nothing by much."""
+    helps = [final[name].p < SIGNIFICANT and final[name].effect > 0 for name in ("exploration", "choices")]
+    idle = [effects[name].p >= SIGNIFICANT or abs(effects[name].effect) < LITTLE
+            for effects in (final, slope) for name in ("discount", "truncation")]
     return all(helps + idle)
 
 
-def _compute_mean_with_options_only(algorithm: str, runs: Sequence[RawRun]) -> float:
-    at = get_factors(algorithm).index("choices")
-    levels = [(run, read_levels(run.agent)) for run in runs]
-    return float(np.mean([compute_response(run, "final score") for run, row in levels if row and row[at] > 0]))
+def _quote(effects: Mapping[str, Mapping[str, Term]], *factors: str) -> str:
+    """Effects of some factors, algorithm by algorithm."""
+    return ", ".join(f"{' and '.join(_points(terms[factor].effect, '+') for factor in factors)} ({name})"
+                     for name, terms in effects.items())
+
+
+def _list_significant(terms: Mapping[str, Term]) -> str:
+    """Effects that are significant, the largest first."""
+    shown = sorted((term for term in terms.values() if term.p < SIGNIFICANT), key=lambda term: -abs(term.effect))
+    return ", ".join(f"{term.factors[0]} {_points(term.effect, '+')}" for term in shown) or "nothing"
+
+
+def _compute_span(runs: Sequence[RawRun]) -> tuple[float, float]:
+    """Mean score of the training episodes of the published program, in the first tenth and in the last fifth."""
+    scores = np.array([run.training_scores for run in runs if set(read_levels(run.agent)) == {-1}])
+    return float(np.nanmean(scores[:, : BINS // 10])), float(np.nanmean(scores[:, -(BINS // 5) :]))
 
 
 def compute_controls(algorithm: str, runs: Sequence[RawRun]) -> dict[str, list[float]]:
