@@ -146,10 +146,10 @@ def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], A
         cause = (
             "Neither the missing gamma^k nor the large changes of state is the cause: correcting discount and "
             f"truncation moves {corrected}, and with options as the only choices, where every change is large, runs "
-            f"end higher, by {large}, not lower. It is that exploration dies while the values are still wrong (Boltzmann "
-            "at temperature 1 among values tens apart is greedy, and a small noise on an actor's unbounded outputs "
-            "changes no choice), so that an agent which may also choose primitives repeats one of them for whole "
-            "episodes and learns from nothing else")
+            f"end higher, by {large}, not lower. It is that exploration dies while the values are still wrong "
+            "(Boltzmann at temperature 1 among values tens apart is greedy, and a small noise on an actor's unbounded "
+            "outputs changes no choice), so that an agent which may also choose primitives repeats one of them for "
+            "whole episodes and learns from nothing else")
     else:
         cause = ("These runs do not show one cause for both algorithms: correcting discount and truncation moves "
                  f"{corrected}; leaving options as the only choices moves the final score by {large}")
