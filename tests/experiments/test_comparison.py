@@ -34,7 +34,12 @@ def read_tables(comparison: Comparison) -> list[bytes]:
 def start_cli(grid_file: Path, out: Path, **environment: str) -> subprocess.Popen[bytes]:
     command = [sys.executable, "-m", "hrl_escape.cli", "compare", str(grid_file), "--out", str(out), "--workers", "2"]
     return subprocess.Popen(command, env=os.environ | environment, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
-                            start_new_session=True)
+                            start_new_session=True, preexec_fn=heed_ctrl_c)
+
+
+def heed_ctrl_c() -> None:
+    """A shell starts what runs in its background with Ctrl-C ignored, and so these tests and their processes."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 def find_processes_of_session(session: int) -> list[int]:
