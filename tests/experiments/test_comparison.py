@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
@@ -142,16 +143,20 @@ def test_no_process_outlives_a_comparison_that_is_stopped(tmp_path: Path, signal
     write_json(tmp_path / "long.json", grid.to_dict())
     process = start_cli(tmp_path / "long.json", tmp_path / "out")
     cells = grid.make_cells([room.make_instance() for room in grid.rooms])
-    assert wait_until(lambda: any(read_progress(tmp_path / "out", cell) for cell in cells), 60)
-    if signal_ == signal.SIGINT:  # reaches every process of the terminal
-        os.killpg(process.pid, signal_)
-        output = process.communicate(timeout=120)[0].decode()
-        assert process.returncode == 130
-        assert "the same command goes on from here" in output and "Traceback" not in output
-    else:
-        process.kill()
-        process.wait()
-    assert wait_until(lambda: not find_processes_of_session(process.pid))
+    try:
+        assert wait_until(lambda: any(read_progress(tmp_path / "out", cell) for cell in cells), 60)
+        if signal_ == signal.SIGINT:  # reaches every process of the terminal
+            os.killpg(process.pid, signal_)
+            output = process.communicate(timeout=120)[0].decode()
+            assert process.returncode == 130
+            assert "the same command goes on from here" in output and "Traceback" not in output
+        else:
+            process.kill()
+            process.wait()
+        assert wait_until(lambda: not find_processes_of_session(process.pid))
+    finally:
+        with suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)  # leaves nobody behind where the test fails
 
 
 # --- runs that fail --------------------------------------------------------------------
