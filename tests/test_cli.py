@@ -107,6 +107,7 @@ def test_every_command_explains_itself(capsys):
     (["room", "--set", "obstacles.count=200", "obstacles.size_min=8", "obstacles.size_max=9"], "no solvable room"),
     (["bench", "env", "--presets", "cluter"], "Perhaps you meant 'clutter'"),
     (["bench", "env", "--repeats", "0"], "at least 1"),
+    (["train", "dqn", "--settings", "gamma"], "--settings = 'gamma' is not possible: name=value is needed"),
     (["train", "dqn", "--threads", "0"], "threads = 0 is not possible"),
     (["compare", "quickstart", "--workers", "-1"], "workers = -1 is not possible"),
 ])

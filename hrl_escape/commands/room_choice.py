@@ -45,7 +45,8 @@ class RoomChoice:
             EscapeError: an unknown preset or field, an impossible value, or an unreadable file.
         """
         if self.config is None:
-            config = get_preset(self.preset, **dict(map(split_assignment, self.arguments)))
+            arguments = dict(split_assignment(text, "--arguments", "size=3") for text in self.arguments)
+            config = get_preset(self.preset, **arguments)
         elif self.arguments:
             raise UnsupportedError("--arguments are a preset's; with --config use --set")
         else:
@@ -55,7 +56,7 @@ class RoomChoice:
             return config
         fields = config.to_dict()
         for text in self.set:
-            path, value = split_assignment(text)
+            path, value = split_assignment(text, "--set", "room.width=30")
             _change(fields, path, value)
         return RoomConfig.from_dict(fields)
 
@@ -78,11 +79,11 @@ def _require_table(value: Any) -> dict[str, Any]:
     return value
 
 
-def split_assignment(text: str) -> tuple[str, Any]:
-    """Read `name=value`; values are JSON where they can be read so, else text."""
+def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:
+    """Read `name=value` given to an option; values are JSON where they can be read so, else text."""
     name, equals, value = text.partition("=")
     if not equals or not name:
-        raise ConfigError("option", text, "name=value, such as room.width=30")
+        raise ConfigError(option, text, f"name=value is needed, such as {example}")
     try:
         return name, json.loads(value)
     except json.JSONDecodeError:

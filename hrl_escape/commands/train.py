@@ -78,7 +78,7 @@ class TrainArgs(RoomChoice):
     def make_spec(self) -> AgentSpec:
         """The agent that is asked for."""
         options = OptionsView(include_primitives=not self.options_only, flavour=self.flavour)
-        settings = dict(map(split_assignment, self.settings))
+        settings = dict(split_assignment(text, "--settings", "gamma=0.95") for text in self.settings)
         return AgentSpec(name=self.agent, recipe=self.recipe, settings=settings, options=options)
 
 
