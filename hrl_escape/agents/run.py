@@ -10,6 +10,7 @@ import dataclasses
 import json
 import os
 import time
+import warnings
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -26,6 +27,7 @@ from hrl_escape.agents.agent import (
 )
 from hrl_escape.agents.evaluation import Evaluation, compute_episode_seed, evaluate
 from hrl_escape.agents.progress import Reporter
+from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.results import EpisodeRecord, TrainResult, make_evaluation_row, read_evaluation_row
 from hrl_escape.agents.run_folder import RunFolder
 from hrl_escape.agents.updates import Metrics, Updates
@@ -58,6 +60,11 @@ class Reply(NamedTuple):
     metrics: Metrics
     seconds: float
 
+
+NO_OPTIONS = (
+    "{name} chooses options, and this environment's steps have no info['duration'], so that each counts as one "
+    "primitive. Where it should have options, give train OptionsEnv(env)"
+)
 
 Steps = Generator[Any, Reply, TrainResult]
 """A run under way. It yields only where its learner hands out updates."""
@@ -178,6 +185,8 @@ class Run:
             action = agent.act(observation, mask)
             step = env.step(action)
             transition = make_transition(observation, action, mask, step, agent.gamma)
+            if self.decisions == 0 and "duration" not in step[4] and self.plan.name.startswith(SMDP_PREFIX):
+                warnings.warn(NO_OPTIONS.format(name=self.plan.name), stacklevel=2)
             metrics = agent.observe(transition) if self._learn is None else (yield from self._hand_out(transition))
             self.primitives += transition.duration
             self.decisions += 1

@@ -5,16 +5,19 @@ import json
 import os
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import gymnasium
 import numpy as np
 import pytest
 
+import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents import evaluate, make_agent, play_episode, train
 from hrl_escape.agents.results import METRICS
 from hrl_escape.agents.training import TrainResult
 from hrl_escape.errors import AgentSettingsError, DivergenceError, FileWriteError, StepContractError
+from hrl_escape.options.options_env import OptionsEnv
 from tests.agents.small_envs import ButtonGrid, Outcome, SmdpEnv
 from tests.agents.test_resuming import SMALL, flatten
 
@@ -320,3 +323,13 @@ def test_an_agent_object_can_be_trained():
     env = ButtonGrid()
     agent = make_agent("q-learning", env.observation_space, env.action_space, 5)
     assert train(agent, env, primitives=200, seed=1, eval_episodes=1).agent is agent
+
+
+def test_a_hierarchical_agent_without_options_is_told_so():
+    flat = gymnasium.make("hrl_escape/PaperTwoButton-v0", disable_env_checker=True)
+    with pytest.warns(UserWarning, match=r"smdp-random chooses options.*give train OptionsEnv\(env\)"):
+        train("smdp-random", flat, primitives=10, eval_episodes=0, progress=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        train("random", flat, primitives=10, eval_episodes=0, progress=False)
+        train("smdp-random", OptionsEnv(flat), primitives=10, eval_episodes=0, progress=False)
