@@ -159,20 +159,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
     chosen = parser.parse_args(arguments)
     torch.set_num_threads(1)
     settings = {name: getattr(chosen, name) for name in ("instances", "primitives", "copies", "seed")}
-    findings = load_findings(chosen.json)
     good = True
     print(f"{'room':20} {'primitives':>12} {'worst pose':>11} {'close calls':>11} {'disagreements':>13} {'seconds':>8}")
     for name, config in list_batched_rooms(chosen.rooms):
-        begun, done = time.perf_counter(), findings.get(name, {})
+        begun, done = time.perf_counter(), load_findings(chosen.json).get(name, {})
         if settings.items() <= done.items():
             found = Agreement(**{field.name: done[field.name] for field in dataclasses.fields(Agreement)})
         else:
             rooms = [generate(config, seed) for seed in range(chosen.instances)]
             found = compare(rooms, chosen.primitives, copies=chosen.copies, seed=chosen.seed)
             seconds = time.perf_counter() - begun
-            findings = load_findings(chosen.json) | {name: settings | dataclasses.asdict(found) | {"seconds": seconds}}
             if chosen.json:
-                write_json(chosen.json, findings)
+                entry = settings | dataclasses.asdict(found) | {"seconds": seconds}
+                write_json(chosen.json, load_findings(chosen.json) | {name: entry})
         print(f"{name:20} {found.primitives:12,} {found.worst:9.1e} m {found.close_calls:11} "
               f"{len(found.disagreements):13} {time.perf_counter() - begun:8.1f}", flush=True)
         print("\n".join(found.disagreements[:3]), end="\n" if found.disagreements else "")

@@ -30,7 +30,7 @@ def get_memory_mb() -> float:
 def run_steps(name: str, steps: int) -> float:
     """Step an environment with random primitives; returns the growth in MB after a warm-up."""
     env = gymnasium.make(name, disable_env_checker=True)
-    actions = np.random.default_rng(0).integers(env.action_space.n, size=steps).tolist()  # type: ignore[attr-defined]
+    actions = np.random.default_rng(0).integers(env.action_space.n, size=steps).tolist()  # type: ignore[attr-defined]  # a Discrete
     env.reset(seed=0)
     warm, before, began = steps // 5, 0.0, time.perf_counter()
     for number, action in enumerate(actions):
@@ -66,7 +66,7 @@ def run_batch(name: str, rooms: int, minutes: float) -> float:
     env = gymnasium.make_vec(name, num_envs=rooms, compile=True)
     env.reset(seed=0)
     rng = np.random.default_rng(0)
-    count = env.single_action_space.n  # type: ignore[attr-defined]
+    count = env.single_action_space.n  # type: ignore[attr-defined]  # a Discrete
     env.step(np.zeros(rooms, dtype=np.int64))  # compiles
     end, before, steps, warm = time.monotonic() + 60 * minutes, 0.0, 0, time.monotonic() + 12 * minutes
     while time.monotonic() < end:

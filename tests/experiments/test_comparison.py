@@ -117,13 +117,19 @@ def count_log_bytes(out: Path) -> int:
     return sum(log.stat().st_size for log in out.glob("cells/*/run/log.jsonl"))
 
 
+def start_and_wait_for_news(grid_file: Path, out: Path) -> subprocess.Popen[bytes]:
+    """Start a comparison; returns once a run has logged something new, or all is over."""
+    before = count_log_bytes(out)
+    process = start_cli(grid_file, out)
+    wait_until(lambda: process.poll() is not None or count_log_bytes(out) > before, 60)
+    return process
+
+
 def test_killed_at_any_moment_and_resumed_gives_the_uninterrupted_results(finished: Comparison, tmp_path: Path):
     write_json(tmp_path / "small.json", SMALL.to_dict())
     out, rng, kills = tmp_path / "out", np.random.default_rng(4), 0
     while kills < 4:
-        before = count_log_bytes(out)
-        process = start_cli(tmp_path / "small.json", out)
-        wait_until(lambda: process.poll() is not None or count_log_bytes(out) > before, 60)  # noqa: B023  # called here
+        process = start_and_wait_for_news(tmp_path / "small.json", out)
         time.sleep(rng.uniform(0.0, 0.8))
         if process.poll() is None:
             process.send_signal(signal.SIGKILL)

@@ -116,12 +116,11 @@ def _write_lines(results: dict[str, list[RawRun]], found: dict[tuple[str, str], 
              "schedules is in primitives throughout, and keras-rl's late flag at the end of an episode "
              "(`late_terminal`) is left out: the decay is there without it.", ""]
     for name, runs in results.items():
-        own = len({run.seed for run in runs})
         lines += [f"**{name}**, in {_join(rooms[name])}: a half fraction of the {2 ** len(FACTORS[name])} combinations "
                   f"(resolution VI), {found[name, 'slope'].runs} runs, which is analysed"
                   + ("" if np.isnan(compute_corners(name, runs, "slope")[1][1]) else
                      ", and all combinations that differ from either recipe in one factor")
-                  + f"; {len(runs)} runs in all, {own} training seed{'s' if own > 1 else ''}.", "",
+                  + f"; {len(runs)} runs in all, {seeds} training seed{'s' if seeds > 1 else ''}.", "",
                   "| factor | low: the published program | high: corrected |", "|---|---|---|"]
         lines += [f"| {factor.name} | {factor.paper} | {factor.corrected} |" for factor in FACTORS[name]] + [""]
     for name, runs in results.items():
@@ -158,16 +157,16 @@ def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], A
               for response, of in effects.items() for name, terms in of.items()]
     lines += ["", "What became of single corrections:", ""]
     for name, runs in results.items():
-        final, slope = (compute_corners(name, runs, response) for response in RESPONSES)
+        ends, trends = (compute_corners(name, runs, response) for response in RESPONSES)
         first, last = _compute_span(runs)
         lines.append(f"- Training episodes of `{name}` as published go from {_points(first)} points in the first tenth "
-                     f"to {_points(last)} in the last fifth; frozen weights end at {_points(final[0][1])} (slope "
-                     f"{_points(slope[0][1], '+')}), with all factors corrected at {_points(final[0][2])} "
-                     f"({_points(slope[0][2], '+')}).")
-        if not np.isnan(final[1][1]):
-            healing = [factor for factor, alone, _ in final[1:] if alone >= HEALED]
+                     f"to {_points(last)} in the last fifth; frozen weights end at {_points(ends[0][1])} (slope "
+                     f"{_points(trends[0][1], '+')}), with all factors corrected at {_points(ends[0][2])} "
+                     f"({_points(trends[0][2], '+')}).")
+        if not np.isnan(ends[1][1]):
+            healing = [factor for factor, alone, _ in ends[1:] if alone >= HEALED]
             others = [f"{factor} ({_points(alone)}, slope {_points(trend, '+')})"
-                      for (factor, alone, _), (_, trend, _) in zip(final[1:], slope[1:], strict=True) if alone < HEALED]
+                      for (factor, alone, _), (_, trend, _) in zip(ends[1:], trends[1:], strict=True) if alone < HEALED]
             lines.append(f"- Corrected alone, {_join(healing) or 'no factor'} "
                          f"{'heals' if len(healing) < 2 else 'heal'} it ({_points(HEALED)} points or more); "
                          f"{_join(others) or 'none'} {'does' if len(others) == 1 else 'do'} not.")
@@ -176,8 +175,8 @@ def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], A
                   for control, values in compute_controls(name, runs).items()]
         if effects["slope"][name]["exploration"].effect < 0 < effects["final score"][name]["exploration"].effect:
             lines.append(f"- That exploration lowers the slope of `{name}` tells of its beginning: as published it is "
-                         "down in the first tenth; epsilon-greedy begins with the random policy's score and falls from "
-                         "there where nothing is learned.")
+                         f"at {_points(first)} points in the first tenth already; epsilon-greedy begins with the "
+                         "random policy's score and falls from there where nothing is learned.")
     return lines
 
 
