@@ -1,7 +1,8 @@
-# The two commands are `make demo` and `make test`; each installs into .venv first, once.
+# `make demo`, `make watch` and `make test` each install into .venv first, once.
 
 PYTHON ?= $(shell command -v python3.11 || command -v python3)
-DEMO   ?= hrl-escape compare quickstart --out demo
+DEMO   ?= hrl-escape compare quickstart
+WATCH  ?= hrl-escape watch --preset clutter --seed 3
 JOBS   ?= 2
 
 VENV  := .venv
@@ -9,7 +10,7 @@ STAMP := $(VENV)/.installed
 export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test docs lint clean
+.PHONY: help demo watch test docs lint clean
 
 help: ## show this list
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
@@ -19,8 +20,11 @@ $(STAMP): pyproject.toml constraints.txt
 	python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'
 	touch $@
 
-demo: $(STAMP) ## compare five agents in a room with two buttons, leave a report
+demo: $(STAMP) ## compare five agents in a room with two buttons; the report goes into runs/quickstart
 	$(DEMO)
+
+watch: $(STAMP) ## open the viewer in the browser: the planner escapes from a cluttered room; Ctrl-C ends
+	$(WATCH)
 
 test: $(STAMP) ## every test but those marked slow or gpu
 	python -m pytest tests -n $(JOBS) -m "not slow and not gpu"

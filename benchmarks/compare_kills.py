@@ -51,7 +51,7 @@ def run_killed(grid: Path, out: Path, kills: int, rng: np.random.Generator) -> N
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-            finished = len(list(out.glob("cells/*/cell.json")))
+            finished = len(list(out.glob("runs/*/run_result.json")))
             print(f"kill {number + 1} after {pause:.1f} s: {finished} runs finished so far", flush=True)
 
 

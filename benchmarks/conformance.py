@@ -20,11 +20,11 @@ import numpy as np
 import torch
 
 from benchmarks.findings import list_batched_rooms, load_findings
-from hrl_escape.env.generation import generate
+from hrl_escape.env.batched.engine import Outcome, TensorRoom
+from hrl_escape.env.batched.puzzles import as_signed
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, Transition
-from hrl_escape.env.tensor_puzzles import as_signed
-from hrl_escape.env.tensor_room import Outcome, TensorRoom
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.files import write_json
 
 TOLERANCE = 1e-4
@@ -34,7 +34,7 @@ MOST_CLOSE_CALLS = 1e-4
 
 @dataclasses.dataclass
 class Agreement:
-    """What a comparison found.
+    """Findings of a comparison.
 
     Attributes:
         primitives: how many were compared.
@@ -135,7 +135,7 @@ def _compare_step(found: Agreement, batch: TensorRoom, outcome: Outcome, scalar:
 
 
 def is_close_call(scalar: Kinematics, state: RoomState, action: int, done: Transition) -> bool:
-    """Whether starting a primitive a millimetre away changes what it does."""
+    """True if a primitive that starts a millimetre away has another outcome."""
     moved = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)]) * THRESHOLD
     for dx, dy in moved.tolist():
         other = scalar.step(state._replace(x=state.x + dx, y=state.y + dy), action)

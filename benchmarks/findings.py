@@ -1,4 +1,4 @@
-"""What the conformance benchmarks share: which rooms they go through, and findings kept in a file to go on from."""
+"""Shared parts of the conformance benchmarks: their rooms, and a file of findings to go on from."""
 
 from __future__ import annotations
 

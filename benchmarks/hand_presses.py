@@ -21,15 +21,15 @@ import numpy as np
 from numba import njit
 
 from hrl_escape.env.config import ObstaclesConfig, RobotConfig, RoomConfig
-from hrl_escape.env.generation import generate
 from hrl_escape.env.geometry import stack_footprints
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.presets import get_preset
-from hrl_escape.options.arm.search import find_touching
-from hrl_escape.options.goals import PressGoal
-from hrl_escape.options.lattice.sweeps import compile_geometry
-from hrl_escape.options.reaching import ALL, Reacher
-from hrl_escape.options.tracking import PrimitiveSearch
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.planning.arm.reacher import UNLIMITED, Reacher
+from hrl_escape.planning.arm.search import find_touching
+from hrl_escape.planning.goals import PressGoal
+from hrl_escape.planning.lattice.sweep_kernels import compile_geometry
+from hrl_escape.planning.primitive_search import PrimitiveSearch
 
 THREE = RobotConfig(joints=3, body_radius=0.4, body_height=0.8)
 ARMS = {
@@ -105,7 +105,7 @@ def find_fewest(reacher: Reacher, state: RoomState, target: int, most: int) -> i
     angles = kinematics.turn_step * np.arange(kinematics.headings)
     turns = np.round(np.stack([np.cos(angles), np.sin(angles)], axis=1), 15)
     moves = room.robot.move_step * np.stack([turns, -turns, turns[:, ::-1] * (-1, 1), turns[:, ::-1] * (1, -1)])
-    table = reacher.make_table(target, state.joint_steps, budget=ALL)
+    table = reacher.make_table(target, state.joint_steps, budget=UNLIMITED)
     boxes = np.array([(t.x, t.y, t.z, t.footprint.cos, t.footprint.sin, t.half_x, t.half_y, t.half_z)
                       for t in room.targets])
     lattice = reacher.get_lattice(state.joint_steps)

@@ -1,4 +1,4 @@
-"""How often do meta-actions end `reached` when primitives are noisy, slip, or obey physics?
+"""Share of meta-actions that end `reached` when primitives are noisy, slip, or obey physics.
 
 Run: `python benchmarks/meta_actions.py --runs 200` (a minute or two on one core). Random meta-actions are
 run one after another in generated rooms; a room is left when it is escaped. Prints, for each family
@@ -15,8 +15,8 @@ from collections import Counter
 import numpy as np
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.generation import generate
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.options_env import OptionsEnv
 
 DYNAMICS = {

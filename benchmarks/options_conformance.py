@@ -19,8 +19,8 @@ import torch
 
 from benchmarks.findings import list_batched_rooms, load_findings
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.generation import generate
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.files import write_json
 from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.options_env import OptionsEnv
@@ -30,7 +30,7 @@ MOST_MORE = 0.05
 
 @dataclasses.dataclass
 class OptionAgreement:
-    """What a comparison found.
+    """Findings of a comparison.
 
     Attributes:
         decisions: how many were compared.

@@ -1,4 +1,4 @@
-"""How quick plans are in prepared rooms, what preparing takes, and whether ten thousand plans leave memory behind.
+"""Latency of plans in prepared rooms, time of preparation, and memory left behind by ten thousand plans.
 
 Run: `python benchmarks/planning.py` (four minutes on one core, one with `--plans 1000`); exits with 1
 if a target is missed. A plan is a whole meta-action, checked by replay; cached is the same question
@@ -18,13 +18,13 @@ from pathlib import Path
 
 import numpy as np
 
-from hrl_escape.env.generation import generate
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.presets import get_preset
-from hrl_escape.options.goals import PressGoal
-from hrl_escape.options.navigation import Navigator
-from hrl_escape.options.planner import RoomPlanner
-from hrl_escape.options.tracking import PrimitiveSearch
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.planning.goals import PressGoal
+from hrl_escape.planning.paths.navigator import Navigator
+from hrl_escape.planning.primitive_search import PrimitiveSearch
+from hrl_escape.planning.room_planner import RoomPlanner
 
 PRESETS = ("paper-one-button", "paper-two-button", "larg-2019", "clutter", "ten-button", "arm-two-button")
 MEDIAN_MS, P99_MS, PREPARE_S, CACHED_MS = 5.0, 50.0, 1.0, 0.2

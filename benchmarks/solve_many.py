@@ -24,15 +24,15 @@ from hrl_escape.env.config import (
     StartConfig,
 )
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.generation import generate
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GenerationError, PlanningFailed
-from hrl_escape.options.planner import RoomPlanner
-from hrl_escape.options.pursuit import pursue
+from hrl_escape.options.closed_loop import pursue
+from hrl_escape.planning.room_planner import RoomPlanner
 
 
 def make_arm_room(joints: int, kind: str = "arm", **robot: float) -> RoomConfig:
@@ -85,7 +85,7 @@ def solve_room(config: RoomConfig, seed: int) -> dict[str, object]:
         instance = generate(config, seed)
     except GenerationError as error:
         return {"end": "not generated", "why": str(error)}
-    planner = RoomPlanner(instance, time_limit=60.0)
+    planner = RoomPlanner(instance)
     env = EscapeRoomEnv(instance=instance)
     env.reset(seed=seed)
     generated, planned = time.perf_counter() - began, 0.0

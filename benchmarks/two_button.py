@@ -12,9 +12,9 @@ import sys
 from pathlib import Path
 
 from hrl_escape.experiments.comparison import run_grid
-from hrl_escape.experiments.launcher import LocalLauncher
+from hrl_escape.experiments.launching.local import LocalLauncher
 from hrl_escape.experiments.presets import get_grid
-from hrl_escape.experiments.report import write_report
+from hrl_escape.experiments.reporting.report import write_report
 
 NEEDED = {"smdp-dqn": 0.95, "smdp-q-learning": 0.95}
 

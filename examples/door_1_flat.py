@@ -10,20 +10,20 @@ import hrl_escape  # noqa: F401  # registers the environments
 
 
 def main(primitives: int = 2_000) -> None:
-    """Act at random and see how far that leads.
+    """Act at random and count presses and escapes.
 
     Args:
-        primitives: how long to try.
+        primitives: number of random primitives.
     """
-    env = gymnasium.make("hrl_escape/EscapeRoom-v0", config="paper-two-button", observation="features")
+    env = gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button", observation="features")
     print(f"observation {env.observation_space.shape}, {env.action_space.n} primitives: "
-          f"{', '.join(p.name for p in env.unwrapped.rules.primitives)}")
+          f"{', '.join(env.unwrapped.rules.actions.names)}")
     observation, info = env.reset(seed=0)
     env.action_space.seed(0)
     pressed, escapes, episodes = 0, 0, 0
     for _ in range(primitives):
         observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
-        pressed += len(info["pressed"])
+        pressed += int(info["pressed"].sum())
         escapes += terminated
         if terminated or truncated:
             episodes += 1

@@ -1,7 +1,7 @@
 """Door 2: the same room with options. One step is one decision, which may run many primitives.
 
-`meta-01` and `meta-02` press a button, `meta-exit` goes to the exit, from anywhere: they are planned. What a decision
-took and what it is worth stands in `info`: duration k, discount gamma^k, sum of gamma^i r_i, the legal actions.
+The planned options `meta-01` and `meta-02` press a button each, and `meta-exit` leaves, from anywhere. `info` holds the
+numbers of a decision: duration k, discount gamma^k, the sum of gamma^i r_i, and the legal actions.
 """
 
 import gymnasium
@@ -15,9 +15,9 @@ def main(seed: int = 0) -> None:
     """Press the buttons in order, then leave.
 
     Args:
-        seed: of the episode.
+        seed: seed of the episode.
     """
-    env = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v0", config="paper-two-button"), discount=0.99)
+    env = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button"), discount=0.99)
     observation, info = env.reset(seed=seed)
     print(f"{len(env.action_names)} actions: {', '.join(env.action_names)}")
     total = 0.0

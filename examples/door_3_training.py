@@ -1,4 +1,4 @@
-"""Door 3: train an agent on options. Every algorithm learns from SMDP transitions; a flat room is the case k = 1."""
+"""Door 3: train an agent on options. All algorithms learn from SMDP transitions; a flat room is the case k = 1."""
 
 import itertools
 from pathlib import Path
@@ -12,15 +12,15 @@ from hrl_escape.options.options_env import OptionsEnv
 
 
 def main(agent: str = "smdp-dqn", primitives: int = 20_000, seed: int = 0, out: Path | None = None) -> None:
-    """Train, print the learning curve, and watch an episode's first decisions.
+    """Train, then print the learning curve and the first decisions of an episode.
 
     Args:
         agent: `smdp-dqn`, `smdp-q-learning`, `smdp-ppo`, ...
         primitives: training budget.
-        seed: of the training run.
-        out: folder for log and checkpoints; a run that was stopped goes on from there.
+        seed: seed of the training run.
+        out: folder for log and checkpoints; a stopped run resumes from there.
     """
-    env = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v0", config="paper-two-button", observation="features"))
+    env = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button", observation="features"))
     result = train(agent, env, primitives=primitives, seed=seed, out=out)
     for trained, value in zip(*result.curve("mean_return"), strict=True):
         print(f"{trained:8,.0f} primitives: return {value:8.1f}")

@@ -1,4 +1,4 @@
-"""Door 4: the planner. Ask it for a goal from any state; run the plan, draw it, or read its numbers."""
+"""Door 4: the planner. Plan to any goal from any state, run the plan, and draw it."""
 
 from pathlib import Path
 
@@ -6,17 +6,17 @@ import gymnasium
 import tyro
 
 import hrl_escape  # noqa: F401  # registers the environments
-from hrl_escape.options.planner import RoomPlanner
+from hrl_escape.planning.room_planner import RoomPlanner
 
 
 def main(config: str = "clutter", draw: Path = Path("plan.svg")) -> None:
-    """Plan to one button, then the whole escape; drive it and draw it.
+    """Plan to one button, then plan the whole escape, drive it and draw it.
 
     Args:
         config: preset of the room.
         draw: picture to write.
     """
-    env = gymnasium.make("hrl_escape/EscapeRoom-v0", config=config)
+    env = gymnasium.make("hrl_escape/EscapeRoom-v1", config=config)
     env.reset(seed=0)
     planner = RoomPlanner(env.unwrapped.instance)
     target = env.unwrapped.instance.targets[0].name

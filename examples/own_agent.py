@@ -1,6 +1,6 @@
-"""Your own learner in 40 lines: Monte Carlo control over decisions of any duration.
+"""Your own agent in 40 lines: Monte Carlo control over decisions of any duration.
 
-No base class: these members are the whole contract (`hrl_escape.agents.Agent`). `train` gives it curves, logs,
+The members written here are the whole contract of `hrl_escape.agents.Agent`. `train` gives it curves, logs,
 checkpoints and resuming. To have it in `hrl-escape compare`, publish it under the entry-point group
 `hrl_escape.agents`.
 """
@@ -12,7 +12,7 @@ import numpy as np
 import tyro
 
 import hrl_escape  # noqa: F401  # registers the environments
-from hrl_escape.agents import SMDPTransition, train
+from hrl_escape.agents import Agent, SMDPTransition, train
 from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.options.options_env import OptionsEnv
 
@@ -27,7 +27,7 @@ class MonteCarloSettings(AgentSettings):
     """Share of random decisions in training."""
 
 
-class MonteCarlo:
+class MonteCarlo(Agent):
     """Q(s, o) is the mean of the returns that followed o in s; s is the observation, rounded."""
 
     Settings = MonteCarloSettings
@@ -37,8 +37,6 @@ class MonteCarlo:
         self.settings = settings or MonteCarloSettings()
         self.actions, self.rng = int(action_space.n), np.random.default_rng(seed)
         self.table, self.episode = {}, []  # key -> [sum of returns, visits], (2, actions); decisions so far
-
-    gamma = property(lambda self: self.settings.gamma)
 
     def read(self, observation):
         """The table's row for an observation."""
@@ -84,7 +82,7 @@ def main(primitives: int = 10_000) -> None:
     Args:
         primitives: training budget.
     """
-    env = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v0", config="paper-two-button", observation="features"),
+    env = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button", observation="features"),
                      include_primitives=False)
     result = train(MonteCarlo(env.observation_space, env.action_space, seed=0), env, primitives=primitives)
     first, last = result.evaluations[0], result.evaluations[-1]

@@ -1,4 +1,4 @@
-"""Your own comparison from Python: data says what is compared; runs are parallel, kept, and told in a report.
+"""Your own comparison in Python: a grid of agents and rooms as data, parallel runs that are kept, and a report.
 
 The same from a shell: hrl-escape compare --agents smdp-random smdp-q-learning --rooms four-button-chain
 """
@@ -9,19 +9,19 @@ import tyro
 
 from hrl_escape.experiments.comparison import run_grid
 from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec
-from hrl_escape.experiments.report import write_report
+from hrl_escape.experiments.reporting.report import write_report
 from hrl_escape.experiments.verdict import write_verdict
 
 ONLY_OPTIONS = OptionsView(include_primitives=False)
 
 
 def main(primitives: int = 5_000, runs: int = 4, out: Path = Path("runs/own-comparison")) -> None:
-    """Does it help to leave the primitives out of the choices?
+    """Test whether agents learn better if they choose among options only.
 
     Args:
         primitives: training budget of a run.
-        runs: training seeds.
-        out: folder; what is finished in it is not run again.
+        runs: number of training seeds.
+        out: folder of runs and report; finished runs in it are kept.
     """
     grid = Grid(
         name="own-comparison",

@@ -1,6 +1,6 @@
-"""Your own option: an initiation set, a policy, a termination. Here: slide along until something stops you.
+"""Your own option: an initiation set, a policy and a termination. This one slides until something stops it.
 
-It stands beside the planned options of the room, in every instance of it, and is checked against the contract.
+It is offered next to the planned options, in every instance of the room, and checked against the contract.
 """
 
 import gymnasium
@@ -9,9 +9,9 @@ import tyro
 import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.checks import check_option
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.options.meta_actions import make_meta_options
 from hrl_escape.options.option import Option
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.options.synthesis import make_meta_options
 
 
 class Slide(Option):
@@ -23,24 +23,24 @@ class Slide(Option):
         self._last: RoomState | None = None
 
     def policy(self, state: RoomState) -> int:
-        """Always the same."""
+        """The same primitive in every state."""
         self._last = state
         return self.primitive
 
     def termination(self, state: RoomState) -> float:
-        """1 where the last primitive was stopped short."""
+        """1 if the last primitive was stopped short."""
         moved = self._last is None or abs(state.x - self._last.x) + abs(state.y - self._last.y) > 0.5
         return 0.0 if moved else 1.0
 
 
 def main(config: str = "clutter", decisions: int = 12) -> None:
-    """Make a room with planned options and slides, check a slide, and choose at random.
+    """Check a slide, make a room with planned options and slides, and choose at random.
 
     Args:
         config: preset of the room.
-        decisions: how many random decisions to make.
+        decisions: number of random decisions.
     """
-    flat = gymnasium.make("hrl_escape/EscapeRoom-v0", config=config)
+    flat = gymnasium.make("hrl_escape/EscapeRoom-v1", config=config)
     check_option(Slide("slide-forward", 0), flat)
     slides = {"slide-forward": 0, "slide-back": 1, "slide-left": 2, "slide-right": 3}
     env = OptionsEnv(flat, include_primitives=False, options=lambda room: [

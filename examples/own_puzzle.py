@@ -7,16 +7,17 @@ model from which options, planners and PDDL follow. Publish it under the entry-p
 import dataclasses
 import itertools
 from pathlib import Path
+from typing import Annotated
 
 import tyro
 
 from hrl_escape.checks import check_puzzle
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
-from hrl_escape.env.generation import generate
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.puzzles.base import Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel, register_puzzle
-from hrl_escape.env.settings import knob
-from hrl_escape.options.planner import RoomPlanner
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.settings import Range
 
 
 @dataclasses.dataclass(frozen=True)
@@ -24,15 +25,16 @@ class LightsOutConfig(PuzzleConfig):
     """Schematic: how many lights."""
 
     kind = "lights-out"
-    count: int = knob(4, "Number of lights, in a row.", "", 2, 12)
+    count: Annotated[int, Range(2, 12)] = 4
+    """Number of lights, in a row."""
 
     @property
     def panels(self):
-        """What is pressed."""
+        """The panels to press."""
         return Panels(width=1.5)
 
     def make_puzzle(self, rng):
-        """Nothing is random."""
+        """The rules; nothing about them is random."""
         return LightsOut(self.count)
 
 
@@ -41,7 +43,8 @@ class LightsOut(Puzzle):
     """The state is a tuple of bools, one a light; all are off at first."""
 
     kind = "lights-out"
-    count: int = knob(4, "Number of lights.", "", 2, 12)
+    count: Annotated[int, Range(2, 12)] = 4
+    """Number of lights."""
 
     target_names = property(lambda self: tuple(f"light-{i + 1}" for i in range(self.count)))
     bounds = property(lambda self: ((0.0, 1.0),) * self.count)
@@ -66,7 +69,7 @@ class LightsOut(Puzzle):
         return tuple(map(float, state))
 
     def get_lit(self, state):
-        """Which are on."""
+        """The lights that are on."""
         return state
 
     def get_facts(self, state):
@@ -74,7 +77,7 @@ class LightsOut(Puzzle):
         return frozenset(f"on({name})" for name, on in zip(self.target_names, state, strict=True) if on)
 
     def make_symbolic_model(self):
-        """One operator for each press and each way the lights that it toggles may stand."""
+        """One operator for each press and each state of the lights that it toggles."""
         facts, operators = [f"on({name})" for name in self.target_names], []
         for i, name in enumerate(self.target_names):
             near = facts[max(0, i - 1) : i + 2]
@@ -94,7 +97,7 @@ def main(count: int = 4, seed: int = 0, draw: Path = Path("lights-out.svg")) -> 
 
     Args:
         count: number of lights.
-        seed: which room.
+        seed: instance seed.
         draw: picture to write.
     """
     check_puzzle(LightsOut(count))

@@ -1,4 +1,4 @@
-"""Your own puzzle, solved by a planner: 26 lines of code. Each press toggles a light, and all must be on."""
+"""The smallest puzzle, 26 lines, solved by a planner. Each press toggles a light, and all must be on."""
 # ruff: noqa: E731  # rules as one-liners, so that all of them are seen at once
 
 import dataclasses
@@ -12,7 +12,7 @@ NONE = frozenset()
 
 @dataclasses.dataclass(frozen=True)
 class TogglesConfig(PuzzleConfig):
-    """What can be set: nothing."""
+    """The schematic, which has no knobs."""
 
     kind, panels = "toggles", Panels(width=1.5)
     make_puzzle = lambda self, rng: Toggles()
@@ -34,7 +34,7 @@ class Toggles(Puzzle):
         return frozenset(name for name, lit in zip(self.target_names, self.get_lit(state), strict=True) if lit)
 
     def make_symbolic_model(self):
-        """What planners know: a press turns a light on that was off."""
+        """The planner's model: a press turns a light on that was off."""
         press = [Operator(f"press-{name}", name, "press", NONE, frozenset({name}), frozenset({name}), NONE)
                  for name in self.target_names]
         return SymbolicModel(self.target_names, tuple(press), frozenset(self.target_names))

@@ -1,7 +1,7 @@
 """Stable-Baselines3 and sb3-contrib, unmodified, on primitives and on options.
 
-They see an option as one step and discount it as one, which is one of the things that an SMDP agent does better; and
-only MaskablePPO knows which options may start. Needs the extra: pip install 'hrl-escape[bench]'.
+They count and discount an option as one step, where an SMDP agent discounts by its duration, and only MaskablePPO
+knows which options are legal. Needs the extra `bench`: pip install 'hrl-escape[bench]'.
 """
 
 import gymnasium
@@ -18,21 +18,21 @@ from hrl_escape.options.options_env import OptionsEnv
 
 def make_flat() -> gymnasium.Env:
     """A room of primitives."""
-    return Monitor(gymnasium.make("hrl_escape/EscapeRoom-v0", config="paper-two-button", observation="features"))
+    return Monitor(gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button", observation="features"))
 
 
 def make_options() -> gymnasium.Env:
     """The same room with options."""
-    flat = gymnasium.make("hrl_escape/EscapeRoom-v0", config="paper-two-button", observation="features")
+    flat = gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button", observation="features")
     return Monitor(OptionsEnv(flat))
 
 
 def main(steps: int = 4_000, seed: int = 0) -> None:
-    """Train each for a while and evaluate it.
+    """Train each algorithm briefly and evaluate it.
 
     Args:
-        steps: of their own environment steps: primitives, or decisions.
-        seed: of the training runs.
+        steps: number of environment steps: primitives or decisions.
+        seed: seed of the training runs.
     """
     torch.set_num_threads(1)
     runs = [

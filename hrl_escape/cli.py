@@ -8,9 +8,11 @@ user did wrong is one line on stderr and exit code 2, never a traceback.
 from __future__ import annotations
 
 import ast
+import errno
 import os
+import signal
 import sys
-import tempfile
+import threading
 import typing
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,13 +20,15 @@ from importlib import import_module
 from pathlib import Path
 
 from hrl_escape import __version__
-from hrl_escape.errors import EscapeError, UnknownNameError
+from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError
 
 __all__ = ["main"]
 
 _PROGRAM = "hrl-escape"
 _COMMANDS = "hrl_escape.commands"
 _FOLDER = Path(__file__).parent / "commands"
+_UNWRITABLE_OUTPUT = (errno.ENOSPC, errno.EIO, errno.EFBIG, errno.EDQUOT)
+_IMPOSSIBLE_PATH = (errno.ENAMETOOLONG, errno.EACCES, errno.EPERM, errno.ELOOP, errno.ENOTDIR, errno.EROFS)
 _HELP, _VERSION = ("-h", "--help", "help"), ("--version", "-V")
 
 
@@ -35,21 +39,81 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: what follows the program's name; None takes this process's.
 
     Returns:
-        The exit code: 0 for success, 2 for a mistake of the user's, 130 if interrupted.
+        The exit code: 0 for success, 2 for a mistake of the user's or output that cannot be written, 128 and the
+        signal's number if a signal or a closed pipe ended it.
     """
     try:
-        return _run(list(sys.argv[1:] if arguments is None else arguments), _FOLDER, _COMMANDS, [_PROGRAM])
-    except EscapeError as error:
-        print(f"{_PROGRAM}: {' '.join(str(error).splitlines())}", file=sys.stderr)
-        return 2
+        with _raising_signals():
+            _check_threads()
+            code = _run(list(sys.argv[1:] if arguments is None else arguments), _FOLDER, _COMMANDS, [_PROGRAM])
+            if sys.stdout is not None:
+                sys.stdout.flush()
+            return code
+    except _Ended as ended:
+        return _report(f"ended by {signal.Signals(ended.number).name}", 128 + ended.number)
     except KeyboardInterrupt:
-        print(f"{_PROGRAM}: interrupted", file=sys.stderr)
-        return 130
+        return _report("interrupted", 128 + signal.SIGINT)
     except BrokenPipeError:  # whoever read our output has seen enough
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 141
+        _drop_output()
+        return 128 + signal.SIGPIPE
+    except EscapeError as error:
+        return _report(" ".join(str(error).splitlines()), 2)
+    except OSError as error:
+        if error.filename is not None and error.errno in _IMPOSSIBLE_PATH:
+            return _report(f"{str(error.filename)[:200]}: {error.strerror}", 2)
+        if error.filename is not None or error.errno not in _UNWRITABLE_OUTPUT:
+            raise
+        _drop_output()
+        return _report(f"cannot write the output: {error.strerror}", 2)
     except SystemExit as exit_:  # tyro has printed help, or what is wrong with the arguments
+        if isinstance(exit_.__context__, BrokenPipeError):  # rich's answer to a closed pipe
+            return 128 + signal.SIGPIPE
         return exit_.code if isinstance(exit_.code, int) else 0 if exit_.code is None else 2
+
+
+class _Ended(BaseException):
+    """A signal asks this process to end; whatever must be left in order is on the way out."""
+
+    def __init__(self, number: int) -> None:
+        self.number = number
+
+
+@contextmanager
+def _raising_signals() -> Iterator[None]:
+    """SIGTERM and SIGHUP unwind the program as Ctrl-C does, so that folders and processes are left in order."""
+
+    def end(number: int, frame: object) -> None:
+        raise _Ended(number)
+
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    asked = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
+    for number in asked:
+        signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number in asked:
+            signal.signal(number, signal.SIG_DFL)
+
+
+def _check_threads() -> None:
+    """Refuse a NUMBA_NUM_THREADS at which numba fails to import."""
+    threads = os.environ.get("NUMBA_NUM_THREADS", "1")
+    if not threads.isdecimal() or int(threads) < 1:
+        raise ConfigError("NUMBA_NUM_THREADS", threads, "a whole number of at least 1, or leave it unset")
+
+
+def _drop_output() -> None:
+    """Discard output that cannot be written, which Python would try to write once more at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _report(message: str, code: int) -> int:
+    """Say in one line why the program ends; returns the exit code."""
+    print(f"{_PROGRAM}: {message}", file=sys.stderr)
+    return code
 
 
 def _run(arguments: list[str], folder: Path, package: str, words: list[str]) -> int:
@@ -66,26 +130,7 @@ def _run(arguments: list[str], folder: Path, package: str, words: list[str]) -> 
     name = f"{package}.{commands[verb].stem}"
     if commands[verb].is_dir():
         return _run(arguments[1:], commands[verb], name, [*words, verb])
-    with _without_banner():
-        command = import_module(name)
-    return _run_command(command.run, arguments[1:], [*words, verb])
-
-
-@contextmanager
-def _without_banner() -> Iterator[None]:
-    """Keep the line that pybullet's C code writes to stderr when it is imported from the user's eyes."""
-    sys.stderr.flush()
-    terminal = os.dup(2)
-    with tempfile.TemporaryFile() as said:
-        os.dup2(said.fileno(), 2)
-        try:
-            yield
-        finally:
-            sys.stderr.flush()
-            os.dup2(terminal, 2)
-            os.close(terminal)
-            said.seek(0)
-            os.write(2, b"".join(line for line in said if not line.startswith(b"pybullet build time")))
+    return _run_command(import_module(name).run, arguments[1:], [*words, verb])
 
 
 def _run_command(run: Callable[..., int | None], arguments: list[str], words: list[str]) -> int:

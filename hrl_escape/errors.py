@@ -1,18 +1,33 @@
-"""Every exception a user of hrl_escape can meet, one class a cause.
+"""Exceptions of hrl_escape, one class a cause.
 
-Each message says what was wrong, where, and what would be valid. All derive from
-`EscapeError`, so that one `except` catches whatever this package raises on purpose.
+Each message names the mistake, its place, and what would be valid. All derive from
+`EscapeError`, so that one `except` catches everything this package raises on purpose.
 """
 
 from __future__ import annotations
 
 import difflib
 import enum
+import math
+import reprlib
 from collections.abc import Iterable
 
 
 class EscapeError(Exception):
     """Base of every error that hrl_escape raises on purpose."""
+
+
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 200
+_SHORT.maxlist = _SHORT.maxtuple = _SHORT.maxdict = 12
+
+
+def show_value(value: object) -> str:
+    """Value as Python writes it, cut where it is long."""
+    try:
+        return _SHORT.repr(value)
+    except ValueError:  # a whole number of more digits than Python writes
+        return "a number of thousands of digits"
 
 
 # --- rooms -----------------------------------------------------------------------------
@@ -29,7 +44,7 @@ class ConfigError(EscapeError, ValueError):
 
     def __init__(self, field: str, value: object, allowed: str) -> None:
         self.field, self.value, self.allowed = field, value, allowed
-        super().__init__(f"{field} = {value!r} is not possible: {allowed}")
+        super().__init__(f"{field} = {show_value(value)} is not possible: {allowed}")
 
     def __reduce__(self) -> tuple[type, tuple]:
         return type(self), (self.field, self.value, self.allowed)
@@ -60,13 +75,14 @@ class RobotError(EscapeError, ValueError):
 
 
 class UnknownNameError(EscapeError, KeyError):
-    """A name is not registered; the message lists what is, closest first."""
+    """A name is unknown; the message gives the closest known name, then all."""
 
     def __init__(self, what: str, name: object, known: Iterable[str]) -> None:
         self.what, self.name, self.known = what, name, tuple(sorted(known))
-        close = difflib.get_close_matches(str(name), self.known, n=1)
-        hint = f" Perhaps you meant {close[0]!r}." if close else ""
-        self.message = f"unknown {what} {name!r}.{hint} Known: {', '.join(self.known) or 'none'}"
+        shown = show_value(name)
+        close = difflib.get_close_matches(str(name), self.known, n=1) if len(shown) < 100 else ()
+        hint = f"; did you mean {close[0]!r}?" if close else "."
+        self.message = f"unknown {what} {shown}{hint} Known: {', '.join(self.known) or 'none'}"
         super().__init__(self.message)
 
     def __str__(self) -> str:
@@ -119,11 +135,11 @@ class FileWriteError(EscapeError, OSError):
 
 
 class FileReadError(EscapeError, OSError):
-    """A file is missing, truncated or not what its name says."""
+    """A file is missing, truncated or of another kind than its name says."""
 
 
 class PluginError(EscapeError, ImportError):
-    """An installed package offers something through an entry point that cannot be loaded."""
+    """An entry point of an installed package cannot be loaded."""
 
 
 class ContractError(EscapeError, AssertionError):
@@ -151,11 +167,11 @@ class AgentSettingsError(ConfigError):
 
 
 class UnsupportedSpaceError(EscapeError, ValueError):
-    """An agent cannot act in this observation or action space; the message says what it can."""
+    """An agent does not support this observation or action space; the message names those it supports."""
 
 
 class StepContractError(EscapeError, ValueError):
-    """What an environment's `step` or `reset` returned breaks the SMDP contract of `info`."""
+    """An environment's `step` or `reset` breaks the SMDP contract of `info`."""
 
 
 class DiscountMismatchError(EscapeError, ValueError):
@@ -181,80 +197,70 @@ class DiscountMismatchError(EscapeError, ValueError):
 
 
 class DivergenceError(EscapeError, ArithmeticError):
-    """A loss became NaN or infinite: the agent cannot go on learning.
+    """A loss or its gradient became NaN or infinite, so that the agent cannot go on learning.
 
     Attributes:
         agent: the algorithm's name.
         updates: gradient steps made before it happened.
         run: which run, once known.
         primitives: primitives trained for, once known.
+        loss: the loss.
+        gradient_norm: Euclidean norm of its gradient; None where the loss itself is not finite.
     """
 
-    def __init__(self, agent: str, updates: int, run: str = "", primitives: int | None = None) -> None:
+    def __init__(self, agent: str, updates: int, run: str = "", primitives: int | None = None,
+                 loss: float = math.nan, gradient_norm: float | None = None) -> None:
         self.agent, self.updates, self.run, self.primitives = agent, updates, run, primitives
+        self.loss, self.gradient_norm = loss, gradient_norm
         where = f"{run}: " if run else ""
         when = "" if primitives is None else f", primitive {primitives}"
+        what = (f"the loss of {agent} is no longer a finite number" if gradient_norm is None else
+                f"the gradient of {agent} is no longer finite, of norm {gradient_norm:g} at a loss of {loss:.3g}")
         super().__init__(
-            f"{where}the loss of {agent} is no longer a finite number (update {updates}{when}). "
+            f"{where}{what} (update {updates}{when}). "
             "Lower learning_rate, set max_grad_norm, or look for rewards and observations of extreme size"
         )
 
     def __reduce__(self) -> tuple[type, tuple]:
-        return type(self), (self.agent, self.updates, self.run, self.primitives)
+        return type(self), (self.agent, self.updates, self.run, self.primitives, self.loss, self.gradient_norm)
 
 
 class CheckpointError(FileReadError):
     """A checkpoint or log of a run is damaged, or was written by something else."""
 
 
+def describe_damage(error: Exception) -> str:
+    """Reason in words for an error that reading damaged content has raised."""
+    if isinstance(error, KeyError) and not isinstance(error, EscapeError):
+        return f"{show_value(error.args[0] if error.args else '')} is missing"
+    return str(error)[:300] or type(error).__name__
+
+
 class RunMismatchError(EscapeError, ValueError):
-    """A run's folder already holds a run with other settings."""
+    """A run's folder holds another run; the message names what differs."""
 
 
 class RunBusyError(EscapeError, RuntimeError):
     """Another process is training into the same folder."""
 
 
-class WorkerLostError(EscapeError, RuntimeError):
-    """A process that trained some of several seeds is gone.
-
-    Attributes:
-        agent: the agent's name.
-        seeds: those it was training.
-        exit_code: what the system says of its end; negative for a signal.
-    """
-
-    def __init__(self, agent: str, seeds: list[int], exit_code: int | None) -> None:
-        self.agent, self.seeds, self.exit_code = agent, seeds, exit_code
-        listed = ", ".join(map(str, seeds))
-        super().__init__(
-            f"{agent}, seeds {listed}: their process ended with code {exit_code} before they were trained; the machine "
-            "may have run out of memory. With out= the same call goes on from their checkpoints; fewer workers or "
-            "trials need less memory"
-        )
-
-    def __reduce__(self) -> tuple[type, tuple]:
-        """Pickle by the constructor's arguments."""
-        return type(self), (self.agent, self.seeds, self.exit_code)
-
-
 # --- options and planners --------------------------------------------------------------
 
 
 class GoalError(EscapeError, ValueError):
-    """What a planner was asked to reach is no goal: the message says how goals are written."""
+    """A planner was asked to reach something that is no goal; the message shows how goals are written."""
 
 
 class OptionError(EscapeError, ValueError):
-    """An option, or a set of options, cannot be what it claims; the message says why."""
+    """An option, or a set of options, is impossible; the message says why."""
 
 
 class PathPlannerError(EscapeError, RuntimeError):
-    """A path planner failed, returned something that is no path, or was registered under a name in use."""
+    """A path planner failed, returned no path, or was registered under a name in use."""
 
 
 class PlanningReason(str, enum.Enum):
-    """Why a plan could not be made; the whole list."""
+    """Reasons for which planning fails, complete."""
 
     START_INVALID = "start invalid"
     GOAL_INVALID = "goal invalid"
@@ -327,19 +333,26 @@ class BatchError(EscapeError, ValueError):
 
 
 class GridError(EscapeError, ValueError):
-    """A comparison cannot be what it says: nothing to run, the same thing twice, or an unreadable file."""
+    """A grid is impossible: it has nothing to run, names something twice, or cannot be read."""
 
 
 class ComparisonError(EscapeError, RuntimeError):
-    """A comparison has no result to report: every run failed, or a room has no known best return."""
+    """A comparison has no result to report: every run failed, or a room has no best known return."""
+
+
+# --- the ladder ------------------------------------------------------------------------
+
+
+class VerificationError(EscapeError, ValueError):
+    """A benchmark's rooms are not what its manifest says: a root differs, or two sets share a room."""
 
 
 # --- the viewer ------------------------------------------------------------------------
 
 
 class AddressError(EscapeError, OSError):
-    """The viewer cannot listen where it was asked to: the port is taken, or the address is not this machine's."""
+    """The viewer cannot listen on an address: its port is taken, or it is not this machine's."""
 
 
 class EpisodeFileError(EscapeError, ValueError):
-    """A file holds no recorded episode, or one that does not play out as it says."""
+    """A file holds no recorded episode, or one whose replay differs from its record."""

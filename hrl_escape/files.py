@@ -1,14 +1,15 @@
-"""Files that are either whole or not there: atomic writes, and reads that say what is wrong.
+"""Atomic writes, and bounded reads that name the fault.
 
 A write goes to a temporary file in the same folder, is flushed to disk, and then renamed
 over the target, which POSIX makes atomic: a process killed at any moment leaves the old
-file or the new one, never a half. Nothing here pickles. It is not a cache or a database.
+file or the new one, never a half. A read takes plain files up to a size. Nothing here pickles.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import stat
 import sys
 import tempfile
 from collections.abc import Iterator
@@ -24,6 +25,10 @@ else:
     import tomli as tomllib  # type: ignore[import-not-found]  # a dependency there
 
 TEMPORARY_PREFIX = ".writing-"
+LARGEST_FILE = 2**28
+"""Bytes of the largest file that is read whole, 256 MiB."""
+DEEPEST = 100
+"""Levels of lists and tables in a JSON or TOML file."""
 
 
 @contextmanager
@@ -31,7 +36,7 @@ def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     """Open a binary file that takes its name only once it is complete and on disk.
 
     Args:
-        path: where the file shall be; missing parent folders are made.
+        path: path of the file; missing parent folders are made.
 
     Yields:
         A binary file object. If the body raises, nothing changes at `path`.
@@ -43,7 +48,7 @@ def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     temporary: Path | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        descriptor, name = tempfile.mkstemp(prefix=f"{TEMPORARY_PREFIX}{path.name}-", dir=path.parent)
+        descriptor, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
         temporary = Path(name)
         with os.fdopen(descriptor, "wb") as file:
             os.fchmod(descriptor, 0o666 & ~_umask())  # mkstemp makes files private; ours are plain
@@ -53,9 +58,9 @@ def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         os.replace(temporary, path)
         temporary = None
         _sync_folder(path.parent)
+    except FileWriteError:
+        raise
     except OSError as error:
-        if isinstance(error, FileWriteError):
-            raise
         raise FileWriteError(describe_write_failure(path, error)) from error
     finally:
         if temporary is not None:
@@ -85,23 +90,41 @@ def write_json(path: str | os.PathLike[str], value: Any, indent: int | None = 2)
     write_text(path, json.dumps(value, indent=indent, allow_nan=False) + "\n")
 
 
-def read_bytes(path: str | os.PathLike[str], what: str = "file") -> bytes:
-    """Read a whole file.
+@contextmanager
+def open_plain(path: str | os.PathLike[str], what: str = "file", largest: int = LARGEST_FILE) -> Iterator[IO[bytes]]:
+    """Open a plain file for reading; devices, pipes and folders are refused before a byte is read.
 
     Args:
         path: the file.
-        what: what it should be, in words, for the message.
+        what: kind of file, in words, for the message.
+        largest: most bytes it may have.
 
     Raises:
-        FileReadError: it is missing, a folder, or may not be read.
+        FileReadError: it is missing, no plain file, too large, or may not be read.
     """
     path = Path(path)
     try:
-        return path.read_bytes()
+        with open(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb") as file:
+            status = os.fstat(file.fileno())
+            if not stat.S_ISREG(status.st_mode):
+                kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
+                raise FileReadError(f"{path}: cannot read this {what}: it is {kind}, and only plain files are read")
+            if status.st_size > largest:
+                raise FileReadError(
+                    f"{path}: this {what} has {status.st_size:,} bytes; at most {largest:,} are read here")
+            yield file
+    except FileReadError:
+        raise
     except FileNotFoundError as error:
         raise FileReadError(f"{path}: no such {what}") from error
-    except OSError as error:
-        raise FileReadError(f"{path}: cannot read this {what}: {error.strerror or error}") from error
+    except (OSError, ValueError) as error:  # a ValueError is a NUL in the path
+        raise FileReadError(f"{path}: cannot read this {what}: {getattr(error, 'strerror', None) or error}") from error
+
+
+def read_bytes(path: str | os.PathLike[str], what: str = "file") -> bytes:
+    """Read a whole file; see `open_plain` for arguments and errors."""
+    with open_plain(path, what) as file:
+        return file.read(LARGEST_FILE)
 
 
 def read_text(path: str | os.PathLike[str], what: str = "file") -> str:
@@ -113,34 +136,67 @@ def read_text(path: str | os.PathLike[str], what: str = "file") -> str:
 
 
 def read_json(path: str | os.PathLike[str], what: str = "JSON file") -> Any:
-    """Read one JSON value.
+    """Read one JSON value of finite numbers, at most `DEEPEST` levels deep.
 
     Raises:
-        FileReadError: the file is missing, unreadable or not JSON; the message gives line and column.
+        FileReadError: the file is missing, unreadable or not such JSON; the message gives the place.
     """
-    text = read_text(path, what)
+    return parse_json(read_text(path, what), path, what)
+
+
+def parse_json(text: str | bytes, path: str | os.PathLike[str], what: str) -> Any:
+    """Parse the text of a JSON file; see `read_json`."""
     try:
-        return json.loads(text)
+        value = json.loads(text, parse_constant=_refuse_constant)
     except json.JSONDecodeError as error:
         where = f"line {error.lineno}, column {error.colno}"
         raise FileReadError(f"{path}: this {what} is truncated or not JSON: {error.msg} at {where}") from error
+    except (ValueError, RecursionError) as error:
+        raise FileReadError(f"{path}: this {what} cannot be read: {_describe_extreme(error)}") from error
+    _check_depth(value, path, what)
+    return value
 
 
 def read_toml(path: str | os.PathLike[str], what: str = "TOML file") -> dict[str, Any]:
-    """Read a TOML document.
+    """Read a TOML document, at most `DEEPEST` levels deep.
 
     Raises:
         FileReadError: the file is missing, unreadable or not TOML; the message gives line and column.
     """
     text = read_text(path, what)
     try:
-        return tomllib.loads(text)
+        value = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise FileReadError(f"{path}: this {what} is not TOML: {error}") from error
+    except (ValueError, RecursionError) as error:
+        raise FileReadError(f"{path}: this {what} cannot be read: {_describe_extreme(error)}") from error
+    _check_depth(value, path, what)
+    return value
+
+
+def _refuse_constant(name: str) -> None:
+    raise ValueError(f"{name} is no number that JSON has")
+
+
+def _describe_extreme(error: Exception) -> str:
+    if isinstance(error, RecursionError):
+        return f"it is nested more than {DEEPEST} levels deep"
+    return "it has a number of thousands of digits" if "integer string conversion" in str(error) else str(error)
+
+
+def _check_depth(value: Any, path: str | os.PathLike[str], what: str) -> None:
+    """Refuse what is nested so deep that a recursive function would fail on it."""
+    level = [value]
+    for _ in range(DEEPEST + 1):
+        level = [part for part in level if isinstance(part, (dict, list))]
+        if not level:
+            return
+        level = [part for outer in level for part in (outer.values() if isinstance(outer, dict) else outer)]
+    raise FileReadError(f"{path}: this {what} cannot be read: {_describe_extreme(RecursionError())}")
 
 
 def claim_folder(path: str | os.PathLike[str]) -> None:
-    """Make a folder and see that files can be written there, before work begins whose results belong there.
+    """Make a folder and check that files can be written there, before work begins whose results belong there.
 
     Raises:
         FileWriteError: they cannot.
@@ -153,8 +209,15 @@ def claim_folder(path: str | os.PathLike[str]) -> None:
         raise FileWriteError(describe_write_failure(path, error)) from error
 
 
+def clear_unfinished(folder: str | os.PathLike[str]) -> None:
+    """Remove what writers that were killed left in a folder; nobody else may be writing there."""
+    with suppress(OSError):
+        for path in Path(folder).glob(f"{TEMPORARY_PREFIX}*"):
+            path.unlink()
+
+
 def describe_write_failure(path: str | os.PathLike[str], error: OSError) -> str:
-    """The message for a failed write: what, where, why, and what to do about it."""
+    """Message for a failed write: path, cause and remedy."""
     return f"cannot write {path}: {error.strerror or error}. Free some space or choose a folder you may write to"
 
 
@@ -165,7 +228,7 @@ def _umask() -> int:
 
 
 def _sync_folder(folder: Path) -> None:
-    """Make the rename itself durable; some file systems refuse, and then there is nothing more to do."""
+    """Make the rename itself durable, where the file system supports it."""
     with suppress(OSError):
         descriptor = os.open(folder, os.O_RDONLY)
         try:

@@ -1,4 +1,4 @@
-"""Processes that work for another one."""
+"""Worker processes."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["die_with_parent"]
 
 
 def die_with_parent() -> None:
-    """End this process when the one that started it is gone, however that ended."""
+    """End this process when its parent process ends, for whatever reason."""
     parent = multiprocessing.parent_process()
     if parent is None:
         return

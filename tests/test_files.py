@@ -1,5 +1,6 @@
 """Files are whole or not there."""
 
+import json
 import os
 import stat
 import subprocess
@@ -12,7 +13,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hrl_escape.errors import FileReadError, FileWriteError
-from hrl_escape.files import atomic_writer, read_bytes, read_json, read_text, write_bytes, write_json, write_text
+from hrl_escape.files import (
+    DEEPEST,
+    atomic_writer,
+    read_bytes,
+    read_json,
+    read_text,
+    read_toml,
+    write_bytes,
+    write_json,
+    write_text,
+)
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -100,3 +111,63 @@ def test_missing_broken_and_binary_files_are_told_apart(tmp_path):
         read_json(tmp_path / "binary.json")
     with pytest.raises(FileReadError, match="cannot read this file"):
         read_bytes(tmp_path)
+
+
+# --- extreme files ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["/dev/zero", "/dev/stdin", "/dev/full"])
+def test_devices_are_refused_before_a_byte_is_read(name):
+    with pytest.raises(FileReadError, match=f"{name}: cannot read this room: it is a device or a pipe"):
+        read_json(name, "room")
+
+
+def test_a_pipe_without_writer_is_refused_at_once(tmp_path):
+    os.mkfifo(tmp_path / "fifo")
+    with pytest.raises(FileReadError, match="only plain files are read"):
+        read_toml(tmp_path / "fifo")
+
+
+def test_a_huge_file_is_refused_before_it_is_read(tmp_path):
+    with open(tmp_path / "huge.json", "wb") as file:
+        file.truncate(10**13)
+    with pytest.raises(FileReadError, match="has 10,000,000,000,000 bytes; at most 268,435,456"):
+        read_json(tmp_path / "huge.json")
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("[" * 200 + "]" * 200, "nested more than 100 levels deep"),
+    ("[" * 10**6 + "]" * 10**6, "nested more than 100 levels deep"),
+    ('{"a":' * 150 + "1" + "}" * 150, "nested more than 100 levels deep"),
+    ("7" * 5_000, "a number of thousands of digits"),
+    ('{"a": NaN}', "NaN is no number"),
+    ("[-Infinity]", "-Infinity is no number"),
+])
+def test_extreme_json_is_refused_in_words(tmp_path, text, words):
+    (tmp_path / "x.json").write_text(text)
+    with pytest.raises(FileReadError, match=words):
+        read_json(tmp_path / "x.json")
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("a = " + "[" * 200 + "]" * 200, "nested more than 100 levels deep"),
+    ("a = " + "[" * 10**5 + "]" * 10**5, "nested more than 100 levels deep"),
+    ("a = " + "7" * 5_000, "a number of thousands of digits"),
+])
+def test_extreme_toml_is_refused_in_words(tmp_path, text, words):
+    (tmp_path / "x.toml").write_text(text)
+    with pytest.raises(FileReadError, match=words):
+        read_toml(tmp_path / "x.toml")
+
+
+def test_files_as_deep_as_allowed_are_read(tmp_path):
+    write_json(tmp_path / "x.json", json.loads("[" * DEEPEST + "]" * DEEPEST))
+    assert read_json(tmp_path / "x.json")
+
+
+def test_a_name_as_long_as_the_system_allows_is_written_and_a_longer_one_refused(tmp_path):
+    write_text(tmp_path / ("a" * 255), "x")
+    with pytest.raises(FileWriteError, match="File name too long"):
+        write_text(tmp_path / ("a" * 256), "x")
+    with pytest.raises(FileReadError, match="File name too long"):
+        read_text(tmp_path / ("a" * 256))

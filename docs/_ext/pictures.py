@@ -21,12 +21,12 @@ from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env import looks
-from hrl_escape.env.bullet_cameras import film
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.maps import Trajectory, save_figure, save_map
+from hrl_escape.env.drawing.video import save_picture
+from hrl_escape.env.engine import film
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.env.rendering import Trajectory, save_figure, save_map
-from hrl_escape.env.video import save_picture
-from hrl_escape.options.planner import get_planner
+from hrl_escape.planning.room_planner import get_planner
 
 CURVES = Path(__file__).parents[1] / "curves"
 
@@ -93,12 +93,12 @@ class Curve(Picture):
         stored = json.loads(source.read_text(encoding="utf-8"))
         figure = Figure(figsize=(6.6, 3.0), dpi=150, layout="constrained")
         axes = figure.add_subplot()
-        for curve, colour in zip(stored["curves"][::-1], looks.LINES, strict=False):  # options first
+        for curve, colour in zip(stored["curves"][::-1], palette.LINES, strict=False):  # options first
             axes.plot(curve["primitives"], curve["mean"], color=colour, label=curve["agent"], linewidth=1.8)
             axes.fill_between(curve["primitives"], curve["low"], curve["high"], color=colour, alpha=0.15, linewidth=0)
-        axes.axhline(stored["best"], color=looks.MUTED, linewidth=0.8, linestyle=":")
+        axes.axhline(stored["best"], color=palette.MUTED, linewidth=0.8, linestyle=":")
         axes.annotate(f"best known {stored['best']:g}", (0, stored["best"]), (3, 2), textcoords="offset points",
-                      fontsize=7, color=looks.MUTED)
+                      fontsize=7, color=palette.MUTED)
         axes.set(xlabel="primitives", ylabel="greedy return", xlim=(0, stored["primitives"]), ylim=(-1040, 190))
         axes.spines[["top", "right"]].set_visible(False)
         axes.legend(frameon=False, fontsize=8, loc="center right")

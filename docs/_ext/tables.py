@@ -14,22 +14,21 @@ import json
 import re
 from abc import abstractmethod
 from collections.abc import Iterable, Sequence
-from typing import Any, get_type_hints
+from typing import Any
 
 from docutils import nodes
 from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe
-from hrl_escape.agents.results import METRICS
-from hrl_escape.agents.settings import read_field_documents
+from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe, list_recipes
+from hrl_escape.agents.training.results import METRICS
 from hrl_escape.cli import main
-from hrl_escape.env.generation import generate
 from hrl_escape.env.kinematics import Rules
-from hrl_escape.env.observations import make_observer
+from hrl_escape.env.observations import list_observations, make_observer
 from hrl_escape.env.presets import PRESETS, get_preset, make_env_name
-from hrl_escape.env.settings import Knob, Settings
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.settings import describe_fields, read_field_documents
 
 
 def find(path: str) -> Any:
@@ -74,21 +73,15 @@ class Knobs(Table):
 
     def write(self) -> str:
         """One row a field; nested parts have tables of their own."""
-        config = find(self.arguments[0])
-        hints = get_type_hints(config)
         under = self.options.get("under", "")
         rows = []
-        for field in dataclasses.fields(config):
-            knob: Knob = field.metadata["knob"]
-            kind = hints[field.name]
-            if isinstance(kind, type) and issubclass(kind, Settings):
+        for field in describe_fields(find(self.arguments[0])):
+            if field.is_section:
                 continue
-            base = next((part for part in (bool, int, float, str) if part is kind or str(part.__name__) in str(kind)),
-                        kind)
             path = f"{under}.{field.name}" if under else field.name
-            allowed = re.sub(r"'([^']*)'", r"`\1`", knob.describe(base))
-            rows.append((f"`{path}`", f"`{json.dumps(field.default)}`", allowed.removeprefix("one of "), knob.doc))
-        return make_table(("knob", "default", "allowed", "what it is"), rows)
+            allowed = re.sub(r"'([^']*)'", r"`\1`", field.allowed).removeprefix("one of ")
+            rows.append((f"`{path}`", f"`{json.dumps(field.default)}`", allowed, field.document))
+        return make_table(("field", "default", "allowed", "what it is"), rows)
 
 
 class AgentSettings(Table):
@@ -99,12 +92,12 @@ class AgentSettings(Table):
         name = self.arguments[0]
         documents = read_field_documents(get_agent_class(name).Settings)
         recommended = dataclasses.asdict(get_recipe(name))
-        recipes = getattr(get_agent_class(name), "recipes", {})
         head, columns = ["setting", "default"], [recommended]
-        for recipe, title in (("paper", "paper"), (f"{SMDP_PREFIX}paper", "paper, options")):
-            if recipe in recipes:
+        for label, title in ((name, "paper"), (SMDP_PREFIX + name, "paper, options")):
+            paper = list_recipes(label).get("paper")
+            if paper is not None and (settings := dataclasses.asdict(paper)) != columns[-1]:
                 head.append(title)
-                columns.append(dataclasses.asdict(recipes[recipe]))
+                columns.append(settings)
         rows = []
         for field, value in recommended.items():
             cells = [f"`{json.dumps(column[field])}`" if number == 0 or column[field] != value else ""
@@ -139,19 +132,29 @@ class Ladder(Table):
         """One row a preset."""
         about = json.loads(run_command("list", "presets", "--json"))["presets"]
         return make_table(("preset", "what it is", "id"), (
-            (f"`{name}`", about[name], f"`hrl_escape/{make_env_name(name)}-v0`") for name in PRESETS))
+            (f"`{name}`", about[name], f"`hrl_escape/{make_env_name(name)}-v1`") for name in PRESETS))
 
 
-class Layout(Table):
-    """`{layout} arm-two-button features`: what each number of an observation is, in a real room."""
+class Layouts(Table):
+    """`{layouts} arm-two-button`: the numbers of every vector observation in a real room, a section each."""
+
+    def run(self) -> list[nodes.Node]:
+        """Write and parse, headings included."""
+        return self.parse_text_to_nodes(self.write(), allow_section_headings=True)
 
     def write(self) -> str:
-        """One row a number."""
-        preset, kind = self.arguments[0].split()
-        observer = make_observer(kind, Rules(generate(get_preset(preset), 0)))
-        return make_table(("index", "number", "lowest", "highest"), (
-            (str(index), f"`{name}`", f"{low:.4g}", f"{high:.4g}")
-            for index, (name, low, high) in enumerate(zip(observer.names, observer.low, observer.high, strict=True))))
+        """One table an observation, one row a number."""
+        rules = Rules(generate(get_preset(self.arguments[0]), 0))
+        sections = []
+        for observation in list_observations():
+            if not observation.is_vector:
+                continue
+            observer = make_observer(observation.name, rules)
+            table = make_table(("index", "number", "lowest", "highest"), (
+                (str(index), f"`{name}`", f"{low:.4g}", f"{high:.4g}") for index, (name, low, high)
+                in enumerate(zip(observer.names, observer.low, observer.high, strict=True))))
+            sections.append(f"### {observation.name}\n\n{table}\n")
+        return "\n".join(sections)
 
 
 class Usage(Table):
@@ -166,6 +169,6 @@ class Usage(Table):
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     for name, directive in {"knobs": Knobs, "settings": AgentSettings, "metrics": Metrics, "names": Names,
-                            "ladder": Ladder, "layout": Layout, "usage": Usage}.items():
+                            "ladder": Ladder, "layouts": Layouts, "usage": Usage}.items():
         app.add_directive(name, directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

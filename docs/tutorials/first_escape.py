@@ -1,25 +1,25 @@
 """Your first escape.
 
-A room is a Gymnasium environment. The robot is a disc that moves in steps of 1 m and turns by 10 degrees; every
-primitive costs 1, and leaving by the exit brings 100 more. The exit opens once both buttons are lit, in their order.
+A room is a Gymnasium environment. The robot is a disc that moves in steps of 1 m and turns by 10 degrees; each
+primitive costs 1, and the escape is worth 100. The exit opens once both buttons have been lit in the right order.
 """
 
 import gymnasium
 
 import hrl_escape  # noqa: F401  # registers the environments
-from hrl_escape.options.best_known import best_known_return
+from hrl_escape.planning.best_known import best_known_return
 
-env = gymnasium.make("hrl_escape/PaperTwoButton-v0")
+env = gymnasium.make("hrl_escape/PaperTwoButton-v1")
 observation, info = env.reset(seed=0)
 room = env.unwrapped.instance
-print(f"{env.action_space.n} primitives: {', '.join(p.name for p in env.unwrapped.rules.primitives)}")
+print(f"{env.action_space.n} primitives: {', '.join(env.unwrapped.rules.actions.names)}")
 print(f"x {observation[0]:g}, y {observation[1]:g}, heading {observation[3]:g}, buttons {observation[6:8]}")
 for target in room.targets:
     print(f"{target.name} at ({target.x:g}, {target.y:g})")
 print(f"exit: x from {room.exit.x_min:g} to {room.exit.x_max:g}, y from {room.exit.y_min:g} to {room.exit.y_max:g}")
 
-# The heading 0 looks along +x, so +y is to the left. We drive by hand: one primitive, again and again, until something
-# has happened. A move stops where something is in the way, and a press is the moment at which touching begins.
+# At heading 0 the robot looks along +x, so +y is to its left. We drive by hand: one primitive, repeated until something
+# happens. A move stops at the first obstacle. A press is the moment at which touching begins.
 
 FORWARD, BACK, LEFT, RIGHT = 0, 1, 2, 3
 total, ended = 0.0, False
@@ -37,16 +37,16 @@ def drive(primitive, until):
     return count
 
 
-print("to button-1:", drive(LEFT, lambda seen, info: info["pressed"]), "primitives")
+print("to button-1:", drive(LEFT, lambda seen, info: info["pressed"].any()), "primitives")
 print("back beside button-2:", drive(RIGHT, lambda seen, info: seen[1] < 3), "primitives")
-print("to button-2:", drive(BACK, lambda seen, info: info["pressed"]), "primitives")
+print("to button-2:", drive(BACK, lambda seen, info: info["pressed"].any()), "primitives")
 
-# Both are lit; the exit stands open. Standing in it ends the episode.
+# Both buttons are lit and the exit is open. Standing in it ends the episode.
 
 print("to the exit, along:", drive(FORWARD, lambda seen, info: seen[0] > room.exit.x_min), "primitives")
 print("to the exit, across:", drive(LEFT, lambda seen, info: False), "primitives")
 print(f"escaped: {ended}, return {total:g}")
 
-# How good is that? The planner knows what is possible here.
+# How good is that? The planner knows a better way.
 
 print(f"best known return: {best_known_return(room):g}")

@@ -1,7 +1,7 @@
 """Why flat RL gets stuck.
 
-With one button, an agent that chooses primitives finds the exit by luck and learns from it. With two, nothing that it
-can stumble over tells it that it is on the way. This page measures that.
+With one button, an agent that chooses primitives finds the exit by luck and learns from it. With two, nothing tells the
+agent that it is making progress. This page measures the difference.
 """
 
 import gymnasium
@@ -9,23 +9,23 @@ import gymnasium
 import hrl_escape
 from hrl_escape.agents import train
 
-# First luck alone: how often does a random walk press buttons, and how often does it escape? 5,000 primitives each.
+# Luck alone first: how often does a random walk of 5,000 primitives press a button, and how often does it escape?
 
 for config in ("paper-one-button", "paper-two-button"):
-    env = gymnasium.make("hrl_escape/EscapeRoom-v0", config=config)
+    env = gymnasium.make("hrl_escape/EscapeRoom-v1", config=config)
     env.action_space.seed(0)
     env.reset(seed=0)
     presses, escapes = 0, 0
     for _ in range(5_000):
         _, _, terminated, truncated, info = env.step(env.action_space.sample())
-        presses += len(info["pressed"])
+        presses += info["pressed"].sum()
         escapes += terminated
         if terminated or truncated:
             env.reset()
     print(f"{config}: random, 5,000 primitives: {escapes} escapes, {presses} presses")
 
-# The reward is -1 whatever the agent does until it escapes. An agent that never escapes sees one constant, and a
-# constant teaches nothing: each action is as bad as the next. Here is tabular Q-learning in the second room.
+# The reward is -1 whatever the agent does until it escapes. An agent that never escapes sees a
+# constant, which teaches nothing: all actions look equally bad. Here is tabular Q-learning in the second room.
 
 
 def curve(agent, env, primitives):
@@ -34,18 +34,18 @@ def curve(agent, env, primitives):
     return [round(e.mean_return) for e in result.evaluations]
 
 
-env = gymnasium.make("hrl_escape/EscapeRoom-v0", config="paper-two-button", observation="features")
+env = gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button", observation="features")
 print(f"q-learning on primitives: returns {curve('q-learning', env, 8_000)}")
 
-# A return of -1000 is an episode that was cut off. The same algorithm, the same room, the same budget of primitives,
-# but every decision may be an option that goes to a button and presses it:
+# A return of -1000 is a truncated episode. Now the same algorithm gets the same room and the same budget of primitives,
+# but a decision may be an option that goes to a button and presses it:
 
 env = hrl_escape.OptionsEnv(env)
 print(f"q-learning on options:    returns {curve('smdp-q-learning', env, 8_000)}")
 
-# Is that fair? Not by itself: the options know the room's walls. So look at what chance does with the same options.
+# Is that fair? Not by itself: the options know the room's geometry. So measure random choice over the same options.
 
 print(f"chance on options:        returns {curve('smdp-random', env, 8_000)}")
 
-# Chance with options escapes. (Its five numbers are one and the same fixed episode: chance learns nothing.) What
-# learning adds is the difference between the last two lines, and that is how every comparison here is read.
+# Random choice over options escapes too. (Its five numbers are the same fixed episode: it learns nothing.) Learning
+# adds the difference between the last two lines. Read every comparison in this project that way.

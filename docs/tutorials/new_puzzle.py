@@ -1,19 +1,20 @@
 """A new puzzle in 50 lines.
 
-A puzzle is rules: what a press does, and when the exit opens. Here is a combination lock: buttons in a row, to be
-pressed in one fixed order; a wrong press undoes everything.
+A puzzle is a set of rules: the effect of a press, and the condition that opens the exit. This one is a combination
+lock: the buttons must be pressed in one fixed order, and a wrong press undoes everything.
 """
 
 import dataclasses
+from typing import Annotated
 
 from hrl_escape import RoomConfig, RoomPlanner, generate
 from hrl_escape.checks import check_puzzle
 from hrl_escape.env.config import RobotConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.puzzles.base import Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel, register_puzzle
-from hrl_escape.env.settings import knob
+from hrl_escape.settings import Range
 
-# The schematic part says what can be set, and draws what is random: here the order.
+# The schematic part declares the settings and draws what is random, here the order.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -21,7 +22,8 @@ class LockConfig(PuzzleConfig):
     """How many buttons the lock has."""
 
     kind = "lock"
-    count: int = knob(4, "Number of buttons.", "", 2, 9)
+    count: Annotated[int, Range(2, 9)] = 4
+    """Number of buttons."""
     panels = property(lambda self: Panels(width=1.5))
 
     def make_puzzle(self, rng):
@@ -29,7 +31,7 @@ class LockConfig(PuzzleConfig):
         return Lock(tuple(int(i) for i in rng.permutation(self.count)))
 
 
-# The rules are pure functions of a hashable state, here the number of right presses so far.
+# The rules are pure functions of a hashable state, here the number of correct presses so far.
 
 
 @dataclasses.dataclass(frozen=True)
@@ -37,7 +39,8 @@ class Lock(Puzzle):
     """Press the buttons in one order."""
 
     kind = "lock"
-    order: tuple[int, ...] = knob((0, 1), "The combination.", "", 0, 8)
+    order: tuple[Annotated[int, Range(0, 8)], ...] = (0, 1)
+    """The combination."""
     target_names = property(lambda self: tuple(f"button-{i + 1}" for i in range(len(self.order))))
     bounds = property(lambda self: ((0.0, float(len(self.order))),))
 
@@ -77,13 +80,12 @@ class Lock(Puzzle):
         return SymbolicModel(tuple(facts), tuple(steps), frozenset({facts[-1]}))
 
 
-# Register it, have it checked, and everything else follows: rooms, options, planners, agents.
+# Register and check the puzzle. Rooms, options, planners and agents then work with it.
 
 register_puzzle(LockConfig, Lock)
 check_puzzle(Lock((2, 0, 1)))
 
-config = RoomConfig(name="lock", puzzle=LockConfig(4), robot=RobotConfig(body_radius=0.5),
-                    room=ShapeConfig(width=12, depth=12))
+config = RoomConfig(puzzle=LockConfig(4), robot=RobotConfig(body_radius=0.5), room=ShapeConfig(width=12, depth=12))
 room = generate(config, seed=2)
 print("combination:", ", ".join(room.puzzle.target_names[i] for i in room.puzzle.order))
 plan = RoomPlanner(room).solve(Kinematics(room).make_state(room.starts[0]))

@@ -1,7 +1,7 @@
 """Options by hand.
 
-An option has three parts: where it may start (initiation), what it does there (policy), and when it ends
-(termination). Sutton, Precup and Singh (1999) write it (I, pi, beta). Here are two, written by hand.
+An option has three parts: an initiation set, a policy and a termination condition. Sutton, Precup and Singh (1999)
+write it (I, pi, beta). This tutorial writes two by hand.
 """
 
 import gymnasium
@@ -10,16 +10,16 @@ from hrl_escape import OptionsEnv
 from hrl_escape.checks import check_option
 from hrl_escape.options.option import Option, ScriptedOption
 
-# The simplest option is a list of primitives, whatever happens. Nine left turns make a quarter turn of 90 degrees.
+# The simplest option is a fixed list of primitives. Nine left turns make a quarter turn of 90 degrees.
 
 quarter_turn = ScriptedOption("quarter-turn", [4] * 9)
 
-# A better one looks where it is. This one crosses the room sideways. Its `policy` and `termination` are functions of
-# the state alone, which `is_markov` promises (intra-option learning needs to know).
+# A better option observes the state. This one crosses the room sideways. Its `policy` and `termination` are functions
+# of the state alone, which `is_markov` declares (intra-option learning relies on it).
 
 
 class Cross(Option):
-    """Strafes until near the wall on that side; only where it looks along +x, or it would go elsewhere."""
+    """Strafe to the wall on one side; available only while the robot looks along +x."""
 
     is_markov = True
 
@@ -44,12 +44,12 @@ class Cross(Option):
         return state.y >= self.edge if self.edge > 0 else state.y <= self.edge
 
 
-env = gymnasium.make("hrl_escape/EscapeRoom-v0", config="paper-two-button")
+env = gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-two-button")
 north, south = Cross("to-the-left-wall", 2, 8.0), Cross("to-the-right-wall", 3, -8.0)
 check_option(north, env)  # the contract, as a check that you can run on your own
 
-# `OptionsEnv` puts them beside the primitives. One `step` runs one of them to its end, and `info` says what it was
-# worth: k primitives, the sum of gamma^i r_i, and the gamma^k by which what follows is discounted.
+# `OptionsEnv` offers them beside the primitives. One `step` runs one of them to its end, and `info` holds the SMDP
+# transition: the duration k, the sum of gamma^i r_i, and the discount gamma^k of all that follows.
 
 env = OptionsEnv(env, [north, south, quarter_turn], discount=0.99)
 _, info = env.reset(seed=0)
@@ -64,5 +64,5 @@ for name in (left, left, right, turn, left):
     print(f"{name}: {info['duration']} primitives, {info['option']['ended']}, reward {reward:g}, "
           f"discounted {info['discounted_reward']:.2f}, gamma^k {info['discount']:.3f}")
 
-# An option that could not start is masked, not missing: its number stays its number. A decision for a masked option
-# costs one primitive, so that no agent can stand still for nothing.
+# An option that cannot start is masked, not removed: every option keeps its number. Choosing a masked option costs one
+# primitive, so that no agent can wait for free.

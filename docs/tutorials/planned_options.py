@@ -1,7 +1,7 @@
 """Planned options.
 
-Writing options by hand works for one room. `OptionsEnv` without options has the room's planner write them:
-`meta-01` to `meta-NN` press one button each, `meta-exit` leaves. They start anywhere and suit any room.
+Options written by hand suit one room. Without any, `OptionsEnv` has the room's planner make them: `meta-01` to
+`meta-NN` press one button each, `meta-exit` leaves. They start anywhere and work in any room.
 """
 
 import gymnasium
@@ -9,26 +9,26 @@ import gymnasium
 import hrl_escape
 from hrl_escape import OptionsEnv, RoomPlanner
 
-env = OptionsEnv(gymnasium.make("hrl_escape/Clutter-v0", instance_seed=3))
+env = OptionsEnv(gymnasium.make("hrl_escape/Clutter-v1", instance_seed=3))
 _, info = env.reset(seed=0)
 room = env.unwrapped.instance
 print(f"{len(room.targets)} buttons, {sum(s.role == 'obstacle' for s in room.solids)} obstacles; "
       f"options: {', '.join(option.name for option in env.options)}")
 
-# Which button must come first is what an agent has to find out. Here we peek at the room's graph instead.
+# An agent has to discover which button comes first. Here we read the room's graph instead.
 
 print("order:", ", ".join(f"{room.puzzle.target_names[a]} before {room.puzzle.target_names[b]}"
                           for a, b in room.puzzle.edges))
 
-# The planner solves the room as a whole. Its plan has parts, one an option, and every state in it is what the room's
-# own kinematics give, so that driving it meets exactly those states.
+# The planner solves the room as a whole. Its plan has one part per option. The room's own kinematics predict every
+# state, so executing the plan meets exactly those states.
 
 plan = RoomPlanner(room).solve(env.unwrapped.get_state())
 for part in plan.parts:
     print(f"  {part.name}: {part.stop - part.start} primitives")
 print(f"plan: {plan.cost} primitives, return {plan.compute_return():g}")
 
-# The same by options, one decision each, in the plan's order.
+# The same escape by options, one decision each, in the plan's order.
 
 total = 0.0
 for part in plan.parts:
@@ -38,9 +38,9 @@ for part in plan.parts:
     print(f"  {name}: {info['duration']} primitives, {info['option']['ended']}")
 print(f"by options: escaped {terminated}, return {total:g}")
 
-# With noise the robot is soon not where the plan expects it. A planned option watches where it is and plans again.
+# Under noise the robot soon leaves the planned path. A planned option observes the state and plans again.
 
-noisy = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v0", config={
+noisy = OptionsEnv(gymnasium.make("hrl_escape/EscapeRoom-v1", config={
     **hrl_escape.get_preset("paper-two-button").to_dict(), "dynamics": {"noise": 0.2, "slip": 0.1}}))
 noisy.reset(seed=0)
 replans = 0

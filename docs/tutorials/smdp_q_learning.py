@@ -1,7 +1,7 @@
 r"""SMDP Q-learning from scratch in 60 lines.
 
-Q-learning backs up r + gamma max Q(s', a'). When an action lasts k primitives, two things change: the reward is the
-discounted sum of what the k primitives brought, and what follows is discounted by gamma^k. That is all:
+Q-learning backs up r + gamma max Q(s', a'). When an action lasts k primitives, two things change: the reward becomes
+the discounted sum of the k primitive rewards, and the next value is discounted by gamma^k:
 
 $$
 Q(s,o) \leftarrow Q(s,o) + \alpha \left[ \sum_{i=0}^{k-1} \gamma^i r_i + \gamma^k \max_{o'} Q(s',o') - Q(s,o) \right]
@@ -15,7 +15,7 @@ from hrl_escape import OptionsEnv
 
 GAMMA, ALPHA, EPSILON, EPISODES = 0.99, 0.5, 0.2, 40
 
-env = OptionsEnv(gymnasium.make("hrl_escape/PaperTwoButton-v0", observation="features"),
+env = OptionsEnv(gymnasium.make("hrl_escape/PaperTwoButton-v1", observation="features"),
                  discount=GAMMA, include_primitives=False)
 rng = np.random.default_rng(0)
 table = {}  # rounded observation -> Q of every option
@@ -45,8 +45,8 @@ def play(seed, learn):
         names.append(info["option"]["name"])
         if learn:
             following = np.where(info["action_mask"], read(observation), -np.inf).max()
-            # Only termination ends the value of what follows: where an episode was merely cut off,
-            # the state keeps its value. And time is discounted per primitive, not per decision.
+            # Only termination sets the next value to zero; a truncated episode keeps it.
+            # Discounting is per primitive, not per decision.
             target = info["discounted_reward"] + info["discount"] * (0.0 if terminated else following)
             state[option] += ALPHA * (target - state[option])
     return total, names
@@ -62,5 +62,5 @@ for episode in range(EPISODES):
 total, names = play(seed=99, learn=False)
 print(f"greedy: return {total:g} by {', then '.join(names)}")
 
-# What is missing here the packaged `smdp-q-learning` has: decaying exploration, a seed for every draw, checkpoints,
-# evaluation on fixed episodes. The backup is the same.
+# The packaged `smdp-q-learning` makes the same backup and adds decaying exploration, a seed for every draw,
+# checkpoints and evaluation on fixed episodes.

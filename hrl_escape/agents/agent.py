@@ -1,15 +1,17 @@
-"""The Agent protocol and the SMDP transition: what learners and environments say to each other.
+"""The Agent protocol and the SMDP transition: the language between learners and environments.
 
-Agents learn from SMDP transitions (Sutton, Precup and Singh 1999, section 3): one decision
-runs k >= 1 primitives. A flat environment is the case k = 1, so each algorithm is written
-once. Nothing here learns; nothing here knows rooms or options, only Gymnasium and `info`.
+Agents learn from SMDP transitions (Sutton, Precup and Singh 1999, section 3): one decision runs k >= 1 primitives. A
+flat environment is the case k = 1, so each algorithm is written once. This module knows Gymnasium and `info`, neither
+rooms nor options.
 """
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
+from types import MappingProxyType
+from typing import Any, ClassVar, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -22,6 +24,7 @@ __all__ = [
     "Agent",
     "SMDPTransition",
     "StateTree",
+    "check_observation",
     "compute_backup",
     "count_actions",
     "count_steps",
@@ -30,23 +33,23 @@ __all__ = [
 ]
 
 StateTree = dict[str, Any]
-"""A tree of dicts and lists over numbers, strings, None and numpy arrays: what a checkpoint can hold."""
+"""Content of a checkpoint: a tree of dicts and lists over numbers, strings, None and numpy arrays."""
 
 
 class SMDPTransition(NamedTuple):
-    """One decision and what came of it.
+    """One decision and its outcome.
 
     Attributes:
-        observation: where the decision was made, as the environment gave it.
+        observation: at the decision, as the environment gave it.
         action: index in the action space.
         action_mask: bool (actions,), the actions legal there.
         reward: R = sum over i < k of gamma^i r_i, at the agent's gamma.
         summed_reward: the undiscounted sum of r_i.
-        duration: k >= 1, primitives that ran.
+        duration: k >= 1, the number of primitives that ran.
         discount: gamma^k.
         next_observation: the state reached, never the first of a new episode.
         next_action_mask: bool (actions,), the actions legal there.
-        terminated: the episode ended in the task's sense; nothing is to be gained after.
+        terminated: the task ended; later rewards are zero.
         truncated: the episode was cut off; the state reached still has a value.
         trace: the primitives inside, where the environment gives them (see `make_transition`), else empty.
     """
@@ -65,59 +68,81 @@ class SMDPTransition(NamedTuple):
     trace: Sequence[Any] = ()
 
 
-@runtime_checkable
-class Agent(Protocol):
-    """A learner. Write these members and `train` can run it; no base class is needed.
+class Agent(ABC):
+    """A learner. Derive from it and write the abstract members, and `train` can run it.
 
-    For `make_agent` by name, a class also has `Settings` (a frozen dataclass, best an `AgentSettings`),
-    may have `recipes` (name -> settings; without it, `corrected` is `Settings()`) and `needs_trace = True` (it learns
-    from `SMDPTransition.trace`, so environments of options are made to give one), is constructed as
-    `Class(observation_space, action_space, seed, settings)`, and is published under the entry-point group
+    For `make_agent` by name, a class also has `Settings` (a frozen dataclass, best an `AgentSettings`), is constructed
+    as `Class(observation_space, action_space, seed, settings)`, and is published under the entry-point group
     `hrl_escape.agents`:
 
         [project.entry-points."hrl_escape.agents"]
         my-agent = "my_package.my_module:MyAgent"
+
+    The other members say what an agent can do beyond that. Their defaults are those of an agent that can do no more.
     """
 
     Settings: ClassVar[type]
+    recipes: ClassVar[Mapping[str, Any]] = MappingProxyType({})
+    """Name -> settings, beside `corrected`, which is `Settings()`. Names with the prefix `smdp-` hold over options."""
+    needs_trace: ClassVar[bool] = False
+    """Learns from `SMDPTransition.trace`, so that environments of options are made to give one."""
     settings: Any
-    """What the agent was made with."""
+    """The settings that the agent was made with."""
 
     @property
     def gamma(self) -> float:
         """Discount per primitive, at which `SMDPTransition.reward` and `.discount` are computed."""
-        ...
+        return self.settings.gamma
 
+    @abstractmethod
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Choose an action for learning: explore, from the agent's own generator."""
-        ...
 
+    @abstractmethod
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """Choose an action for evaluation: nothing in the agent may change.
 
         A policy that is random by nature draws from `rng`, never from the agent's own generator, so that
         evaluating twice gives the same numbers and evaluating at all does not disturb learning.
         """
-        ...
 
+    @abstractmethod
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Learn from one decision; returns numbers to log, such as the loss, or nothing.
 
         Transitions come in order, each from the state reached by the one before, until one is terminated or
         truncated.
         """
-        ...
 
+    @abstractmethod
     def state_dict(self) -> StateTree:
         """Everything that learning depends on: weights, optimiser, replay, counters, generators.
 
         Arrays may share memory with the agent: write or copy them before it goes on learning.
         """
-        ...
 
+    @abstractmethod
     def load_state_dict(self, state: StateTree) -> None:
         """Go on exactly where `state_dict` was taken, to the last bit."""
-        ...
+
+    def compute_values(self, observation: Any) -> NDArray | None:
+        """Q(s, .) at an observation in units of return, (actions,); None without action values."""
+        return None
+
+    def compute_preferences(self, observation: Any) -> NDArray | None:
+        """Numbers that the greedy policy takes the argmax of, (actions,), before any mask; None without them.
+
+        For agents whose preferences are no values, such as the logits of a policy.
+        """
+        return None
+
+    def compute_state_value(self, observation: Any) -> float | None:
+        """V(s) of a critic, in units of return; None without one."""
+        return None
+
+    def get_graph(self) -> frozenset[tuple[int, int]] | None:
+        """Edges (parent, child) of a learned dependency graph, by component of the observation; None without one."""
+        return None
 
 
 def read_action_mask(info: Mapping[str, Any], actions: int) -> NDArray[np.bool_]:
@@ -144,6 +169,31 @@ def read_action_mask(info: Mapping[str, Any], actions: int) -> NDArray[np.bool_]
     return legal
 
 
+def check_observation(observation: Any, when: str) -> None:
+    """Refuse an observation with a number that is not finite.
+
+    Args:
+        observation: from the environment; arrays of floats are checked, inside tables and tuples too.
+        when: the moment it was given, in words, for the message.
+
+    Raises:
+        StepContractError: it has NaN or an infinity; the message names the first.
+    """
+    if isinstance(observation, np.ndarray):
+        if observation.dtype.kind == "f" and not np.isfinite(observation).all():
+            place = tuple(int(index) for index in np.argwhere(~np.isfinite(observation))[0])
+            raise StepContractError(f"the observation {when} has {observation[place]} at index "
+                                    f"{place[0] if len(place) == 1 else place}; observations must be finite numbers")
+    elif isinstance(observation, Mapping):
+        for name, part in observation.items():
+            check_observation(part, f"{when}, {name!r},")
+    elif isinstance(observation, (tuple, list)):
+        for part in observation:
+            check_observation(part, when)
+    elif isinstance(observation, (float, np.floating)) and not math.isfinite(observation):
+        raise StepContractError(f"the observation {when} is {observation}; observations must be finite numbers")
+
+
 def make_transition(
     observation: Any,
     action: int,
@@ -151,7 +201,7 @@ def make_transition(
     step: tuple[Any, Any, bool, bool, Mapping[str, Any]],
     gamma: float,
 ) -> SMDPTransition:
-    """Read what `env.step` returned as an SMDP transition at this gamma.
+    """Turn the result of `env.step` into an SMDP transition at this gamma.
 
     The contract of `info`, all keys optional:
 
@@ -166,28 +216,31 @@ def make_transition(
       their termination probability at the next state. A primitive is consistent with itself, beta = 1.
 
     Args:
-        observation: where the decision was made.
+        observation: at the decision.
         action: the action taken.
-        action_mask: bool (actions,), legal there.
-        step: what `env.step(action)` returned.
+        action_mask: bool (actions,), the actions legal there.
+        step: the result of `env.step(action)`.
         gamma: discount per primitive.
 
     Raises:
-        StepContractError: the reward is not finite, the duration below 1, or the rewards do not match it.
+        StepContractError: a reward or observation is not finite, the duration below 1, or the rewards do not match it.
         DiscountMismatchError: only `discounted_reward` is given and for another gamma.
     """
     next_observation, reward, terminated, truncated, info = step
-    if not math.isfinite(reward):
-        raise StepContractError(f"the reward of action {action} is {reward}; rewards must be finite numbers")
-    duration = int(info.get("duration", 1))
-    if duration == 1:
-        discounted = summed = float(reward)
-    elif duration < 1:
+    check_observation(next_observation, f"after action {action}")
+    try:
+        duration, discounted, summed = _read_rewards(reward, info, gamma)
+    except (TypeError, ValueError, OverflowError) as error:
+        if isinstance(error, StepContractError | DiscountMismatchError):
+            raise
+        raise StepContractError(f"the reward of action {action} is {reward!r} and its duration "
+                                f"{info.get('duration', 1)!r}; both must be numbers") from error
+    if not (math.isfinite(discounted) and math.isfinite(summed)):
+        raise StepContractError(f"the reward of action {action} is {summed}; rewards must be finite numbers")
+    if duration < 1:
         raise StepContractError(
             f"action {action} took {duration} primitives; every action must cost at least one, or be masked"
         )
-    else:
-        discounted, summed = _compute_rewards(float(reward), duration, info, gamma)
     return SMDPTransition(
         observation,
         int(action),
@@ -202,6 +255,12 @@ def make_transition(
         bool(truncated),
         info.get("trace") or (),
     )
+
+
+def _read_rewards(reward: Any, info: Mapping[str, Any], gamma: float) -> tuple[int, float, float]:
+    """Duration k, R = sum gamma^i r_i and sum r_i of a step."""
+    duration, total = int(info.get("duration", 1)), float(reward)
+    return duration, *((total, total) if duration <= 1 else _compute_rewards(total, duration, info, gamma))
 
 
 def _compute_rewards(reward: float, duration: int, info: Mapping[str, Any], gamma: float) -> tuple[float, float]:
@@ -225,7 +284,7 @@ def _compute_rewards(reward: float, duration: int, info: Mapping[str, Any], gamm
 
 
 def compute_backup(transition: SMDPTransition, settings: LearningSettings) -> tuple[float, float]:
-    """R and the factor b in the backup R + b V(s'), which is all that a learner needs of time and endings.
+    """R and b of the backup R + b V(s'), which hold all that a learner needs to know of durations and ends.
 
     With `discounting="primitive"`: R = sum gamma^i r_i and b = gamma^k (1 - terminated). Truncation keeps b
     unless `bootstrap_on_truncation` is off. Backups compose: (R1, b1) then (R2, b2) is (R1 + b1 R2, b1 b2).
@@ -250,5 +309,5 @@ def count_actions(action_space: gymnasium.Space, agent: str) -> int:
 
 
 def count_steps(transition: SMDPTransition, settings: LearningSettings) -> int:
-    """How far the agent's clock advances: k primitives, or one decision."""
+    """Steps by which a decision advances the agent's clock: k with the clock in primitives, else 1."""
     return transition.duration if settings.clock == "primitive" else 1

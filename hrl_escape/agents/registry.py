@@ -1,4 +1,7 @@
-"""Names of agents: which there are, how a name becomes an agent, and how others add theirs.
+"""Names of agents: the list of them, agents made by name, and the door for agents of third parties.
+
+A file in `agents/algorithms` is an agent, named like the file; its class is the one `Agent` that the file defines.
+Those in `algorithms/given` act by a hierarchy that they are given, so spaces and settings alone do not make them.
 
 `smdp-dqn` and `dqn` are one implementation; the prefix only says which view of an environment
 is meant, and lets a recipe differ where the published program's did. Third-party agents arrive
@@ -8,37 +11,37 @@ through the entry-point group `hrl_escape.agents`. No algorithm is imported befo
 from __future__ import annotations
 
 import importlib
+from functools import cache
 from importlib.metadata import entry_points
+from pkgutil import iter_modules
 from typing import Any
 
 import gymnasium
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.settings import replace_settings
+from hrl_escape.agents.larg2019.recipes import PAPER
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
+from hrl_escape.settings import replace_settings
 
-__all__ = ["ENTRY_POINT_GROUP", "SMDP_PREFIX", "get_agent_class", "get_recipe", "list_agents", "make_agent"]
+__all__ = [
+    "ENTRY_POINT_GROUP",
+    "SMDP_PREFIX",
+    "get_agent_class",
+    "get_recipe",
+    "list_agents",
+    "list_recipes",
+    "make_agent",
+]
 
 ENTRY_POINT_GROUP = "hrl_escape.agents"
 SMDP_PREFIX = "smdp-"
 
-_SHIPPED = {
-    "random": "hrl_escape.agents.random:RandomAgent",
-    "q-learning": "hrl_escape.agents.q_learning:QLearning",
-    "intra-option-q": "hrl_escape.agents.intra_option_q:IntraOptionQ",
-    "dqn": "hrl_escape.agents.dqn:DQN",
-    "sarsa": "hrl_escape.agents.sarsa:Sarsa",
-    "ddpg": "hrl_escape.agents.ddpg:DDPG",
-    "ppo": "hrl_escape.agents.ppo:PPO",
-    "r-max": "hrl_escape.agents.r_max:RMax",
-    "factored-r-max": "hrl_escape.agents.factored_r_max:FactoredRMax",
-    "monte-carlo-model": "hrl_escape.agents.monte_carlo_model:MonteCarloModel",
-}
+_CATALOGUE = "hrl_escape.agents.algorithms"
 
 
 def list_agents() -> list[str]:
-    """Names of all agents, shipped ones first; each also exists with the prefix `smdp-`."""
-    return [*_SHIPPED, *sorted(_find_others())]
+    """Names of all agents made from spaces and settings, shipped ones first; each also exists with `smdp-`."""
+    return [*_find_shipped(_CATALOGUE), *sorted(_find_others())]
 
 
 def get_agent_class(name: str) -> type[Agent]:
@@ -46,34 +49,63 @@ def get_agent_class(name: str) -> type[Agent]:
 
     Raises:
         UnknownNameError: no agent has this name; the message names the closest.
+        AgentSettingsError: a third party's class is no `Agent`.
     """
     base = name.removeprefix(SMDP_PREFIX)
-    if base in _SHIPPED:
-        module, _, attribute = _SHIPPED[base].partition(":")
-        return getattr(importlib.import_module(module), attribute)
+    shipped = _find_shipped(_CATALOGUE) | _find_shipped(f"{_CATALOGUE}.given")
+    if base in shipped:
+        defined = vars(importlib.import_module(shipped[base])).values()
+        (found,) = (thing for thing in defined if _is_agent(thing) and thing.__module__ == shipped[base])
+        return found
     others = _find_others()
     if base not in others:
         known = list_agents()
         raise UnknownNameError("agent", name, [*known, *(SMDP_PREFIX + other for other in known)])
-    return others[base].load()
+    found = others[base].load()
+    if not _is_agent(found):
+        raise AgentSettingsError("agent", name, "a class derived from hrl_escape.agents.Agent")
+    return found
+
+
+def _is_agent(thing: Any) -> bool:
+    return isinstance(thing, type) and issubclass(thing, Agent)
+
+
+@cache
+def _find_shipped(package: str) -> dict[str, str]:
+    """Name -> module of the algorithms in a package of the catalogue, by name; imports none of them."""
+    found = iter_modules(importlib.import_module(package).__path__)
+    return {module.name.replace("_", "-"): f"{package}.{module.name}" for module in found if not module.ispkg}
+
+
+def list_recipes(name: str) -> dict[str, Any]:
+    """Recipe -> the agent's settings under it, `corrected` first.
+
+    `corrected` is what we recommend; `paper` is what keras-rl 0.4.2 and the published program did, for agents that it
+    had. With the prefix `smdp-`, settings for options come before the general ones of the same recipe.
+
+    Raises:
+        UnknownNameError: no such agent.
+    """
+    agent_class, base = get_agent_class(name), name.removeprefix(SMDP_PREFIX)
+    settings = agent_class.Settings()
+    recipes = {"corrected": settings, **agent_class.recipes}
+    if base in _find_shipped(_CATALOGUE) and base in PAPER:
+        recipes["paper"] = replace_settings(settings, PAPER.get(name, PAPER[base]))
+    over_options = {recipe.removeprefix(SMDP_PREFIX): recipes.pop(recipe) for recipe in list(recipes)
+                    if recipe.startswith(SMDP_PREFIX)}
+    return recipes | over_options if name.startswith(SMDP_PREFIX) else recipes
 
 
 def get_recipe(name: str, recipe: str = "corrected") -> Any:
-    """The settings of an agent under a recipe.
-
-    `corrected` is what we recommend; `paper` is what keras-rl 0.4.2 and the published program did. With the prefix
-    `smdp-`, a recipe of that name with the prefix comes first: the program had other layer widths for meta-actions.
+    """The settings of an agent under a recipe; see `list_recipes`.
 
     Raises:
         UnknownNameError: no such agent, or it has no such recipe.
     """
-    agent_class = get_agent_class(name)
-    recipes = getattr(agent_class, "recipes", None) or {"corrected": agent_class.Settings()}
-    if name.startswith(SMDP_PREFIX) and SMDP_PREFIX + recipe in recipes:
-        return recipes[SMDP_PREFIX + recipe]
+    recipes = list_recipes(name)
     if recipe not in recipes:
-        known = [key for key in recipes if not key.startswith(SMDP_PREFIX)]
-        raise UnknownNameError(f"recipe of {name}", recipe, known)
+        raise UnknownNameError(f"recipe of {name}", recipe, list(recipes))
     return recipes[recipe]
 
 
@@ -101,11 +133,12 @@ def make_agent(
         UnsupportedSpaceError: the agent cannot use these spaces.
     """
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
-        raise AgentSettingsError("seed", seed, "it must be a whole number, 0 or more")
+        raise AgentSettingsError("seed", seed, "a whole number of at least 0")
     chosen = replace_settings(get_recipe(name, recipe), settings)
     agent_class: Any = get_agent_class(name)
     return agent_class(observation_space, action_space, seed, chosen)
 
 
 def _find_others() -> dict[str, Any]:
-    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in _SHIPPED}
+    shipped = _find_shipped(_CATALOGUE)
+    return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in shipped}

@@ -33,12 +33,14 @@ from rich.text import Text
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.experiments.comparison import Comparison, run_grid
 from hrl_escape.experiments.grid import AgentSpec, Grid, RoomSpec, load_grid
-from hrl_escape.experiments.launcher import Launcher, LocalLauncher
+from hrl_escape.experiments.launching.local import Launcher, LocalLauncher
+from hrl_escape.experiments.launching.ray import RayLauncher
 from hrl_escape.experiments.presets import GRIDS, get_grid
-from hrl_escape.experiments.ray_launcher import RayLauncher
-from hrl_escape.experiments.report import write_report
+from hrl_escape.experiments.reporting.report import write_report
+from hrl_escape.experiments.reporting.tables import format_first_escape
 from hrl_escape.experiments.summary import Summary
 from hrl_escape.experiments.verdict import write_verdict
+from hrl_escape.names import make_console_text, make_file_name
 
 DEFAULT = "quickstart"
 PIPED_WIDTH = 110
@@ -55,7 +57,9 @@ class CompareArgs:
     rooms: tuple[str, ...] = ()
     """Other rooms: presets, #3 behind for instance 3, or .json files of instances."""
     runs: int | None = None
-    """Runs of each agent in each room; training seeds count from 0. Ten or more in a published table."""
+    """Runs of each agent in each room. Ten or more in a published table."""
+    first_seed: int | None = None
+    """Training seed of the first run, 0 by default; another one replicates a comparison with fresh seeds."""
     primitives: int | None = None
     """Training budget of a run."""
     eval_every: int | None = None
@@ -63,7 +67,7 @@ class CompareArgs:
     eval_episodes: int | None = None
     """Episodes in an evaluation."""
     observation: str | None = None
-    """What agents see: features, state or egocentric."""
+    """Observation of all agents: features, state or egocentric."""
     out: Path | None = None
     """Folder of runs and report; runs/NAME by default."""
     workers: int | None = None
@@ -88,7 +92,7 @@ class CompareArgs:
         else:
             raise UnknownNameError("comparison", self.what, [*GRIDS, "your-grid.toml"])
         changes: dict[str, object] = {
-            name: value for name in ("runs", "primitives", "eval_every", "eval_episodes", "observation")
+            name: value for name in ("runs", "first_seed", "primitives", "eval_every", "eval_episodes", "observation")
             if (value := getattr(self, name)) is not None
         }
         if self.agents:
@@ -116,7 +120,7 @@ def run(args: CompareArgs) -> int:
     grid = args.make_grid()
     console = Console(soft_wrap=True, highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH)
     try:
-        comparison = run_grid(grid, args.out or Path("runs") / grid.name, _make_launcher(args))
+        comparison = run_grid(grid, args.out or Path("runs") / make_file_name(grid.name), _make_launcher(args))
     except KeyboardInterrupt:
         Console(stderr=True).print("Finished runs are kept; the same command goes on from here.")
         raise
@@ -147,16 +151,16 @@ def _print(console: Console, summary: Summary, comparison: Comparison) -> None:
         console.print(Text(f"{mark} ", style="dim").append_text(_mark(sentence.text)))
     table = Table(box=None, pad_edge=False, header_style="dim", padding=(0, 1))
     table.add_column("agent", no_wrap=True)
-    for heading in ("score", "95 % interval", "escapes", "primitives", "stuck"):
+    for heading in ("efficiency", "95 % interval", "progress", "escapes", "primitives", "first escape"):
         table.add_column(heading, justify="right", no_wrap=True)
     for agent in summary.agents:
-        table.add_row(agent.label, f"{agent.score.value:.3f}", f"{agent.score.low:.3f} to {agent.score.high:.3f}",
-                      f"{agent.success.value:.0%}", f"{agent.length.value:,.0f}",
-                      f"{round(agent.stuck * agent.runs)} of {agent.runs}")
+        table.add_row(make_console_text(agent.label), f"{agent.efficiency.value:.3f}",
+                      f"{agent.efficiency.low:.3f} to {agent.efficiency.high:.3f}", f"{agent.progress.value:.2f}",
+                      f"{agent.success.value:.0%}", f"{agent.length.value:,.0f}", format_first_escape(agent))
     console.print("", table, "")
     for failure in comparison.failures:
-        console.print(Text(f"failed: {failure.cell.name}: {failure.message}", style="red"))
-    console.print(f"Report: {comparison.out / 'report.html'}")
+        console.print(Text(f"failed: {failure.run.name}: {failure.message}", style="red"))
+    console.print(f"Report: {comparison.out / 'report.html'}", markup=False)
 
 
 def _mark(text: str) -> Text:
@@ -174,16 +178,16 @@ def _to_json(summary: Summary, comparison: Comparison) -> dict[str, Any]:
             {
                 "label": agent.label,
                 "runs": agent.runs,
-                "score": dataclasses.asdict(agent.score),
-                "success": dataclasses.asdict(agent.success),
-                "length": dataclasses.asdict(agent.length),
-                "area": dataclasses.asdict(agent.area),
+                **{name: getattr(agent, name)._asdict() for name in
+                   ("efficiency", "progress", "success", "first_escape", "length", "score", "area")},
+                "escaped_runs": agent.escaped_runs,
                 "stuck": agent.stuck,
                 "gap": agent.gap._asdict(),
             }
             for agent in summary.agents
         ],
-        "rooms": [{"name": room.name, "id": room.instance.id, "best": room.best} for room in summary.rooms],
-        "failures": [{"run": failure.cell.name, "message": failure.message} for failure in comparison.failures],
+        "rooms": [{"name": room.name, "id": room.instance.id, "best": room.best, "fewest": room.fewest}
+                  for room in summary.rooms],
+        "failures": [{"run": failure.run.name, "message": failure.message} for failure in comparison.failures],
         "report": str(comparison.out / "report.html"),
     }

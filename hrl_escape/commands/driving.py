@@ -1,4 +1,4 @@
-"""Drive a room by primitives written as text, and report what happened. Not a command."""
+"""Open-loop driving by primitives written as text, and its record. Not a command."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.primitives import make_primitives
+from hrl_escape.env.primitives import make_action_table
 from hrl_escape.errors import ConfigError, UnknownNameError
 
 __all__ = ["Drive", "drive_room", "get_names", "parse_primitives"]
@@ -23,13 +23,13 @@ MOST_REPEATS = 1_000_000
 
 @dataclasses.dataclass(frozen=True)
 class Drive:
-    """What happened in one episode.
+    """Record of one episode.
 
     Attributes:
-        primitives: names, in order, as far as the episode went.
+        primitives: names of the primitives that ran, in order.
         states: one more than primitives.
         rewards: one a primitive.
-        pressed: number of the primitive, from 1, and the names of the targets it pressed.
+        pressed: number of a primitive, from 1, and the names of the targets that it pressed.
         terminated: the robot escaped.
         truncated: the horizon was reached.
     """
@@ -52,11 +52,11 @@ class Drive:
         return [(state.x, state.y) for state in self.states]
 
     def describe_end(self) -> str:
-        """Say how the episode stands."""
+        """End of the episode in words."""
         return "escaped" if self.terminated else "out of time" if self.truncated else "still inside"
 
     def to_dict(self) -> dict[str, Any]:
-        """What is worth writing down, as plain values."""
+        """Plain values for JSON."""
         return {"primitives": list(self.primitives), "return": self.total, "terminated": self.terminated,
                 "truncated": self.truncated, "path": self.path,
                 "pressed": [{"primitive": at, "targets": list(names)} for at, names in self.pressed]}
@@ -68,14 +68,14 @@ def parse_primitives(text: str, instance: RoomInstance, seed: int = 0) -> list[i
     Args:
         text: names or action numbers, separated by spaces or commas; `*n` repeats, `random` draws.
         instance: the room whose robot they are for.
-        seed: of the random primitives.
+        seed: seed of the random primitives.
 
     Returns:
         Action numbers.
 
     Raises:
         UnknownNameError: no such primitive.
-        ConfigError: not a number of repetitions.
+        ConfigError: an impossible number of repetitions.
     """
     names, rng = get_names(instance), np.random.default_rng(seed)
     actions: list[int] = []
@@ -92,9 +92,9 @@ def parse_primitives(text: str, instance: RoomInstance, seed: int = 0) -> list[i
     return actions
 
 
-def get_names(instance: RoomInstance) -> list[str]:
+def get_names(instance: RoomInstance) -> tuple[str, ...]:
     """Names of the room's primitives, in action order."""
-    return [primitive.name for primitive in make_primitives(instance.robot.joints)]
+    return make_action_table(instance.robot.joints).names
 
 
 def drive_room(instance: RoomInstance, actions: Sequence[int], seed: int = 0) -> Drive:
@@ -103,7 +103,7 @@ def drive_room(instance: RoomInstance, actions: Sequence[int], seed: int = 0) ->
     Args:
         instance: the room.
         actions: action numbers.
-        seed: episode seed: which start, which noise.
+        seed: episode seed; fixes the start and the noise.
     """
     env = EscapeRoomEnv(instance=instance)
     env.reset(seed=seed)
@@ -113,8 +113,8 @@ def drive_room(instance: RoomInstance, actions: Sequence[int], seed: int = 0) ->
         _, reward, terminated, truncated, info = env.step(action)
         states.append(env.get_state())
         rewards.append(float(reward))
-        if info["pressed"]:
-            pressed.append((number, tuple(instance.targets[target].name for target in info["pressed"])))
+        if info["pressed"].any():
+            pressed.append((number, tuple(instance.targets[target].name for target in np.flatnonzero(info["pressed"]))))
         if terminated or truncated:
             break
     env.close()

@@ -15,16 +15,15 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Literal
 
-import numpy as np
 import tyro
 from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.agents.registry import SMDP_PREFIX, list_agents
-from hrl_escape.env.bullet_cameras import CAMERAS
-from hrl_escape.env.observations import OBSERVATIONS
-from hrl_escape.env.presets import PRESETS, get_preset, make_env_name
-from hrl_escape.env.primitives import make_primitives
+from hrl_escape.env.engine import CAMERAS
+from hrl_escape.env.observations import list_observations
+from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset, make_env_name
+from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles
 from hrl_escape.experiments.presets import GRIDS
 
@@ -37,18 +36,18 @@ class ListArgs:
     """Options of `hrl-escape list`."""
 
     kinds: Annotated[tuple[Kind, ...], tyro.conf.Positional] = ()
-    """What to list; nothing lists everything."""
+    """Kinds of names to list; all by default."""
     json: bool = False
     """Print JSON instead of tables."""
 
 
 def run(args: ListArgs) -> None:
-    """Print names and one line about each."""
+    """Print names with one line about each."""
     makers = {
-        "presets": lambda: {name: _describe_preset(name) for name in PRESETS},
-        "environments": lambda: {f"hrl_escape/{make_env_name(name)}-v0": f"preset {name}" for name in PRESETS},
+        "presets": lambda: {name: describe_schematic(get_preset(name)) for name in PRESETS},
+        "environments": lambda: {f"hrl_escape/{make_env_name(name)}-v1": f"preset {name}" for name in PRESETS},
         "puzzles": lambda: {name: _describe_puzzle(name) for name in list_puzzles()},
-        "observations": lambda: OBSERVATIONS,
+        "observations": lambda: {observation.name: observation.doc for observation in list_observations()},
         "cameras": lambda: CAMERAS,
         "primitives": _describe_primitives,
         "agents": lambda: {name: _describe_agent(name) for name in list_agents()},
@@ -67,35 +66,16 @@ def run(args: ListArgs) -> None:
         console.print(table, "")
 
 
-def _describe_preset(name: str) -> str:
-    config = get_preset(name)
-    parts = [f"{config.room.width:g} x {config.room.depth:g} m"]
-    if config.room.rooms > 1:
-        parts.append(f"{config.room.rooms} rooms")
-    puzzle = config.puzzle.make_puzzle(np.random.default_rng(0))
-    count = len(puzzle.target_names)
-    parts.append(f"{puzzle.kind} x {count}" if count else puzzle.kind)
-    if config.obstacles.count:
-        parts.append(f"{config.obstacles.count} obstacles")
-    if config.robot.joints:
-        parts.append(f"{config.robot.joints}-joint arm")
-    if config.dynamics.press_with == "hand":
-        parts.append("pressed by hand")
-    if config.dynamics.kind == "physics":
-        parts.append("physics")
-    return ", ".join(parts)
-
-
 def _describe_puzzle(name: str) -> str:
-    """The first sentence of the puzzle's own file, or of its class."""
+    """First sentence of the docstring of the puzzle's module, or of its class."""
     kind = get_puzzle_kind(name).puzzle_type
     document = sys.modules[kind.__module__].__doc__ or kind.__doc__ or ""
     return " ".join(document.split()).split(". ")[0].rstrip(".")
 
 
 def _describe_agent(name: str) -> str:
-    """The first sentence of the agent's own file, which is not imported for it."""
-    spec = find_spec(f"hrl_escape.agents.{name.replace('-', '_')}")
+    """First sentence of the docstring of the agent's module, read without importing it."""
+    spec = find_spec(f"hrl_escape.agents.algorithms.{name.replace('-', '_')}")
     source = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin is not None else ""
     document = ast.get_docstring(ast.parse(source))
     about = " ".join((document or "From another package.").split()).split(". ")[0].rstrip(".")
@@ -103,8 +83,8 @@ def _describe_agent(name: str) -> str:
 
 
 def _describe_primitives() -> dict[str, str]:
-    """The base's six, and the pair that each arm joint adds."""
+    """Primitives of the base, and the pair that each arm joint adds."""
     units = {"forward": "moves one move step", "back": "moves one move step", "turn": "turns one turn step",
              "strafe": "moves one move step", "joint": "moves the joint by one joint step, up to its limits"}
     return {primitive.name: f"action {number}: {units[primitive.name.split('-')[0]]}"
-            for number, primitive in enumerate(make_primitives(1))}
+            for number, primitive in enumerate(make_action_table(1).primitives)}

@@ -12,21 +12,24 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from hrl_escape.commands.driving import Drive, drive_room, parse_primitives
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.bullet_cameras import check_camera, film
-from hrl_escape.env.generation import find_unmet_constraint
+from hrl_escape.env.drawing.maps import FORMATS, Trajectory, save_map
+from hrl_escape.env.drawing.video import VIDEO_FORMATS, save_picture, save_video
+from hrl_escape.env.engine import check_camera, film
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.base import SymbolicModel
-from hrl_escape.env.rendering import FORMATS, Trajectory, save_map
-from hrl_escape.env.video import VIDEO_FORMATS, save_picture, save_video
+from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import UnsupportedError
+from hrl_escape.names import make_console_text
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,24 +37,24 @@ class RoomArgs(RoomChoice):
     """Options of `hrl-escape room`."""
 
     check: bool = False
-    """Verify that the room can be solved: floor connects start, targets and exit, and the puzzle has a way to its goal.
+    """Check that the room is solvable: start, targets and exit are connected, and the puzzle's goal is reachable.
     Exit code 1 if not."""
     drive: str = ""
     """Primitives to run from the start, by name or number; * repeats, random draws: "forward*3 turn-left random*20"."""
     episode_seed: int = 0
-    """Seed of the episode that is driven: its start, its noise and its random primitives."""
+    """Episode seed of the drive: fixes the start, the noise and the random primitives."""
     draw: tuple[Path, ...] = ()
-    """Pictures to make: .svg, .pdf or .png for the map, .gif or .mp4 for a video of the drive."""
+    """Pictures to write: .svg, .pdf or .png for the map, .gif or .mp4 for a video of the drive."""
     camera: str | None = None
-    """Take .png pictures through this camera instead of drawing the map; videos default to chase."""
+    """Camera that renders .png pictures in place of the map; videos use chase by default."""
     save: Path | None = None
-    """Write the instance to this file, as JSON."""
+    """File to write the instance to, as JSON."""
     json: bool = False
     """Print JSON instead of a table."""
 
 
 def run(args: RoomArgs) -> int:
-    """Do what the options ask for; the exit code is 1 if a check fails."""
+    """Make, check, drive, draw and save as the options say; exit code 1 if a check fails."""
     for path in args.draw:
         if path.suffix.lower().lstrip(".") not in (*FORMATS, *VIDEO_FORMATS):
             known = ", ".join(f".{ending}" for ending in (*FORMATS, *VIDEO_FORMATS))
@@ -77,7 +80,7 @@ def run(args: RoomArgs) -> int:
 
 
 def _describe(instance: RoomInstance) -> dict[str, Any]:
-    """What the room is like, as plain values."""
+    """Description of the room as plain values."""
     puzzle, robot = instance.puzzle, instance.robot
     return {
         "name": instance.name,
@@ -101,7 +104,7 @@ def _describe(instance: RoomInstance) -> dict[str, Any]:
 
 
 def _find_dead_end(model: SymbolicModel) -> str | None:
-    """Say which goal no order of operators can reach, even if nothing ever became false again; None if none."""
+    """Name goals that are unreachable even under delete relaxation; None if all are reachable."""
     facts: set[str] = set(model.propositions) - {fact for operator in model.operators for fact in operator.add}
     while True:
         reached = {fact for o in model.operators if o.preconditions <= facts for fact in o.add} - facts
@@ -129,23 +132,27 @@ def _print(report: dict[str, Any], drive: Drive) -> None:
     table.add_column(style="dim")
     wide, deep = report["size"]
     seed = "" if report["seed"] is None else f", seed {report['seed']}"
-    table.add_row("room", f"[bold]{report['name']}[/bold]{seed}, id {report['id']}")
+    table.add_row("room", f"[bold]{make_console_text(report['name'])}[/bold]{seed}, id {report['id']}")
     table.add_row("floor", f"{wide:g} x {deep:g} m, {report['walls']} walls, {report['obstacles']} obstacles")
     targets = f" x {len(report['targets'])}" if report["targets"] else ""
-    goal = f", goal {', '.join(report['goal'])}" if report["goal"] else ""
+    goal = f", goal {_join(report['goal'])}" if report["goal"] else ""
     table.add_row("puzzle", f"{report['puzzle']}{targets}{goal}")
     if report["edges"]:
-        table.add_row("order", ", ".join(f"{parent} before {child}" for parent, child in report["edges"]))
+        table.add_row("order", _join(f"{parent} before {child}" for parent, child in report["edges"]))
     arm = f", {report['joints']} joints" if report["joints"] else ""
     table.add_row("robot", f"{report['robot']}{arm}, presses with its {report['press_with']}, {report['dynamics']}")
     table.add_row("exit", f"({report['exit']['x']:.2f}, {report['exit']['y']:.2f}) m"
                   + (", behind a door" if report["exit"]["door"] else ""))
     if "check" in report:
-        table.add_row("check", report["check"])
+        table.add_row("check", make_console_text(report["check"]))
     if drive.primitives:
         table.add_row("drive", f"{len(drive.primitives)} primitives, return {drive.total:g}, {drive.describe_end()}")
         for number, names in drive.pressed:
-            table.add_row("", f"primitive {number} pressed {', '.join(names)}")
+            table.add_row("", f"primitive {number} pressed {_join(names)}")
     for path in report["files"]:
-        table.add_row("wrote", path)
+        table.add_row("wrote", Text(path))
     Console(soft_wrap=True).print(table)
+
+
+def _join(names: Iterable[str]) -> str:
+    return ", ".join(map(make_console_text, names))

@@ -1,7 +1,7 @@
-"""Which room a command is about: the options that every command on a room shares. Not a command.
+"""The choice of a room: the options that every command on a room shares. Not a command.
 
-A room is a preset, a schematic from a file, or an instance from a file; any field of a
-schematic can be changed by its dotted path.
+A room comes from a preset, a schematic file or an instance file. Any field of a schematic can
+be changed by its dotted path.
 """
 
 from __future__ import annotations
@@ -9,34 +9,40 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.generation import generate
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.observations import list_observations
 from hrl_escape.env.presets import get_preset
-from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.files import read_json, read_toml
 
-__all__ = ["RoomChoice", "split_assignment"]
+__all__ = ["RoomChoice", "VectorObservation", "split_assignment"]
+
+if TYPE_CHECKING:
+    VectorObservation: TypeAlias = str
+else:  # choices that `--help` lists
+    VectorObservation = Literal[tuple(observation.name for observation in list_observations() if observation.is_vector)]
 
 
 @dataclasses.dataclass(frozen=True)
 class RoomChoice:
-    """Options that say which room is meant; dataclasses of commands inherit them."""
+    """Options that choose a room; dataclasses of commands inherit them."""
 
     preset: str = "paper-two-button"
-    """Named schematic; `hrl-escape list presets` shows them."""
+    """Named schematic; `hrl-escape list presets` names them all."""
     arguments: tuple[str, ...] = ()
     """Arguments of the preset, as name=value: size=4 seed=3 for larg-2019."""
     config: Path | None = None
-    """Schematic from a TOML or JSON file, instead of a preset."""
+    """Schematic in a TOML or JSON file, in place of a preset."""
     set: tuple[str, ...] = ()
     """Fields of the schematic to change, as path=value: room.width=30 obstacles.count=40."""
     seed: int = 0
-    """Instance seed: which room of the schematic."""
+    """Instance seed: selects one room of the schematic."""
     load: Path | None = None
-    """Instance from a JSON file that --save wrote, instead of a schematic."""
+    """Instance in a JSON file written by --save, in place of a schematic."""
 
     def make_config(self) -> RoomConfig:
         """Build the schematic.
@@ -48,7 +54,7 @@ class RoomChoice:
             arguments = dict(split_assignment(text, "--arguments", "size=3") for text in self.arguments)
             config = get_preset(self.preset, **arguments)
         elif self.arguments:
-            raise UnsupportedError("--arguments are a preset's; with --config use --set")
+            raise UnsupportedError("--arguments belong to a preset: with --config use --set")
         else:
             read = read_toml if self.config.suffix.lower() == ".toml" else read_json
             config = RoomConfig.from_dict({"name": self.config.stem} | _require_table(read(self.config, "schematic")))
@@ -80,7 +86,7 @@ def _require_table(value: Any) -> dict[str, Any]:
 
 
 def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:
-    """Read `name=value` given to an option; values are JSON where they can be read so, else text."""
+    """Read `name=value` given to an option; a value that is not JSON is text."""
     name, equals, value = text.partition("=")
     if not equals or not name:
         raise ConfigError(option, text, f"name=value is needed, such as {example}")
@@ -91,12 +97,17 @@ def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:
 
 
 def _change(fields: dict[str, Any], path: str, value: Any) -> None:
-    """Set one field of a nested table; the schematic itself refuses what it does not know."""
+    """Set one field of a nested table; the schematic itself refuses unknown fields.
+
+    Another kind of puzzle begins with that kind's defaults.
+    """
     *sections, last = path.split(".")
     for depth, section in enumerate(sections):
         inner = fields.get(section)
         if not isinstance(inner, dict):
-            known = [name for name, part in fields.items() if isinstance(part, dict)] or ["none here"]
-            raise ConfigError(".".join(sections[: depth + 1]), path, f"a section: one of {', '.join(known)}")
+            known = [name for name, part in fields.items() if isinstance(part, dict)]
+            raise UnknownNameError(" ".join([*sections[:depth], "section"]), section, known)
         fields = inner
+    if path == "puzzle.kind" and fields.get("kind") != value:
+        fields.clear()
     fields[last] = value

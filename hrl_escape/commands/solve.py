@@ -1,4 +1,4 @@
-"""Plan a way out of a room (or to one goal in it), run it, and show it.
+"""Plan the way out of a room, or to one goal in it; run the plan and show it.
 
     hrl-escape solve --preset clutter --seed 3
     hrl-escape solve --preset paper-two-button --goal button-2 --draw plan.svg
@@ -6,7 +6,7 @@
     hrl-escape solve --preset push-block --json
     hrl-escape solve --set dynamics.noise=0.1 dynamics.slip=0.1
 
-Where noise, slip or physics make plans uncertain, meta-actions are run one by one and plan as they go.
+Under noise, slip or physics, where a plan is uncertain, meta-actions run one by one and replan as they go.
 """
 
 from __future__ import annotations
@@ -20,17 +20,18 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.bullet_cameras import check_camera, film
+from hrl_escape.env.drawing.maps import FORMATS, Trajectory, save_map
+from hrl_escape.env.drawing.video import VIDEO_FORMATS, make_filmstrip, save_picture, save_video
+from hrl_escape.env.engine import check_camera, film
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.rendering import FORMATS, Trajectory, save_map
-from hrl_escape.env.video import VIDEO_FORMATS, make_filmstrip, save_picture, save_video
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.options.pddl import save_pddl
-from hrl_escape.options.plan import Execution, Plan
-from hrl_escape.options.planner import RoomPlanner
-from hrl_escape.options.pursuit import Pursuit, pursue
+from hrl_escape.names import make_console_text
+from hrl_escape.options.closed_loop import ClosedLoopExecution, pursue
+from hrl_escape.planning.plan import Execution, Plan
+from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.symbolic.pddl import save_pddl
 
 ESCAPE = "escape"
 MOST_FRAMES = 60
@@ -41,31 +42,31 @@ class SolveArgs(RoomChoice):
     """Options of `hrl-escape solve`."""
 
     goal: str = ESCAPE
-    """What to reach: escape, a target's name, exit, or a place x,y or x,y,heading (degrees)."""
-    planner: str = "fields"
-    """How primitives are searched: along cost-to-go fields, or round a path planner's path: RRTConnect, PRM, ..."""
+    """Goal: escape, a target's name, exit, or a pose x,y or x,y,heading (degrees)."""
+    planner: str = "auto"
+    """Method: fields (cost-to-go fields), a path planner round whose path to search (RRTConnect, PRM, ...), or auto."""
     budget: int = 300_000
-    """Search nodes that one plan may expand; the same budget finds the same plan anywhere."""
+    """Maximum number of search nodes of one plan; a budget gives the same plan on any machine."""
     episode_seed: int = 0
-    """Seed of the episode: its start and its noise."""
+    """Episode seed: fixes the start and the noise."""
     draw: tuple[Path, ...] = ()
-    """Pictures to make: .svg, .pdf or .png for the map with the way, .gif or .mp4 for a video of it."""
+    """Pictures to write: .svg, .pdf or .png for the map with the way, .gif or .mp4 for a video."""
     filmstrip: Path | None = None
-    """Write pictures of six moments as one .png."""
+    """File for six moments in one .png picture."""
     camera: str = "chase"
-    """Through which camera videos and the filmstrip are taken."""
+    """Camera of videos and filmstrip; `hrl-escape list cameras` names them."""
     pddl: Path | None = None
-    """Write the puzzle as domain.pddl and problem.pddl into this folder."""
+    """Folder for the puzzle as domain.pddl and problem.pddl."""
     json: bool = False
     """Print JSON instead of tables."""
 
 
 @dataclasses.dataclass(frozen=True)
 class _Outcome:
-    """What was planned, if it could be planned beforehand, and what happened."""
+    """The plan, if one could be made beforehand, and its execution."""
 
     plan: Plan | None
-    run: Execution | Pursuit
+    run: Execution | ClosedLoopExecution
 
     @property
     def is_reached(self) -> bool:
@@ -73,7 +74,7 @@ class _Outcome:
 
 
 def run(args: SolveArgs) -> int:
-    """Plan, run and show; the exit code is 1 if the goal was not reached."""
+    """Plan, run and show; exit code 1 if the goal was not reached."""
     for path in args.draw:
         if path.suffix.lower().lstrip(".") not in (*FORMATS, *VIDEO_FORMATS):
             known = ", ".join(f".{ending}" for ending in (*FORMATS, *VIDEO_FORMATS))
@@ -94,7 +95,7 @@ def run(args: SolveArgs) -> int:
 
 
 def _solve(args: SolveArgs, instance: RoomInstance) -> _Outcome:
-    """Plan and run the plan; where a plan cannot foresee what happens, look as it goes."""
+    """Plan and run the plan; replan on the way if the dynamics are uncertain."""
     planner = RoomPlanner(instance, args.planner, args.budget)
     env = EscapeRoomEnv(instance=instance)
     try:
@@ -118,7 +119,7 @@ def _describe(instance: RoomInstance, args: SolveArgs, outcome: _Outcome) -> dic
     }
     if outcome.plan is not None:
         report["plan"] = outcome.plan.to_dict()
-    if isinstance(executed, Pursuit):
+    if isinstance(executed, ClosedLoopExecution):
         report["decisions"] = list(executed.decisions)
     return report
 
@@ -126,37 +127,39 @@ def _describe(instance: RoomInstance, args: SolveArgs, outcome: _Outcome) -> dic
 def _print(report: dict[str, Any], outcome: _Outcome) -> None:
     console = Console(soft_wrap=True)
     seed = "" if report["seed"] is None else f", seed {report['seed']}"
-    console.print(f"[bold]{report['room']}[/bold]{seed}, id {report['id']}: {report['goal']}", "")
+    console.print(f"[bold]{make_console_text(report['room'])}[/bold]{seed}, id {report['id']}: "
+                  + make_console_text(report["goal"]), "")
     if outcome.plan is not None:
         console.print(_make_plan_table(outcome.plan))
         console.print(f"\nplanned in {1000 * outcome.plan.seconds:.0f} ms, {outcome.plan.expansions} nodes expanded, "
                       f"by {outcome.plan.planner}")
-    elif isinstance(outcome.run, Pursuit):
+    elif isinstance(outcome.run, ClosedLoopExecution):
         console.print(_make_decision_table(outcome.run))
     end = "escaped" if report["escaped"] else "reached" if report["reached"] else "not reached"
     exact = ", every state as predicted" if outcome.plan is not None and outcome.is_reached else ""
     console.print(f"run: [bold]{end}[/bold] after {report['primitives']} primitives, return {report['return']:g}"
                   + exact)
     for path in report["files"]:
-        console.print(f"wrote {path}")
+        console.print(f"wrote {path}", markup=False)
 
 
 def _make_plan_table(plan: Plan) -> Table:
     header, *rows, total = plan.make_rows()
     table = Table(*header, box=None, padding=(0, 2), pad_edge=False)
     for row in rows:
-        table.add_row(*row)
+        table.add_row(*map(make_console_text, row))
     table.add_section()
     table.add_row(*total, style="bold")
     return table
 
 
-def _make_decision_table(pursuit: Pursuit) -> Table:
+def _make_decision_table(execution: ClosedLoopExecution) -> Table:
     table = Table("option", "primitives", "ended", "plans", "replans", "planning", box=None, padding=(0, 2),
                   pad_edge=False)
-    for decision in pursuit.decisions:
-        table.add_row(decision["name"], str(decision["duration"]), decision["ended"], str(decision["planner_calls"]),
-                      str(decision["replans"]), f"{1000 * decision['planner_seconds']:.0f} ms")
+    for decision in execution.decisions:
+        table.add_row(make_console_text(decision["name"]), str(decision["duration"]), decision["ended"],
+                      str(decision["planner_calls"]), str(decision["replans"]),
+                      f"{1000 * decision['planner_seconds']:.0f} ms")
     return table
 
 

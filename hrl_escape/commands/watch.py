@@ -1,10 +1,10 @@
-"""Watch an agent drive and see what it thinks: option and plan, action values, SMDP numbers, what-if.
+"""Watch an agent drive: options and plans, action values, SMDP transitions, what-if previews.
 
     hrl-escape watch
     hrl-escape watch smdp-dqn --preset clutter --seed 3
-    hrl-escape watch runs/smdp-dqn-paper-two-button-0
+    hrl-escape watch runs/smdp-dqn-paper-two-button-0-5a1d3f0c
 
-Without a name the planner drives. An agent's name trains that agent as you look on; the folder of a run (see
+Without a name the planner drives. An agent's name trains that agent while you watch. The folder of a run (see
 `hrl-escape train`) lets the trained agent drive in its room. Space pauses, P runs one primitive, D one decision.
 """
 
@@ -12,70 +12,59 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-import webbrowser
 from typing import Annotated, Literal
 
 import torch
 import tyro
-from rich.console import Console
 
-from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.instance import RoomInstance
-from hrl_escape.viewer.drivers import PLANNER, find_room, open_driver
-from hrl_escape.viewer.server import get_url, open_server
-from hrl_escape.viewer.watch_page import WatchPage, run_in_thread
-from hrl_escape.viewer.watching import Gate, Watch
+from hrl_escape.commands.room_choice import RoomChoice, VectorObservation
+from hrl_escape.commands.serving import PageAddress
+from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
+from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_run_room, open_driver
+from hrl_escape.viewer.watch.gate import Gate
+from hrl_escape.viewer.watch.watch import Watch
 
 
 @dataclasses.dataclass(frozen=True)
-class WatchArgs(RoomChoice):
+class WatchArgs(PageAddress, RoomChoice):
     """Options of `hrl-escape watch`."""
 
-    driver: Annotated[str, tyro.conf.Positional] = PLANNER
-    """Who drives: planner, the name of an agent that is then trained, or the folder of a run."""
+    driver: Annotated[str, tyro.conf.Positional] = PLANNER_NAME
+    """The driver: planner, the name of an agent to train, or the folder of a run."""
     pace: float = 5.0
-    """Primitives a second to begin with; 0 for as many as it can."""
+    """Primitives a second at first; 0 for no limit."""
     paused: bool = False
     """Begin paused."""
-    observation: Literal["features", "state", "egocentric"] = "features"
-    """What an agent to be trained sees."""
+    observation: VectorObservation = "features"
+    """Observation of an agent to train."""
     flavour: Literal["press", "press-with-ancestors"] = "press"
-    """What meta-actions do: press one button, or first those that must be on before it."""
+    """Meta-actions: press one button, or press first those that must be on before it."""
     options_only: bool = False
-    """Leave the primitives out of the choices of an agent to be trained."""
+    """Let an agent to train choose among options only."""
     recipe: str = "corrected"
-    """Where the settings of an agent to be trained come from."""
+    """Recipe of an agent to train: corrected or paper."""
     episode_seed: int = 0
-    """Fixes the episodes, and an agent to be trained."""
-    host: str = "127.0.0.1"
-    """Address to serve on; any other than 127.0.0.1 lets other machines look on."""
-    port: int = 8080
-    """Port to serve on; 0 for any that is free."""
-    open: bool = True
-    """Open the page in your browser; --no-open only prints where it is."""
+    """Seed of the episodes, and of an agent to train."""
 
 
 def run(args: WatchArgs) -> None:
     """Serve until interrupted."""
     torch.set_num_threads(1)
-    room = None if args.load else find_room(args.driver)
-    instance = RoomInstance.load(room) if room else args.make_instance()
+    instance = (None if args.load else find_run_room(args.driver)) or args.make_instance()
     driver = open_driver(args.driver, instance, observation=args.observation, flavour=args.flavour,
                          include_primitives=not args.options_only, recipe=args.recipe, seed=args.episode_seed)
     gate = Gate(args.pace or None, args.paused)
-    server = open_server(args.host, args.port)
+    server = args.open_server()
     page = WatchPage(server, Watch(driver, gate, args.episode_seed))
     thread = run_in_thread(page)
     try:
-        Console(soft_wrap=True).print(f"Watch {driver.name} at [bold]{get_url(server)}[/bold] (Ctrl-C ends)")
-        if args.open:
-            webbrowser.open(get_url(server))
+        args.announce(server, f"Watch {driver.name}")
         page.finished.wait()
         if page.problem:
-            print(f"The driver stopped: {page.problem}. The page stays until Ctrl-C", file=sys.stderr)
+            print(f"The driver stopped: {page.problem}. The page stays up until Ctrl-C", file=sys.stderr)
         server.sleep_forever()
     except KeyboardInterrupt:
-        pass  # the way to end it
+        pass  # the regular end
     finally:
         gate.stop()
         thread.join(5.0)

@@ -1,1 +1,5 @@
-"""What a room is and how it moves; knows no options and no agents."""
+"""Rooms: schematics, instances, engines and environments. Knows no planner, option or agent."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

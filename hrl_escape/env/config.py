@@ -1,25 +1,26 @@
-"""The schematic: a `RoomConfig` says what kind of rooms to sample (Menashe and Stone 2019, section 4).
+"""The schematic: a `RoomConfig` describes a distribution over rooms (Menashe and Stone 2019, section 4).
 
 Every field has a unit, a range and a default; impossible values raise `ConfigError` naming
 field, value and what is allowed. Lengths are metres; angles are degrees here only, in
-fields whose name ends in `_deg`. What is sampled from a schematic is in `instance.py`.
+fields whose name ends in `_deg`. A room sampled from a schematic is a `RoomInstance`. Numbers of the floor plan,
+obstacles, start, exit and puzzle may be ranges, `Between(3, 5)`, from which each instance draws.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, cast
+from typing import Annotated, Literal
 
-from typing_extensions import Self
-
-from hrl_escape.env.puzzles.base import PuzzleConfig, get_puzzle_kind
+from hrl_escape.env.puzzles.base import PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.env.settings import Settings, knob
 from hrl_escape.errors import ConfigError
+from hrl_escape.ranges import Between
+from hrl_escape.settings import Range, Settings
 
 __all__ = [
     "CONTACT_SKIN",
     "PASSAGE_SLACK",
+    "Between",
     "DynamicsConfig",
     "ExitConfig",
     "ObstaclesConfig",
@@ -55,12 +56,19 @@ class ShapeConfig(Settings):
     """Floor plan: a rectangle centred on the origin, split into rooms by interior walls."""
 
     _section = "room"
-    width: float = knob(20.0, "Inner size along x.", "m", 5, 200)
-    depth: float = knob(20.0, "Inner size along y.", "m", 5, 200)
-    wall_height: float = knob(3.0, "Height of all walls.", "m", 0.1, 50)
-    wall_thickness: float = knob(0.2, "Thickness of all walls.", "m", 0.02, 2)
-    rooms: int = knob(1, "Rooms that interior walls divide the floor into.", "", 1, 16)
-    doorway_width: float = knob(2.5, "Width of the doorway in each interior wall.", "m", 0.2, 50)
+    _takes_ranges = True
+    width: Annotated[float, Range(5, 200, "m")] = 20.0
+    """Inner size along x."""
+    depth: Annotated[float, Range(5, 200, "m")] = 20.0
+    """Inner size along y."""
+    wall_height: Annotated[float, Range(0.1, 50, "m")] = 3.0
+    """Height of all walls."""
+    wall_thickness: Annotated[float, Range(0.02, 2, "m")] = 0.2
+    """Thickness of all walls."""
+    rooms: Annotated[int, Range(1, 16)] = 1
+    """Rooms that interior walls divide the floor into."""
+    doorway_width: Annotated[float, Range(0.2, 50, "m")] = 2.5
+    """Width of the doorway in each interior wall."""
 
     @property
     def resolution(self) -> float:
@@ -73,20 +81,32 @@ class RobotConfig(Settings):
     """A wheeled base (an upright cylinder) with an arm of 1-DoF joints."""
 
     _section = "robot"
-    kind: str = knob("arm", "Which arm is mounted on the base.", choices=ROBOT_KINDS)
-    body_radius: float = knob(0.75, "Radius of the base.", "m", 0.05, 5)
-    body_height: float = knob(1.0, "Height of the base; the arm is mounted on top.", "m", 0.05, 10)
-    joints: int = knob(0, "Arm joints that can be moved (the first ones of a named arm).", "", 0, 7)
-    link_length: float = knob(0.5, "Length of each link of the generated arm.", "m", 0.01, 20)
-    mount_forward: float = knob(0.0, "Where the arm stands on the base, ahead of its axis.", "m", -5, 5)
-    joint_limit_deg: float = knob(60.0, "Joints of the generated arm move within plus or minus this.",
-                                  "deg", 0, 180, open_low=True)
-    hand_radius: float = knob(0.05, "Radius of the sphere at the last link's end that presses.", "m", 0.001, 1)
-    move_step: float = knob(1.0, "Distance of one forward, back or strafe primitive.", "m", 0, 20, open_low=True)
-    turn_step_deg: float = knob(10.0, "Angle of one turn primitive; must divide 360.", "deg", 1, 180)
-    joint_step_deg: float = knob(10.0, "Angle of one joint primitive.", "deg", 0.1, 180)
-    urdf: str | None = knob(None, "URDF text of the user's arm (kind 'urdf'); see `load_urdf`.")
-    hand_link: str | None = knob(None, "Link of the URDF whose origin is the hand (default: the last link).")
+    kind: Literal["arm", "kuka-iiwa", "franka-panda", "urdf"] = "arm"
+    """Arm on the base: generated links, a named arm, or a URDF."""
+    body_radius: Annotated[float, Range(0.05, 5, "m")] = 0.75
+    """Radius of the base."""
+    body_height: Annotated[float, Range(0.05, 10, "m")] = 1.0
+    """Height of the base; the arm is mounted on top."""
+    joints: Annotated[int, Range(0, 7)] = 0
+    """Arm joints that can be moved (the first ones of a named arm)."""
+    link_length: Annotated[float, Range(0.01, 20, "m")] = 0.5
+    """Length of each link of the generated arm."""
+    mount_forward: Annotated[float, Range(-5, 5, "m")] = 0.0
+    """Offset of the arm's mount ahead of the base's axis."""
+    joint_limit_deg: Annotated[float, Range(0, 180, "deg", open_low=True)] = 60.0
+    """Joints of the generated arm move within plus or minus this."""
+    hand_radius: Annotated[float, Range(0.001, 1, "m")] = 0.05
+    """Radius of the sphere at the last link's end that presses."""
+    move_step: Annotated[float, Range(0, 20, "m", open_low=True)] = 1.0
+    """Distance of one forward, back or strafe primitive."""
+    turn_step_deg: Annotated[float, Range(1, 180, "deg")] = 10.0
+    """Angle of one turn primitive; must divide 360."""
+    joint_step_deg: Annotated[float, Range(0.1, 180, "deg")] = 10.0
+    """Angle of one joint primitive."""
+    urdf: str | None = None
+    """URDF text of the user's arm (kind 'urdf'); see `load_urdf`."""
+    hand_link: str | None = None
+    """Link of the URDF whose origin is the hand (default: the last link)."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -107,12 +127,19 @@ class ObstaclesConfig(Settings):
     """Boxes and cylinders strewn over the floor; they may touch each other, never block the way."""
 
     _section = "obstacles"
-    count: int = knob(0, "How many obstacles.", "", 0, 200)
-    cylinder_share: float = knob(0.5, "Share of cylinders among them; the rest are boxes.", "", 0, 1)
-    size_min: float = knob(0.5, "Smallest side or diameter.", "m", 0.05, 50)
-    size_max: float = knob(2.0, "Largest side or diameter.", "m", 0.05, 50)
-    height: float = knob(1.0, "Height of all obstacles.", "m", 0.05, 50)
-    aligned: bool = knob(False, "Boxes stand parallel to the walls instead of at any yaw.")
+    _takes_ranges = True
+    count: Annotated[int, Range(0, 200)] = 0
+    """Number of obstacles."""
+    cylinder_share: Annotated[float, Range(0, 1)] = 0.5
+    """Share of cylinders among them; the rest are boxes."""
+    size_min: Annotated[float, Range(0.05, 50, "m")] = 0.5
+    """Smallest side or diameter."""
+    size_max: Annotated[float, Range(0.05, 50, "m")] = 2.0
+    """Largest side or diameter."""
+    height: Annotated[float, Range(0.05, 50, "m")] = 1.0
+    """Height of all obstacles."""
+    aligned: bool = False
+    """Boxes stand parallel to the walls instead of at any yaw."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -123,15 +150,20 @@ class ObstaclesConfig(Settings):
 
 @dataclasses.dataclass(frozen=True)
 class StartConfig(Settings):
-    """Where episodes begin: fixed here, or sampled with the instance among connected free places."""
+    """Start of episodes: fixed here, or sampled with the instance among connected free places."""
 
     _section = "start"
-    place: str = knob("random", "Sampled with the instance, or fixed to x, y, heading_deg.",
-                      choices=("random", "fixed"))
-    x: float = knob(0.0, "Fixed start.", "m", -100, 100)
-    y: float = knob(0.0, "Fixed start.", "m", -100, 100)
-    heading_deg: float = knob(0.0, "Fixed start heading, 0 along +x, counter-clockwise.", "deg", -360, 360)
-    choices: int = knob(1, "Random places held by the instance; the episode seed picks one.", "", 1, 10_000)
+    _takes_ranges = True
+    place: Literal["random", "fixed"] = "random"
+    """Sampled with the instance, or fixed at x, y, heading_deg."""
+    x: Annotated[float, Range(-100, 100, "m")] = 0.0
+    """Fixed start."""
+    y: Annotated[float, Range(-100, 100, "m")] = 0.0
+    """Fixed start."""
+    heading_deg: Annotated[float, Range(-360, 360, "deg")] = 0.0
+    """Fixed start heading, 0 along +x, counter-clockwise."""
+    choices: Annotated[int, Range(1, 10_000)] = 1
+    """Random places held by the instance; the episode seed picks one."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -144,12 +176,19 @@ class ExitConfig(Settings):
     """The rectangle on the floor that ends the episode once the puzzle is solved."""
 
     _section = "exit"
-    place: str = knob("random", "Against a random outer wall, or fixed to x, y.", choices=("random", "fixed"))
-    x: float = knob(0.0, "Centre of a fixed exit.", "m", -110, 110)
-    y: float = knob(0.0, "Centre of a fixed exit.", "m", -110, 110)
-    width: float = knob(2.0, "Size along x (with a door: along the wall).", "m", 0.1, 200)
-    depth: float = knob(2.0, "Size along y (with a door: away from the wall).", "m", 0.1, 200)
-    door: bool = knob(False, "The exit is an alcove behind the outer wall, shut by a door until solved.")
+    _takes_ranges = True
+    place: Literal["random", "fixed"] = "random"
+    """Against a random outer wall, or fixed at x, y."""
+    x: Annotated[float, Range(-110, 110, "m")] = 0.0
+    """Centre of a fixed exit."""
+    y: Annotated[float, Range(-110, 110, "m")] = 0.0
+    """Centre of a fixed exit."""
+    width: Annotated[float, Range(0.1, 200, "m")] = 2.0
+    """Size along x (with a door: along the wall)."""
+    depth: Annotated[float, Range(0.1, 200, "m")] = 2.0
+    """Size along y (with a door: away from the wall)."""
+    door: bool = False
+    """The exit is an alcove behind the outer wall, shut by a door until solved."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,21 +196,29 @@ class RewardConfig(Settings):
     """Sparse reward of the paper: -1 a primitive, +100 at the exit."""
 
     _section = "reward"
-    step: float = knob(-1.0, "Reward of every primitive.", "", -1e6, 1e6)
-    exit: float = knob(100.0, "Reward of the primitive that exits, on top of its step.", "", -1e6, 1e6)
-    exit_replaces_step: bool = knob(False, "The exiting primitive earns `exit` alone (the published 2019 code).")
+    step: Annotated[float, Range(-1e6, 1e6)] = -1.0
+    """Reward of every primitive."""
+    exit: Annotated[float, Range(-1e6, 1e6)] = 100.0
+    """Reward of the primitive that exits, on top of its step."""
+    exit_replaces_step: bool = False
+    """The exiting primitive earns `exit` alone (the published 2019 code)."""
 
 
 @dataclasses.dataclass(frozen=True)
 class DynamicsConfig(Settings):
-    """How primitives act: exact kinematics, or Bullet's rigid bodies; noise and slip; what presses."""
+    """Dynamics: exact kinematics or Bullet's rigid bodies, noise and slip, and the part that presses."""
 
     _section = "dynamics"
-    kind: str = knob("kinematic", "Exact kinematics or rigid-body physics.", choices=("kinematic", "physics"))
-    press_with: str = knob("body", "What presses buttons.", choices=("body", "hand"))
-    press_margin: float = knob(0.02, "A button is touched within this distance of its box.", "m", 0, 1)
-    noise: float = knob(0.0, "Standard deviation of the relative error of every displacement.", "", 0, 1)
-    slip: float = knob(0.0, "Probability that a primitive does nothing.", "", 0, 1, open_high=True)
+    kind: Literal["kinematic", "physics"] = "kinematic"
+    """Exact kinematics or rigid-body physics."""
+    press_with: Literal["body", "hand"] = "body"
+    """Part of the robot that presses buttons."""
+    press_margin: Annotated[float, Range(0, 1, "m")] = 0.02
+    """Distance from a button's box within which it counts as touched."""
+    noise: Annotated[float, Range(0, 1)] = 0.0
+    """Standard deviation of the relative error of every displacement."""
+    slip: Annotated[float, Range(0, 1, open_high=True)] = 0.0
+    """Probability that a primitive does nothing."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -184,16 +231,26 @@ class RoomConfig(Settings):
     """
 
     _section = "config"
-    name: str = knob("custom", "Name shown in reports.")
-    room: ShapeConfig = knob(factory=ShapeConfig, doc="Floor plan.")
-    robot: RobotConfig = knob(factory=RobotConfig, doc="Base and arm.")
-    puzzle: PuzzleConfig = knob(factory=ButtonsConfig, doc="What must be solved; `kind` names it in JSON.")
-    obstacles: ObstaclesConfig = knob(factory=ObstaclesConfig, doc="Boxes and cylinders.")
-    start: StartConfig = knob(factory=StartConfig, doc="Where episodes begin.")
-    exit: ExitConfig = knob(factory=ExitConfig, doc="Where they end.")
-    reward: RewardConfig = knob(factory=RewardConfig, doc="Sparse reward.")
-    dynamics: DynamicsConfig = knob(factory=DynamicsConfig, doc="How primitives act.")
-    horizon: int = knob(1000, "Primitives after which an episode is truncated.", "", 1, 100_000_000)
+    name: str = "custom"
+    """Name shown in reports."""
+    room: ShapeConfig = ShapeConfig()
+    """Floor plan."""
+    robot: RobotConfig = RobotConfig()
+    """Base and arm."""
+    puzzle: PuzzleConfig = ButtonsConfig()
+    """Rules that open the exit; `kind` names them in JSON."""
+    obstacles: ObstaclesConfig = ObstaclesConfig()
+    """Boxes and cylinders."""
+    start: StartConfig = StartConfig()
+    """Start pose of episodes."""
+    exit: ExitConfig = ExitConfig()
+    """Region that ends an episode."""
+    reward: RewardConfig = RewardConfig()
+    """Sparse reward."""
+    dynamics: DynamicsConfig = DynamicsConfig()
+    """Effect of primitives."""
+    horizon: Annotated[int, Range(1, 100_000_000)] = 1000
+    """Primitives after which an episode is truncated."""
 
     def check(self) -> None:
         """Check what spans several parts."""
@@ -209,21 +266,3 @@ class RoomConfig(Settings):
             raise ConfigError("dynamics.press_with", "hand", "'body', or a robot with robot.joints >= 1")
         if self.puzzle.needs_physics and self.dynamics.kind != "physics":
             raise ConfigError("dynamics.kind", self.dynamics.kind, f"'physics' for puzzle {self.puzzle.kind!r}")
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return nested plain values; the puzzle's `kind` says which puzzle it is."""
-        return super().to_dict() | {"puzzle": {"kind": self.puzzle.kind} | self.puzzle.to_dict()}
-
-    @classmethod
-    def from_dict(cls, data: Any) -> Self:
-        """Build from what `to_dict` gave; the puzzle defaults to buttons."""
-        if not isinstance(data, dict):
-            return super().from_dict(data)
-        content = cast("dict[str, Any]", data)
-        puzzle: Any = content.get("puzzle")
-        if isinstance(puzzle, dict):
-            fields = cast("dict[str, Any]", puzzle)
-            kind = get_puzzle_kind(fields.get("kind", ButtonsConfig.kind))
-            rest = {name: value for name, value in fields.items() if name != "kind"}
-            content = content | {"puzzle": kind.config_type.from_dict(rest)}
-        return super().from_dict(content)

@@ -1,14 +1,15 @@
-"""The flat Escape Room as a Gymnasium environment over the Bullet engine.
+"""The flat Escape Room as a Gymnasium environment over one engine.
 
 It shows one room instance to an agent: spaces, observations, rewards, rendering. The rules
-are `kinematics.py`, the engine is `bullet_room.py`; temporally extended actions are added by
+are `kinematics.py`, engines come from `engine.py`; temporally extended actions are added by
 `hrl_escape.options`.
 """
 
 from __future__ import annotations
 
+import hashlib
 import operator
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import gymnasium
@@ -17,17 +18,21 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 from numpy.typing import NDArray
 
-from hrl_escape.env.bullet_cameras import check_camera, render_camera
-from hrl_escape.env.bullet_room import BulletRoom
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.generation import generate
+from hrl_escape.env.engine import Engine, Renderer, check_camera, check_picture_size, make_engine, make_renderer
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Transition
-from hrl_escape.env.observations import PIXELS, make_observer
-from hrl_escape.env.presets import get_preset
+from hrl_escape.env.noise import draw_episode
+from hrl_escape.env.observations import make_observer
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
 from hrl_escape.errors import ActionError, ClosedError, ConfigError, ResetNeededError
 
 __all__ = ["EscapeRoomEnv"]
+
+
+_EPISODE = ("_state", "_ended", "_trail", "_stream", "_episode", "_np_random", "_np_random_seed", "action_space")
+"""Attributes that a copy of an environment takes over."""
 
 
 class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
@@ -40,22 +45,21 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     are on. Once the puzzle is solved, standing in the exit ends the episode.
 
     ## Action space
-    `Discrete(6 + 2 * joints)`:
+    `Discrete`, one action for each primitive of the robot's `ActionTable`:
 
     | action | primitive | effect |
     |---|---|---|
     | 0, 1 | forward, back | 1 m along the heading |
     | 2, 3 | strafe left, right | 1 m across the heading |
     | 4, 5 | turn left, right | 10 degrees |
-    | 6 + 2i, 7 + 2i | joint i increment, decrement | 10 degrees |
+    | then | for each joint: increment, decrement | 10 degrees |
 
     A move stops at first contact with 1 mm clearance and does not slide; a joint step that
     would pass a limit does nothing.
 
     ## Observation space
-    Chosen by name: `state` (6 + N_p + N_j numbers, the paper's), `features` (the same in
-    [-1, 1]), `egocentric` (ranges, bearings, lidar), `pixels` (84 x 84 RGB). The layouts are
-    in `hrl_escape.env.observations`.
+    Chosen by name from the registry in `hrl_escape.env.observations`: `state` (the paper's vector), `features` (the
+    same in [-1, 1]), `egocentric` (ranges, bearings, lidar), `pixels` (84 x 84 RGB), and your own.
 
     ## Rewards
     -1 for every primitive, +100 more on the primitive that exits.
@@ -68,68 +72,81 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     `truncated` after `horizon` primitives (1,000).
 
     ## Information
-    `info` has `instance` (content hash), `primitives` (so far), `buttons_on` (int8, one a
-    target), `pressed` (indices of targets pressed by this primitive), `success`.
+    `info` has `instance` (content hash), `primitives` (so far), `buttons_on` and `pressed` (int8, one a target: 1
+    if it is on, and if this primitive pressed it), `success`.
 
     ## Arguments
     Args:
         config: preset name, `RoomConfig`, or the dict form of one.
-        instance: a `RoomInstance`, or the path of one saved as JSON, instead of `config`.
+        instance: a `RoomInstance`, its dict form, or the path of one saved as JSON, instead of `config`.
         instance_seed: which instance of the schematic (ignored with `instance`).
-        observation: `state`, `features`, `egocentric` or `pixels`.
+        instances: a sequence of rooms of one schematic, instead of `config`: the environment begins in the first, and
+            each reset draws one from the episode's stream. It may make them as they are asked for.
+        observation: a name that `hrl_escape.env.observations` lists.
         render_mode: `rgb_array` or `human`.
         camera: `chase`, `overhead` or `robot`.
         render_size: width and height of frames in pixels.
         trail: draw the path of the episode into frames.
         resample_instance: draw a new instance at every reset from the episode's stream.
+        engine: a name in `hrl_escape.env.engine.ENGINES`.
 
-    `reset(options={"instance_seed": n})` moves to another instance of the schematic;
-    `options={"state": state}` begins in a state given by `get_state`.
+    `reset(options={"instance_seed": n})` moves to another instance of the schematic, `{"instance_index": i}` to a room
+    of `instances`; `options={"state": state}` begins in a state given by `get_state`.
 
     ## Version history
-    v0: first release.
+    v1: numbers of buttons say nothing of their order (`graph.relabel`). v0: first release.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 10}
 
     def __init__(
         self,
-        config: str | RoomConfig | dict[str, Any] = "paper-two-button",
+        config: SchematicForm = "paper-two-button",
         *,
-        instance: RoomInstance | str | Path | None = None,
+        instance: InstanceForm | None = None,
         instance_seed: int = 0,
+        instances: Sequence[InstanceForm] | None = None,
         observation: str = "state",
         render_mode: str | None = None,
         camera: str = "chase",
         render_size: tuple[int, int] = (640, 480),
         trail: bool = False,
         resample_instance: bool = False,
+        engine: str = "bullet",
     ) -> None:
         EzPickle.__init__(
-            self, config, instance=instance, instance_seed=instance_seed, observation=observation,
+            self, config, instance=instance, instance_seed=instance_seed, instances=instances, observation=observation,
             render_mode=render_mode, camera=camera, render_size=render_size, trail=trail,
-            resample_instance=resample_instance,
+            resample_instance=resample_instance, engine=engine,
         )
         if render_mode is not None and render_mode not in self.metadata["render_modes"]:
             raise ConfigError("render_mode", render_mode, f"one of {self.metadata['render_modes']}, or None")
         check_camera(camera)
+        if not isinstance(render_size, (tuple, list)) or len(render_size) != 2:
+            raise ConfigError("render_size", render_size, "a pair of width and height")
+        check_picture_size(*render_size)
         self.render_mode = render_mode
         self.config: RoomConfig | None = None
-        if instance is None:
-            if isinstance(config, str):
-                config = get_preset(config)
-            self.config = config if isinstance(config, RoomConfig) else RoomConfig.from_dict(config)
+        self._instances = instances
+        if instances is not None:
+            if instance is not None or not len(instances):
+                raise ConfigError("instances", instances, "at least one room, and no instance beside them")
+            instance = read_instance(instances[0])
+        elif instance is None:
+            self.config = read_schematic(config)
             instance = generate(self.config, instance_seed)
-        elif not isinstance(instance, RoomInstance):
-            instance = RoomInstance.load(instance)
+        else:
+            instance = read_instance(instance)
         if resample_instance and self.config is None:
             raise ConfigError("resample_instance", True, "false with a given instance: there is no schematic")
-        self._kind, self._camera, self._size = observation, camera, render_size
+        self._kind, self._camera, self._size, self._engine = observation, camera, render_size, engine
         self._resample, self._trailing = resample_instance, trail
         self._trail: list[tuple[float, float]] = []
         self._state: RoomState | None = None
         self._ended = False
-        self.room: BulletRoom | None = None
+        self._stream, self._episode = -1, 0
+        self.room: Engine | None = None
+        self._renderer: Renderer | None = None
         self._enter(instance)
 
     def _enter(self, instance: RoomInstance) -> None:
@@ -137,16 +154,39 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         if self.room is not None:
             self.room.close()
         self.instance = instance
-        self.room = BulletRoom(instance, gui=self.render_mode == "human")
+        self.room = make_engine(instance, self._engine, window=self.render_mode == "human")
+        self._renderer = make_renderer(self.room, self._engine)
         self.rules = self.room.rules
-        self._observer = make_observer(self._kind, self.rules)
-        if self._observer is None:
-            self.observation_space = spaces.Box(0, 255, (*PIXELS, 3), dtype=np.uint8)
-        else:
-            self.observation_space = spaces.Box(self._observer.low, self._observer.high, dtype=np.float32)
-        self._count = len(self.rules.primitives)
+        self._observer = make_observer(self._kind, self.rules, self._renderer)
+        low, high = self._observer.low, self._observer.high
+        self.observation_space = spaces.Box(low, high, dtype=low.dtype.type)
+        self._count = len(self.rules.actions)
         self.action_space = spaces.Discrete(self._count)
         self._lit: dict[Any, NDArray[np.int8]] = {}
+
+    def _enter_index(self, index: Any) -> None:
+        count = 0 if self._instances is None else len(self._instances)
+        if isinstance(index, bool) or not isinstance(index, (int, np.integer)) or not 0 <= index < count:
+            raise ConfigError("reset options.instance_index", index, f"a number of one of {count} instances")
+        instance = read_instance(self._instances[int(index)])  # type: ignore[index]  # there are some
+        if instance.id != self.instance.id:
+            self._enter(instance)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the arguments that decide this environment's numbers, as JSON values; drawing is left out.
+
+        The instance goes as its content hash `id` and its `content`.
+        """
+        if self._resample and self.config is not None:
+            return {"config": self.config.to_dict(), "observation": self._kind, "engine": self._engine,
+                    "resample_instance": True}
+        if self._instances is not None:
+            rooms = [read_instance(room) for room in self._instances]
+            every = {"id": hashlib.sha256("".join(room.digest for room in rooms).encode()).hexdigest()[:16],
+                     "content": [room.to_dict() for room in rooms]}
+            return {"instances": every, "observation": self._kind, "engine": self._engine}
+        instance = {"id": self.instance.id, "content": self.instance.to_dict()}
+        return {"instance": instance, "observation": self._kind, "engine": self._engine}
 
     # --- Gymnasium ---------------------------------------------------------------------
 
@@ -157,8 +197,14 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         options = dict(options or {})
         room = self._get_room()
         instance_seed, state = options.pop("instance_seed", None), options.pop("state", None)
+        index = options.pop("instance_index", None)
         if options:
-            raise ConfigError("reset options", sorted(options), "instance_seed, state")
+            raise ConfigError("reset options", sorted(options), "instance_seed, instance_index, state")
+        if self._instances is not None and index is None:
+            index = int(self.np_random.integers(len(self._instances)))
+        if index is not None:
+            self._enter_index(index)
+            room = self._get_room()
         if self._resample and instance_seed is None:
             instance_seed = int(self.np_random.integers(2**31))
         if instance_seed is not None:
@@ -166,14 +212,21 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
                 raise ConfigError("reset options.instance_seed", instance_seed, "nothing: there is no schematic")
             self._enter(generate(self.config, instance_seed))
             room = self._get_room()
-        start = self.instance.starts[int(self.np_random.integers(len(self.instance.starts)))]
-        noise_key = int(self.np_random.integers(2**63))
-        self._state = room.reset(start, noise_key)
+        self._begin_stream(seed)
+        number, noise_key = draw_episode(self._stream, self._episode, len(self.instance.starts))
+        self._state = room.reset(self.instance.starts[number], noise_key)
         self._ended = False
         self._trail = [(self._state.x, self._state.y)]
         if state is not None:
             self.set_state(state)
         return self._observe(), self._inform((), False)
+
+    def _begin_stream(self, seed: int | None) -> None:
+        """Count the episode; a seed begins a new stream of starts and noise, as it does in a batch of rooms."""
+        if seed is not None or self._stream < 0:
+            self._stream, self._episode = int(self.np_random.integers(2**63)) if seed is None else seed, 0
+        else:
+            self._episode += 1
 
     def step(self, action: np.int64 | int) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
         """Run one primitive."""
@@ -205,14 +258,33 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         if self.render_mode == "human":
             room.show(self.metadata["render_fps"])
             return None
-        return render_camera(room, self._camera, *self._size, trail=self._trail if self._trailing else ())
+        return self._get_renderer().render(self._camera, *self._size, trail=self._trail if self._trailing else ())
 
     def close(self) -> None:
         """Free the engine; safe to call twice."""
         if self.room is not None:
             self.room.close()
-            self.room = None
+            self.room = self._renderer = None
             self._state = None
+
+    # --- copies ------------------------------------------------------------------------
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Arguments and running episode, for pickles and deep copies; pictures and windows are made anew."""
+        episode = {name: getattr(self, name) for name in _EPISODE}
+        return EzPickle.__getstate__(self) | {"instance": self.instance, "is_closed": self.room is None,
+                                              "episode": episode}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Make the environment again and go on where the other one was."""
+        EzPickle.__setstate__(self, state)
+        if state["instance"] != self.instance:
+            self._enter(state["instance"])
+        self.__dict__.update(state["episode"])
+        if self._state is not None:
+            self._get_room().set_state(self._state)
+        if state["is_closed"]:
+            self.close()
 
     # --- state -------------------------------------------------------------------------
 
@@ -228,22 +300,29 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         self._get_room().set_state(state)
         self._state, self._ended = state, False
 
-    def _get_room(self) -> BulletRoom:
+    def _get_room(self) -> Engine:
         if self.room is None:
             raise ClosedError("the environment was closed; make a new one")
         return self.room
 
+    def _get_renderer(self) -> Renderer:
+        if self._renderer is None:
+            raise ClosedError("the environment was closed; make a new one")
+        return self._renderer
+
     def _observe(self) -> NDArray[Any]:
-        if self._observer is None:
-            return render_camera(self._get_room(), "robot", *PIXELS)
         return self._observer.observe(self._state)  # type: ignore[arg-type]  # called within an episode
 
     def _inform(self, pressed: tuple[int, ...], success: bool) -> dict[str, Any]:
         state: RoomState = self._state  # type: ignore[assignment]  # called within an episode
         lit = self._lit.get(state.puzzle)
         if lit is None:
-            lit = np.array(self.instance.puzzle.get_lit(state.puzzle), dtype=np.int8)
+            lit = np.zeros(len(self.instance.frame.target_names), dtype=np.int8)
+            lit[: len(self.instance.targets)] = self.instance.puzzle.get_lit(state.puzzle)
             if len(self._lit) < 4096:
                 self._lit[state.puzzle] = lit
+        begun = np.zeros(len(lit), dtype=np.int8)
+        for target in pressed:
+            begun[target] = 1
         return {"instance": self.instance.id, "primitives": state.primitives, "buttons_on": lit.copy(),
-                "pressed": pressed, "success": success}
+                "pressed": begun, "success": success}

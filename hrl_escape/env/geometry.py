@@ -1,8 +1,8 @@
-"""Exact planar geometry of a disc among boxes and cylinders: distances, first contact, rays.
+"""Exact planar geometry of a disc among boxes and cylinders: distances and first contact.
 
 Pure functions, no engine. The body is an upright cylinder and every solid an upright
 prism, so contact is decided in the floor plane. Scalar functions serve single steps;
-the `*_many` ones take arrays of points for planners, generation and lidar. Metres, radians.
+the `*_many` ones take arrays of points for planners and generation. Rays are `sight.py`. Metres, radians.
 """
 
 from __future__ import annotations
@@ -11,17 +11,18 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.env.settings import Settings, knob
+from hrl_escape.settings import Range, Settings
 
 __all__ = [
+    "LARGEST_LENGTH",
     "Footprint",
+    "Neighbourhood",
     "Solid",
-    "cast_rays",
     "compute_distance",
     "compute_distance_many",
     "compute_first_contact",
@@ -29,7 +30,8 @@ __all__ = [
     "stack_footprints",
 ]
 
-FAR = 1e6
+LARGEST_LENGTH = 1e6
+"""Bound of every length and coordinate in a room, m."""
 
 
 class Footprint(NamedTuple):
@@ -55,14 +57,22 @@ class Solid(Settings):
     """An upright box or cylinder standing on the floor, in the room frame."""
 
     _section = "solid"
-    shape: str = knob("box", "Box or cylinder.", choices=("box", "cylinder"))
-    x: float = knob(0.0, "Centre.", "m", -FAR, FAR)
-    y: float = knob(0.0, "Centre.", "m", -FAR, FAR)
-    half_x: float = knob(0.5, "Half size along its own x; a cylinder's radius.", "m", 0, FAR)
-    half_y: float = knob(0.5, "Half size along its own y; a cylinder's radius.", "m", 0, FAR)
-    yaw: float = knob(0.0, "Direction of its own x.", "rad", -10, 10)
-    height: float = knob(1.0, "Height above the floor.", "m", 0, FAR)
-    role: str = knob("obstacle", "What it is.", choices=("wall", "obstacle", "door"))
+    shape: Literal["box", "cylinder"] = "box"
+    """Box or cylinder."""
+    x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
+    """Centre."""
+    y: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
+    """Centre."""
+    half_x: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.5
+    """Half size along its own x; a cylinder's radius."""
+    half_y: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.5
+    """Half size along its own y; a cylinder's radius."""
+    yaw: Annotated[float, Range(-10, 10, "rad")] = 0.0
+    """Direction of its own x."""
+    height: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 1.0
+    """Height above the floor."""
+    role: Literal["wall", "obstacle", "door"] = "obstacle"
+    """What it is."""
 
     @cached_property
     def footprint(self) -> Footprint:
@@ -96,7 +106,7 @@ def compute_first_contact(x: float, y: float, dx: float, dy: float, radius: floa
         dx: displacement.
         dy: displacement.
         radius: disc radius, clearance included.
-        shape: what may be hit.
+        shape: the outline that may be hit.
 
     Returns:
         The fraction in [0, 1), or infinity if the disc gets by. A disc that touches already
@@ -178,7 +188,7 @@ def compute_distance_many(points: NDArray[np.float64], shapes: NDArray[np.float6
         shapes: rows of `stack_footprints`.
 
     Returns:
-        Shape (n,), float64; 0 inside a footprint, infinity where there are none.
+        Shape (n,), float64; 0 inside a footprint, infinity if there are none.
     """
     best = np.full(len(points), np.inf)
     for is_disc, cx, cy, cos, sin, half_x, half_y in shapes.tolist():
@@ -193,35 +203,24 @@ def compute_distance_many(points: NDArray[np.float64], shapes: NDArray[np.float6
     return best
 
 
-def cast_rays(x: float, y: float, angles: NDArray[np.float64], shapes: NDArray[np.float64],
-              longest: float) -> NDArray[np.float64]:
-    """Range of each ray from a point to the first footprint it meets.
+class Neighbourhood:
+    """Footprints that can be asked which of them may be near a place.
 
     Args:
-        x: origin.
-        y: origin.
-        angles: directions in the room frame, shape (rays,).
-        shapes: rows of `stack_footprints`.
-        longest: range reported where nothing is met.
-
-    Returns:
-        Shape (rays,), float64, in metres.
+        footprints: all of them.
     """
-    if not len(shapes):
-        return np.full(len(angles), longest)
-    is_disc, cx, cy, cos, sin, half_x, half_y = shapes.T[:, :, None]
-    ray_x, ray_y = np.cos(angles)[None, :], np.sin(angles)[None, :]
-    px, py = x - cx, y - cy
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along = px * ray_x + py * ray_y
-        root = along**2 - (px**2 + py**2 - half_x**2)
-        disc = np.where((root >= 0.0) & (along < 0.0), -along - np.sqrt(np.maximum(root, 0.0)), np.inf)
-        ox, oy = cos * px + sin * py, cos * py - sin * px
-        vx, vy = cos * ray_x + sin * ray_y, cos * ray_y - sin * ray_x
-        x1, x2 = (-half_x - ox) / vx, (half_x - ox) / vx
-        y1, y2 = (-half_y - oy) / vy, (half_y - oy) / vy
-        enter = np.fmax(np.fmin(x1, x2), np.fmin(y1, y2))
-        leave = np.fmin(np.fmax(x1, x2), np.fmax(y1, y2))
-        box = np.where((enter <= leave) & (leave >= 0.0), enter, np.inf)
-    ranges = np.where(is_disc > 0.5, disc, box)
-    return np.clip(ranges.min(axis=0), 0.0, longest)
+
+    def __init__(self, footprints: Sequence[Footprint]) -> None:
+        self.footprints = list(footprints)
+        self.shapes = stack_footprints(self.footprints)
+        self._around = np.where(self.shapes[:, 0] > 0.5, self.shapes[:, 5],
+                                np.hypot(self.shapes[:, 5], self.shapes[:, 6]))
+
+    def find_near(self, x: float, y: float, distance: float) -> NDArray[np.int_]:
+        """Numbers of the footprints that may come within a distance of a place."""
+        away = np.hypot(self.shapes[:, 1] - x, self.shapes[:, 2] - y)
+        return np.flatnonzero(away <= self._around + distance)
+
+    def list_near(self, x: float, y: float, distance: float) -> list[Footprint]:
+        """Those footprints."""
+        return [self.footprints[number] for number in self.find_near(x, y, distance)]

@@ -13,22 +13,22 @@ import json
 import math
 from functools import cached_property
 from pathlib import Path
-from typing import Any, cast
+from typing import Annotated, Any, cast
 
 from typing_extensions import Self
 
 from hrl_escape.env.config import DynamicsConfig, RewardConfig, RobotConfig
-from hrl_escape.env.geometry import Footprint, Solid, make_footprint
-from hrl_escape.env.puzzles.base import Prop, Puzzle, get_puzzle_kind
+from hrl_escape.env.geometry import LARGEST_LENGTH, Footprint, Solid, make_footprint
+from hrl_escape.env.puzzles.base import Prop, Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
-from hrl_escape.env.settings import Settings, knob
-from hrl_escape.errors import ConfigError, EscapeError, InstanceFileError
+from hrl_escape.env.room_checks import check_room
+from hrl_escape.errors import ConfigError, EscapeError, InstanceFileError, show_value
 from hrl_escape.files import read_json, write_json
+from hrl_escape.settings import Range, Settings
 
-__all__ = ["SCHEMA_VERSION", "PlacedProp", "Rectangle", "RoomInstance", "Start", "Target"]
+__all__ = ["SCHEMA_VERSION", "Frame", "PlacedProp", "Rectangle", "RoomInstance", "Start", "Target"]
 
 SCHEMA_VERSION = 1
-_FAR = 1e6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -36,14 +36,22 @@ class Target(Settings):
     """A box on a wall that can be pressed; in kinematic mode it blocks nothing."""
 
     _section = "target"
-    name: str = knob("button-1", "Unique name.")
-    x: float = knob(0.0, "Centre.", "m", -_FAR, _FAR)
-    y: float = knob(0.0, "Centre.", "m", -_FAR, _FAR)
-    z: float = knob(0.5, "Centre.", "m", -_FAR, _FAR)
-    half_x: float = knob(0.5, "Half its width (own x).", "m", 0, _FAR)
-    half_y: float = knob(0.05, "Half its thickness (own y).", "m", 0, _FAR)
-    half_z: float = knob(0.5, "Half its height.", "m", 0, _FAR)
-    yaw: float = knob(0.0, "Direction of its width.", "rad", -10, 10)
+    name: str = "button-1"
+    """Unique name."""
+    x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
+    """Centre."""
+    y: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
+    """Centre."""
+    z: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.5
+    """Centre."""
+    half_x: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.5
+    """Half its width (own x)."""
+    half_y: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.05
+    """Half its thickness (own y)."""
+    half_z: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.5
+    """Half its height."""
+    yaw: Annotated[float, Range(-10, 10, "rad")] = 0.0
+    """Direction of its width."""
 
     @cached_property
     def footprint(self) -> Footprint:
@@ -56,10 +64,20 @@ class Rectangle(Settings):
     """An axis-aligned closed rectangle on the floor."""
 
     _section = "rectangle"
-    x_min: float = knob(0.0, "West edge.", "m", -_FAR, _FAR)
-    x_max: float = knob(1.0, "East edge.", "m", -_FAR, _FAR)
-    y_min: float = knob(0.0, "South edge.", "m", -_FAR, _FAR)
-    y_max: float = knob(1.0, "North edge.", "m", -_FAR, _FAR)
+    x_min: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
+    """West edge."""
+    x_max: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 1.0
+    """East edge."""
+    y_min: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
+    """South edge."""
+    y_max: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 1.0
+    """North edge."""
+
+    def check(self) -> None:
+        """Check that no edge has passed its opposite."""
+        if self.x_min > self.x_max or self.y_min > self.y_max:
+            raise ConfigError("rectangle", (self.x_min, self.x_max, self.y_min, self.y_max),
+                              "x_min of at most x_max, and y_min of at most y_max")
 
     def contains(self, x: float, y: float) -> bool:
         """Say whether a point is inside; edges count."""
@@ -76,10 +94,14 @@ class Start(Settings):
     """A pose of the base: heading is `heading_steps` turn steps plus `heading_offset` rad."""
 
     _section = "start"
-    x: float = knob(0.0, "Position.", "m", -_FAR, _FAR)
-    y: float = knob(0.0, "Position.", "m", -_FAR, _FAR)
-    heading_steps: int = knob(0, "Heading in turn steps.", "", 0, 359)
-    heading_offset: float = knob(0.0, "Heading beyond whole steps.", "rad", -math.pi, math.pi)
+    x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
+    """Position."""
+    y: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
+    """Position."""
+    heading_steps: Annotated[int, Range(0, 359)] = 0
+    """Heading in turn steps."""
+    heading_offset: Annotated[float, Range(-math.pi, math.pi, "rad")] = 0.0
+    """Heading beyond whole steps."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -87,10 +109,34 @@ class PlacedProp(Settings):
     """A prop of the puzzle and where it stands when an episode begins."""
 
     _section = "prop"
-    prop: Prop = knob(factory=Prop, doc="What it is.")
-    x: float = knob(0.0, "Position.", "m", -_FAR, _FAR)
-    y: float = knob(0.0, "Position.", "m", -_FAR, _FAR)
-    yaw: float = knob(0.0, "Orientation.", "rad", -10, 10)
+    prop: Prop = Prop()
+    """What it is."""
+    x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
+    """Position."""
+    y: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
+    """Position."""
+    yaw: Annotated[float, Range(-10, 10, "rad")] = 0.0
+    """Orientation."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Frame(Settings):
+    """Layout and scale of observations and options: one for all instances of a schematic.
+
+    An instance with fewer targets than its frame shows the others as absent: their numbers are 0, their options masked.
+    """
+
+    _section = "frame"
+    reach_x: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 10.0
+    """Largest |x| that the floor of any instance has."""
+    reach_y: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 10.0
+    """Largest |y| that the floor of any instance has."""
+    wall_height: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 3.0
+    """Largest height of walls."""
+    target_names: tuple[str, ...] = ()
+    """Names of the targets of the instance that has most."""
+    bounds: tuple[tuple[float, float], ...] = ()
+    """Lowest and highest value of each of the puzzle's numbers."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,25 +149,45 @@ class RoomInstance(Settings):
     """
 
     _section = "instance"
-    name: str = knob("custom", "Name of the schematic.")
-    seed: int | None = knob(None, "Instance seed it was generated with.", "", 0, 2**63 - 1)
-    half_width: float = knob(10.0, "Half the inner size along x.", "m", 0, _FAR)
-    half_depth: float = knob(10.0, "Half the inner size along y.", "m", 0, _FAR)
-    wall_height: float = knob(3.0, "Height of walls.", "m", 0, _FAR)
-    solids: tuple[Solid, ...] = knob((), "Walls and obstacles.")
-    door: Solid | None = knob(None, "Stands in the exit's doorway until the puzzle is solved.")
-    targets: tuple[Target, ...] = knob((), "What can be pressed, in the puzzle's order.")
-    props: tuple[PlacedProp, ...] = knob((), "What stands on the floor, in the puzzle's order.")
-    exit: Rectangle = knob(factory=Rectangle, doc="Where the episode ends once the puzzle is solved.")
-    starts: tuple[Start, ...] = knob((Start(),), "Where episodes may begin.")
-    robot: RobotConfig = knob(factory=RobotConfig, doc="Base and arm.")
-    puzzle: Puzzle = knob(factory=ButtonsPuzzle, doc="The rules.")
-    reward: RewardConfig = knob(factory=RewardConfig, doc="Reward.")
-    dynamics: DynamicsConfig = knob(factory=DynamicsConfig, doc="How primitives act.")
-    horizon: int = knob(1000, "Primitives until truncation.", "", 1, 100_000_000)
+    name: str = "custom"
+    """Name of the schematic."""
+    seed: Annotated[int, Range(0, 2**63 - 1)] | None = None
+    """Instance seed it was generated with."""
+    half_width: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 10.0
+    """Half the inner size along x."""
+    half_depth: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 10.0
+    """Half the inner size along y."""
+    wall_height: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 3.0
+    """Height of walls."""
+    solids: tuple[Solid, ...] = ()
+    """Walls and obstacles."""
+    door: Solid | None = None
+    """Stands in the exit's doorway until the puzzle is solved."""
+    targets: tuple[Target, ...] = ()
+    """What can be pressed, in the puzzle's order."""
+    props: tuple[PlacedProp, ...] = ()
+    """What stands on the floor, in the puzzle's order."""
+    exit: Rectangle = Rectangle()
+    """Where the episode ends once the puzzle is solved."""
+    starts: tuple[Start, ...] = (Start(),)
+    """Where episodes may begin."""
+    robot: RobotConfig = RobotConfig()
+    """Base and arm."""
+    puzzle: Puzzle = ButtonsPuzzle()
+    """The rules."""
+    reward: RewardConfig = RewardConfig()
+    """Reward."""
+    dynamics: DynamicsConfig = DynamicsConfig()
+    """How primitives act."""
+    horizon: Annotated[int, Range(1, 100_000_000)] = 1000
+    """Primitives until truncation."""
+    shared: Frame | None = None
+    """Frame of the schematic, where instances differ in size (None: this room's own)."""
 
     def check(self) -> None:
         """Check what spans several parts."""
+        if self.shared is not None:
+            self._check_frame(self.shared)
         names = tuple(target.name for target in self.targets)
         if names != self.puzzle.target_names:
             raise ConfigError("instance.targets", names, f"the puzzle's targets {self.puzzle.target_names}")
@@ -129,13 +195,39 @@ class RoomInstance(Settings):
             raise ConfigError("instance.props", len(self.props), "the puzzle's props, in its order")
         if not self.starts:
             raise ConfigError("instance.starts", self.starts, "at least one start")
+        headings = round(360 / self.robot.turn_step_deg)
+        for start in self.starts:
+            if start.heading_steps >= headings:
+                raise ConfigError("start.heading_steps", start.heading_steps,
+                                  f"from 0 to {headings - 1} at turns of {self.robot.turn_step_deg:g} degrees")
+        if self.dynamics.press_with == "hand" and self.robot.joints == 0:
+            raise ConfigError("dynamics.press_with", "hand", "'body', or a robot with robot.joints >= 1")
+
+    def _check_frame(self, frame: Frame) -> None:
+        names = self.puzzle.target_names
+        own, most = (self.reach_x, self.reach_y, self.wall_height), (frame.reach_x, frame.reach_y, frame.wall_height)
+        if frame.target_names[: len(names)] != names or len(frame.bounds) < len(self.puzzle.bounds):
+            raise ConfigError("frame.target_names", frame.target_names, f"names that begin with {names}")
+        if any(high < value for high, value in zip(most, own, strict=True)):
+            raise ConfigError("frame", most, f"at least this room's {own}")
 
     @cached_property
-    def id(self) -> str:
-        """Content hash: 16 hexadecimal digits of SHA-256 over the canonical JSON."""
+    def frame(self) -> Frame:
+        """Layout and scale of what is observed here."""
+        return self.shared or Frame(self.reach_x, self.reach_y, self.wall_height, self.puzzle.target_names,
+                                    self.puzzle.bounds)
+
+    @cached_property
+    def digest(self) -> str:
+        """Content hash: 64 hexadecimal digits of SHA-256 over the canonical JSON."""
         content = {k: v for k, v in self.to_dict().items() if k not in ("name", "seed")}
         text = json.dumps(content, sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()[:16]
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    @property
+    def id(self) -> str:
+        """First 16 digits of the content hash."""
+        return self.digest[:16]
 
     def compute_press_reach(self, target: Target, hand_height: float = 0.0) -> float:
         """Largest floor distance from which the presser touches a target; -1 where it never does.
@@ -166,34 +258,38 @@ class RoomInstance(Settings):
         return max(self.half_depth, abs(self.exit.y_min), abs(self.exit.y_max))
 
     def to_dict(self) -> dict[str, Any]:
-        """Return nested plain values, with the schema version."""
-        puzzle = {"kind": self.puzzle.kind} | self.puzzle.to_dict()
-        return {"schema": SCHEMA_VERSION} | super().to_dict() | {"puzzle": puzzle}
+        """Return nested plain values, with the schema version; a frame of its own is left out."""
+        fields = super().to_dict()
+        if self.shared is None:
+            del fields["shared"]
+        return {"schema": SCHEMA_VERSION} | fields
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
-        """Build from what `to_dict` gave.
+        """Build from what `to_dict` gave, and check that the floor is walled in and its starts are free.
 
         Raises:
-            InstanceFileError: a newer schema, or content that is no instance.
+            InstanceFileError: a newer schema, a missing field, or content that is no room.
         """
         try:
             if not isinstance(data, dict) or "schema" not in data:
                 raise InstanceFileError("no room instance: the 'schema' field is missing")
             content = cast("dict[str, Any]", data)
             version = content["schema"]
-            if version != SCHEMA_VERSION:
+            if type(version) is not int or version != SCHEMA_VERSION:
                 raise InstanceFileError(
-                    f"the instance has schema {version!r}, this version of hrl_escape reads {SCHEMA_VERSION}: "
-                    "install a newer hrl-escape"
+                    f"the instance has schema {show_value(version)}, this version of hrl_escape reads "
+                    f"{SCHEMA_VERSION}: install a newer hrl-escape"
                 )
-            fields = {k: v for k, v in content.items() if k != "schema"}
-            puzzle: dict[str, Any] = dict(fields.get("puzzle") or {})
-            kind = get_puzzle_kind(puzzle.pop("kind", None))
-            return super().from_dict(fields | {"puzzle": kind.puzzle_type.from_dict(puzzle)})
+            instance = super().from_dict({name: value for name, value in content.items() if name != "schema"})
+            missing = _find_missing(content, instance.to_dict(), "instance")
+            if missing is not None:
+                raise InstanceFileError(f"no room instance: the field {missing} is missing")
+            check_room(instance)
+            return instance
         except InstanceFileError:
             raise
-        except (EscapeError, TypeError, ValueError) as error:
+        except (EscapeError, TypeError, ValueError, RecursionError) as error:
             raise InstanceFileError(f"no room instance: {error}") from None
 
     def save(self, path: str | Path) -> None:
@@ -205,14 +301,33 @@ class RoomInstance(Settings):
         """Read an instance and check its content hash.
 
         Raises:
-            InstanceFileError: truncated, corrupted, or of a newer schema.
+            FileReadError: missing, unreadable, or not JSON.
+            InstanceFileError: edited, corrupted, or of a newer schema.
         """
-        data: Any = read_json(path)
-        stated: Any = data.pop("id", None) if isinstance(data, dict) else None  # pyright: ignore
+        data: Any = read_json(path, "room instance")
+        stated: Any = cast("dict[str, Any]", data).pop("id", None) if isinstance(data, dict) else None
         try:
             instance = cls.from_dict(data)
         except InstanceFileError as error:
             raise InstanceFileError(f"{path}: {error}") from None
-        if stated is not None and stated != instance.id:
-            raise InstanceFileError(f"{path}: corrupted, its content has id {instance.id} and not {stated}")
+        if stated != instance.id:
+            raise InstanceFileError(f"{path}: edited or corrupted, its content has id {instance.id!r} and the file "
+                                    f"says {show_value(stated)}; make rooms with generate() and save()")
         return instance
+
+
+def _find_missing(given: Any, whole: Any, path: str) -> str | None:
+    """Dotted path of the first field that a table lacks, at any depth; None if it has all."""
+    if isinstance(whole, dict):
+        for name, part in cast("dict[str, Any]", whole).items():
+            if name not in given:
+                return f"{path}.{name}"
+            missing = _find_missing(given[name], part, f"{path}.{name}")
+            if missing is not None:
+                return missing
+    elif isinstance(whole, (list, tuple)):
+        for number, part in enumerate(cast("list[Any]", whole)):
+            missing = _find_missing(given[number], part, f"{path}[{number}]")
+            if missing is not None:
+                return missing
+    return None

@@ -2,7 +2,7 @@
 
 `Kinematics` compiles an instance into tables and steps it exactly; it holds no state of an
 episode. The Bullet engine steps with it and planners simulate with it, so that a plan's
-predicted states are the executed ones. `Rules` holds what every dynamics shares: presses,
+predicted states are the executed ones. `Rules` holds the rules that every dynamics shares: presses,
 puzzle, reward, exit and horizon.
 """
 
@@ -16,7 +16,7 @@ from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.noise import compute_noise
-from hrl_escape.env.primitives import make_primitives
+from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.robot import make_robot
 
@@ -32,7 +32,7 @@ class RoomState(NamedTuple):
         heading_steps: whole turn steps, from 0 to 360 / turn_step_deg - 1.
         heading_offset: heading beyond whole steps, rad (noise, physics, start).
         joint_steps: whole joint steps from home.
-        joint_offsets: joint angles beyond whole steps, rad; empty where all are zero.
+        joint_offsets: joint angles beyond whole steps, rad; empty if all are zero.
         puzzle: the puzzle's own state.
         touching: bit i is set while target i is touched.
         primitives: primitives since the episode began.
@@ -58,9 +58,20 @@ class RoomState(NamedTuple):
     roll: float = 0.0
     physics: Any = None
 
+    @property
+    def pose(self) -> tuple[float, float, int, float, tuple[int, ...], tuple[float, ...]]:
+        """Base and arm: x, y, heading and joints, each with its offset."""
+        return self.x, self.y, self.heading_steps, self.heading_offset, self.joint_steps, self.joint_offsets
+
+    def has_pose_of(self, other: RoomState) -> bool:
+        """Say whether base and arm are exactly as in another state."""
+        return (self.x == other.x and self.y == other.y and self.heading_steps == other.heading_steps
+                and self.heading_offset == other.heading_offset and self.joint_steps == other.joint_steps
+                and self.joint_offsets == other.joint_offsets)
+
 
 class Transition(NamedTuple):
-    """What one primitive did."""
+    """The outcome of one primitive."""
 
     state: RoomState
     reward: float
@@ -75,18 +86,18 @@ def compute_heading(steps: int, offset: float, turn_step: float) -> float:
 
 
 class Rules:
-    """What every dynamics shares: touching, presses, the puzzle, reward, exit and horizon.
+    """The part of the MDP that every dynamics shares: touching, presses, the puzzle, reward, exit and horizon.
 
     Attributes:
         instance: the room.
         robot: its robot.
-        primitives: the action table.
+        actions: the robot's action table.
     """
 
     def __init__(self, instance: RoomInstance) -> None:
         self.instance = instance
         self.robot = make_robot(instance.robot)
-        self.primitives = make_primitives(instance.robot.joints)
+        self.actions = make_action_table(instance.robot.joints)
         self.headings = round(360 / instance.robot.turn_step_deg)
         self.turn_step = math.tau / self.headings
         self._angles = tuple(compute_heading(n, 0.0, self.turn_step) for n in range(self.headings))
@@ -185,7 +196,7 @@ class Rules:
     # --- the episode -----------------------------------------------------------------
 
     def make_state(self, start: Start, noise_key: int = 0) -> RoomState:
-        """State at the beginning of an episode; what is touched there counts as touched before."""
+        """State at the beginning of an episode; targets touched there count as touched before."""
         steps = (0,) * self.instance.robot.joints
         touching = self.compute_touching(start.x, start.y, start.heading_steps, start.heading_offset, steps, ())
         puzzle = self._puzzle.make_state()
@@ -213,7 +224,9 @@ class Rules:
             puzzle = self._puzzle.update(puzzle, Contacts(pressed, prop_poses))
         count = before.primitives + 1
         terminated = self._exit.contains(moved.x, moved.y) and self._puzzle.is_solved(puzzle)
-        state = RoomState(*moved[:6], puzzle, moved.touching, count, *moved[9:])
+        state = RoomState(moved.x, moved.y, moved.heading_steps, moved.heading_offset, moved.joint_steps,
+                          moved.joint_offsets, puzzle, moved.touching, count, moved.noise_key, moved.z, moved.pitch,
+                          moved.roll, moved.physics)
         reward = self._exit_reward if terminated else self._step_reward
         return Transition(state, reward, terminated, not terminated and count >= self._horizon, pressed)
 
@@ -230,16 +243,16 @@ class Kinematics(Rules):
         self._door = instance.door and instance.door.footprint
         self._span = robot.move_step * (2.0 if dynamics.noise else 1.0)
         self._solid_cells: dict[tuple[int, int], tuple[Footprint, ...]] = {}
-        step = robot.move_step
+        self._primitives = self.actions.primitives
         self._moves = tuple(
-            tuple((step * (p.forward * cos - p.left * sin), step * (p.forward * sin + p.left * cos))
-                  for cos, sin in self._rotations)
-            for p in self.primitives
+            tuple((robot.move_step * dx, robot.move_step * dy)
+                  for dx, dy in (primitive.compute_move(cos, sin) for cos, sin in self._rotations))
+            for primitive in self._primitives
         )
 
     def step(self, state: RoomState, action: int) -> Transition:
         """Apply one primitive. Pure: the same state and action give the same transition."""
-        primitive = self.primitives[action]
+        primitive = self._primitives[action]
         scale = 1.0
         if self._noise or self._slip:
             normal, uniform = compute_noise(state.noise_key, state.primitives)
@@ -255,21 +268,22 @@ class Kinematics(Rules):
         return self.judge(state, moved)
 
     def _translate(self, state: RoomState, action: int, scale: float) -> RoomState:
-        x, y, steps, offset = state[:4]
+        steps, offset = state.heading_steps, state.heading_offset
         if offset == 0.0:
             dx, dy = self._moves[action][steps]
         else:
-            cos, sin = self.get_rotation(steps, offset)
-            p, length = self.primitives[action], self.instance.robot.move_step
-            dx, dy = length * (p.forward * cos - p.left * sin), length * (p.forward * sin + p.left * cos)
+            length = self.instance.robot.move_step
+            dx, dy = self._primitives[action].compute_move(*self.get_rotation(steps, offset))
+            dx, dy = length * dx, length * dy
         if scale != 1.0:
             dx, dy = scale * dx, scale * dy
-        fraction = self.compute_free_fraction(x, y, dx, dy, state.puzzle)
+        fraction = self.compute_free_fraction(state.x, state.y, dx, dy, state.puzzle)
         if fraction < 1.0:
             dx, dy = fraction * dx, fraction * dy
-        x, y = x + dx, y + dy
+        x, y = state.x + dx, state.y + dy
         touching = self.compute_touching(x, y, steps, offset, state.joint_steps, state.joint_offsets)
-        return RoomState(x, y, *state[2:7], touching, *state[8:])
+        return RoomState(x, y, steps, offset, state.joint_steps, state.joint_offsets, state.puzzle, touching,
+                         state.primitives, state.noise_key, state.z, state.pitch, state.roll, state.physics)
 
     def compute_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable) -> float:
         """Share in [0, 1] of a displacement that the body can make, with its clearance kept."""
@@ -307,7 +321,8 @@ class Kinematics(Rules):
         touching = state.touching
         if self._by_hand:
             touching = self.compute_touching(state.x, state.y, steps, offset, state.joint_steps, state.joint_offsets)
-        return RoomState(state.x, state.y, steps, offset, *state[4:7], touching, *state[8:])
+        return RoomState(state.x, state.y, steps, offset, state.joint_steps, state.joint_offsets, state.puzzle,
+                         touching, state.primitives, state.noise_key, state.z, state.pitch, state.roll, state.physics)
 
     def _move_joint(self, state: RoomState, joint: int, change: int, scale: float) -> RoomState:
         steps, offsets = list(state.joint_steps), state.joint_offsets
@@ -326,4 +341,6 @@ class Kinematics(Rules):
         if self._by_hand:
             touching = self.compute_touching(state.x, state.y, state.heading_steps, state.heading_offset,
                                              tuple(steps), offsets)
-        return RoomState(*state[:4], tuple(steps), offsets, state.puzzle, touching, *state[8:])
+        return RoomState(state.x, state.y, state.heading_steps, state.heading_offset, tuple(steps), offsets,
+                         state.puzzle, touching, state.primitives, state.noise_key, state.z, state.pitch, state.roll,
+                         state.physics)

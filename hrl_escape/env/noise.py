@@ -9,12 +9,14 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["compute_noise", "philox"]
+__all__ = ["EPISODE_PURPOSE", "compute_noise", "draw_episode", "philox"]
 
 _MASK = 0xFFFFFFFF
 _MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
 _WEYL = (0x9E3779B9, 0xBB67AE85)
 ROUNDS = 10
+EPISODE_PURPOSE = 1
+"""Third word of the counter for draws at an episode's start, told apart from noise, whose word is 0."""
 
 
 def philox(counter: tuple[int, int, int, int], key: tuple[int, int]) -> tuple[int, int, int, int]:
@@ -26,6 +28,19 @@ def philox(counter: tuple[int, int, int, int], key: tuple[int, int]) -> tuple[in
         c0, c1, c2, c3 = (p1 >> 32) ^ c1 ^ k0, p1 & _MASK, (p0 >> 32) ^ c3 ^ k1, p0 & _MASK
         k0, k1 = (k0 + _WEYL[0]) & _MASK, (k1 + _WEYL[1]) & _MASK
     return c0, c1, c2, c3
+
+
+def draw_episode(seed: int, episode: int, starts: int) -> tuple[int, int]:
+    """Return the number of an episode's start and the 63-bit key of its noise.
+
+    Args:
+        seed: key of the environment's random numbers, 64 bits.
+        episode: number of the episode since seeding, from 0.
+        starts: starts there are.
+    """
+    counter = (episode & _MASK, episode >> 32, EPISODE_PURPOSE, 0)
+    first, second, third, _ = philox(counter, (seed & _MASK, seed >> 32 & _MASK))
+    return first * starts >> 32, ((second << 32) | third) & (2**63 - 1)
 
 
 def compute_noise(key: int, primitive: int) -> tuple[float, float]:

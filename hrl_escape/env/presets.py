@@ -1,7 +1,7 @@
 """Named schematics: the paper's rooms, the published 2019 code's, and a ladder of difficulty.
 
 A preset is a function that returns a `RoomConfig`; `larg-2019` takes arguments. Each is
-registered with Gymnasium under its name in CamelCase, `hrl_escape/PaperTwoButton-v0`.
+registered with Gymnasium under its name in CamelCase, `hrl_escape/PaperTwoButton-v1`.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from hrl_escape.env.config import (
+    Between,
     DynamicsConfig,
     ExitConfig,
     ObstaclesConfig,
@@ -26,7 +27,7 @@ from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.push_block import PushBlockConfig
 from hrl_escape.errors import ConfigError, UnknownNameError
 
-__all__ = ["PRESETS", "get_preset", "make_env_name"]
+__all__ = ["PRESETS", "describe_schematic", "get_preset", "make_env_name"]
 
 
 def paper_room(buttons: int) -> RoomConfig:
@@ -41,10 +42,31 @@ def paper_room(buttons: int) -> RoomConfig:
         robot=RobotConfig(body_radius=0.75),
         puzzle=ButtonsConfig(
             count=buttons,
+            graph=GraphConfig(relabel=False),
             buttons=Panels(width=side, height=side, thickness=0.1, centre_height=side / 2, inset=1.0, places="paper"),
         ),
         start=StartConfig(place="fixed"),
         exit=ExitConfig(place="fixed", x=9.5 - side / 2, y=9.0 - side / 2, width=side, depth=side),
+    )
+
+
+def paper_random(most: int = 4) -> RoomConfig:
+    """The paper's room, randomised by the instance seed: number, sizes and places of buttons, graph, goal, start, exit.
+
+    Args:
+        most: largest number of buttons, 1 to 16; the walls hold fewer the larger they are.
+    """
+    if not isinstance(most, int) or not 1 <= most <= 16:
+        raise ConfigError("paper-random most", most, "a whole number from 1 to 16")
+    paper = paper_room(2)
+    return RoomConfig(
+        name="paper-random", room=paper.room, robot=paper.robot,
+        puzzle=ButtonsConfig(
+            count=Between(1, most),
+            graph=GraphConfig(kind="layered", max_parents=Between(1, 3)),
+            buttons=Panels(width=Between(1.0, min(6.0, 40 / most)), height=1.5),
+        ),
+        exit=ExitConfig(width=Between(2.0, 6.0), depth=Between(2.0, 6.0)),
     )
 
 
@@ -66,7 +88,7 @@ def larg_2019(size: int = 2, seed: int = 14, handicap: float = 6.0) -> RoomConfi
                           joint_step_deg=3),
         puzzle=ButtonsConfig(
             count=size,
-            graph=GraphConfig(kind="larg-2019", max_parents=1, seed=seed),
+            graph=GraphConfig(kind="larg-2019", max_parents=1, seed=seed, relabel=False),
             on_violation="reset",
             buttons=Panels(width=handicap, height=handicap, thickness=0.1 * handicap, centre_height=handicap / 2,
                            places=places),
@@ -121,6 +143,7 @@ def push_block() -> RoomConfig:
 PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "paper-one-button": lambda: paper_room(1),
     "paper-two-button": lambda: paper_room(2),
+    "paper-random": paper_random,
     "larg-2019": larg_2019,
     "four-button-chain": lambda: ladder_room("four-button-chain", 4, GraphConfig(kind="chain")),
     "arm-two-button": arm_two_button,
@@ -139,7 +162,7 @@ def get_preset(name: str, **arguments: Any) -> RoomConfig:
         UnknownNameError: no preset of that name.
         ConfigError: the preset takes no such argument, or not that value.
     """
-    if name not in PRESETS:
+    if not isinstance(name, str) or name not in PRESETS:
         raise UnknownNameError("preset", name, PRESETS)
     try:
         return PRESETS[name](**arguments)
@@ -150,3 +173,23 @@ def get_preset(name: str, **arguments: Any) -> RoomConfig:
 def make_env_name(preset: str) -> str:
     """CamelCase name of a preset's environment id: `paper-two-button` gives `PaperTwoButton`."""
     return "".join(word.capitalize() for word in preset.split("-"))
+
+
+def describe_schematic(config: RoomConfig) -> str:
+    """One line about the rooms that a schematic gives: sizes, puzzle, obstacles, robot, dynamics."""
+    parts = [f"{config.room.width:g} x {config.room.depth:g} m"]
+    if config.room.rooms != 1:
+        parts.append(f"{config.room.rooms} rooms")
+    count = getattr(config.puzzle, "count", None) if config.puzzle.panels is not None else None
+    parts.append(config.puzzle.kind if count is None else f"{config.puzzle.kind} x {count}")
+    if config.obstacles.count != 0:
+        parts.append(f"{config.obstacles.count} obstacles")
+    if config.robot.joints:
+        parts.append(f"{config.robot.joints}-joint arm")
+    if config.dynamics.press_with == "hand":
+        parts.append("pressed by hand")
+    if config.dynamics.kind == "physics":
+        parts.append("physics")
+    if config.dynamics.noise or config.dynamics.slip:
+        parts.append(f"noise {config.dynamics.noise:g}, slip {config.dynamics.slip:g}")
+    return ", ".join(parts)

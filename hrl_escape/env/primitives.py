@@ -1,13 +1,19 @@
-"""The action table: which primitive each action number means (paper, table 3).
+"""The action table: the primitive that each action number stands for (paper, table 3).
 
-One definition that the environment, planners, drawings and the batched engine read.
+The one definition that engines, planners, options, drawings and the command line read. Nothing else knows how many
+primitives there are, in which order they stand or which of them are moves.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, NamedTuple
 
-__all__ = ["BASE_PRIMITIVES", "Primitive", "make_primitives"]
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["BASE_ACTIONS", "ActionTable", "JointActions", "Primitive", "make_action_table"]
 
 
 class Primitive(NamedTuple):
@@ -29,22 +35,92 @@ class Primitive(NamedTuple):
     joint: int = -1
     joint_change: int = 0
 
+    def compute_move(self, cos: Any, sin: Any) -> tuple[Any, Any]:
+        """Displacement along x and y at a heading, in move steps; takes numbers and arrays alike."""
+        return self.forward * cos - self.left * sin, self.forward * sin + self.left * cos
 
-BASE_PRIMITIVES = (
+
+class JointActions(NamedTuple):
+    """Action numbers of one joint."""
+
+    increment: int
+    decrement: int
+
+
+@dataclass(frozen=True)
+class ActionTable:
+    """The primitives of a robot in action order: translations, turns, then the joints.
+
+    The groups hold action numbers. Those of the base come first and are the same for every robot.
+
+    Attributes:
+        primitives: all primitives; an action is an index.
+        names: their names.
+        translations: moves of the base along or across its heading.
+        turns: turns of the base.
+        base: translations and turns.
+        joints: the pair of each joint.
+        wait: the primitive to pass time with: it is always possible and presses nothing that the body is not touching.
+    """
+
+    primitives: tuple[Primitive, ...]
+    names: tuple[str, ...]
+    translations: range
+    turns: range
+    base: range
+    joints: tuple[JointActions, ...]
+    wait: int
+
+    def __len__(self) -> int:
+        return len(self.primitives)
+
+    def compute_moves(self, cos: NDArray[np.float64], sin: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Displacements of all translations at headings, in move steps, shape (headings, translations, 2)."""
+        moves = [np.stack(self.primitives[action].compute_move(cos, sin), axis=-1) for action in self.translations]
+        return np.stack(moves, axis=1)
+
+    def find(self, name: str) -> int:
+        """Return the action number of a primitive.
+
+        Raises:
+            ValueError: no primitive of that name.
+        """
+        return self.names.index(name)
+
+
+_TRANSLATIONS = (
     Primitive("forward", forward=1),
     Primitive("back", forward=-1),
     Primitive("strafe-left", left=1),
     Primitive("strafe-right", left=-1),
-    Primitive("turn-left", turn=1),
-    Primitive("turn-right", turn=-1),
 )
+_TURNS = (Primitive("turn-left", turn=1), Primitive("turn-right", turn=-1))
+_WAIT = "turn-left"
 
 
-def make_primitives(joints: int) -> tuple[Primitive, ...]:
-    """Return the `6 + 2 * joints` primitives in action order; joints are numbered from 1 in names."""
-    arm = (
+@lru_cache
+def make_action_table(joints: int) -> ActionTable:
+    """Make the action table of a robot; names number its joints from 1."""
+    base = _TRANSLATIONS + _TURNS
+    arm = tuple(
         Primitive(f"joint-{joint + 1}-{word}", joint=joint, joint_change=change)
         for joint in range(joints)
         for word, change in (("increment", 1), ("decrement", -1))
     )
-    return BASE_PRIMITIVES + tuple(arm)
+    primitives = base + arm
+    names = tuple(primitive.name for primitive in primitives)
+    pairs = [(names.index(f"joint-{joint + 1}-increment"), names.index(f"joint-{joint + 1}-decrement"))
+             for joint in range(joints)]
+    return ActionTable(
+        primitives=primitives,
+        names=names,
+        translations=range(len(_TRANSLATIONS)),
+        turns=range(len(_TRANSLATIONS), len(base)),
+        base=range(len(base)),
+        joints=tuple(JointActions(*pair) for pair in pairs),
+        wait=names.index(_WAIT),
+    )
+
+
+BASE_ACTIONS = make_action_table(0)
+"""The table of a base without an arm, with which every robot's table begins."""

@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.errors import RobotError
 
-__all__ = ["BASE_LINK", "Robot", "load_urdf", "make_robot", "sample_hand_positions"]
+__all__ = ["BASE_LINK", "Robot", "load_urdf", "make_robot", "sample_hand_positions", "sample_joint_steps"]
 
 BASE_LINK = "mobile-base"
 _MOUNT_JOINT = "mobile-base-mount"
@@ -63,7 +63,7 @@ class Robot:
     Attributes:
         urdf: the whole robot as URDF text; its root link is `BASE_LINK`.
         joint_names: the joints that primitives move.
-        hand_link: the link whose origin is the hand.
+        hand_link: the link with the hand at its origin.
         home: joint angles at the start of an episode, rad.
         step: angle of one joint primitive, rad.
         step_low: fewest joint steps from home that stay within the limits (<= 0).
@@ -123,7 +123,7 @@ class Robot:
         return hand
 
     def compute_elbows(self, angles: tuple[float, ...]) -> NDArray[np.float64]:
-        """Where the arm bends: origins of the chain's joints and of the hand in the base frame, shape (n, 3), m."""
+        """Polyline of the arm: origins of the chain's joints and of the hand in the base frame, shape (n, 3), m."""
         values = self.rest | dict(zip(self.joint_names, angles, strict=True))
         at, places = np.eye(4), []
         for joint in self.chain:
@@ -137,7 +137,7 @@ class Robot:
 
 
 def sample_hand_positions(robot: Robot, count: int) -> NDArray[np.float64]:
-    """Where the hand gets to on the joint lattice: every configuration, or a fixed sample of them.
+    """Hand positions on the joint lattice: of every configuration, or of a fixed sample.
 
     The same robot and count give the same positions in any process.
 
@@ -148,6 +148,11 @@ def sample_hand_positions(robot: Robot, count: int) -> NDArray[np.float64]:
     Returns:
         Hand positions in the base frame, shape (configurations, 3), float64, metres.
     """
+    return robot.compute_hand(np.array(robot.home) + robot.step * sample_joint_steps(robot, count))
+
+
+def sample_joint_steps(robot: Robot, count: int) -> NDArray[np.int64]:
+    """Configurations of `sample_hand_positions` in whole steps from home, shape (configurations, joints), int64."""
     low, high = np.array(robot.step_low, dtype=np.int64), np.array(robot.step_high, dtype=np.int64)
     sizes = (high - low + 1).tolist()
     total = math.prod(sizes)
@@ -157,7 +162,7 @@ def sample_hand_positions(robot: Robot, count: int) -> NDArray[np.float64]:
     else:
         rng = np.random.default_rng(0)
         steps = rng.integers(low, high + 1, size=(count, len(sizes)))
-    return robot.compute_hand(np.array(robot.home) + robot.step * steps)
+    return steps
 
 
 def _rotate_about(axis: NDArray[np.float64], angle: ArrayLike) -> NDArray[np.float64]:
@@ -385,5 +390,5 @@ def _assemble(config: RobotConfig, whole: ElementTree.Element, hand: str) -> Rob
 
 
 def _find_home(joint: _Joint) -> float:
-    """Zero where the limits allow it, else the middle."""
+    """Zero if the limits allow it, else their middle."""
     return 0.0 if joint.low <= 0.0 <= joint.high else (joint.low + joint.high) / 2

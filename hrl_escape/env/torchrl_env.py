@@ -10,15 +10,13 @@ from __future__ import annotations
 from typing import Any
 
 import torch
-from gymnasium.utils import seeding
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
+from hrl_escape.env.batched.engine import TensorRoom, draw_seed
+from hrl_escape.env.batched.tables import InstanceSource, collect_instances
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.tensor_instances import InstanceSource, collect_instances
-from hrl_escape.env.tensor_observations import compute_bounds
-from hrl_escape.env.tensor_room import TensorRoom
 
 __all__ = ["EscapeRoomTorchRLEnv"]
 
@@ -30,17 +28,17 @@ class EscapeRoomTorchRLEnv(EnvBase):
     `reward` (float32, 1), `done`, `terminated` and `truncated` (bool, 1), `buttons_on` (int8, one a target).
     `terminated` is success: nothing else ends an episode early.
 
-    `set_seed(n)` seeds room i with n + i at the next reset; without it, seeds come from the system's entropy.
+    `set_seed(n)` seeds room i with n + i at its next reset; without it, seeds come from the system's entropy.
 
     Args:
         num_envs: number of rooms.
         config: preset name, `RoomConfig`, or the dict form of one.
         instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
         instance_seed: instance seed of the first room instance.
-        num_instances: how many instances of the schematic there are; room i is in instance i modulo their number.
-        observation: `state`, `features` or `egocentric`.
+        num_instances: number of instances of the schematic; room i is in instance i modulo their number.
+        observation: name of a vector observation.
         resample_instance: every episode draws one of the instances.
-        device: where the rooms are; `to` moves them.
+        device: device of the rooms; `to` moves them.
         compile: fuse a step into compiled kernels; takes some 10 s once for each shape of batch.
 
     Attributes:
@@ -65,9 +63,9 @@ class EscapeRoomTorchRLEnv(EnvBase):
                           device=device, compile=compile)
         super().__init__(device=room.device, batch_size=(num_envs,))
         self.room = room
-        self._next_seed: int | None = seeding.np_random(None)[1] % 2**62
-        bounds = compute_bounds(room.instances, observation)
-        low, high = (torch.from_numpy(side).expand(num_envs, -1) for side in bounds)
+        self._first_seed = draw_seed()
+        self._awaits_seed = torch.ones(num_envs, dtype=torch.bool, device=room.device)
+        low, high = (torch.from_numpy(side).expand(num_envs, -1) for side in (room.low, room.high))
         batch: dict[str, Any] = {"shape": torch.Size([num_envs]), "device": self.device}
         column: dict[str, Any] = {"shape": torch.Size([num_envs, 1]), "device": self.device}
         self.observation_spec = Composite(
@@ -83,12 +81,16 @@ class EscapeRoomTorchRLEnv(EnvBase):
 
     def _reset(self, tensordict: TensorDictBase | None = None, **kwargs: Any) -> TensorDictBase:
         where = None if tensordict is None else tensordict.get("_reset", None)
-        first, self._next_seed = self._next_seed, None
-        if first is not None:
-            observation = self.room.reset(torch.arange(self.room.count, device=self.device) + first)
+        where = torch.ones_like(self._awaits_seed) if where is None else where.reshape(-1)
+        fresh, further = where & self._awaits_seed, where & ~self._awaits_seed
+        if bool(fresh.all()):
+            observation = self.room.reset(self._make_seeds())
         else:
-            observation = self.room.reset(where=None if where is None else where.squeeze(-1))
-        ended = self.room.get_state().has_ended != 0
+            if bool(fresh.any()):
+                self.room.reset(self._make_seeds(), fresh)
+            observation = self.room.reset(where=further)
+        self._awaits_seed = self._awaits_seed & ~where
+        ended = self.room.state.has_ended != 0
         return self._pack(observation, self.room.inform().buttons_on, ended, torch.zeros_like(ended))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -105,9 +107,14 @@ class EscapeRoomTorchRLEnv(EnvBase):
         )
 
     def _set_seed(self, seed: int | None) -> None:
-        self._next_seed = seeding.np_random(None)[1] % 2**62 if seed is None else int(seed)
+        self._first_seed = draw_seed() if seed is None else int(seed)
+        self._awaits_seed = torch.ones_like(self._awaits_seed)
+
+    def _make_seeds(self) -> torch.Tensor:
+        return torch.arange(self.room.count, device=self.device) + self._first_seed
 
     def to(self, device: Any) -> EnvBase:
         """Move the rooms and the specs; returns itself."""
         self.room.to(device)
+        self._awaits_seed = self._awaits_seed.to(self.room.device)
         return super().to(device)

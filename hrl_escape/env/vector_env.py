@@ -1,6 +1,6 @@
 """Thousands of Escape Rooms as one Gymnasium `VectorEnv` over the batched engine.
 
-`gymnasium.make_vec("hrl_escape/PaperTwoButton-v0", num_envs=4096)` makes one. It has the spaces,
+`gymnasium.make_vec("hrl_escape/PaperTwoButton-v1", num_envs=4096)` makes one. It has the spaces,
 observations, rewards and rules of `escape_room.py`; pixels, rendering and physics are the
 Bullet engine's.
 """
@@ -13,15 +13,13 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from gymnasium import spaces
-from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
+from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom, draw_seed
+from hrl_escape.env.batched.tables import INSTEAD, InstanceSource, collect_instances
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.tensor_instances import INSTEAD, InstanceSource, collect_instances
-from hrl_escape.env.tensor_observations import compute_bounds
-from hrl_escape.env.tensor_room import Autoreset, RoomInfo, TensorRoom
 from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedError
 
 __all__ = ["EscapeRoomVectorEnv"]
@@ -37,18 +35,18 @@ class EscapeRoomVectorEnv(VectorEnv):
     """Many rooms that step together; see `EscapeRoomEnv` for the task itself.
 
     ## Spaces
-    `Discrete(6 + 2 * joints)` and the vector observations (`state`, `features`, `egocentric`) of
-    `EscapeRoomEnv`, batched over `num_envs`.
+    The actions and the vector observations of `EscapeRoomEnv`, batched over `num_envs`.
 
     ## Automatic reset
     All three modes of Gymnasium. `NextStep`: the step after an episode's end ignores its action, begins the
-    next episode and earns 0. `SameStep`: the next episode begins at once; `infos` holds
+    next episode and earns 0. `SameStep`: the next episode begins at once; where any ended, `infos` holds
     `final_obs` and `final_info` of the rooms in `_final_obs`. `Disabled`:
     `reset(options={"reset_mask": mask})` resets the rooms in the mask.
 
     ## Information
-    Arrays over rooms: `primitives` (so far, int32), `success` (bool), `pressed` and `buttons_on` (int8, one
-    a target) and `instance_index` (which of `instances`).
+    Arrays over rooms, as `SyncVectorEnv` would give them: `primitives` (so far, int32), `success` (bool), `pressed` and
+    `buttons_on` (int8, one a target) and `instance` (content hashes; with `output="torch"`, where there is no text,
+    `instance_index`, which of `instances`).
 
     ## Random numbers
     `reset(seed=n)` seeds room i with n + i. What happens in a room depends on its own seed and actions, never on
@@ -60,18 +58,18 @@ class EscapeRoomVectorEnv(VectorEnv):
         config: preset name, `RoomConfig`, or the dict form of one.
         instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
         instance_seed: instance seed of the first room instance.
-        num_instances: how many instances of the schematic there are, with seeds from `instance_seed` on; room i
+        num_instances: number of instances of the schematic, with seeds from `instance_seed` on; room i
             is in instance i modulo their number.
-        observation: `state`, `features` or `egocentric`.
+        observation: name of a vector observation.
         render_mode: must be None.
         resample_instance: every episode draws one of the instances.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
         output: `numpy` arrays, or `torch` tensors on the device, which cost no copy.
-        device: where the rooms are.
+        device: device of the rooms.
         compile: fuse a step into compiled kernels; takes some 10 s once for each shape of batch.
 
     ## Version history
-    v0: first release.
+    v1: numbers of buttons say nothing of their order (`graph.relabel`). v0: first release.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
@@ -110,11 +108,12 @@ class EscapeRoomVectorEnv(VectorEnv):
         self.num_envs, self.autoreset_mode = num_envs, mode
         self.metadata = type(self).metadata | {"autoreset_mode": mode}
         self.render_mode = None
-        self.single_observation_space = spaces.Box(*compute_bounds(self.instances, observation), dtype=np.float32)
+        self.single_observation_space = spaces.Box(self.room.low, self.room.high, dtype=np.float32)
         self.single_action_space = spaces.Discrete(self.room.actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._is_numpy, self._is_seeded = output == "numpy", False
+        self._ids = np.array([one.id for one in self.instances], dtype=object)
         self._every: Any = self._give(torch.ones(num_envs, dtype=torch.bool, device=self.room.device))
 
     # --- Gymnasium ---------------------------------------------------------------------
@@ -150,12 +149,11 @@ class EscapeRoomVectorEnv(VectorEnv):
         action = actions if isinstance(actions, Tensor) else self._take(actions)
         seen, reward, terminated, truncated, info, final_seen, final_info = self.room.step(action)
         infos = self._make_infos(info, terminated)
-        if final_info is not None:
-            ended = self._give(terminated | truncated)
-            fresh = torch.zeros_like(terminated)
-            infos = self._make_infos(info, fresh) | {
-                "final_obs": self._give(final_seen), "_final_obs": ended,
-                "final_info": self._make_infos(final_info, terminated), "_final_info": ended,
+        if final_info is not None and bool((ended := terminated | truncated).any()):
+            which = self._give(ended)
+            infos = self._make_infos(info, torch.zeros_like(terminated)) | {
+                "final_obs": self._give(final_seen), "_final_obs": which,
+                "final_info": self._make_infos(final_info, terminated, which), "_final_info": which,
             }
         return self._give(seen), self._give(reward), self._give(terminated), self._give(truncated), infos
 
@@ -178,25 +176,26 @@ class EscapeRoomVectorEnv(VectorEnv):
     def _give(self, tensor: Tensor | None) -> Any:
         return tensor if tensor is None or not self._is_numpy else tensor.cpu().numpy()
 
-    def _make_infos(self, info: RoomInfo, success: Tensor) -> dict[str, Any]:
+    def _make_infos(self, info: RoomInfo, success: Tensor, which: Any = None) -> dict[str, Any]:
+        """Information of some rooms (all by default), with Gymnasium's masks."""
         values = {"primitives": info.primitives, "success": success, "pressed": info.pressed,
                   "buttons_on": info.buttons_on, "instance_index": info.instance}
-        infos: dict[str, Any] = {}
-        for name, value in values.items():
-            infos[name], infos[f"_{name}"] = self._give(value), self._every
-            if self._is_numpy:
-                infos[name].setflags(write=False)  # it may be the rooms' own memory
-        return infos
+        infos: dict[str, Any] = {name: self._give(value) for name, value in values.items()}
+        if self._is_numpy:
+            infos["instance"] = self._ids[infos.pop("instance_index")]
+            for array in infos.values():
+                array.setflags(write=False)  # it may be the rooms' own memory
+        return infos | {f"_{name}": self._every if which is None else which for name in infos}
 
     def _make_seeds(self, seed: int | Sequence[int | None] | None) -> Tensor | None:
         if seed is None and self._is_seeded:
             return None
         if seed is None or isinstance(seed, (int, np.integer)):
-            first = seeding.np_random(None)[1] % 2**62 if seed is None else int(seed)
+            first = draw_seed() if seed is None else int(seed)
             super().reset(seed=first)
             seeds = [first + i for i in range(self.num_envs)]
         else:
-            seeds = [seeding.np_random(None)[1] % 2**62 if one is None else int(one) for one in seed]
+            seeds = [draw_seed() if one is None else int(one) for one in seed]
         if len(seeds) != self.num_envs or not all(0 <= one < 2**63 for one in seeds):
             raise ConfigError("seed", seed, f"a whole number of at least 0, or {self.num_envs} of them")
         self._is_seeded = True

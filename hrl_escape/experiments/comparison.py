@@ -1,46 +1,46 @@
-"""Runs a whole comparison in one folder, and goes on in it.
+"""Comparisons: all runs of a grid in one folder, in which finished runs are kept and never run twice.
 
-`run_grid` leaves a folder in which every finished run is kept and never run twice. What it
-means is worked out in `summary.py` and told in `report.py`.
+`summary.py` computes the results, `reporting/report.py` writes them up.
 """
 
 from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from rich.console import Console
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import FileReadError, FileWriteError, RunBusyError
-from hrl_escape.experiments.cell import CellResult, get_cell_folder, get_room_file, read_cell
-from hrl_escape.experiments.grid import Cell, Grid
-from hrl_escape.experiments.launcher import Failure, Launcher, LocalLauncher, count_cores
-from hrl_escape.experiments.monitor import Monitor
-from hrl_escape.files import describe_write_failure, write_json
+from hrl_escape.experiments.grid import Grid, GridRun
+from hrl_escape.experiments.launching.local import Failure, Launcher, LocalLauncher, count_cores
+from hrl_escape.experiments.launching.monitor import Monitor
+from hrl_escape.experiments.runs import RunResult, get_room_file, get_run_folder, read_run
+from hrl_escape.files import clear_unfinished, describe_write_failure, write_json
 
-__all__ = ["Comparison", "run_grid"]
+__all__ = ["Comparison", "run_grid", "run_grids"]
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """What a comparison has so far.
+    """Runs of a grid that have ended.
 
     Attributes:
-        grid: what was asked for.
+        grid: the settings.
         instances: the rooms, in the grid's order.
-        runs: finished cells with their results, in the grid's order.
-        failures: cells that failed.
+        runs: finished runs with their results, in the grid's order.
+        failures: runs that failed.
         out: its folder.
     """
 
     grid: Grid
     instances: tuple[RoomInstance, ...]
-    runs: tuple[tuple[Cell, CellResult], ...]
+    runs: tuple[tuple[GridRun, RunResult], ...]
     failures: tuple[Failure, ...]
     out: Path
 
@@ -54,8 +54,8 @@ def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None 
     Args:
         grid: what to compare.
         out: the folder; made if missing. Runs in it that have the same settings are kept, others left alone.
-        launcher: what runs the cells; processes on this machine by default.
-        console: where progress is shown; standard error by default.
+        launcher: starts the runs; processes on this machine by default.
+        console: shows progress; standard error by default.
 
     Raises:
         GridError: the grid has nothing to run or the same thing twice.
@@ -63,32 +63,64 @@ def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None 
         FileWriteError: the folder cannot be written.
         EscapeError: no such room, agent or setting.
     """
+    plan = _Plan.make(grid)
     out = Path(out).absolute()
-    console = console or Console(stderr=True, highlight=False)
-    launcher = launcher or LocalLauncher()
-    instances = tuple(room.make_instance() for room in grid.rooms)
-    cells = grid.make_cells(instances)
     with _lock(out):
-        write_json(out / "grid.json", grid.to_dict())
-        for instance in instances:
-            instance.save(get_room_file(out, instance.id))
-        workers = getattr(launcher, "workers", None) or count_cores()
-        monitor = Monitor(cells, workers, console)
-        unfinished = []
-        for cell in cells:
-            result = _read_finished(out, cell, console)
-            if result is None:
-                unfinished.append(cell)
-            else:
-                monitor.keep(cell, result)
-        if len(unfinished) < len(cells):
-            console.print(f"{len(cells) - len(unfinished)} of {len(cells)} runs were finished before and are kept")
-        with monitor.watch():
-            launcher.run(unfinished, out, monitor)
-    order = {cell.folder: number for number, cell in enumerate(cells)}
-    runs = sorted(monitor.results, key=lambda run: order[run[0].folder])
-    failures = sorted(monitor.failures, key=lambda failure: order[failure.cell.folder])
-    return Comparison(grid, instances, tuple(runs), tuple(failures), out)
+        return _run(plan, out, launcher or LocalLauncher(), console or _make_console())
+
+
+def run_grids(grids: Iterable[Grid], out: str | os.PathLike[str], launcher: Launcher | None = None,
+              console: Console | None = None) -> Iterator[Comparison]:
+    """Run grids one after another in one folder, locked throughout; see `run_grid`.
+
+    The next grid is asked for after the comparison before it was yielded, so it may depend on that one's results.
+    """
+    out = Path(out).absolute()
+    with _lock(out):
+        for grid in grids:
+            yield _run(_Plan.make(grid), out, launcher or LocalLauncher(), console or _make_console())
+
+
+def _make_console() -> Console:
+    """Console on standard error, where progress is shown."""
+    return Console(stderr=True, highlight=False)
+
+
+class _Plan(NamedTuple):
+    """A grid with its rooms and runs; making it refuses impossible grids."""
+
+    grid: Grid
+    instances: tuple[RoomInstance, ...]
+    runs: list[GridRun]
+
+    @classmethod
+    def make(cls, grid: Grid) -> _Plan:
+        instances = tuple(room.make_instance() for room in grid.rooms)
+        return cls(grid, instances, grid.make_runs(instances))
+
+
+def _run(plan: _Plan, out: Path, launcher: Launcher, console: Console) -> Comparison:
+    for folder in (out, out / "rooms", *(get_run_folder(out, run) for run in plan.runs)):
+        clear_unfinished(folder)
+    write_json(out / "grid.json", plan.grid.to_dict())
+    for instance in plan.instances:
+        instance.save(get_room_file(out, instance.id))
+    monitor = Monitor(plan.runs, getattr(launcher, "workers", None) or count_cores(), console)
+    unfinished = []
+    for run in plan.runs:
+        result = _read_finished(out, run, console)
+        if result is None:
+            unfinished.append(run)
+        else:
+            monitor.keep(run, result)
+    if len(unfinished) < len(plan.runs):
+        console.print(f"{len(plan.runs) - len(unfinished)} of {len(plan.runs)} runs were finished before and are kept")
+    with monitor.watch():
+        launcher.run(unfinished, out, monitor)
+    order = {run.folder: number for number, run in enumerate(plan.runs)}
+    finished = sorted(monitor.results, key=lambda result: order[result[0].folder])
+    failures = sorted(monitor.failures, key=lambda failure: order[failure.run.folder])
+    return Comparison(plan.grid, plan.instances, tuple(finished), tuple(failures), out)
 
 
 @contextmanager
@@ -109,11 +141,11 @@ def _lock(out: Path) -> Iterator[None]:
         yield
 
 
-def _read_finished(out: Path, cell: Cell, console: Console) -> CellResult | None:
-    """A finished result; a damaged one is worked out again from its run, or run again."""
+def _read_finished(out: Path, run: GridRun, console: Console) -> RunResult | None:
+    """Result of a finished run; a damaged one is removed, so that the run is finished again from its training."""
     try:
-        return read_cell(out, cell)
+        return read_run(out, run)
     except FileReadError as error:
         console.print(f"{error}. It is made again", style="yellow")
-        (get_cell_folder(out, cell) / "cell.json").unlink(missing_ok=True)
+        (get_run_folder(out, run) / "run_result.json").unlink(missing_ok=True)
         return None

@@ -1,7 +1,7 @@
-"""What is compared: agents, rooms and training seeds, as frozen settings that read from TOML.
+"""Grids: the agents, rooms and training seeds of a comparison, as frozen settings that read from TOML.
 
-A grid is data. It says nothing about processes or files; `cell.py` says what one of its cells
-does, `launcher.py` runs them. Every agent meets the same rooms, seeds and evaluation episodes (a paired design).
+A grid is data and knows neither processes nor files; `runs.py` executes one run, `launching` all of them. Every
+agent meets the same rooms, seeds and evaluation episodes (a paired design).
 """
 
 from __future__ import annotations
@@ -10,50 +10,60 @@ import dataclasses
 import hashlib
 import itertools
 import json
-import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 from typing_extensions import Self
 
 from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe
-from hrl_escape.agents.settings import replace_settings
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.generation import generate
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.observations import get_observation
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.settings import Settings, knob
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError, GridError
+from hrl_escape.experiments.references import REFERENCES
 from hrl_escape.files import read_json, read_toml
+from hrl_escape.names import make_file_name
+from hrl_escape.settings import Range, Settings, replace_settings
+from hrl_escape.version import __version__, find_versions
 
-__all__ = ["AgentSpec", "Cell", "Grid", "OptionsView", "RoomSpec", "load_grid"]
+__all__ = ["AgentSpec", "Grid", "GridRun", "OptionsView", "RoomSpec", "SolvedRule", "load_grid"]
 
-OBSERVATIONS = ("features", "state", "egocentric")
 LARGEST = 100_000_000
 
 
 @dataclasses.dataclass(frozen=True)
 class OptionsView(Settings):
-    """How a room is wrapped for an agent that chooses options; see `OptionsEnv`."""
+    """Options that an agent chooses among; see `OptionsEnv`."""
 
     _section = "options"
-    include_primitives: bool = knob(True, "Primitives are choices too, beside the options.")
-    flavour: str = knob("press", "What a meta-action does.", choices=("press", "press-with-ancestors"))
-    interruptible: bool = knob(False, "Options return to the agent after every primitive.")
-    max_duration: int | None = knob(None, "Primitives after which an option is ended.", "", 1, LARGEST)
+    include_primitives: bool = True
+    """Include the primitives among the choices."""
+    flavour: Literal["press", "press-with-ancestors"] = "press"
+    """Meta-actions: press one button, or press its ancestors first."""
+    interruptible: bool = False
+    """Options return to the agent after every primitive."""
+    max_duration: Annotated[int, Range(1, LARGEST)] | None = None
+    """Primitives after which an option is stopped."""
 
 
 @dataclasses.dataclass(frozen=True)
 class AgentSpec(Settings):
-    """One competitor: an agent's name, and how it differs from its recipe."""
+    """An agent of the comparison: name, recipe, changed settings and options."""
 
     _section = "agent"
-    name: str = knob("random", "Name in the registry; with the prefix smdp- it chooses options.")
-    label: str = knob("", "What tables and curves call it; empty for the name (and recipe).")
-    recipe: str = knob("corrected", "Recipe its settings come from.")
-    settings: dict[str, Any] = knob(factory=dict, doc="Fields of its settings to change.")
-    options: OptionsView = knob(factory=OptionsView, doc="The options it chooses, if its name begins with smdp-.")
+    name: str = "random"
+    """Name in the registry, or smdp-index-order or planner, which learn nothing; smdp- in front chooses options."""
+    label: str = ""
+    """Name in tables and curves; empty for the agent's name (and recipe)."""
+    recipe: str = "corrected"
+    """Recipe of its settings."""
+    settings: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """Settings to change."""
+    options: OptionsView = OptionsView()
+    """Options it chooses among, if its name begins with smdp-."""
 
     def check(self) -> None:
         """Fill in the label."""
@@ -62,28 +72,42 @@ class AgentSpec(Settings):
 
     @property
     def chooses_options(self) -> bool:
-        """It acts on the SMDP view of a room."""
+        """Agent acts on the SMDP view of a room."""
         return self.name.startswith(SMDP_PREFIX)
 
     @property
     def algorithm(self) -> str:
-        """Its name without the view."""
+        """Name without the prefix smdp-."""
         return self.name.removeprefix(SMDP_PREFIX)
 
+    @property
+    def is_reference(self) -> bool:
+        """Agent follows a rule, without training: `smdp-index-order` or `planner`."""
+        return self.name in REFERENCES
+
+    @property
+    def learns(self) -> bool:
+        """Agent learns, so is neither chance nor a reference."""
+        return not self.is_reference and self.algorithm != "random"
+
     def resolve_settings(self) -> dict[str, Any]:
-        """Every setting it will run with, as a JSON value.
+        """All its settings, as a JSON value; references have none.
 
         Raises:
             UnknownNameError: no such agent, recipe or setting.
             AgentSettingsError: a value is not possible.
         """
+        if self.is_reference:
+            if self.settings or self.recipe != "corrected":
+                raise GridError(f"{self.label}: a reference has no settings and no recipe")
+            return {}
         chosen = replace_settings(get_recipe(self.name, self.recipe), self.settings)
         return json.loads(json.dumps(dataclasses.asdict(chosen)))
 
     @property
     def needs_trace(self) -> bool:
-        """It learns from the primitives inside options."""
-        return self.chooses_options and getattr(get_agent_class(self.name), "needs_trace", False)
+        """Agent learns from the primitives inside options."""
+        return self.chooses_options and not self.is_reference and get_agent_class(self.name).needs_trace
 
     @classmethod
     def parse(cls, text: str) -> Self:
@@ -97,19 +121,24 @@ class RoomSpec(Settings):
     """One room: an instance of a preset or of a schematic, or one from a file."""
 
     _section = "room"
-    preset: str | None = knob(None, "Name of a preset.")
-    arguments: dict[str, Any] = knob(factory=dict, doc="Arguments of the preset, where it takes some.")
-    config: dict[str, Any] | None = knob(None, "A schematic, as RoomConfig.to_dict() gives it.", optional=True)
-    file: str | None = knob(None, "A saved instance.")
-    seed: int = knob(0, "Which instance of the schematic.", "", 0, 2**63 - 1)
+    preset: str | None = None
+    """Name of a preset."""
+    arguments: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """Arguments of the preset, if it takes any."""
+    config: dict[str, Any] | None = None
+    """Schematic, as RoomConfig.to_dict() gives it."""
+    file: str | None = None
+    """File of a saved instance."""
+    seed: Annotated[int, Range(0, 2**63 - 1)] = 0
+    """Instance seed."""
 
     def check(self) -> None:
-        """Exactly one source."""
+        """Require exactly one source."""
         if sum(source is not None for source in (self.preset, self.config, self.file)) != 1:
             raise GridError(f"a room is one of preset, config or file, not {self.to_dict()}")
 
     def make_instance(self) -> RoomInstance:
-        """Sample or read it.
+        """Sample the instance, or read it from its file.
 
         Raises:
             EscapeError: no such preset, an impossible schematic, a damaged file.
@@ -132,28 +161,62 @@ class RoomSpec(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
+class SolvedRule(Settings):
+    """End of a run before its budget: its agent has solved the room.
+
+    It has once two checks of its frozen policy in a row are near the best and, if it learns a dependency graph,
+    that graph is the true one. A random agent, which gets no better, is done with its first escape.
+    """
+
+    _section = "until_solved"
+    score: float
+    """Score near the best, from no escape (0) to the best return of the agent's actions (1)."""
+    check_every: Annotated[int, Range(1, LARGEST, "primitives")] = 500
+    """Between checks of one episode each, from the first escape on."""
+    graph_every: Annotated[int, Range(1, LARGEST, "primitives")] = 100
+    """Between comparisons of the graph."""
+
+
+@dataclasses.dataclass(frozen=True)
 class Grid(Settings):
     """A comparison: every agent in every room with every training seed."""
 
     _section = "grid"
-    name: str = knob("comparison", "Its name; also of its folder.")
-    description: str = knob("", "What it is for, one sentence.")
-    agents: tuple[AgentSpec, ...] = knob((AgentSpec("random"),), "Who is compared.")
-    rooms: tuple[RoomSpec, ...] = knob((RoomSpec("paper-two-button"),), "Where.")
-    runs: int = knob(10, "Training seeds, 0 to runs - 1; ten or more in a published table.", "", 1, 10_000)
-    primitives: int = knob(20_000, "Training budget of a run.", "primitives", 1, LARGEST)
-    decisions: int | None = knob(None, "A run ends after so many decisions too, if these are fewer.", "", 1, LARGEST)
-    eval_every: int | None = knob(None, "Between evaluations; None for a twentieth.", "primitives", 1, LARGEST)
-    eval_episodes: int = knob(5, "Episodes in an evaluation, the same for all.", "", 1, 10_000)
-    eval_seed: int = knob(0, "With the training seed, fixes the evaluation episodes.", "", 0, 2**31)
-    observation: str = knob("features", "What agents see.", choices=OBSERVATIONS)
+    name: str = "comparison"
+    """Name of the comparison and of its folder."""
+    description: str = ""
+    """Purpose, in one sentence."""
+    agents: tuple[AgentSpec, ...] = (AgentSpec("random"),)
+    """Agents to compare."""
+    rooms: tuple[RoomSpec, ...] = (RoomSpec("paper-two-button"),)
+    """Rooms to train in."""
+    runs: Annotated[int, Range(1, 10_000)] = 10
+    """Training seeds in each room; ten or more in a published table."""
+    first_seed: Annotated[int, Range(0, 2**31)] = 0
+    """First of the training seeds."""
+    primitives: Annotated[int, Range(1, LARGEST, "primitives")] = 20_000
+    """Training budget of a run."""
+    decisions: Annotated[int, Range(1, LARGEST)] | None = None
+    """Largest number of decisions in a run; None for no limit."""
+    eval_every: Annotated[int, Range(1, LARGEST, "primitives")] | None = None
+    """Primitives between evaluations; None for a twentieth of the budget."""
+    eval_episodes: Annotated[int, Range(1, 10_000)] = 5
+    """Episodes in an evaluation, the same for all agents."""
+    eval_seed: Annotated[int, Range(0, 2**31)] = 0
+    """Seed that fixes the evaluation episodes, together with the training seed."""
+    observation: str = "features"
+    """Vector observation of every agent."""
+    until_solved: SolvedRule | None = None
+    """Rule that ends a run before its budget; None for none."""
 
     def check(self) -> None:
-        """Names must tell the agents apart, and there must be something to run."""
+        """Require agents, rooms, and labels that tell the agents apart."""
         for what, members in (("agents", self.agents), ("rooms", self.rooms)):
             if not members:
                 raise GridError(f"grid {self.name!r} has no {what}: give at least one")
         _refuse_twins("agent label", [agent.label for agent in self.agents])
+        if not get_observation(self.observation).is_vector:
+            raise GridError(f"grid {self.name!r}: agents learn from vectors, not from {self.observation!r}")
 
     @property
     def evaluation_step(self) -> int:
@@ -170,8 +233,8 @@ class Grid(Settings):
                     data[key] = [kind.parse(item).to_dict() if isinstance(item, str) else item for item in data[key]]
         return super().from_dict(data)
 
-    def make_cells(self, instances: Sequence[RoomInstance]) -> list[Cell]:
-        """All cells, in the order they are best run: seed by seed, so that early results compare everybody.
+    def make_runs(self, instances: Sequence[RoomInstance]) -> list[GridRun]:
+        """All runs, in the order they are best run: seed by seed, so that early results compare everybody.
 
         Args:
             instances: one a room, in order.
@@ -185,14 +248,14 @@ class Grid(Settings):
         names = [f"{name}-{instance.id[:6]}" if names.count(name) > 1 else name
                  for name, instance in zip(names, instances, strict=True)]
         resolved = [agent.resolve_settings() for agent in self.agents]
-        cells = [
-            Cell(self, number, resolved[number], instance.id, room, seed)
-            for seed in range(self.runs)
+        runs = [
+            GridRun(self, number, resolved[number], instance.id, room, seed)
+            for seed in range(self.first_seed, self.first_seed + self.runs)
             for (room, instance), number in itertools.product(
                 zip(names, instances, strict=True), range(len(self.agents)))
         ]
-        _refuse_twins("agent with the same settings", [cell.key for cell in cells])
-        return cells
+        _refuse_twins("agent with the same settings", [run.key for run in runs])
+        return runs
 
 
 def name_room(instance: RoomInstance) -> str:
@@ -201,7 +264,7 @@ def name_room(instance: RoomInstance) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
-class Cell:
+class GridRun:
     """One run of a grid.
 
     Attributes:
@@ -222,12 +285,12 @@ class Cell:
 
     @property
     def agent(self) -> AgentSpec:
-        """Who runs."""
+        """Agent of the run."""
         return self.grid.agents[self.number]
 
     @property
     def name(self) -> str:
-        """What messages call it."""
+        """Name in messages."""
         return f"{self.agent.label}, {self.room}, seed {self.seed}"
 
     @property
@@ -237,11 +300,10 @@ class Cell:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """Everything that decides its numbers, as a JSON value; labels and other cells do not."""
-        from hrl_escape import __version__
-
-        return {
+        """Everything that decides its numbers, as a JSON value; labels and other runs do not."""
+        identity = {
             "version": __version__,
+            "versions": find_versions(),
             "agent": self.agent.name,
             "settings": self.settings,
             "options": self.agent.options.to_dict() if self.agent.chooses_options else None,
@@ -254,6 +316,8 @@ class Cell:
             "eval_seed": self.eval_seed,
             "seed": self.seed,
         }
+        return identity if self.grid.until_solved is None else {
+            **identity, "until_solved": self.grid.until_solved.to_dict()}
 
     @property
     def key(self) -> str:
@@ -264,8 +328,7 @@ class Cell:
     @property
     def folder(self) -> str:
         """Name of its folder: readable, and its key."""
-        words = re.sub(r"[^\w.@#+-]+", "_", f"{self.agent.label}--{self.room}--seed-{self.seed}")
-        return f"{words}--{self.key}"
+        return f"{make_file_name(f'{self.agent.label}--{self.room}--seed-{self.seed}')}--{self.key}"
 
 
 def _refuse_twins(what: str, names: Sequence[str]) -> None:

@@ -6,6 +6,7 @@ from typing import Any
 
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.experiments.grid import AgentSpec, Grid, RoomSpec
+from hrl_escape.experiments.references import REFERENCES
 
 __all__ = ["GRIDS", "get_grid"]
 
@@ -20,7 +21,7 @@ def _parse_rooms(*texts: str) -> tuple[RoomSpec, ...]:
 
 _FLAT = _parse_agents("random", "dqn@paper", "sarsa@paper", "ddpg@paper", "dqn", "sarsa", "ddpg")
 _OPTIONS = _parse_agents("smdp-random", "smdp-dqn@paper", "smdp-sarsa@paper", "smdp-ddpg@paper", "smdp-dqn",
-                         "smdp-sarsa", "smdp-ddpg")
+                         "smdp-sarsa", "smdp-ddpg", *REFERENCES)
 # The paper's rooms have one start and no chance: every episode of one evaluation is the same, so one is enough.
 _PAPER: dict[str, Any] = {"runs": 10, "primitives": 20_000, "eval_every": 500, "eval_episodes": 1}
 
@@ -30,7 +31,7 @@ GRIDS: dict[str, Grid] = {
         Grid(
             name="quickstart",
             description="Do options help in a room with two buttons, and does learning add to what they know?",
-            agents=_parse_agents("random", "dqn", "smdp-random", "smdp-q-learning", "smdp-dqn"),
+            agents=_parse_agents("random", "dqn", "smdp-random", "smdp-q-learning", "smdp-dqn", *REFERENCES),
             rooms=_parse_rooms("paper-two-button"),
             runs=8,
             primitives=15_000,
@@ -42,7 +43,7 @@ GRIDS: dict[str, Grid] = {
             "meta-actions, in the paper's two rooms.",
             agents=_parse_agents(
                 "random", "dqn@paper", "sarsa@paper", "ddpg@paper",
-                "smdp-random", "smdp-dqn@paper", "smdp-sarsa@paper", "smdp-ddpg@paper",
+                "smdp-random", "smdp-dqn@paper", "smdp-sarsa@paper", "smdp-ddpg@paper", *REFERENCES,
             ),
             rooms=_parse_rooms("paper-one-button", "paper-two-button"),
             runs=10,
@@ -79,7 +80,8 @@ GRIDS: dict[str, Grid] = {
         Grid(
             name="ladder",
             description="From one button to ten: who still escapes as rooms grow harder?",
-            agents=_parse_agents("random", "dqn", "ppo", "smdp-random", "smdp-q-learning", "smdp-dqn", "smdp-ppo"),
+            agents=_parse_agents("random", "dqn", "ppo", "smdp-random", "smdp-q-learning", "smdp-dqn", "smdp-ppo",
+                                 *REFERENCES),
             rooms=_parse_rooms("paper-one-button", "paper-two-button", "four-button-chain", "clutter", "ten-button"),
             runs=10,
             primitives=50_000,

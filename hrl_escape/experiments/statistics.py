@@ -1,13 +1,13 @@
-"""Statistics over few runs: interquartile mean, bootstrap intervals, probability of improvement, profiles.
+"""Statistics of runs: efficiency, interquartile mean, performance profile, and what sums up a learning curve.
 
-The definitions are those of Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the
-Statistical Precipice", as in their library rliable. Scores come as one array a room, runs along the last
-axis; every statistic keeps leading axes, so that a bootstrap is one call on resampled scores. Nothing here reads files.
+Interquartile mean and profile are those of Agarwal et al. (2021), "Deep Reinforcement Learning at the Edge of the
+Statistical Precipice". Scores come as one array a room, runs along the last axis; every statistic keeps leading
+axes. Intervals and tests are in `inference.py`. Nothing here reads files.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -15,13 +15,16 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 __all__ = [
+    "LATE",
+    "NEAR_BEST",
+    "Floats",
     "Gap",
     "Scores",
     "compute_area",
+    "compute_efficiency",
     "compute_final",
-    "compute_improvement",
-    "compute_interval",
     "compute_iqm",
+    "compute_mean",
     "compute_profile",
     "compute_score",
     "compute_slope",
@@ -32,6 +35,8 @@ Floats: TypeAlias = NDArray[np.float64]
 Scores: TypeAlias = Sequence[Floats]
 """One float64 array (..., runs) a room; rooms may have different numbers of runs, at least one each."""
 
+NEAR_BEST = 0.95
+"""Score from which on a return counts as near the best known."""
 LATE = 0.8
 """A run is judged by its evaluations from this share of the budget on."""
 
@@ -42,43 +47,41 @@ def compute_score(returns: ArrayLike, worst: ArrayLike, best: ArrayLike) -> Floa
     return (np.asarray(returns, dtype=np.float64) - low) / (high - low)
 
 
-def compute_iqm(scores: Scores) -> Floats:
+def compute_efficiency(escaped: ArrayLike, primitives: ArrayLike, fewest: ArrayLike) -> Floats:
+    """Efficiency of episodes: escaped x fewest known primitives / primitives, at most 1 and 0 without escape."""
+    ratio = np.asarray(fewest, dtype=np.float64) / np.maximum(np.asarray(primitives, dtype=np.float64), 1.0)
+    return np.where(np.asarray(escaped, dtype=bool), np.minimum(ratio, 1.0), 0.0)
+
+
+def compute_iqm(scores: Scores, weights: Scores | None = None) -> Floats:
     """Interquartile mean: the mean of the middle half of all runs of all rooms together.
 
     The lowest and the highest `floor(n / 4)` of n runs are left out (`scipy.stats.trim_mean`), so with
-    fewer than four runs it is the mean.
+    fewer than four runs it is the mean. With weights it is the mean between the quartiles of the weighted runs.
 
     Args:
         scores: (..., runs) a room.
+        weights: (..., runs) a room, adding up to 1 in each.
 
     Returns:
         Array (...).
     """
     pooled = np.concatenate(scores, axis=-1)
-    return np.asarray(stats.trim_mean(pooled, 0.25, axis=-1), dtype=np.float64)  # pyright: ignore[reportUnknownMemberType]
+    if weights is None:
+        return np.asarray(stats.trim_mean(pooled, 0.25, axis=-1), dtype=np.float64)  # pyright: ignore[reportUnknownMemberType]
+    shares = np.array([room.shape[-1] for room in scores]) / pooled.shape[-1]
+    joint = np.concatenate([weight * share for weight, share in zip(weights, shares, strict=True)], axis=-1)
+    order = np.broadcast_to(np.argsort(pooled, axis=-1), np.broadcast_shapes(pooled.shape, joint.shape))
+    ends = np.cumsum(np.take_along_axis(np.broadcast_to(joint, order.shape), order, axis=-1), axis=-1)
+    inside = np.diff(np.minimum(np.maximum(ends, 0.25), 0.75), axis=-1, prepend=0.25)
+    return 2 * np.sum(inside * np.sort(pooled, axis=-1), axis=-1)
 
 
-def compute_improvement(first: Scores, second: Scores) -> Floats:
-    """Probability that a run of `first` scores above a run of `second` in the same room.
-
-    P = mean over rooms of U / (n m), with the Mann-Whitney U = #{x > y} + #{x = y} / 2.
-
-    Args:
-        first: (..., n) a room.
-        second: (..., m) a room, the same rooms.
-
-    Returns:
-        Array (...); 1/2 is no difference.
-    """
-    if len(first) != len(second):
-        raise ValueError(f"{len(first)} rooms cannot be compared with {len(second)}")
-    rooms = [_compute_room_improvement(x, y) for x, y in zip(first, second, strict=True)]
-    return np.mean(rooms, axis=0)
-
-
-def _compute_room_improvement(x: Floats, y: Floats) -> Floats:
-    difference = x[..., :, np.newaxis] - y[..., np.newaxis, :]
-    return np.mean(np.heaviside(difference, 0.5), axis=(-2, -1))
+def compute_mean(scores: Scores, weights: Scores | None = None) -> Floats:
+    """Mean of the rooms' means."""
+    if weights is None:
+        return np.mean([room.mean(axis=-1) for room in scores], axis=0)
+    return np.mean([np.sum(room * weight, axis=-1) for room, weight in zip(scores, weights, strict=True)], axis=0)
 
 
 def compute_profile(scores: Scores, thresholds: ArrayLike) -> Floats:
@@ -93,36 +96,6 @@ def compute_profile(scores: Scores, thresholds: ArrayLike) -> Floats:
     """
     levels = np.asarray(thresholds, dtype=np.float64)
     return np.mean([np.mean(room[..., np.newaxis, :] > levels[:, np.newaxis], axis=-1) for room in scores], axis=0)
-
-
-def compute_interval(
-    statistic: Callable[..., Floats],
-    *groups: Scores,
-    rng: np.random.Generator,
-    resamples: int = 5_000,
-    level: float = 0.95,
-) -> tuple[Floats, Floats]:
-    """Percentile interval of a statistic by stratified bootstrap: runs are drawn anew within each room.
-
-    Args:
-        statistic: of as many groups as are given; keeps leading axes, as the statistics here do.
-        *groups: scores (runs,) a room; drawn independently of each other.
-        rng: where the draws come from.
-        resamples: number of draws.
-        level: share of the bootstrap distribution between the two ends.
-
-    Returns:
-        Lower and upper end, each of the statistic's own shape.
-    """
-    drawn = [[_resample(room, resamples, rng) for room in group] for group in groups]
-    ends = np.quantile(statistic(*drawn), [(1 - level) / 2, (1 + level) / 2], axis=0)
-    return ends[0], ends[1]
-
-
-def _resample(runs: Floats, resamples: int, rng: np.random.Generator) -> Floats:
-    """Array (resamples, ..., runs): runs drawn with replacement, leading axes kept together."""
-    chosen = runs[..., rng.integers(runs.shape[-1], size=(resamples, runs.shape[-1]))]
-    return np.moveaxis(chosen, -2, 0)
 
 
 def compute_area(x: ArrayLike, y: ArrayLike, end: float) -> float:
@@ -140,7 +113,7 @@ def compute_area(x: ArrayLike, y: ArrayLike, end: float) -> float:
 
 
 def compute_final(x: ArrayLike, y: ArrayLike, end: float) -> float:
-    """What a run comes to: the mean of its evaluations in the last fifth of the budget.
+    """Final value of a run: the mean of its evaluations in the last fifth of the budget.
 
     A policy that is greedy in one room from one start does all or nothing; the mean over a few
     evaluations says whether it has settled, where the last one alone would leave that to luck.
@@ -173,11 +146,11 @@ def compute_slope(x: ArrayLike, y: ArrayLike, start: float, end: float) -> float
 
 
 class Gap(NamedTuple):
-    """What is missing to the best known return, in score: `options` + `learning` = 1 - score.
+    """Distance to the best known, in score: `options` + `learning` = 1 - score.
 
     Attributes:
-        options: what no policy over the given actions can reach.
-        learning: what a policy over them could reach and the agent has not.
+        options: part that no policy over the given actions can reach.
+        learning: part that a policy over them can reach and the agent has not.
     """
 
     options: float
@@ -185,7 +158,7 @@ class Gap(NamedTuple):
 
 
 def split_gap(score: float, reachable: float) -> Gap:
-    """Split what is missing.
+    """Split the distance to the best known.
 
     Args:
         score: the agent's.

@@ -1,4 +1,4 @@
-"""What a comparison's runs amount to: scores, intervals, curves, gaps, and who beats whom.
+"""Summary of a comparison: efficiency, progress, escapes, learning curves, gaps, and agents compared in pairs.
 
 Pure functions from results to numbers, the same every time; words are in `verdict.py`, pages in
 `report.py`. A run is judged by its evaluations in the last fifth of training.
@@ -17,41 +17,34 @@ from numpy.typing import ArrayLike, NDArray
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ComparisonError
-from hrl_escape.experiments.cell import CellResult
 from hrl_escape.experiments.comparison import Comparison
-from hrl_escape.experiments.grid import AgentSpec, Cell, Grid
-from hrl_escape.experiments.scale import Scale
+from hrl_escape.experiments.grid import AgentSpec, Grid, GridRun
+from hrl_escape.experiments.inference import Estimate, Statistic, compute_interval, compute_wilson_interval
+from hrl_escape.experiments.pairs import Pair, compare_agents
+from hrl_escape.experiments.references import PLANNER
+from hrl_escape.experiments.runs import RunResult
+from hrl_escape.experiments.score_range import ScoreRange
 from hrl_escape.experiments.statistics import (
     Gap,
-    Scores,
     compute_area,
-    compute_improvement,
-    compute_interval,
     compute_iqm,
+    compute_mean,
     compute_profile,
     compute_score,
     split_gap,
 )
 
-__all__ = ["CURVE_METRICS", "AgentSummary", "Curve", "Estimate", "RoomSummary", "Summary", "summarise"]
+__all__ = ["CURVE_METRICS", "AgentSummary", "Curve", "RoomSummary", "Summary", "summarise"]
 
 Floats: TypeAlias = NDArray[np.float64]
-Run: TypeAlias = tuple[Cell, CellResult]
+Run: TypeAlias = tuple[GridRun, RunResult]
 
-CURVE_METRICS = ("score", "success", "length")
+CURVE_METRICS = ("efficiency", "progress", "success", "length", "score")
 CURVE_POINTS = 41
-CURVE_RESAMPLES = 1_000
+CURVE_RESAMPLES = 500
 PROFILE = np.round(np.concatenate([np.linspace(-0.05, 0.9, 96), np.linspace(0.901, 1.0, 100)]), 4)
-"""Thresholds of the performance profile: denser towards the best known return."""
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """A number and its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
+"""Thresholds of the performance profile: denser towards the best known."""
+UNIT = (0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -73,18 +66,24 @@ class Curve:
 
 @dataclass(frozen=True)
 class AgentSummary:
-    """What one agent achieved.
+    """Results of one agent.
 
     Attributes:
-        spec: who.
-        settings: what it ran with.
-        scores: final scores (runs,) a room; a room without a finished run has none.
-        score: interquartile mean of them.
-        success: share of evaluation episodes in the last fifth that escaped, rooms weighing the same.
-        length: interquartile mean of primitives in such an episode.
-        area: interquartile mean of the area under the score's curve, over the budget.
+        spec: the agent.
+        settings: its settings.
+        efficiencies: final efficiency (runs,) a room; a room without a finished run has none.
+        efficiency: interquartile mean of them, the primary score.
+        progress: share of the goal's ancestors lit at best in an episode of the last fifth, rooms weighing the same.
+        success: share of evaluation episodes in the last fifth that escaped, rooms weighing the same; Wilson's
+            interval, a run counting as one try.
+        first_escape: mean primitives of training to the first escape, up to the budget: runs without one count with
+            the whole budget. All are censored there, so it is the restricted mean of the Kaplan-Meier curve.
+        escaped_runs: runs in which a training episode escaped.
+        length: interquartile mean of primitives in an episode of the last fifth.
+        score: interquartile mean of the return score: 0 at the worst, 1 at the best known return.
+        area: interquartile mean of the area under the efficiency's curve, over the budget.
         stuck: share of runs without any escape in the last fifth.
-        gap: what is missing to the best known.
+        gap: distance to an efficiency of 1.
         curve: over all rooms.
         room_curves: room by room; None where it has no run.
         profile: share of runs above each threshold of `PROFILE`.
@@ -97,10 +96,14 @@ class AgentSummary:
 
     spec: AgentSpec
     settings: dict[str, object]
-    scores: tuple[Floats, ...]
-    score: Estimate
+    efficiencies: tuple[Floats, ...]
+    efficiency: Estimate
+    progress: Estimate
     success: Estimate
+    first_escape: Estimate
+    escaped_runs: int
     length: Estimate
+    score: Estimate
     area: Estimate
     stuck: float
     gap: Gap
@@ -115,49 +118,51 @@ class AgentSummary:
 
     @property
     def label(self) -> str:
-        """What it is called."""
+        """Name in tables and figures."""
         return self.spec.label
 
     @property
     def runs(self) -> int:
-        """Finished runs."""
-        return sum(len(room) for room in self.scores)
+        """Number of finished runs."""
+        return sum(len(room) for room in self.efficiencies)
 
     @property
     def fewest_runs(self) -> int:
-        """In the room where it has fewest."""
-        return min(len(room) for room in self.scores)
+        """Number of finished runs in the room that has fewest."""
+        return min(len(room) for room in self.efficiencies)
 
 
 @dataclass(frozen=True)
 class RoomSummary:
-    """A room and its scale.
+    """A room and the ends of its scales.
 
     Attributes:
         instance: the room.
         name: in tables.
         worst: return without escape.
         best: best known return, mean over the evaluation episodes.
-        source: what found the best: `planner`, `ceiling`, or the label of the agent that beat the planner.
+        fewest: primitives of the best known escape, mean over the evaluation episodes.
+        source: finder of the best: `planner`, `ceiling`, or the label of the agent that beat the planner.
     """
 
     instance: RoomInstance
     name: str
     worst: float
     best: float
+    fewest: float
     source: str
 
 
 @dataclass(frozen=True)
 class Summary:
-    """All of it.
+    """Results of a comparison.
 
     Attributes:
-        grid: what was asked for.
+        grid: its settings.
         rooms: in the grid's order.
         agents: in the grid's order; those without any finished run are left out.
-        runs: cells with their results; scales raised to what was reached.
-        improvement: (agents, agents) -> probability that a run of the first beats one of the second.
+        runs: runs with their results; score ranges raised to what was reached.
+        pairs: (agents, agents) -> the first compared with the second by their efficiency.
         versions: package -> version, `a, b` where runs differ.
     """
 
@@ -165,16 +170,17 @@ class Summary:
     rooms: tuple[RoomSummary, ...]
     agents: tuple[AgentSummary, ...]
     runs: tuple[Run, ...]
-    improvement: tuple[tuple[Estimate, ...], ...]
+    pairs: tuple[tuple[Pair, ...], ...]
     versions: dict[str, str]
 
-    def get_improvement(self, first: AgentSummary, second: AgentSummary) -> Estimate:
-        """Probability that a run of one beats a run of the other in the same room."""
-        return self.improvement[self.agents.index(first)][self.agents.index(second)]
+    def get_pair(self, first: AgentSummary, second: AgentSummary) -> Pair:
+        """Comparison of one agent with another."""
+        places = {agent.label: number for number, agent in enumerate(self.agents)}
+        return self.pairs[places[first.label]][places[second.label]]
 
 
 def summarise(comparison: Comparison) -> Summary:
-    """Work out what the finished runs amount to.
+    """Summarise the finished runs.
 
     Raises:
         ComparisonError: no run has finished.
@@ -182,87 +188,125 @@ def summarise(comparison: Comparison) -> Summary:
     if not comparison.runs:
         reasons = "; ".join(sorted({failure.message for failure in comparison.failures})) or "none was run"
         raise ComparisonError(f"{comparison.out}: no run has finished, so there is nothing to report: {reasons}")
-    runs = [run for instance in comparison.instances for run in _raise_scales(
+    runs = [run for instance in comparison.instances for run in _raise_ranges(
         [run for run in comparison.runs if run[0].instance_id == instance.id], instance)]
     rooms = [_summarise_room(instance, runs) for instance in comparison.instances]
     agents = [
         _summarise_agent(comparison, [run for run in runs if run[0].number == number])
-        for number in sorted({cell.number for cell, _ in runs})
+        for number in sorted({run.number for run, _ in runs})
     ]
-    improvement = tuple(tuple(_estimate_improvement(first, second) for second in agents) for first in agents)
-    return Summary(comparison.grid, tuple(rooms), tuple(agents), tuple(runs), improvement, _join_versions(runs))
+    finals = [{(run.instance_id, run.seed): result.get_final("efficiency") for run, result in runs
+               if run.agent.label == agent.label} for agent in agents]
+    pairs = compare_agents(finals, [agent.spec.name != PLANNER for agent in agents], _make_rng())
+    return Summary(comparison.grid, tuple(rooms), tuple(agents), tuple(runs), pairs, _join_versions(runs))
 
 
-def _raise_scales(runs: Sequence[Run], instance: RoomInstance) -> list[Run]:
-    """Take over what runs in a room did better than the best known, start by start.
+def _raise_ranges(runs: Sequence[Run], instance: RoomInstance) -> list[Run]:
+    """Raise the best known of each start to the best that a run reached there: return, and fewest primitives.
 
-    In a room with noise nothing is taken over: a lucky episode is no reference.
+    In a room with noise nothing is raised, because a lucky episode is no reference.
     """
     dynamics = instance.dynamics
     if dynamics.noise or dynamics.slip or dynamics.kind == "physics":
         return list(runs)
-    best: dict[tuple[float, ...], tuple[float, str]] = {}
-    for cell, result in runs:
-        scale = result.scale
-        returns = np.max([evaluation.returns for evaluation in result.evaluations], axis=0)
-        for start, known, reached in zip(scale.starts, scale.best, returns, strict=True):
-            found = best.setdefault(start, (known, scale.source))
-            if reached > found[0] + 1e-9:
-                best[start] = float(reached), cell.agent.label
-    return [(cell, dataclasses.replace(result, scale=_raise_scale(result.scale, best))) for cell, result in runs]
+    best: dict[tuple[float, ...], tuple[float, int, str]] = {}
+    for run, result in runs:
+        score_range = result.score_range
+        reached = zip(_find_best(result), _find_fewest(result), strict=True)
+        known = zip(score_range.starts, score_range.best, score_range.fewest, strict=True)
+        for (start, value, fewest), (new_value, new_fewest) in zip(known, reached, strict=True):
+            found = best.setdefault(start, (value, fewest, score_range.source))
+            if new_value > found[0] + 1e-9 or new_fewest < found[1]:
+                best[start] = max(found[0], new_value), min(found[1], new_fewest), run.agent.label
+    return [(run, dataclasses.replace(result, score_range=_raise_range(result.score_range, best)))
+            for run, result in runs]
 
 
-def _raise_scale(scale: Scale, best: dict[tuple[float, ...], tuple[float, str]]) -> Scale:
-    raised = tuple(best[start][0] for start in scale.starts)
-    reachable = tuple(  # whoever could do the best known could do the new best, as far as is known
-        new if reach >= old else reach for reach, old, new in zip(scale.reachable, scale.best, raised, strict=True)
-    )
-    sources = dict.fromkeys(best[start][1] for start in scale.starts)
-    return dataclasses.replace(scale, best=raised, reachable=reachable, source=", ".join(sources))
+def _find_best(result: RunResult) -> list[float]:
+    """Best return of each evaluation episode, over the run."""
+    return np.max([evaluation.returns for evaluation in result.evaluations], axis=0).tolist()
 
 
-def _score(result: CellResult, returns: ArrayLike) -> Floats:
-    return compute_score(returns, result.scale.worst, np.mean(result.scale.best))
+def _find_fewest(result: RunResult) -> list[int]:
+    """Fewest primitives of an escape in each evaluation episode, over the run; beyond all where none escaped."""
+    lengths = np.array([evaluation.lengths for evaluation in result.evaluations])
+    escaped = np.array([evaluation.successes for evaluation in result.evaluations])
+    return np.where(escaped, lengths, np.iinfo(np.int64).max).min(axis=0).tolist()
+
+
+def _raise_range(score_range: ScoreRange, best: dict[tuple[float, ...], tuple[float, int, str]]) -> ScoreRange:
+    """Replace the best known; who could do the old best can do the new one, as far as is known."""
+    raised, fewest, sources = zip(*(best[start] for start in score_range.starts), strict=True)
+    reachable = tuple(new if reach >= old else reach
+                      for reach, old, new in zip(score_range.reachable, score_range.best, raised, strict=True))
+    fewest_reachable = tuple(
+        new if reach is not None and reach <= old else reach
+        for reach, old, new in zip(score_range.fewest_reachable, score_range.fewest, fewest, strict=True))
+    return dataclasses.replace(score_range, best=raised, reachable=reachable, fewest=fewest,
+                               fewest_reachable=fewest_reachable, source=", ".join(dict.fromkeys(sources)))
+
+
+def _score(result: RunResult, returns: ArrayLike) -> Floats:
+    return compute_score(returns, result.score_range.worst, np.mean(result.score_range.best))
 
 
 def _summarise_room(instance: RoomInstance, runs: Sequence[Run]) -> RoomSummary:
-    here = [(cell, result) for cell, result in runs if cell.instance_id == instance.id]
+    here = [(run, result) for run, result in runs if run.instance_id == instance.id]
     if not here:
-        return RoomSummary(instance, instance.name, math.nan, math.nan, "nothing")
-    sources = dict.fromkeys(source for _, result in here for source in result.scale.source.split(", "))
-    best = float(np.mean([np.mean(result.scale.best) for _, result in here]))
-    return RoomSummary(instance, here[0][0].room, here[0][1].scale.worst, best, ", ".join(sources))
+        return RoomSummary(instance, instance.name, math.nan, math.nan, math.nan, "nothing")
+    ranges = [result.score_range for _, result in here]
+    sources = dict.fromkeys(source for found in ranges for source in found.source.split(", "))
+    best, fewest = (float(np.mean([np.mean(values) for values in ends]))
+                    for ends in ([found.best for found in ranges], [found.fewest for found in ranges]))
+    return RoomSummary(instance, here[0][0].room, ranges[0].worst, best, fewest, ", ".join(sources))
+
+
+def _compute_reachable_efficiency(result: RunResult) -> float:
+    """Efficiency of the best known policy over the agent's actions."""
+    ends = result.score_range
+    return float(np.mean([0.0 if reach is None else min(1.0, fewest / reach)
+                          for fewest, reach in zip(ends.fewest, ends.fewest_reachable, strict=True)]))
 
 
 def _summarise_agent(comparison: Comparison, runs: Sequence[Run]) -> AgentSummary:
-    budget, cell = max(result.budget for _, result in runs), runs[0][0]
-    rooms = [[result for cell, result in runs if cell.instance_id == instance.id] for instance in comparison.instances]
+    budget, run = max(result.budget for _, result in runs), runs[0][0]
+    rooms = [[result for run, result in runs if run.instance_id == instance.id] for instance in comparison.instances]
     occupied = [room for room in rooms if room]
     results = [result for _, result in runs]
 
-    def collect(read: Callable[[CellResult], float | Floats]) -> list[Floats]:
+    def collect(read: Callable[[RunResult], float | Floats]) -> list[Floats]:
         return [np.array([read(result) for result in room], dtype=np.float64) for room in occupied]
 
-    scores = collect(lambda result: _score(result, result.get_final("mean_return")))
-    score = _estimate(compute_iqm, scores)
-    reachable = _compute_mean(collect(lambda result: _score(result, np.mean(result.scale.reachable))))
-    areas = collect(lambda result: compute_area(
-        result.get_curve("primitives"), _score(result, result.get_curve("mean_return")), budget))
-    filled = iter(scores)
+    def describe(metric: str, statistic: Statistic = compute_iqm, bounds: tuple[float, float] = UNIT) -> Estimate:
+        return _estimate(statistic, collect(lambda result: result.get_final(metric)), bounds)
+
+    efficiencies = collect(lambda result: result.get_final("efficiency"))
+    efficiency = _estimate(compute_iqm, efficiencies)
+    reachable = float(compute_mean(collect(_compute_reachable_efficiency)))
+    success = float(compute_mean(collect(lambda result: result.get_final("success_rate"))))
+    first = collect(lambda result: float(budget if result.first_escape is None else min(result.first_escape, budget)))
+    horizon = max(instance.horizon for instance in comparison.instances)
+    returns = collect(lambda result: _score(result, result.get_final("mean_return")))
+    areas = collect(lambda result: compute_area(result.get_curve("primitives"), result.get_curve("efficiency"), budget))
+    filled = iter(efficiencies)
     return AgentSummary(
-        spec=cell.agent,
-        settings=cell.settings,
-        scores=tuple(next(filled) if room else np.zeros(0) for room in rooms),
-        score=score,
-        success=_estimate(_compute_mean, collect(lambda result: result.get_final("success_rate"))),
-        length=_estimate(compute_iqm, collect(lambda result: result.get_final("mean_length"))),
+        spec=run.agent,
+        settings=run.settings,
+        efficiencies=tuple(next(filled) if room else np.zeros(0) for room in rooms),
+        efficiency=efficiency,
+        progress=describe("mean_progress", compute_mean),
+        success=Estimate(success, *compute_wilson_interval(success, len(results))),
+        first_escape=_estimate(compute_mean, first, (0.0, float(budget))),
+        escaped_runs=sum(result.first_escape is not None for result in results),
+        length=describe("mean_length", bounds=(1.0, float(horizon))),
+        score=_estimate(compute_iqm, returns, (min(0.0, *map(np.min, returns)), max(1.0, *map(np.max, returns)))),
         area=_estimate(compute_iqm, areas),
         stuck=float(np.mean([result.is_stuck for result in results])),
-        gap=split_gap(score.value, float(reachable)),
-        curve=_make_curve(occupied, budget),
-        room_curves=tuple(_make_curve([room], budget) if room else None for room in rooms),
-        profile=compute_profile(scores, PROFILE),
-        failed=sum(failure.cell.number == cell.number for failure in comparison.failures),
+        gap=split_gap(efficiency.value, reachable),
+        curve=_make_curve(occupied, budget, horizon),
+        room_curves=tuple(_make_curve([room], budget, horizon) if room else None for room in rooms),
+        profile=compute_profile(efficiencies, PROFILE),
+        failed=sum(failure.run.number == run.number for failure in comparison.failures),
         decisions=float(np.mean([result.decisions for result in results])),
         planner_calls=float(np.mean([result.planner_calls for result in results])),
         seconds=float(np.mean([result.seconds[-1] for result in results])),
@@ -270,36 +314,21 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[Run]) -> AgentSummar
     )
 
 
-def _compute_mean(scores: Scores) -> Floats:
-    """Mean of the rooms' means."""
-    return np.mean([room.mean(axis=-1) for room in scores], axis=0)
-
-
 def _make_rng() -> np.random.Generator:
-    """The same draws for every statistic, so that a report says the same whenever it is written."""
+    """Generator with the same draws for every statistic, so that a report is always the same."""
     return np.random.default_rng(20_190_100)
 
 
-def _estimate(statistic: Callable[..., Floats], *groups: Scores) -> Estimate:
-    low, high = compute_interval(statistic, *groups, rng=_make_rng())
-    return Estimate(float(statistic(*groups)), float(low), float(high))
+def _estimate(statistic: Statistic, scores: Sequence[Floats], bounds: tuple[float, float] = UNIT) -> Estimate:
+    low, high = compute_interval(statistic, scores, bounds, _make_rng())
+    return Estimate(float(statistic(scores)), float(low), float(high))
 
 
-def _estimate_improvement(first: AgentSummary, second: AgentSummary) -> Estimate:
-    """Over the rooms where both have runs; without any, nothing is known."""
-    both = [(x, y) for x, y in zip(first.scores, second.scores, strict=True) if len(x) and len(y)]
-    if not both:
-        return Estimate(0.5, 0.0, 1.0)
-    if first is second:
-        return Estimate(0.5, 0.5, 0.5)
-    return _estimate(compute_improvement, [x for x, _ in both], [y for _, y in both])
-
-
-def _make_curve(rooms: Sequence[Sequence[CellResult]], budget: int) -> Curve:
-    """Every run's curve at common numbers of primitives, linear between its evaluations; then their middle."""
+def _make_curve(rooms: Sequence[Sequence[RunResult]], budget: int, horizon: int) -> Curve:
+    """Middle of the runs' curves at common numbers of primitives, each linear between its evaluations."""
     grid = np.linspace(0, budget, CURVE_POINTS)
 
-    def stack(read: Callable[[CellResult], Floats]) -> list[Floats]:
+    def stack(read: Callable[[RunResult], Floats]) -> list[Floats]:
         """(points, runs) a room."""
         return [np.stack([np.interp(grid, result.get_curve("primitives"), read(result)) for result in room], axis=-1)
                 for room in rooms]
@@ -307,14 +336,18 @@ def _make_curve(rooms: Sequence[Sequence[CellResult]], budget: int) -> Curve:
     def compute_median(metric: str) -> Floats:
         return np.median(np.concatenate(stack(lambda result: result.get_curve(metric)), axis=-1), axis=-1)
 
-    curves: dict[str, tuple[Callable[..., Floats], list[Floats]]] = {
-        "score": (compute_iqm, stack(lambda result: _score(result, result.get_curve("mean_return")))),
-        "success": (_compute_mean, stack(lambda result: result.get_curve("success_rate"))),
-        "length": (compute_iqm, stack(lambda result: result.get_curve("mean_length"))),
+    scores = stack(lambda result: _score(result, result.get_curve("mean_return")))
+    ends = (min(0.0, *(float(room.min()) for room in scores)), max(1.0, *(float(room.max()) for room in scores)))
+    curves: dict[str, tuple[Statistic, list[Floats], tuple[float, float]]] = {
+        "efficiency": (compute_iqm, stack(lambda result: result.get_curve("efficiency")), UNIT),
+        "progress": (compute_mean, stack(lambda result: result.get_curve("mean_progress")), UNIT),
+        "success": (compute_mean, stack(lambda result: result.get_curve("success_rate")), UNIT),
+        "length": (compute_iqm, stack(lambda result: result.get_curve("mean_length")), (1.0, float(horizon))),
+        "score": (compute_iqm, scores, ends),
     }
     metrics = {}
-    for name, (statistic, values) in curves.items():
-        low, high = compute_interval(statistic, values, rng=_make_rng(), resamples=CURVE_RESAMPLES)
+    for name, (statistic, values, bounds) in curves.items():
+        low, high = compute_interval(statistic, values, bounds, _make_rng(), CURVE_RESAMPLES)
         metrics[name] = (statistic(values), low, high)
     return Curve(grid, compute_median("decisions"), compute_median("seconds"), metrics)
 

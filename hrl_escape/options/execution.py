@@ -1,50 +1,66 @@
-"""What happens inside one decision: an option runs, primitives are stepped, and all of it is noted.
+"""One decision from the inside: an option runs, primitives are stepped, and everything is recorded.
 
-`OptionsEnv` makes an SMDP transition of these notes. Nothing here knows actions' numbers,
+`OptionsEnv` turns these records into an SMDP transition. Nothing here knows action numbers,
 masks or discounts.
 """
 
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import gymnasium
 import numpy as np
 
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import OptionError
-from hrl_escape.options.option import Option, OptionReport
+from hrl_escape.options.option import Option
+from hrl_escape.planning.report import PlanningReport
 
-__all__ = ["Decision", "Outcome", "Run"]
+__all__ = ["Decision", "OptionExecution", "DecisionOutcome", "RoomEnv"]
 
 DEEPEST_NESTING = 8
 
 
-class Run:
-    """One option from its start on: the stack of nested options and how long it has run."""
+@runtime_checkable
+class RoomEnv(Protocol):
+    """Environment that options can run in: it shows its room and its full state."""
+
+    @property
+    def instance(self) -> RoomInstance:
+        """Present room."""
+        ...
+
+    def get_state(self) -> RoomState:
+        """Full state at present."""
+        ...
+
+
+class OptionExecution:
+    """One option from its start on: the stack of nested options and its duration so far."""
 
     def __init__(self, index: int, option: Option, state: RoomState) -> None:
         self.index = index
         self.option = option
         self.duration = 0
         self._stack = [option]
-        self._finished = OptionReport()
+        self._finished = PlanningReport()
         option.start(state)
 
     def choose(self, state: RoomState) -> int:
-        """The next primitive, entering nested options as the policies say."""
+        """Next primitive; lower options are entered as the policies ask."""
         while True:
-            decision = self._stack[-1].policy(state)
-            if not isinstance(decision, Option):
-                return int(decision)
+            action = self._stack[-1].policy(state)
+            if not isinstance(action, Option):
+                return int(action)
             if len(self._stack) == DEEPEST_NESTING:
                 raise OptionError(f"option {self.option.name!r} nests deeper than {DEEPEST_NESTING} options")
-            self._stack.append(decision)
-            decision.start(state)
+            self._stack.append(action)
+            action.start(state)
 
     def ends_at(self, state: RoomState, rng: np.random.Generator) -> bool:
-        """Ask the innermost option's termination at the state reached, then that of who called it."""
+        """Draw the innermost option's termination at the state reached, then its caller's, up to the outermost."""
         while True:
             beta = self._stack[-1].termination(state)
             if beta <= 0.0 or (beta < 1.0 and rng.random() >= beta):
@@ -53,9 +69,9 @@ class Run:
                 return True
             self._finished.add(self._stack.pop().report)
 
-    def make_report(self) -> OptionReport:
-        """Sum of what the option and those nested in it tell."""
-        total = OptionReport()
+    def make_report(self) -> PlanningReport:
+        """Planning of the option and of all options nested in it."""
+        total = PlanningReport()
         total.add(self._finished)
         for option in self._stack:
             total.add(option.report)
@@ -63,9 +79,9 @@ class Run:
 
 
 class Decision:
-    """One decision while it runs: steps the wrapped environment and notes what happens."""
+    """One decision while it runs: steps the wrapped environment and records the result."""
 
-    def __init__(self, env: gymnasium.Env, room: Any, observation: Any) -> None:
+    def __init__(self, env: gymnasium.Env, room: RoomEnv, observation: Any) -> None:
         self._env, self._room = env, room
         self.state: RoomState = room.get_state()
         self.observation = observation
@@ -93,9 +109,9 @@ class Decision:
 
 
 @dataclasses.dataclass
-class Outcome:
-    """How a decision ended, and why planning failed if it did."""
+class DecisionOutcome:
+    """Ending of a decision, and the reason if planning failed."""
 
     ended: str
     reason: str = ""
-    report: OptionReport = dataclasses.field(default_factory=OptionReport)
+    report: PlanningReport = dataclasses.field(default_factory=PlanningReport)

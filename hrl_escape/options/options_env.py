@@ -1,15 +1,14 @@
 """`OptionsEnv`: a Gymnasium wrapper under which one step is one decision of an SMDP.
 
-It runs a primitive, or an option to its end, and returns what happened as one transition
-with its duration and discount (Sutton, Precup and Singh 1999, section 3). It counts and
-bookkeeps only: which options there are and how they move is `synthesis.py`'s matter.
+A primitive, or an option run to its end, becomes one transition with its duration and discount
+(Sutton, Precup and Singh 1999, section 3). This module only counts and records; the options come
+from `sources.py`, the loop inside one decision from `execution.py`.
 """
 
 from __future__ import annotations
 
 import operator
-from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, SupportsFloat, TypeAlias
+from typing import Any, NamedTuple, SupportsFloat
 
 import gymnasium
 import numpy as np
@@ -17,9 +16,11 @@ from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import NDArray
 
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.primitives import BASE_PRIMITIVES, make_primitives
+from hrl_escape.env.primitives import BASE_ACTIONS, make_action_table
 from hrl_escape.errors import (
     ActionError,
     ConfigError,
@@ -28,24 +29,20 @@ from hrl_escape.errors import (
     ResetNeededError,
     UnsupportedError,
 )
-from hrl_escape.options.execution import Decision, Outcome, Run
-from hrl_escape.options.option import Option
+from hrl_escape.options.execution import Decision, DecisionOutcome, OptionExecution, RoomEnv
+from hrl_escape.options.sources import OptionsSource, make_meta_source, make_options
 
-__all__ = ["OptionsEnv", "OptionsSource", "TraceStep"]
+__all__ = ["OptionsEnv", "TraceStep", "make_options_env"]
 
-OptionsSource: TypeAlias = Sequence[Option] | Callable[[RoomInstance], Sequence[Option]] | None
-
-WAIT = [primitive.name for primitive in BASE_PRIMITIVES].index("turn-left")
-"""What a decision that came to nothing costs: one turn, which is always possible and blocks nothing."""
 
 class TraceStep(NamedTuple):
     """One primitive inside a decision.
 
     Attributes:
-        observation: what the wrapped environment showed before it.
+        observation: observation of the wrapped environment before it.
         action: the primitive.
         reward: its reward.
-        next_observation: what was shown after it.
+        next_observation: observation after it.
         state: the full state before.
         next_state: the full state after.
         next_action_mask: int8 (actions,), the actions legal after it.
@@ -68,11 +65,11 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     """Lets an agent choose among options and primitives; one step is one SMDP transition.
 
     The action space is `Discrete(n)`: first the primitives (unless `include_primitives` is false), then the
-    options. Names and numbers stay for the life of the environment; what cannot be done now is masked. It
+    options. Names and numbers stay for the life of the environment; illegal actions are masked. It
     wraps an `EscapeRoomEnv` with any wrappers between: every primitive passes through them.
 
     `step(a)` returns the sum of the primitive rewards (or their discounted sum, see `discounted_reward`) and
-    adds to `info`, besides what the last primitive's `info` holds:
+    adds to the last primitive's `info`:
 
     | key | meaning |
     |---|---|
@@ -82,7 +79,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     | `discounted_reward` | sum over i < k of gamma^i r_i, whatever `reward` is |
     | `pressed` | targets pressed by any of the k primitives, in order |
     | `action_mask` | int8 (n,), the legal actions at the state reached; for `action_space.sample(mask)` |
-    | `option` | what ran and how it ended, see below |
+    | `option` | the option that ran and how it ended, see below |
     | `trace` | tuple of k `TraceStep`, with `trace=True` |
 
     `reset` gives `action_mask` too. The backup is `discounted_reward` + `discount` (1 - terminated) max over
@@ -112,12 +109,14 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         trace: put every primitive into `info["trace"]`, for intra-option learning.
         observation: `pass`, or `options` to append per option two numbers to a flat observation: 1 if it is
             legal, 1 if it is running (see `interruptible`).
+        planner: with `options=None`: method of their plans by name, as in `RoomPlanner`: `auto`, `fields`, or a
+            path planner such as `RRTConnect`.
     """
 
     def __init__(
         self,
         env: gymnasium.Env,
-        options: OptionsSource = None,
+        options: OptionsSource | None = None,
         include_primitives: bool = True,
         discount: float = 0.99,
         discounted_reward: bool = False,
@@ -126,31 +125,30 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         max_duration: int | None = None,
         trace: bool = False,
         observation: str = "pass",
+        planner: str = "auto",
     ) -> None:
         RecordConstructorArgs.__init__(
             self, options=options, include_primitives=include_primitives, discount=discount,
             discounted_reward=discounted_reward, flavour=flavour, interruptible=interruptible,
-            max_duration=max_duration, trace=trace, observation=observation,
+            max_duration=max_duration, trace=trace, observation=observation, planner=planner,
         )
         super().__init__(env)
-        self._check(env, discount, max_duration, observation)
+        self._room = self._check(env, discount, max_duration, observation)
         self.gamma = float(discount)
         self.interruptible, self.max_duration = interruptible, max_duration
         self._discounted, self._tracing = discounted_reward, trace
-        self._source = options if options is not None else _make_synthesiser(flavour)
+        self._source = options if options is not None else make_meta_source(flavour, planner)
         self._calls = self._hits = 0
-        self._run: Run | None = None
+        self._run: OptionExecution | None = None
         self._observation: Any = None  # the wrapped environment's, at the present state
         self._shown: Any = None  # the same as the agent saw it
         self._can_step = False
-        self._room: Any = env.unwrapped
         self._instance: RoomInstance = self._room.instance
-        primitives = make_primitives(self._instance.robot.joints)
-        self._primitives = len(primitives) if include_primitives else 0
-        self.options = self._make_options(self._instance)
+        names = make_action_table(self._instance.robot.joints).names if include_primitives else ()
+        self._primitives = len(names)
+        self.options = make_options(self._source, self._instance)
         if not self.options and not include_primitives:
             raise OptionError("there is nothing to choose: no options, and include_primitives is false")
-        names = [primitive.name for primitive in primitives[: self._primitives]]
         self.action_names = (*names, *(option.name for option in self.options))
         self.action_space = spaces.Discrete(len(self.action_names))
         self._features = observation == "options"
@@ -158,30 +156,21 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             self.observation_space = self._extend_space(env.observation_space)
 
     @staticmethod
-    def _check(env: gymnasium.Env, discount: float, max_duration: int | None, observation: str) -> None:
+    def _check(env: gymnasium.Env, discount: float, max_duration: int | None, observation: str) -> RoomEnv:
         if not 0.0 <= discount <= 1.0:
             raise ConfigError("OptionsEnv.discount", discount, "a number from 0 to 1")
         if max_duration is not None and max_duration < 1:
             raise ConfigError("OptionsEnv.max_duration", max_duration, "at least 1, or None for no limit")
         if observation not in ("pass", "options"):
             raise ConfigError("OptionsEnv.observation", observation, "'pass' or 'options'")
-        if not hasattr(env.unwrapped, "get_state") or not hasattr(env.unwrapped, "instance"):
-            raise UnsupportedError(f"options need a room: {env.unwrapped} has no get_state() and instance. "
+        room = env.unwrapped
+        if not isinstance(room, RoomEnv):
+            raise UnsupportedError(f"options need a room: {room} has no get_state() and instance. "
                                    "Wrap an hrl_escape environment")
         if not isinstance(env.action_space, spaces.Discrete):
             raise UnsupportedError(f"options choose primitives by number, but a wrapper below changed the action "
                                    f"space to {env.action_space}. Apply that wrapper after OptionsEnv")
-
-    def _make_options(self, instance: RoomInstance) -> tuple[Option, ...]:
-        made = tuple(self._source(instance) if callable(self._source) else self._source)
-        names = [option.name for option in made]
-        if len(set(names)) < len(names):
-            raise OptionError(f"option names must differ: {', '.join(names)}")
-        for option in made:
-            if option.instance is not None and option.instance.id != instance.id:
-                raise OptionError(f"option {option.name!r} was made for room {option.instance.id}, this one is "
-                                  f"{instance.id}: give OptionsEnv a function that makes options for an instance")
-        return made
+        return room
 
     def _extend_space(self, inner: spaces.Space) -> spaces.Box:
         if not isinstance(inner, spaces.Box) or len(inner.shape) != 1:
@@ -194,16 +183,16 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     # --- Gymnasium ---------------------------------------------------------------------
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; `info` has `action_mask`. Draws of terminations depend on the episode's noise key."""
+        """Begin an episode; `info` has `action_mask` and an empty `pressed`. Its noise key seeds terminations."""
         observation, info = self.env.reset(seed=seed, options=options)
         mask = self._begin(observation)
-        return self._show(observation, mask), {**info, "action_mask": mask}
+        return self._show(observation, mask), {**info, "pressed": (), "action_mask": mask}
 
     def resume(self, observation: Any = None) -> NDArray[np.int8]:
-        """Take over an episode that the wrapped environment is in already, instead of `reset`.
+        """Take over an episode that has already begun in the wrapped environment, instead of `reset`.
 
         Args:
-            observation: what the wrapped environment showed last, for the first step's trace.
+            observation: last observation of the wrapped environment, for the first step's trace.
 
         Returns:
             The legal actions, int8 (actions,).
@@ -221,7 +210,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return self._compute_mask(state)
 
     def _enter(self, instance: RoomInstance) -> None:
-        made = self._make_options(instance)
+        made = make_options(self._source, instance)
         if [option.name for option in made] != [option.name for option in self.options]:
             raise OptionError(f"the options of a new room must keep their names: {[o.name for o in self.options]} "
                               f"became {[o.name for o in made]}")
@@ -241,7 +230,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         if index < self._primitives:
             self._run = None
             decision.do(index)
-            outcome = Outcome("reached")
+            outcome = DecisionOutcome("reached")
         else:
             outcome = self._run_option(index, decision)
         self._can_step, self._observation = not decision.is_over, decision.observation
@@ -250,17 +239,17 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         reward = info["discounted_reward"] if self._discounted else float(sum(decision.rewards))
         return self._show(decision.observation, mask), reward, decision.terminated, decision.truncated, info
 
-    def _run_option(self, index: int, decision: Decision) -> Outcome:
+    def _run_option(self, index: int, decision: Decision) -> DecisionOutcome:
         """Run an option until it ends, or, if interruptible, for one primitive."""
         option = self.options[index - self._primitives]
         run = self._run if self._run is not None and self._run.index == index else None
         self._run = None
         if run is None and not option.initiation(decision.state):
-            decision.do(WAIT)
-            return Outcome("planning-failed", "the option was masked: it cannot start here")
+            decision.do(BASE_ACTIONS.wait)
+            return DecisionOutcome("planning-failed", "the option was masked: it cannot start here")
         ended, reason = "", ""
         try:
-            run = run or Run(index, option, decision.state)
+            run = run or OptionExecution(index, option, decision.state)
             while not ended:
                 decision.do(run.choose(decision.state))
                 run.duration += 1
@@ -275,10 +264,11 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         except PlanningFailed as failure:
             ended, reason = "planning-failed", str(failure)
             if not decision.rewards:
-                decision.do(WAIT)
-        return Outcome(ended, reason, run.make_report() if run else option.report)
+                decision.do(BASE_ACTIONS.wait)
+        return DecisionOutcome(ended, reason, run.make_report() if run else option.report)
 
-    def _inform(self, index: int, decision: Decision, outcome: Outcome, mask: NDArray[np.int8]) -> dict[str, Any]:
+    def _inform(self, index: int, decision: Decision, outcome: DecisionOutcome, mask: NDArray[np.int8]
+                ) -> dict[str, Any]:
         discounted = 0.0
         for reward in reversed(decision.rewards):
             discounted = reward + self.gamma * discounted
@@ -304,7 +294,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return info
 
     def _make_trace(self, decision: Decision, last_mask: NDArray[np.int8]) -> tuple[TraceStep, ...]:
-        """Complete what the decision noted: every state as the agent would have seen it."""
+        """Add to the decision's notes each state's observation and mask as the agent would have seen them."""
         steps = []
         seen = self._shown
         for number, (primitive, before, after, observation) in enumerate(decision.notes, 1):
@@ -316,7 +306,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             seen = shown
         return tuple(steps)
 
-    # --- what an agent may choose and sees ----------------------------------------------
+    # --- legal actions and observations ---------------------------------------------------
 
     def action_masks(self) -> NDArray[np.bool_]:
         """The legal actions at the present state, bool (n,), under the name that sb3-contrib's MaskablePPO asks for."""
@@ -328,12 +318,12 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         for index, option in enumerate(self.options, self._primitives):
             if index != running and not option.initiation(state):
                 mask[index] = 0
-        if not mask.any():  # nothing can be done: whatever is chosen then waits one primitive
+        if not mask.any():  # nothing can start: any choice then costs one primitive
             mask[:] = 1
         return mask
 
     def _show(self, observation: Any, mask: NDArray[np.int8], is_now: bool = True) -> Any:
-        """What the agent sees: with option features, which are legal and (if it is now) which is running."""
+        """Observation for the agent: with option features, the legal options and the one that is running now."""
         if self._features:
             running = np.zeros(len(self.options), dtype=observation.dtype)
             if self._run and is_now:
@@ -344,7 +334,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return observation
 
     def _find_consistent(self, state: RoomState, primitive: int, reached: RoomState) -> tuple[tuple[int, float], ...]:
-        """Actions whose policy is a function of the state and chooses this primitive, with their beta."""
+        """Actions with a Markov policy that would have chosen this primitive, with their beta."""
         found = [(primitive, 1.0)] if self._primitives else []
         for index, option in enumerate(self.options, self._primitives):
             if option.is_markov and option.initiation(state) and option.policy(state) == primitive:
@@ -352,13 +342,38 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return tuple(found)
 
 
-def _make_synthesiser(flavour: str) -> Callable[[RoomInstance], Sequence[Option]]:
-    if flavour not in ("press", "press-with-ancestors"):
-        raise ConfigError("OptionsEnv.flavour", flavour, "'press' or 'press-with-ancestors'")
+def make_options_env(
+    config: str | RoomConfig | dict[str, Any] = "paper-two-button",
+    *,
+    options: OptionsSource | None = None,
+    include_primitives: bool = True,
+    discount: float = 0.99,
+    discounted_reward: bool = False,
+    flavour: str = "press",
+    interruptible: bool = False,
+    max_duration: int | None = None,
+    trace: bool = False,
+    option_features: bool = False,
+    planner: str = "auto",
+    **room: Any,
+) -> OptionsEnv:
+    """Make an `EscapeRoomEnv` wrapped in an `OptionsEnv`; the entry point of the ids `hrl_escape/<Preset>Options-v1`.
 
-    def make(instance: RoomInstance) -> Sequence[Option]:
-        from hrl_escape.options.synthesis import make_meta_options  # brings the planners in
-
-        return make_meta_options(instance, flavour)
-
-    return make
+    Args:
+        config: schematic of the room, see `EscapeRoomEnv`.
+        options: as in `OptionsEnv`.
+        include_primitives: as in `OptionsEnv`.
+        discount: as in `OptionsEnv`.
+        discounted_reward: as in `OptionsEnv`.
+        flavour: as in `OptionsEnv`.
+        interruptible: as in `OptionsEnv`.
+        max_duration: as in `OptionsEnv`.
+        trace: as in `OptionsEnv`.
+        planner: as in `OptionsEnv`.
+        option_features: append option features to the observation, as `OptionsEnv(observation="options")` does.
+        room: all other arguments of `EscapeRoomEnv`, such as `observation="features"`.
+    """
+    return OptionsEnv(
+        EscapeRoomEnv(config, **room), options, include_primitives, discount, discounted_reward, flavour, interruptible,
+        max_duration, trace, "options" if option_features else "pass", planner,
+    )

@@ -1,14 +1,15 @@
 """Pushing a block onto a plate under rigid-body physics: closed loop, one primitive at a time.
 
-A cost-to-go field over the block's places tells from which side to push next: the body must fit
-behind the block there, and changing sides costs a drive round it. Between pushes the
-base is planned to stand behind the block with the blocks kept out of its way. How the block
-really moved is seen after every primitive; nothing is predicted.
+A cost-to-go field over the block's places gives the side to push from next: the body must fit
+behind the block there, and a change of sides costs a drive round it. Between pushes the base
+drives to a place behind the block, round all blocks. The true motion of the block is observed
+after every primitive; nothing is predicted.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
@@ -17,15 +18,16 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
-from hrl_escape.env.geometry import Footprint, compute_distance_many, make_footprint, stack_footprints
+from hrl_escape.env.geometry import Footprint, compute_distance, compute_distance_many, make_footprint, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.primitives import BASE_PRIMITIVES
+from hrl_escape.env.primitives import BASE_ACTIONS
 from hrl_escape.errors import PlanningFailed, PlanningReason
-from hrl_escape.options.goals import PoseGoal, PushGoal, find_push
 from hrl_escape.options.option import Option
-from hrl_escape.options.planner import RoomPlanner
-from hrl_escape.options.routes import Route, get_prop_poses
+from hrl_escape.planning.goals import PoseGoal, PushGoal, find_push
+from hrl_escape.planning.props import GRAZE, get_prop_poses, list_blocks, meets
+from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.route_finder import Route
 
 __all__ = ["PushOption", "PushField"]
 
@@ -33,20 +35,21 @@ CELL = 0.25
 SIDES = tuple((i, j) for i in range(-2, 3) for j in range(-2, 3) if math.gcd(i, j) == 1)
 """Directions of pushes on the grid, as cells."""
 CHANGE = 5.0
-"""What driving round to another side costs in the field, primitives."""
+"""Cost of a drive round to another side in the field, primitives."""
 ASIDE, ASKEW = 0.12, math.radians(6)
-"""How far the push may be off the block's centre, m, and off its direction, rad."""
+"""Largest offset of a push from the block's centre, m, and from its direction, rad."""
 GAPS = (0.1, 0.4, 0.7)
 """Distances from the block at which the body may stand before a push, in moves."""
-MOST_PRIMITIVES = 400
+MOST_PUSH_PRIMITIVES = 400
 DRIVES = ((3_000, False), (20_000, True))
-"""Nodes for a drive behind the block, and whether finer grids are looked at: first quickly to any place, then hard."""
+"""Node budget of a drive behind the block, and use of finer grids: first quickly to any place, then thoroughly."""
 
-_TRANSLATIONS = tuple((i, math.atan2(p.left, p.forward)) for i, p in enumerate(BASE_PRIMITIVES) if not p.turn)
+_TRANSLATIONS = tuple((action, math.atan2(move.left, move.forward)) for action in BASE_ACTIONS.translations
+                      for move in (BASE_ACTIONS.primitives[action],))
 
 
 class _Push(NamedTuple):
-    """The next push: from `block` along `direction` (rad) over `length` (m)."""
+    """Next push: from `block` along `direction` (rad) over `length` (m)."""
 
     block: tuple[float, float]
     direction: float
@@ -54,7 +57,7 @@ class _Push(NamedTuple):
 
 
 class PushField:
-    """Fewest primitives, about, to push a block from any place onto a plate."""
+    """Cost-to-go field of pushing a block from any place onto a plate."""
 
     def __init__(self, instance: RoomInstance, goal: PushGoal) -> None:
         block, plate = (instance.props[i] for i in (goal.prop, goal.destination))
@@ -69,13 +72,13 @@ class PushField:
 
     @cached_property
     def costs(self) -> NDArray[np.float64]:
-        """Cost from each cell, shape (cells,), primitives; infinity where there is no way."""
+        """Cost-to-go of each cell, shape (cells,), primitives; infinity where there is no way."""
         columns, rows = self._shape
         cells = columns * rows
         i, j = (n.ravel() for n in np.mgrid[:columns, :rows])
         points = self._low + (np.stack([i, j], axis=1) + 0.5) * CELL
         fits = compute_distance_many(points, self._solids) > self.half
-        sources, sinks, prices = [], [], []
+        sources, sinks, costs = [], [], []
         for side, (di, dj) in enumerate(SIDES):
             length = CELL * math.hypot(di, dj)
             behind = points - np.array([di, dj]) * CELL / length * (self.radius + self.half + 0.1)
@@ -87,22 +90,29 @@ class PushField:
             layer = (side + 1) * cells
             sources += [layer + moves, np.flatnonzero(stands), layer + np.arange(cells)]
             sinks += [layer + ahead[moves], layer + np.flatnonzero(stands), np.arange(cells)]
-            prices += [np.full(len(moves), length / self._instance.robot.move_step),
+            costs += [np.full(len(moves), length / self._instance.robot.move_step),
                        np.full(int(stands.sum()), CHANGE), np.full(cells, 1e-6)]
         size = (len(SIDES) + 1) * cells
-        graph = coo_array((np.concatenate(prices), (np.concatenate(sinks), np.concatenate(sources))), (size, size))
+        graph = coo_array((np.concatenate(costs), (np.concatenate(sinks), np.concatenate(sources))), (size, size))
         away = np.abs(points - self.goal).max(axis=1)
         seeds = np.flatnonzero(away <= max(CELL, self.goal_half / 2))
         return dijkstra(graph.tocsr(), indices=seeds, min_only=True)[:cells]
 
     def get_cost(self, x: float, y: float) -> float:
-        """Cost from a place; infinity outside the floor."""
+        """Cost-to-go of a place; infinity outside the floor."""
         i, j = (math.floor((v - low) / CELL) for v, low in zip((x, y), self._low.tolist(), strict=True))
         inside = 0 <= i < self._shape[0] and 0 <= j < self._shape[1]
         return float(self.costs[i * self._shape[1] + j]) if inside else math.inf
 
-    def find_push(self, x: float, y: float, headings: int) -> _Push | None:
-        """The best next push of the block from a place, among the directions that the base can face."""
+    def find_push(self, x: float, y: float, headings: int, others: Sequence[Footprint] = ()) -> _Push | None:
+        """Find the best next push of the block from a place, among the headings of the base.
+
+        Args:
+            x: the block's place, m.
+            y: the block's place, m.
+            headings: headings of the base in a full turn.
+            others: footprints that neither block nor body may meet.
+        """
         step = self._instance.robot.move_step
         goal_x, goal_y = self.goal
         left = math.hypot(goal_x - x, goal_y - y)
@@ -111,15 +121,18 @@ class PushField:
             direction = k * math.tau / headings
             cos, sin = math.cos(direction), math.sin(direction)
             away = self.radius + self.half
-            if not self._can_stand(x - cos * (away + 0.05), y - sin * (away + 0.05)):
+            behind = x - cos * (away + 0.05), y - sin * (away + 0.05)
+            if not self._can_stand(*behind) or any(compute_distance(*behind, o) <= self.radius for o in others):
                 continue
             along = (goal_x - x) * cos + (goal_y - y) * sin
             lengths = {0.5 * step, step} | ({along} if 0.05 < along < step and left < 2 * step else set())
             for length in sorted(lengths):
                 to_x, to_y = x + cos * length, y + sin * length
-                price = self.get_cost(to_x, to_y)
+                if meets(x, y, to_x, to_y, others, self.half * math.sqrt(2.0)):
+                    continue
+                cost = self.get_cost(to_x, to_y)
                 off = math.hypot(goal_x - to_x, goal_y - to_y)
-                total = (1.0 if length < step else length / step) + price + 0.5 * min(off, step)
+                total = (1.0 if length < step else length / step) + cost + 0.5 * min(off, step)
                 if total < best and self._can_stand(to_x - cos * away, to_y - sin * away):
                     best, found = total, _Push((x, y), direction, length)
         return found
@@ -129,7 +142,7 @@ class PushField:
 
 
 class PushOption(Option):
-    """Pushes a prop onto another one: stands behind it, pushes, looks where it is, and so on."""
+    """Push a prop onto another one in closed loop: stand behind it, push, observe it, and repeat."""
 
     def __init__(self, name: str, planner: RoomPlanner, goal: PushGoal) -> None:
         super().__init__(name)
@@ -143,7 +156,7 @@ class PushOption(Option):
         self._place = PoseGoal(0.0, 0.0)
 
     def initiation(self, state: RoomState) -> bool:
-        """Where the prop is not there yet and there is a way to push it."""
+        """Possible if the prop is not there yet and there is a way to push it."""
         return self.termination(state) == 0.0 and math.isfinite(self._field.get_cost(*self._get_place(state)))
 
     def start(self, state: RoomState) -> None:
@@ -152,7 +165,7 @@ class PushOption(Option):
         self._count, self._route, self._standing = 0, None, None
 
     def termination(self, state: RoomState) -> float:
-        """1 once the puzzle says that the prop is where it belongs."""
+        """1 once the facts that the push adds hold in the puzzle."""
         return float(self._facts <= self._room.puzzle.get_facts(state.puzzle))
 
     def _get_place(self, state: RoomState) -> tuple[float, float]:
@@ -161,10 +174,10 @@ class PushOption(Option):
     def policy(self, state: RoomState) -> int:
         """Push if the base stands behind the block, else drive there."""
         self._count += 1
-        if self._count > MOST_PRIMITIVES:
+        if self._count > MOST_PUSH_PRIMITIVES:
             raise self._planner.make_failure(PlanningReason.BUDGET_EXHAUSTED, state, self.goal,
                                              nearest=f"{self._count - 1} primitives of pushing")
-        push = self._field.find_push(*self._get_place(state), self._planner.rules.headings)
+        push = self._find_push(state)
         if push is None:
             raise self._planner.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, self.goal,
                                              nearest="no side to push from")
@@ -174,8 +187,17 @@ class PushOption(Option):
             return primitive
         return self._drive(state, push)
 
+    def _find_push(self, state: RoomState) -> _Push | None:
+        """Best next push: round all other blocks if it can be, else at least round those that are done."""
+        for others in (list_blocks(state, self._room, without=self.goal.prop),
+                       list_blocks(state, self._room, without=self.goal.prop, only_done=True), ()):
+            push = self._field.find_push(*self._get_place(state), self._planner.rules.headings, others)
+            if push is not None:
+                return push
+        return None
+
     def _find_pusher(self, state: RoomState, push: _Push) -> int | None:
-        """The translation that pushes as wanted from where the base stands; None if none does."""
+        """Translation that makes the push from the base's present place; None if none does."""
         step = self._room.robot.move_step
         heading = self._planner.rules.get_heading(state)
         dx, dy = push.block[0] - state.x, push.block[1] - state.y
@@ -193,7 +215,7 @@ class PushOption(Option):
         return None
 
     def _drive(self, state: RoomState, push: _Push) -> int:
-        """One primitive towards a place behind the block."""
+        """Next primitive of the drive to a place behind the block."""
         if self._route is not None and self._standing is not None:
             moved = math.hypot(push.block[0] - self._standing.block[0], push.block[1] - self._standing.block[1])
             rest = self._route.primitives[1:]
@@ -206,7 +228,7 @@ class PushOption(Option):
         return self._route.primitives[0]
 
     def _find_route(self, state: RoomState, push: _Push) -> Route:
-        blocks = self._list_blocks(state)
+        blocks = list_blocks(state, self._room, grown=-GRAZE)
         step, turn = self._room.robot.move_step, math.pi / 2
         heading = self._planner.rules.get_heading(state)
         facing = push.direction + turn * round((heading - push.direction) / turn)
@@ -218,18 +240,10 @@ class PushOption(Option):
             self._place = PoseGoal(push.block[0] - away * math.cos(push.direction),
                                    push.block[1] - away * math.sin(push.direction), facing, 0.1 * step, ASKEW / 2)
             try:
-                route = self._planner.find_way_round(state, self._place, blocks, budget, self.report, refine=refine)
+                route = self._planner.find_route_around(state, self._place, blocks, budget, self.report, refine=refine)
             except PlanningFailed as failed:
                 failure = failed
                 continue
             if route.primitives:
                 return route
         raise failure or self._planner.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, self.goal)
-
-    def _list_blocks(self, state: RoomState) -> tuple[Footprint, ...]:
-        """Footprints of everything that can be pushed, a centimetre smaller than it is."""
-        poses = get_prop_poses(state, self._room)
-        return tuple(
-            make_footprint(x, y, placed.prop.half_size - 0.01, placed.prop.half_size - 0.01, yaw)
-            for placed, (x, y, yaw) in zip(self._room.props, poses, strict=True) if placed.prop.kind == "block"
-        )

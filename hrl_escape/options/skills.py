@@ -1,7 +1,7 @@
 """Skills of a finer grain than meta-actions: `go-to(pose)`, `reach(target)`, `press(target)`.
 
-They nest: to press is to go where the target can be reached from, and then to reach. With an
-arm the last part is joint steps alone; without one it is the primitive that touches.
+They nest: to press is to go to a place from which the target can be reached, and then to reach.
+With an arm the last part is joint steps alone; without one it is the primitive that touches.
 """
 
 from __future__ import annotations
@@ -10,28 +10,28 @@ import math
 from functools import lru_cache
 
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.primitives import BASE_PRIMITIVES
+from hrl_escape.env.primitives import BASE_ACTIONS
 from hrl_escape.errors import PlanningReason, UnknownNameError, UnsupportedError
-from hrl_escape.options.goals import Goal, PoseGoal, PressGoal, describe_goal, parse_goal
-from hrl_escape.options.option import Decision, Option
-from hrl_escape.options.planner import RoomPlanner
-from hrl_escape.options.synthesis import PlannedOption
+from hrl_escape.options.meta_actions import PlannedOption
+from hrl_escape.options.option import Option, OptionAction
+from hrl_escape.planning.goals import Goal, PoseGoal, PressGoal, describe_goal, parse_goal
+from hrl_escape.planning.room_planner import RoomPlanner
 
 __all__ = ["PressOption", "ReachOption", "make_go_to", "make_press", "make_reach"]
 
 ARRIVAL, ARRIVAL_NOISE = 0.02, 3.0
-"""How near a place must be come to: so many metres, or so many standard deviations of a move's noise."""
+"""Tolerance of a place: at least so many metres, and so many standard deviations of a move's noise."""
 REMEMBERED = 10_000
 
 
 def make_go_to(planner: RoomPlanner, goal: Goal | str, name: str | None = None) -> PlannedOption:
-    """Make an option that goes to a place: `make_go_to(planner, "3,4,90")`, or any goal."""
+    """Make an option that goes to a place, as in `make_go_to(planner, "3,4,90")`, or to any other goal."""
     goal = parse_goal(goal, planner.instance) if isinstance(goal, str) else goal
     return PlannedOption(name or f"go-to({describe_goal(goal, planner.instance)})", planner, goal)
 
 
 def make_reach(planner: RoomPlanner, target: int | str) -> ReachOption:
-    """Make an option that moves the arm alone until the hand touches a target.
+    """Make an option that moves only the arm until the hand touches a target.
 
     Raises:
         UnsupportedError: targets of this room are pressed with the body.
@@ -41,7 +41,7 @@ def make_reach(planner: RoomPlanner, target: int | str) -> ReachOption:
 
 
 def make_press(planner: RoomPlanner, target: int | str) -> PressOption:
-    """Make an option that presses a target by going to where it can be reached from, then reaching.
+    """Make an option that goes to a place from which a target can be reached, then reaches.
 
     Raises:
         UnknownNameError: no such target.
@@ -59,9 +59,9 @@ def _find_target(planner: RoomPlanner, target: int | str) -> int:
 
 
 class ReachOption(Option):
-    """Moves joints, fewest steps, until the hand touches the target; the base stays where it is.
+    """Fewest joint steps until the hand touches the target; the base stands still.
 
-    Its policy is a function of the state: what noise has changed is met by asking anew.
+    The policy is a function of the state: after noise it simply searches again.
     """
 
     is_markov = True
@@ -77,7 +77,7 @@ class ReachOption(Option):
         self._find = lru_cache(REMEMBERED)(self._search)
 
     def _search(self, state: RoomState) -> tuple[int, ...]:
-        """Joint primitives from here until touching begins; empty if there are none."""
+        """Joint primitives from here to the touch; empty if there are none."""
         reacher = self._planner.get_reacher()
         found = reacher.get_configuration(
             state.x, state.y, state.heading_steps, state.joint_steps, self._target,
@@ -88,23 +88,23 @@ class ReachOption(Option):
         return self._find(state._replace(primitives=0, noise_key=0, physics=None))
 
     def initiation(self, state: RoomState) -> bool:
-        """Where some posture touches the target, and the hand does not touch it yet."""
+        """Possible if some posture touches the target and the hand does not touch it yet."""
         return not state.touching >> self._target & 1 and bool(self._get_steps(state))
 
     def policy(self, state: RoomState) -> int:
-        """The first of the fewest joint steps from here."""
+        """First of the fewest joint steps from here."""
         steps = self._get_steps(state)
         if not steps:
             raise self._planner.make_failure(PlanningReason.NO_POSTURE, state, PressGoal(self._target))
         return steps[0]
 
     def termination(self, state: RoomState) -> float:
-        """1 where the hand touches the target."""
+        """1 once the hand touches the target."""
         return float(state.touching >> self._target & 1)
 
 
 class PressOption(Option):
-    """Presses a target by two lower options: go to where it can be reached from, then reach."""
+    """Press by two lower options: go to a place from which the target can be reached, then reach."""
 
     def __init__(self, planner: RoomPlanner, target: int) -> None:
         name = planner.instance.targets[target].name
@@ -117,14 +117,14 @@ class PressOption(Option):
         self._has_gone = self._is_last = False
 
     def start(self, state: RoomState) -> None:
-        """Begin; the plan is made when the policy is first asked."""
+        """Begin; the first call of the policy plans."""
         super().start(state)
         self._has_gone = self._is_last = False
 
-    def policy(self, state: RoomState) -> Decision:
-        """Go to where the base of the plan ends; from there reach, or, where noise has led, whatever presses."""
+    def policy(self, state: RoomState) -> OptionAction:
+        """Go to the last place of the base in the plan; from there reach, or press by plan if noise led elsewhere."""
         route = self._planner.find_route(state, self._goal, self.report)
-        by_arm = [p >= len(BASE_PRIMITIVES) for p in route.primitives]
+        by_arm = [p not in BASE_ACTIONS.base for p in route.primitives]
         going = [p for p, arm in zip(route.primitives, by_arm, strict=True) if not arm]
         if self._reach is None:
             going.pop()
@@ -145,5 +145,5 @@ class PressOption(Option):
         return PoseGoal(state.x, state.y, rules.get_heading(state), away, turned)
 
     def termination(self, state: RoomState) -> float:
-        """1 when its last part has ended."""
+        """1 after the last part."""
         return float(self._is_last)

@@ -1,1 +1,1 @@
-"""The viewer: rooms in a browser, to play, watch and record. Needs the extra `viewer`; nothing else imports it."""
+"""The viewer: play, watch and record rooms in a browser. Needs the extra `viewer`; only commands import it."""

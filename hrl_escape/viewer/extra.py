@@ -1,13 +1,17 @@
-"""What the extra `viewer` brings in, or one clear error that names it; whatever draws imports them from here."""
+"""Packages of the extra `viewer`, imported in one place, or one error that names the extra."""
 
 from hrl_escape.errors import MissingExtraError
 
 try:
+    import msgspec
     import trimesh
     import viser
+    import viser.infra
+    import websockets
+    import websockets.asyncio.server
     from viser import uplot
     from viser.transforms import SO3
 except ImportError as missing:
     raise MissingExtraError("viser", "viewer", "The viewer") from missing
 
-__all__ = ["SO3", "trimesh", "uplot", "viser"]
+__all__ = ["SO3", "msgspec", "trimesh", "uplot", "viser", "websockets"]

@@ -14,7 +14,7 @@ from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class
 from hrl_escape.errors import AgentSettingsError, UnknownNameError, UnsupportedSpaceError
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid
-from tests.agents.test_resuming import SMALL
+from tests.agents.training.test_resuming import SMALL
 
 ROOT = Path(__file__).parents[2]
 
@@ -72,14 +72,16 @@ def test_the_paper_recipe_is_what_the_published_program_did():
         assert (settings.learning_rate, settings.hidden, settings.gamma) == (1e-3, (16, 16, 16), 0.99)
     assert (sarsa.replay_capacity, sarsa.target_rate, sarsa.expected, sarsa.late_terminal) == (0, 1.0, False, True)
     assert (dqn.exploration, dqn.temperature, sarsa.exploration) == ("boltzmann", 1.0, "boltzmann")
+    assert (dqn.boltzmann_clip, sarsa.boltzmann_clip, get_recipe("sarsa").boltzmann_clip) == (500, 500, 0)
     assert (dqn.warmup, dqn.replay_capacity, dqn.target_rate, dqn.batch_size) == (1_000, 50_000, 0.01, 32)
+    assert (dqn.n_step, dqn.target_every, dqn.average_rate) == (1, 1, 0)
     assert (ddpg.warmup, ddpg.actor_warmup, ddpg.target_rate, ddpg.max_grad_norm) == (1_000, 100, 1e-3, 1.0)
     widths = [get_recipe(f"smdp-{name}", "paper").hidden[0] for name in ("dqn", "sarsa", "ddpg")]
     assert widths == [3, 32, 4], "the program's widths with meta-actions on"
 
 
 def test_an_unknown_agent_is_answered_with_the_closest():
-    with pytest.raises(UnknownNameError, match="Perhaps you meant 'smdp-sarsa'"):
+    with pytest.raises(UnknownNameError, match="did you mean 'smdp-sarsa'"):
         get_agent_class("smdp-sarsaa")
 
 
@@ -87,20 +89,20 @@ def test_an_unknown_recipe_or_setting_is_answered_with_what_there_is():
     env = ButtonGrid()
     with pytest.raises(UnknownNameError, match="corrected, paper"):
         get_recipe("smdp-dqn", "papr")
-    with pytest.raises(UnknownNameError, match="Perhaps you meant 'learning_rate'"):
+    with pytest.raises(UnknownNameError, match="did you mean 'learning_rate'"):
         make_agent("dqn", env.observation_space, env.action_space, 0, learning_rte=1)
 
 
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"gamma": 1.5}, r"DQNSettings.gamma = 1.5 is not possible: it must be from 0 to 1"),
-        ({"hidden": (64, 0)}, r"hidden = \(64, 0\) is not possible: it must be 1 or more"),
+        ({"gamma": 1.5}, r"DQNSettings.gamma = 1.5 is not possible: a number from 0 to 1"),
+        ({"hidden": (64, 0)}, r"hidden\[1\] = 0 is not possible: a whole number of at least 1"),
         ({"hidden": 64}, r"hidden = 64"),
         ({"loss": "l1"}, r"one of 'huber', 'squared'"),
         ({"batch_size": 2.5}, r"whole number"),
         ({"double": 1}, r"true or false"),
-        ({"learning_rate": float("nan")}, r"finite number"),
+        ({"learning_rate": float("nan")}, r"a number above 0"),
         ({"learning_rate": 0}, r"above 0"),
     ],
 )
@@ -112,7 +114,7 @@ def test_an_impossible_setting_names_field_value_and_range(changes, message):
 
 def test_settings_that_exclude_each_other_are_refused():
     env = ButtonGrid()
-    with pytest.raises(AgentSettingsError, match="replay_capacity 0 only"):
+    with pytest.raises(AgentSettingsError, match="replay_capacity = 0"):
         make_agent("sarsa", env.observation_space, env.action_space, 0, late_terminal=True)
 
 
@@ -125,6 +127,7 @@ def test_continuous_actions_are_refused(name):
 
 STRANGER = '''
 from dataclasses import dataclass
+from hrl_escape.agents import Agent
 
 @dataclass(frozen=True)
 class AlwaysSettings:
@@ -132,13 +135,10 @@ class AlwaysSettings:
     action: int = 0
     """Which action to take."""
 
-class Always:
+class Always(Agent):
     Settings = AlwaysSettings
     def __init__(self, observation_space, action_space, seed, settings):
         self.settings = settings
-    @property
-    def gamma(self):
-        return self.settings.gamma
     def act(self, observation, action_mask):
         return self.settings.action
     def act_greedy(self, observation, action_mask, rng):
@@ -170,6 +170,41 @@ def test_a_strangers_agent_arrives_through_its_entry_point(tmp_path):
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("{'gamma': 0.99, 'action': 4}")
+
+
+def test_an_agent_that_declares_nothing_can_do_no_more_than_the_protocol_asks():
+    class Minimal(Agent):
+        Settings = dict
+        act = act_greedy = observe = state_dict = load_state_dict = lambda *_: 0
+
+    agent = Minimal()
+    assert not agent.needs_trace and not agent.recipes
+    for ability in (agent.compute_values, agent.compute_preferences, agent.compute_state_value):
+        assert ability(None) is None
+    assert agent.get_graph() is None
+
+
+@pytest.mark.parametrize("name", list_agents())
+def test_every_agent_can_do_what_it_declares(name):
+    env = ButtonGrid(trace=True, horizon=40)
+    agent = make_agent(name, env.observation_space, env.action_space, 0, **SMALL.get(name, {}))
+    (*_, last) = interact(agent, env, 100)
+    for numbers in (agent.compute_values(last.observation), agent.compute_preferences(last.observation)):
+        assert numbers is None or numbers.shape == (7,)
+    value, graph = agent.compute_state_value(last.observation), agent.get_graph()
+    assert value is None or np.isfinite(value)
+    assert graph is None or all(parent != child for parent, child in graph)
+    assert (graph is not None) == (name in ("factored-r-max", "monte-carlo-model"))
+    assert agent.needs_trace == (name == "intra-option-q")
+
+
+def test_a_strangers_class_that_is_no_agent_is_refused(monkeypatch):
+    from importlib.metadata import EntryPoint
+
+    point = EntryPoint("odd", "collections:OrderedDict", "hrl_escape.agents")
+    monkeypatch.setattr("hrl_escape.agents.registry.entry_points", lambda group: [point])
+    with pytest.raises(AgentSettingsError, match="odd.*hrl_escape.agents.Agent"):
+        get_agent_class("smdp-odd")
 
 
 def test_tables_and_names_load_no_torch():

@@ -1,11 +1,11 @@
-"""What a step of an environment means to a learner: rewards, discounts, masks, ends."""
+"""A step of an environment as a learner reads it: rewards, discounts, masks, ends."""
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hrl_escape.agents.agent import compute_backup, make_transition, read_action_mask
+from hrl_escape.agents.agent import check_observation, compute_backup, make_transition, read_action_mask
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.errors import DiscountMismatchError, StepContractError
 
@@ -59,6 +59,39 @@ def test_trap_10_a_mask_without_a_legal_action_is_refused():
 def test_a_reward_that_is_no_number_is_refused(reward):
     with pytest.raises(StepContractError, match="reward of action 1 is"):
         read({}, reward=reward)
+
+
+@pytest.mark.parametrize("info", [
+    {"duration": 2, "rewards": [0.0, float("nan")]},
+    {"duration": 2, "discounted_reward": float("inf"), "discount": 0.81},
+    {"duration": float("nan")}, {"duration": float("inf")}, {"duration": "two"},
+])
+def test_rewards_and_durations_inside_an_option_must_be_numbers_too(info):
+    with pytest.raises(StepContractError, match="the reward of action 1 is"):
+        read(info)
+
+
+@pytest.mark.parametrize("reward", [None, "much", [1, 2]])
+def test_a_reward_of_another_kind_is_refused(reward):
+    with pytest.raises(StepContractError, match="must be numbers"):
+        read({}, reward=reward)
+
+
+@pytest.mark.parametrize(("observation", "words"), [
+    (np.array([0, np.nan, np.inf], np.float32), "has nan at index 1"),
+    (np.array([[0.0], [-np.inf]]), r"has -inf at index \(1, 0\)"),
+    (float("inf"), "is inf"),
+    ({"door": np.ones(2), "arm": np.array([np.nan])}, "'arm', has nan at index 0"),
+    ((np.ones(2), np.array([np.nan])), "has nan at index 0"),
+])
+def test_an_observation_that_is_no_number_is_refused_by_name(observation, words):
+    with pytest.raises(StepContractError, match=f"the observation after action 1.* {words}"):
+        make_transition("s", 1, MASK, (observation, 0.0, False, False, {}), 0.9)
+
+
+def test_pictures_integers_and_large_numbers_are_observations():
+    for observation in (np.zeros((4, 4, 3), np.uint8), 3, np.array([1e300, -1e300]), {"a": (1, 2.5)}, "s"):
+        check_observation(observation, "at the start")
 
 
 def test_a_mask_of_the_wrong_length_is_refused():

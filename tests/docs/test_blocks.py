@@ -29,7 +29,9 @@ def test_python_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     names: dict[str, object] = {"__name__": "page"}
     for block in BLOCKS[page]:
         if block.language == "python":
-            exec(compile(block.text, name_page(page), "exec"), names)
+            program = compile(block.text, name_page(page), "exec")
+            if not block.is_parsed_only:
+                exec(program, names)
 
 
 @pytest.mark.parametrize("page", pages_with("console"), ids=name_page)
@@ -50,6 +52,8 @@ def run(block: Block, words: list[str]) -> None:
             assert main(arguments) == 0, words
     elif program == "make":
         assert re.search(rf"^{arguments[0]}:", (ROOT / "Makefile").read_text(), re.M), words
+    elif program == "source":
+        assert arguments == [f"{re.search(r'^VENV +:= (.+)$', (ROOT / 'Makefile').read_text(), re.M)[1]}/bin/activate"]
     elif program == "pip":
         extras = re.findall(r"\.\[([\w,]+)\]", " ".join(arguments))
         listed = (ROOT / "pyproject.toml").read_text()

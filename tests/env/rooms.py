@@ -1,5 +1,7 @@
 """Schematics that reach into every corner of the knobs, for tests that walk over rooms."""
 
+import dataclasses
+
 from hrl_escape.env.config import (
     DynamicsConfig,
     ExitConfig,
@@ -36,6 +38,13 @@ EXTREMES = {
     "coarse-steps": RoomConfig(robot=RobotConfig(move_step=3.7, turn_step_deg=45), obstacles=ObstaclesConfig(count=10),
                                start=StartConfig(place="fixed", heading_deg=17)),
 }
+
+
+def make_ordered_chain() -> RoomConfig:
+    """The room of `four-button-chain` with its buttons numbered in the order in which they must be pressed."""
+    preset = get_preset("four-button-chain")
+    graph = GraphConfig(kind="chain", relabel=False)
+    return dataclasses.replace(preset, puzzle=dataclasses.replace(preset.puzzle, graph=graph))
 
 
 def all_schematics() -> dict[str, RoomConfig]:

@@ -15,9 +15,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.generation import generate
-from hrl_escape.env.observations import OBSERVATIONS
+from hrl_escape.env.observations import list_observations
 from hrl_escape.env.presets import PRESETS, get_preset, make_env_name
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import (
     ActionError,
     ClosedError,
@@ -30,14 +30,14 @@ from hrl_escape.errors import (
 )
 from tests.env.rooms import EXTREMES
 
-IDS = ["hrl_escape/EscapeRoom-v0", *(f"hrl_escape/{make_env_name(name)}-v0" for name in PRESETS)]
-KINDS = sorted(OBSERVATIONS)
+IDS = ["hrl_escape/EscapeRoom-v1", *(f"hrl_escape/{make_env_name(name)}-v1" for name in PRESETS)]
+KINDS = sorted(observation.name for observation in list_observations())
 
 
 def test_every_preset_has_an_id():
-    assert {f"hrl_escape/{name}-v0" for name in (
-        "PaperOneButton", "PaperTwoButton", "Larg2019", "FourButtonChain", "ArmTwoButton", "Clutter", "TenButton",
-        "TwentyButton", "BitFlip", "PushBlock")} <= set(IDS)
+    assert {f"hrl_escape/{name}-v1" for name in (
+        "PaperOneButton", "PaperTwoButton", "PaperRandom", "Larg2019", "FourButtonChain", "ArmTwoButton", "Clutter",
+        "TenButton", "TwentyButton", "BitFlip", "PushBlock")} <= set(IDS)
     assert set(IDS) <= set(gymnasium.registry)
 
 
@@ -72,7 +72,9 @@ def test_observations_are_as_documented(name):
         instance = env.unwrapped.instance
         joints, puzzle = instance.robot.joints, len(instance.puzzle.bounds)
         size = {"state": (6 + puzzle + joints,), "features": (4 + puzzle + joints,),
-                "egocentric": (4 * len(instance.targets) + 3 + 16,), "pixels": (84, 84, 3)}[kind]
+                "objects": (12 * (len(instance.targets) + len(instance.props) + 1) + joints,),
+                "egocentric": (4 * len(instance.targets) + 3 * (len(instance.props) + 1) + joints + 16,),
+                "pixels": (84, 84, 3)}[kind]
         observation, _ = env.reset(seed=0)
         assert observation.shape == size
         assert observation.dtype == (np.uint8 if kind == "pixels" else np.float32)
@@ -88,7 +90,8 @@ def roll(env, actions):
     seen = []
     for action in actions:
         observation, reward, terminated, truncated, info = env.step(action)
-        seen.append((observation.tobytes(), reward, terminated, truncated, info["primitives"], info["pressed"]))
+        pressed = info["pressed"].tolist()
+        seen.append((observation.tobytes(), reward, terminated, truncated, info["primitives"], pressed))
         if terminated or truncated:
             break
     return seen
@@ -129,10 +132,10 @@ print(digest.hexdigest())
 @pytest.mark.parametrize(
     ("name", "arguments"),
     [
-        ("hrl_escape/Clutter-v0", {}),
-        ("hrl_escape/ArmTwoButton-v0", {"observation": "egocentric"}),
-        ("hrl_escape/FourButtonChain-v0", {"resample_instance": True}),
-        ("hrl_escape/EscapeRoom-v0", {"config": EXTREMES["noisy"].to_dict()}),
+        ("hrl_escape/Clutter-v1", {}),
+        ("hrl_escape/ArmTwoButton-v1", {"observation": "egocentric"}),
+        ("hrl_escape/FourButtonChain-v1", {"resample_instance": True}),
+        ("hrl_escape/EscapeRoom-v1", {"config": EXTREMES["noisy"].to_dict()}),
     ],
 )
 def test_ten_resets_of_a_once_seeded_environment_repeat_in_another_process(name, arguments):
@@ -143,12 +146,12 @@ def test_ten_resets_of_a_once_seeded_environment_repeat_in_another_process(name,
 
 
 def test_resampling_draws_new_instances_from_the_episode_stream():
-    env = gymnasium.make("hrl_escape/FourButtonChain-v0", resample_instance=True)
+    env = gymnasium.make("hrl_escape/FourButtonChain-v1", resample_instance=True)
     seen = [env.reset(seed=3 if n == 0 else None)[1]["instance"] for n in range(5)]
     again = [env.reset(seed=3 if n == 0 else None)[1]["instance"] for n in range(5)]
     assert len(set(seen)) == 5
     assert seen == again
-    fixed = gymnasium.make("hrl_escape/FourButtonChain-v0")
+    fixed = gymnasium.make("hrl_escape/FourButtonChain-v1")
     assert len({fixed.reset()[1]["instance"] for _ in range(3)}) == 1
     assert fixed.reset(options={"instance_seed": 9})[1]["instance"] == generate(get_preset("four-button-chain"), 9).id
     env.close()
@@ -156,18 +159,20 @@ def test_resampling_draws_new_instances_from_the_episode_stream():
 
 
 def test_info_tells_what_happened():
-    env = gymnasium.make("hrl_escape/PaperOneButton-v0")
+    env = gymnasium.make("hrl_escape/PaperOneButton-v1")
     _, info = env.reset(seed=0)
-    assert (info["primitives"], info["success"], info["pressed"], info["buttons_on"].tolist()) == (0, False, (), [0])
+    flags = info["pressed"].tolist(), info["buttons_on"].tolist()
+    assert (info["primitives"], info["success"], *flags) == (0, False, [0], [0])
     for _ in range(9):
         _, reward, terminated, _, info = env.step(2)
     assert (reward, terminated) == (99, True)
-    assert (info["primitives"], info["success"], info["pressed"], info["buttons_on"].tolist()) == (9, True, (0,), [1])
+    flags = info["pressed"].tolist(), info["buttons_on"].tolist()
+    assert (info["primitives"], info["success"], *flags) == (9, True, [1], [1])
     env.close()
 
 
 def test_wrappers_of_gymnasium_work(tmp_path):
-    env = gymnasium.make("hrl_escape/PaperOneButton-v0", render_mode="rgb_array", render_size=(160, 120))
+    env = gymnasium.make("hrl_escape/PaperOneButton-v1", render_mode="rgb_array", render_size=(160, 120))
     env = gymnasium.wrappers.TimeLimit(env, 20)
     env = gymnasium.wrappers.RecordEpisodeStatistics(env)
     env.reset(seed=0)
@@ -181,7 +186,7 @@ def test_wrappers_of_gymnasium_work(tmp_path):
 
 
 def test_recording_a_video_works(tmp_path):
-    env = gymnasium.make("hrl_escape/PaperOneButton-v0", render_mode="rgb_array", render_size=(160, 120))
+    env = gymnasium.make("hrl_escape/PaperOneButton-v1", render_mode="rgb_array", render_size=(160, 120))
     env = gymnasium.wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda episode: True)
     env.reset(seed=0)
     for _ in range(9):
@@ -192,8 +197,8 @@ def test_recording_a_video_works(tmp_path):
 
 @pytest.mark.parametrize("mode", ["sync", "async"])
 def test_vector_environments_match_single_ones(mode):
-    rooms = gymnasium.make_vec("hrl_escape/Clutter-v0", num_envs=2, vectorization_mode=mode)
-    single = gymnasium.make("hrl_escape/Clutter-v0")
+    rooms = gymnasium.make_vec("hrl_escape/Clutter-v1", num_envs=2, vectorization_mode=mode)
+    single = gymnasium.make("hrl_escape/Clutter-v1")
     try:
         first, _ = rooms.reset(seed=[5, 6])
         assert np.array_equal(first[1], single.reset(seed=6)[0])
@@ -273,8 +278,8 @@ def test_calls_out_of_order_are_refused():
 @pytest.mark.parametrize(
     ("arguments", "error", "words"),
     [
-        ({"config": "papper-one-button"}, UnknownNameError, "Perhaps you meant 'paper-one-button'"),
-        ({"observation": "pixel"}, UnknownNameError, "Perhaps you meant 'pixels'"),
+        ({"config": "papper-one-button"}, UnknownNameError, "did you mean 'paper-one-button'"),
+        ({"observation": "pixel"}, UnknownNameError, "did you mean 'pixels'"),
         ({"camera": "behind"}, UnknownNameError, "chase"),
         ({"render_mode": "ascii"}, ConfigError, "rgb_array"),
         ({"config": {"horizon": 0}}, ConfigError, "horizon"),

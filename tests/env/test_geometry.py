@@ -7,7 +7,6 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from hrl_escape.env.geometry import (
-    cast_rays,
     compute_distance,
     compute_distance_many,
     compute_first_contact,
@@ -101,18 +100,3 @@ def test_a_disc_passes_flush_under_the_end_of_a_wall(y, half, radius, length):
 def test_a_long_step_does_not_tunnel():
     thin = make_footprint(0, 0, 0.001, 5)
     assert compute_first_contact(-1000, 0, 2000, 0, 0.1, thin) * 2000 - 1000 < 0
-
-
-@given(st.lists(shapes, min_size=1, max_size=5), numbers, numbers)
-def test_rays_end_on_the_first_outline_they_meet(some, px, py):
-    assume(all(compute_distance(px, py, shape) > 1e-3 for shape in some))
-    angles = np.linspace(0, math.tau, 16, endpoint=False)
-    ranges = cast_rays(px, py, angles, stack_footprints(some), 30.0)
-    steps = np.linspace(0, 30, 6001)
-    for angle, found in zip(angles, ranges, strict=True):
-        path = np.stack([px + steps * math.cos(angle), py + steps * math.sin(angle)], axis=1)
-        distances = compute_distance_many(path, stack_footprints(some))
-        assert distances[steps < found - 1e-9].min(initial=1.0) > 0  # nothing before it
-        if found < 30:
-            end = np.array([[px + found * math.cos(angle), py + found * math.sin(angle)]])
-            assert compute_distance_many(end, stack_footprints(some))[0] < 1e-6

@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
-from hrl_escape.env.generation import generate
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.instance import Rectangle, Start
 from hrl_escape.env.kinematics import Kinematics, compute_heading
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.sampling.generation import generate
 from tests.env.rooms import all_schematics
 
 QUICK = sorted(set(all_schematics()) - {"largest", "push-block"})
@@ -35,7 +35,7 @@ def test_the_body_keeps_its_clearance_whatever_it_does(name, seed, episode):
     kinematics = Kinematics(instance)
     rng = np.random.default_rng(episode)
     state = kinematics.make_state(instance.starts[0], episode)
-    for transition in play(kinematics, state, rng.integers(len(kinematics.primitives), size=60).tolist()):
+    for transition in play(kinematics, state, rng.integers(len(kinematics.actions), size=60).tolist()):
         at = transition.state
         clearance = min(compute_distance(at.x, at.y, f) for f in kinematics.footprints) - instance.robot.body_radius
         assert clearance >= 1e-3 - 1e-6
@@ -202,7 +202,7 @@ def test_kinematics_are_a_pure_function_of_state_and_action(name, seed, episode)
     instance = generate(all_schematics()[name], seed)
     kinematics = Kinematics(instance)
     rng = np.random.default_rng(episode)
-    actions = rng.integers(len(kinematics.primitives), size=30).tolist()
+    actions = rng.integers(len(kinematics.actions), size=30).tolist()
     state = kinematics.make_state(instance.starts[-1], episode)
     first = list(play(kinematics, state, actions))
     assert list(play(Kinematics(instance), state, actions)) == first

@@ -12,8 +12,8 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from gymnasium.wrappers.vector import DictInfoToList, RecordEpisodeStatistics
 
 import hrl_escape
-from hrl_escape.env.generation import generate
 from hrl_escape.env.presets import PRESETS, get_preset, make_env_name
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ActionError, BatchError, ClosedError, ConfigError, UnsupportedError
 
@@ -30,9 +30,9 @@ def to_list(value):
 
 @pytest.mark.parametrize("name", sorted(set(PRESETS) - {"push-block"}))
 def test_make_vec_gives_the_batched_engine_for_every_preset(name):
-    env = gymnasium.make_vec(f"hrl_escape/{make_env_name(name)}-v0", num_envs=5)
+    env = gymnasium.make_vec(f"hrl_escape/{make_env_name(name)}-v1", num_envs=5)
     assert isinstance(env.unwrapped, EscapeRoomVectorEnv)
-    one = gymnasium.make(f"hrl_escape/{make_env_name(name)}-v0")
+    one = gymnasium.make(f"hrl_escape/{make_env_name(name)}-v1")
     assert env.single_observation_space == one.observation_space
     assert env.single_action_space == one.action_space
     seen, infos = env.reset(seed=3)
@@ -69,7 +69,7 @@ def test_it_does_what_gymnasiums_own_vector_of_rooms_does(mode):
             assert to_list(mine[4][key]) == to_list(other[4][key])
             assert to_list(mine[4][f"_{key}"]) == to_list(other[4][f"_{key}"])
         ended = mine[2] | mine[3]
-        assert ("final_obs" in mine[4]) == (mode == AutoresetMode.SAME_STEP)
+        assert ("final_obs" in mine[4]) == (mode == AutoresetMode.SAME_STEP and ended.any())
         if ended.any() and mode == AutoresetMode.SAME_STEP:
             assert mine[4]["_final_obs"].tolist() == other[4]["_final_obs"].tolist() == ended.tolist()
             for i in np.flatnonzero(ended):
@@ -88,7 +88,7 @@ def test_torch_output_is_tensors_and_equals_numpy_output():
     for (array, infos), (tensor, more) in [tuple(env.reset(seed=1) for env in envs)]:
         assert isinstance(tensor, torch.Tensor)
         assert np.array_equal(array, tensor.numpy())
-        assert np.array_equal(infos["instance_index"], more["instance_index"].numpy())
+        assert infos["instance"].tolist() == [envs[0].instances[i].id for i in more["instance_index"]]
     steps = [env.step(np.array([0, 1, 2, 3])) for env in envs]
     assert all(np.array_equal(a, b.numpy()) for a, b in zip(steps[0][:4], steps[1][:4], strict=True))
     assert torch.equal(envs[1].step(torch.tensor([0, 1, 2, 3]))[0], torch.from_numpy(envs[0].step([0, 1, 2, 3])[0]))
@@ -145,10 +145,11 @@ def test_instances_can_be_given_and_drawn(tmp_path):
     env = EscapeRoomVectorEnv(7, instance=[rooms[0], rooms[1], tmp_path / "room.json"])
     assert [instance.id for instance in env.instances] == [room.id for room in rooms]
     _, infos = env.reset(seed=0)
-    assert infos["instance_index"].tolist() == [0, 1, 2, 0, 1, 2, 0]
+    ids = [instance.id for instance in env.instances]
+    assert infos["instance"].tolist() == [ids[i] for i in (0, 1, 2, 0, 1, 2, 0)]
     drawn = EscapeRoomVectorEnv(60, instance=rooms, resample_instance=True)
     _, infos = drawn.reset(seed=0)
-    assert set(infos["instance_index"].tolist()) == {0, 1, 2}
+    assert set(infos["instance"].tolist()) == set(ids)
 
 
 @pytest.mark.parametrize(
@@ -191,7 +192,7 @@ def test_a_wrong_call_gets_one_clear_error():
 
 
 def test_importing_the_package_does_not_load_torch():
-    make = "gymnasium.make('hrl_escape/PaperOneButton-v0')"
+    make = "gymnasium.make('hrl_escape/PaperOneButton-v1')"
     code = f"import sys, hrl_escape, gymnasium; {make}; print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from hrl_escape.experiments.comparison import Comparison
-from tests.experiments.small import SMALL, run
+from tests.experiments.small import SMALL, run_quietly
 
 
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Comparison:
-    return run(SMALL, tmp_path_factory.mktemp("small"))
+    return run_quietly(SMALL, tmp_path_factory.mktemp("small"))

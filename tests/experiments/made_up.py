@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from hrl_escape.agents.evaluation import Evaluation
-from hrl_escape.env.generation import generate
+from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.env.presets import get_preset
-from hrl_escape.experiments.cell import CellResult
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec
-from hrl_escape.experiments.launcher import Failure
-from hrl_escape.experiments.scale import Scale
+from hrl_escape.experiments.launching.local import Failure
+from hrl_escape.experiments.runs import RunResult
+from hrl_escape.experiments.score_range import ScoreRange
 
 ROOM = generate(get_preset("paper-two-button"), 0)
 OTHER_ROOM = generate(get_preset("paper-one-button"), 0)
@@ -21,22 +21,29 @@ START = ((0.0, 0.0, 0, 0.0),)
 
 
 def make_result(returns: Sequence[float], best: float = BEST, reachable: float | None = None, budget: int = 1000,
-                source: str = "planner", start: tuple = START) -> CellResult:
-    """A run with these returns of one episode, evaluated at equal distances from 0 to the budget, or at its end."""
+                source: str = "planner", start: tuple = START) -> RunResult:
+    """A run with these returns of one episode, evaluated at equal distances from 0 to the budget, or at its end.
+
+    An escape at once earns `BEST` and each primitive more costs 1.
+    """
     places = [budget * number / (len(returns) - 1) for number in range(len(returns))] if len(returns) > 1 else [budget]
     evaluations = tuple(
         Evaluation(
-            primitives=round(place), decisions=number * 10, returns=(value,), lengths=(int(BEST - value),),
-            decision_counts=(5,), successes=(value > WORST,),
+            primitives=round(place), decisions=number * 10, returns=(value,), lengths=(1 + round(BEST - value),),
+            decision_counts=(5,), successes=(value > WORST,), progress=(float(value > WORST),),
         )
         for number, (place, value) in enumerate(zip(places, returns, strict=True))
     )
-    scale = Scale(WORST, start, (best,), (best if reachable is None else reachable,), source)
+    reach = best if reachable is None else reachable
+    fewest, fewest_reachable = 1 + round(BEST - best), 1 + round(BEST - reach)
+    score_range = ScoreRange(WORST, start, (best,), (reach,), (fewest,), (fewest_reachable,), source)
+    first = next((round(place) for place, value in zip(places, returns, strict=True) if value > WORST), None)
     seconds = tuple(map(float, range(len(returns))))
-    return CellResult(budget, budget, 10 * len(returns), 7, 3, evaluations, scale, seconds, 0.5, {"torch": "1.0"})
+    return RunResult(budget, budget, 10 * len(returns), 7, 3, first, evaluations, score_range, None, seconds,
+                     0.5, {"torch": "1.0"})
 
 
-def compare(agents: dict[str, Sequence[Sequence[float] | CellResult | None]], rooms: int = 1, budget: int = 1000,
+def compare(agents: dict[str, Sequence[Sequence[float] | RunResult | None]], rooms: int = 1, budget: int = 1000,
             runs: int | None = None) -> Comparison:
     """A comparison from each agent's runs, room by room.
 
@@ -53,15 +60,15 @@ def compare(agents: dict[str, Sequence[Sequence[float] | CellResult | None]], ro
     instances = (ROOM, OTHER_ROOM)[:rooms]
     runs = runs or max(map(len, agents.values())) // rooms
     grid = Grid("made-up", agents=specs, rooms=tuple(RoomSpec(i.name) for i in instances), runs=runs, primitives=budget)
-    cells = {(cell.number, cell.instance_id, cell.seed): cell for cell in grid.make_cells(instances)}
+    by_place = {(run.number, run.instance_id, run.seed): run for run in grid.make_runs(instances)}
     found, failures = [], []
     for number, results in enumerate(agents.values()):
         for index, result in enumerate(results):
             room, seed = divmod(index, runs)
-            cell = cells[number, instances[room].id, seed]
+            run = by_place[number, instances[room].id, seed]
             if result is None:
-                failures.append(Failure(cell, "it fell over"))
+                failures.append(Failure(run, "it fell over"))
             else:
-                made = result if isinstance(result, CellResult) else make_result(result, budget=budget)
-                found.append((cell, made))
+                made = result if isinstance(result, RunResult) else make_result(result, budget=budget)
+                found.append((run, made))
     return Comparison(grid, instances, tuple(found), tuple(failures), Path("nowhere"))

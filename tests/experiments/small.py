@@ -12,7 +12,7 @@ from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.experiments.comparison import Comparison, run_grid
 from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec
-from hrl_escape.experiments.launcher import LocalLauncher
+from hrl_escape.experiments.launching.local import LocalLauncher
 
 SCHEMATIC = RoomConfig(
     name="small",
@@ -46,7 +46,7 @@ def change(**fields: object) -> Grid:
     return dataclasses.replace(SMALL, **fields)  # type: ignore[arg-type]
 
 
-def run(grid: Grid, out: Path, **launcher: object) -> Comparison:
+def run_quietly(grid: Grid, out: Path, **launcher: object) -> Comparison:
     """Run a grid, silently."""
     with open("/dev/null", "w") as nowhere:
         return run_grid(grid, out, LocalLauncher(**launcher), Console(file=nowhere))  # type: ignore[arg-type]

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 
 from hrl_escape.errors import ComparisonError, FileWriteError, RunBusyError
-from hrl_escape.experiments.cell import get_cell_folder, read_cell, read_episodes
 from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.grid import AgentSpec
-from hrl_escape.experiments.launcher import read_progress
-from hrl_escape.experiments.report import write_report
+from hrl_escape.experiments.launching.local import read_progress
+from hrl_escape.experiments.reporting.report import write_report
+from hrl_escape.experiments.runs import get_run_folder, read_episodes, read_run
 from hrl_escape.experiments.summary import summarise
 from hrl_escape.files import write_json
-from tests.experiments.small import SMALL, change, run
+from tests.experiments.small import SMALL, change, run_quietly
 
 TABLES = ("results.csv", "curves.csv")
 
@@ -59,44 +59,44 @@ def find_processes_of_session(session: int) -> list[int]:
 
 
 def test_two_comparisons_give_the_same_numbers_in_any_number_of_processes(finished: Comparison, tmp_path: Path):
-    again = run(SMALL, tmp_path, workers=1)
+    again = run_quietly(SMALL, tmp_path, workers=1)
     assert [result for _, result in again.runs] == [result for _, result in finished.runs]
     assert read_tables(again) == read_tables(finished)
-    for cell, _ in again.runs:
-        assert read_episodes(tmp_path, cell) == read_episodes(finished.out, cell)
+    for run, _ in again.runs:
+        assert read_episodes(tmp_path, run) == read_episodes(finished.out, run)
 
 
-def test_every_cell_has_a_result_with_the_evaluations_that_were_asked_for(finished: Comparison):
+def test_every_run_has_a_result_with_the_evaluations_that_were_asked_for(finished: Comparison):
     assert len(finished.runs) == 8 and not finished.failures
-    for cell, result in finished.runs:
+    for run, result in finished.runs:
         assert result.primitives >= SMALL.primitives
         assert [e.primitives for e in result.evaluations][0] == 0
         assert {len(e.returns) for e in result.evaluations} == {SMALL.eval_episodes}
-        assert (cell.agent.chooses_options and result.planner_calls > 0) or result.decisions == result.primitives
+        assert (run.agent.chooses_options and result.planner_calls > 0) or result.decisions == result.primitives
 
 
 def test_the_recorded_episodes_are_those_of_the_last_evaluation(finished: Comparison):
     """Evaluated twice, in two environments, with the same outcome."""
-    for cell, result in finished.runs:
-        last, episodes = result.evaluations[-1], read_episodes(finished.out, cell)
+    for run, result in finished.runs:
+        last, episodes = result.evaluations[-1], read_episodes(finished.out, run)
         assert tuple(episode["return"] for episode in episodes) == last.returns
         assert tuple(episode["primitives"] for episode in episodes) == last.lengths
         assert tuple(len(episode["decisions"]) for episode in episodes) == last.decision_counts
 
 
 def test_agents_of_one_training_seed_are_evaluated_from_the_same_starts(finished: Comparison):
-    starts = {seed: {result.scale.starts for cell, result in finished.runs if cell.seed == seed} for seed in (0, 1)}
+    starts = {seed: {result.score_range.starts for run, result in finished.runs if run.seed == seed} for seed in (0, 1)}
     assert all(len(found) == 1 for found in starts.values())
     assert starts[0] != starts[1]
 
 
-def test_finished_cells_are_kept_and_new_ones_added(finished: Comparison, tmp_path: Path):
+def test_finished_runs_are_kept_and_new_ones_added(finished: Comparison, tmp_path: Path):
     fewer = change(agents=SMALL.agents[:2], runs=1)
-    first = run(fewer, tmp_path)
-    files = [get_cell_folder(tmp_path, cell) / name for cell, _ in first.runs
-             for name in ("cell.json", "run/log.jsonl", "run/checkpoint.npz")]
+    first = run_quietly(fewer, tmp_path)
+    files = [get_run_folder(tmp_path, run) / name for run, _ in first.runs
+             for name in ("run_result.json", "training/log.jsonl", "training/checkpoint.npz")]
     stamps = [(file.stat().st_mtime_ns, file.stat().st_ino) for file in files]
-    both = run(SMALL, tmp_path)
+    both = run_quietly(SMALL, tmp_path)
     assert [(file.stat().st_mtime_ns, file.stat().st_ino) for file in files] == stamps
     assert [result for _, result in both.runs] == [result for _, result in finished.runs]
 
@@ -114,7 +114,7 @@ def wait_until(happens, seconds: float = 20.0) -> bool:
 
 
 def count_log_bytes(out: Path) -> int:
-    return sum(log.stat().st_size for log in out.glob("cells/*/run/log.jsonl"))
+    return sum(log.stat().st_size for log in out.glob("runs/*/training/log.jsonl"))
 
 
 def start_and_wait_for_news(grid_file: Path, out: Path) -> subprocess.Popen[bytes]:
@@ -138,7 +138,7 @@ def test_killed_at_any_moment_and_resumed_gives_the_uninterrupted_results(finish
         if process.returncode == 0:
             break
     assert kills >= 1
-    resumed = run(SMALL, out)
+    resumed = run_quietly(SMALL, out)
     assert [result for _, result in resumed.runs] == [result for _, result in finished.runs]
     assert read_tables(resumed) == read_tables(finished)
 
@@ -148,9 +148,9 @@ def test_no_process_outlives_a_comparison_that_is_stopped(tmp_path: Path, signal
     grid = change(primitives=1_000_000, runs=1)
     write_json(tmp_path / "long.json", grid.to_dict())
     process = start_cli(tmp_path / "long.json", tmp_path / "out")
-    cells = grid.make_cells([room.make_instance() for room in grid.rooms])
+    runs = grid.make_runs([room.make_instance() for room in grid.rooms])
     try:
-        assert wait_until(lambda: any(read_progress(tmp_path / "out", cell) for cell in cells), 60)
+        assert wait_until(lambda: any(read_progress(tmp_path / "out", run) for run in runs), 60)
         if signal_ == signal.SIGINT:  # reaches every process of the terminal
             os.killpg(process.pid, signal_)
             output = process.communicate(timeout=120)[0].decode()
@@ -169,7 +169,7 @@ def test_no_process_outlives_a_comparison_that_is_stopped(tmp_path: Path, signal
 
 STRANGER = '''
 import os, signal
-from hrl_escape.agents.random import RandomAgent
+from hrl_escape.agents.algorithms.random import RandomAgent
 
 class Stranger(RandomAgent):
     recipes = {}
@@ -189,7 +189,7 @@ class Crasher(Stranger):
 '''
 
 
-def test_failed_cells_are_told_with_their_error_and_stop_no_others(tmp_path: Path):
+def test_failed_runs_are_told_with_their_error_and_stop_no_others(tmp_path: Path):
     """One raises, one crashes its interpreter, one diverges; all are strangers' or settings' faults."""
     package = tmp_path / "strangers-1.0.dist-info"
     package.mkdir()
@@ -213,33 +213,33 @@ def test_failed_cells_are_told_with_their_error_and_stop_no_others(tmp_path: Pat
     assert sorted(row.split(",")[0] for row in rows) == ["q-learning", "random"]
 
 
-def test_a_failed_cell_is_tried_again_the_next_time(finished: Comparison, tmp_path: Path):
+def test_a_failed_run_is_tried_again_the_next_time(finished: Comparison, tmp_path: Path):
     grid = change(agents=SMALL.agents[:1], runs=1)
-    (cell,) = grid.make_cells([room.make_instance() for room in grid.rooms])
-    (get_cell_folder(tmp_path, cell) / "run").mkdir(parents=True)
-    broken = get_cell_folder(tmp_path, cell) / "run" / "checkpoint.npz"
+    (run,) = grid.make_runs([room.make_instance() for room in grid.rooms])
+    (get_run_folder(tmp_path, run) / "training").mkdir(parents=True)
+    broken = get_run_folder(tmp_path, run) / "training" / "checkpoint.npz"
     broken.write_bytes(b"no checkpoint")
-    failed = run(grid, tmp_path)
+    failed = run_quietly(grid, tmp_path)
     (failure,) = failed.failures
     assert str(broken) in failure.message and "damaged" in failure.message and not failure.traceback
     with pytest.raises(ComparisonError, match="no run has finished.*damaged"):
         summarise(failed)
     broken.unlink()
-    again = run(grid, tmp_path)
+    again = run_quietly(grid, tmp_path)
     assert not again.failures and again.runs[0][1] == finished.runs[0][1]
 
 
 def test_a_damaged_result_is_made_again_from_its_run(finished: Comparison, tmp_path: Path):
     grid = change(agents=SMALL.agents[3:], runs=1)
-    first = run(grid, tmp_path)
-    (cell, result), = first.runs
-    folder = get_cell_folder(tmp_path, cell)
-    log = (folder / "run" / "log.jsonl").read_bytes()
-    for damage in (b"{", b"[]", b'{"identity": {}}', (folder / "cell.json").read_bytes()[:-40]):
-        (folder / "cell.json").write_bytes(damage)
-        assert run(grid, tmp_path).runs == ((cell, result),)
-        assert read_cell(tmp_path, cell) == result
-    assert (folder / "run" / "log.jsonl").read_bytes() == log, "the finished training itself is not repeated"
+    first = run_quietly(grid, tmp_path)
+    (run, result), = first.runs
+    folder = get_run_folder(tmp_path, run)
+    log = (folder / "training" / "log.jsonl").read_bytes()
+    for damage in (b"{", b"[]", b'{"identity": {}}', (folder / "run_result.json").read_bytes()[:-40]):
+        (folder / "run_result.json").write_bytes(damage)
+        assert run_quietly(grid, tmp_path).runs == ((run, result),)
+        assert read_run(tmp_path, run) == result
+    assert (folder / "training" / "log.jsonl").read_bytes() == log, "the finished training itself is not repeated"
 
 
 # --- folders and disks -----------------------------------------------------------------
@@ -248,7 +248,7 @@ def test_a_damaged_result_is_made_again_from_its_run(finished: Comparison, tmp_p
 def test_a_folder_that_cannot_be_written_is_one_clear_message(tmp_path: Path):
     (tmp_path / "file").write_text("in the way")
     with pytest.raises(FileWriteError, match="cannot write .*file/out"):
-        run(SMALL, tmp_path / "file" / "out")
+        run_quietly(SMALL, tmp_path / "file" / "out")
 
 
 def test_a_full_disk_fails_the_runs_that_need_it_and_keeps_what_is_finished(tmp_path: Path):
@@ -261,8 +261,8 @@ def test_a_full_disk_fails_the_runs_that_need_it_and_keeps_what_is_finished(tmp_
                           preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
     assert done.returncode in (1, 2)
     assert "dqn, small, seed 0: failed: cannot write" in done.stderr, done.stderr
-    assert "random, small, seed 0: score" in done.stderr
-    rerun = run(change(runs=1, agents=["random", "dqn"]), tmp_path / "out")
+    assert "random, small, seed 0: efficiency" in done.stderr
+    rerun = run_quietly(change(runs=1, agents=["random", "dqn"]), tmp_path / "out")
     assert not rerun.failures
 
 
@@ -273,7 +273,7 @@ def test_one_comparison_at_a_time_in_a_folder(tmp_path: Path):
     try:
         assert wait_until(lambda: (tmp_path / "out" / "grid.json").exists(), 60)
         with pytest.raises(RunBusyError, match="another comparison is running in this folder"):
-            run(SMALL, tmp_path / "out")
+            run_quietly(SMALL, tmp_path / "out")
     finally:
         process.kill()
         process.wait()

@@ -7,16 +7,16 @@ from pathlib import Path
 
 import pytest
 
-from hrl_escape.env.generation import generate
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError, FileReadError, GridError, UnknownNameError
 from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec, load_grid
 from hrl_escape.experiments.presets import GRIDS, get_grid
 from tests.experiments.small import SMALL, change
 
 
-def make_cells(grid: Grid):
-    return grid.make_cells([room.make_instance() for room in grid.rooms])
+def make_runs(grid: Grid):
+    return grid.make_runs([room.make_instance() for room in grid.rooms])
 
 
 # --- reading ---------------------------------------------------------------------------
@@ -54,32 +54,32 @@ def test_a_toml_file_gives_the_grid_that_it_says(tmp_path: Path):
 
 
 @pytest.mark.parametrize("grid", [*GRIDS.values(), SMALL], ids=lambda grid: grid.name)
-def test_a_grid_survives_json_and_makes_all_its_cells(grid: Grid):
+def test_a_grid_survives_json_and_makes_all_its_runs(grid: Grid):
     assert Grid.from_dict(grid.to_dict()) == grid
-    cells = make_cells(grid)
-    assert len(cells) == len(grid.agents) * len(grid.rooms) * grid.runs
-    assert len({cell.folder for cell in cells}) == len({cell.key for cell in cells}) == len(cells)
+    runs = make_runs(grid)
+    assert len(runs) == len(grid.agents) * len(grid.rooms) * grid.runs
+    assert len({run.folder for run in runs}) == len({run.key for run in runs}) == len(runs)
 
 
 def test_every_agent_meets_the_same_evaluation_episodes_and_each_seed_others():
-    seeds = {(cell.seed, cell.eval_seed) for cell in make_cells(SMALL)}
+    seeds = {(run.seed, run.eval_seed) for run in make_runs(SMALL)}
     assert len(seeds) == SMALL.runs == len({eval_seed for _, eval_seed in seeds})
 
 
-def test_cells_come_seed_by_seed_so_that_early_results_compare_everybody():
-    cells = make_cells(SMALL)
-    assert [cell.agent.label for cell in cells[:4]] == [agent.label for agent in SMALL.agents]
-    assert [cell.seed for cell in cells] == [0] * 4 + [1] * 4
+def test_runs_come_seed_by_seed_so_that_early_results_compare_everybody():
+    runs = make_runs(SMALL)
+    assert [run.agent.label for run in runs[:4]] == [agent.label for agent in SMALL.agents]
+    assert [run.seed for run in runs] == [0] * 4 + [1] * 4
 
 
 # --- which runs are the same -----------------------------------------------------------
 
 
 def find_key(**changes: object) -> str:
-    return make_cells(change(**changes))[0].key
+    return make_runs(change(**changes))[0].key
 
 
-def test_a_cells_key_depends_on_what_decides_its_numbers_and_on_nothing_else():
+def test_a_runs_key_depends_on_what_decides_its_numbers_and_on_nothing_else():
     plain = find_key(agents=["smdp-dqn"])
     same = [
         find_key(agents=[AgentSpec("smdp-dqn", label="other")]),
@@ -119,11 +119,11 @@ def test_options_say_nothing_about_a_flat_agent():
         ({"agents": ["dqn", "dqn"]}, "same agent label twice: dqn"),
         ({"agents": ["dqn", AgentSpec("dqn", label="twin")]}, "same agent with the same settings twice"),
         ({"rooms": ["clutter", "clutter#0"]}, "same room twice"),
-        ({"agents": ["dqqn"]}, "Perhaps you meant 'dqn'"),
-        ({"agents": ["dqn@papr"]}, "Perhaps you meant 'paper'"),
-        ({"agents": [AgentSpec("dqn", settings={"gama": 1})]}, "Perhaps you meant 'gamma'"),
+        ({"agents": ["dqqn"]}, "did you mean 'dqn'"),
+        ({"agents": ["dqn@papr"]}, "did you mean 'paper'"),
+        ({"agents": [AgentSpec("dqn", settings={"gama": 1})]}, "did you mean 'gamma'"),
         ({"agents": [AgentSpec("dqn", settings={"gamma": 2})]}, r"gamma = 2 is not possible.*from 0 to 1"),
-        ({"rooms": ["cluter"]}, "Perhaps you meant 'clutter'"),
+        ({"rooms": ["cluter"]}, "did you mean 'clutter'"),
         ({"rooms": ["clutter#x"]}, "after # comes the number"),
         ({"runs": 0}, "grid.runs = 0 is not possible"),
         ({"primitives": "many"}, "grid.primitives = 'many' is not possible: a whole number"),
@@ -131,16 +131,16 @@ def test_options_say_nothing_about_a_flat_agent():
 )
 def test_an_impossible_grid_is_refused_with_its_reason(changes: dict, message: str):
     with pytest.raises(EscapeError, match=message):
-        make_cells(change(**changes))
+        make_runs(change(**changes))
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("runs = ", "mine.toml: .*TOML"),
-        ("run = 3", "mine.toml: grid.run = 3 .*fields are"),
+        ("run = 3", "mine.toml: unknown grid field .run.; did you mean .runs."),
         ('rooms = [{ preset = "clutter", file = "x.json" }]', "one of preset, config or file"),
-        ('agents = [{ nam = "dqn" }]', "agent.nam .*fields are name"),
+        ('agents = [{ nam = "dqn" }]', "unknown agent field .nam.; did you mean .name."),
     ],
 )
 def test_a_file_that_is_no_grid_is_refused_by_name(tmp_path: Path, text: str, message: str):
@@ -152,11 +152,19 @@ def test_a_file_that_is_no_grid_is_refused_by_name(tmp_path: Path, text: str, me
 def test_a_missing_file_and_an_unknown_name_are_told():
     with pytest.raises(FileReadError, match="no such grid"):
         load_grid("nowhere.toml")
-    with pytest.raises(UnknownNameError, match="Perhaps you meant 'ladder'"):
+    with pytest.raises(UnknownNameError, match="did you mean 'ladder'"):
         get_grid("lader")
 
 
 def test_rooms_of_one_name_are_told_apart():
     other = RoomSpec(config=dataclasses.replace(get_preset("clutter"), horizon=50).to_dict())
-    names = {cell.room for cell in make_cells(change(rooms=["clutter", "clutter#1", other]))}
+    names = {run.room for run in make_runs(change(rooms=["clutter", "clutter#1", other]))}
     assert len(names) == 3 and "clutter#1" in names
+
+
+def test_another_version_of_a_library_is_another_run(monkeypatch):
+    instances = [room.make_instance() for room in SMALL.rooms]
+    before = SMALL.make_runs(instances)[0].key
+    assert SMALL.make_runs(instances)[0].key == before
+    monkeypatch.setattr("hrl_escape.experiments.grid.find_versions", lambda: {"torch": "99"})
+    assert SMALL.make_runs(instances)[0].key != before

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -12,10 +10,10 @@ from scipy import integrate, stats
 
 from hrl_escape.experiments.statistics import (
     compute_area,
+    compute_efficiency,
     compute_final,
-    compute_improvement,
-    compute_interval,
     compute_iqm,
+    compute_mean,
     compute_profile,
     compute_score,
     compute_slope,
@@ -40,6 +38,10 @@ def test_score_beyond_the_best_known_is_not_hidden():
     assert compute_score(88, -1000, 86) > 1
 
 
+def test_efficiency_is_nothing_without_escape_and_one_at_the_fewest_known():
+    assert compute_efficiency([True, True, False, True], [34, 68, 34, 17], 34).tolist() == [1, 0.5, 0, 1]
+
+
 # --- interquartile mean ----------------------------------------------------------------
 
 
@@ -57,36 +59,25 @@ def test_iqm_is_scipys_trimmed_mean_of_all_runs_of_all_rooms(scores):
     assert compute_iqm(scores) == pytest.approx(stats.trim_mean(np.concatenate(scores), 0.25))
 
 
+@given(st.lists(runs, min_size=1, max_size=4))
+def test_iqm_of_runs_with_weights_is_that_of_as_many_copies(scores):
+    """Weights of 1/4 and 3/4 are one copy and three, in a number that quarters divide."""
+    weights = [np.where(np.arange(len(room)) == 0, 3.0, 1.0) / (len(room) + 2) for room in scores]
+    for room, weight in zip(scores, weights, strict=True):
+        copies = np.repeat(room, np.where(np.arange(len(room)) == 0, 12, 4))
+        assert compute_iqm([room], [weight]) == pytest.approx(stats.trim_mean(copies, 0.25))
+        assert compute_mean([room], [weight]) == pytest.approx(copies.mean())
+
+
+def test_mean_weighs_rooms_the_same():
+    rooms = [np.array([0.0, 1.0]), np.ones(6)]
+    assert compute_mean(rooms) == compute_mean(rooms, [np.full(2, 1 / 2), np.full(6, 1 / 6)]) == 0.75
+
+
 def test_iqm_keeps_leading_axes():
     scores = rng().normal(size=(3, 2, 8))
     assert compute_iqm([scores]).shape == (3, 2)
     assert compute_iqm([scores])[1, 1] == pytest.approx(compute_iqm([scores[1, 1]]))
-
-
-# --- probability of improvement --------------------------------------------------------
-
-
-@given(runs, runs)
-def test_improvement_in_one_room_is_the_mann_whitney_u_over_the_pairs(x, y):
-    u = stats.mannwhitneyu(x, y).statistic
-    assert compute_improvement([x], [y]) == pytest.approx(u / (len(x) * len(y)))
-
-
-def test_improvement_weighs_rooms_the_same():
-    """Room 1: 4 of 4 pairs; room 2: one pair, a tie."""
-    first, second = [np.array([3.0, 4]), np.array([1.0])], [np.array([1.0, 2]), np.array([1.0])]
-    assert compute_improvement(first, second) == (1 + 0.5) / 2
-
-
-@given(st.lists(st.tuples(runs, runs), min_size=1, max_size=3))
-def test_improvement_of_one_and_of_the_other_add_up_to_one(rooms):
-    first, second = [x for x, _ in rooms], [y for _, y in rooms]
-    assert compute_improvement(first, second) + compute_improvement(second, first) == pytest.approx(1)
-
-
-def test_improvement_refuses_different_rooms():
-    with pytest.raises(ValueError, match="1 rooms cannot be compared with 2"):
-        compute_improvement([np.ones(1)], [np.ones(1), np.ones(1)])
 
 
 # --- performance profile ---------------------------------------------------------------
@@ -108,63 +99,6 @@ def test_profiles_integral_above_the_least_score_is_the_mean(scores):
     least, most = scores.min(), scores.max()
     thresholds = np.arange(least, most) + 0.5
     assert least + compute_profile([scores], thresholds).sum() == pytest.approx(scores.mean())
-
-
-# --- bootstrap -------------------------------------------------------------------------
-
-
-def enumerate_resamples(*rooms: np.ndarray) -> list[list[np.ndarray]]:
-    """All equally likely stratified bootstrap samples."""
-    return [list(drawn) for drawn in itertools.product(
-        *([np.array(sample) for sample in itertools.product(room, repeat=len(room))] for room in rooms))]
-
-
-def test_interval_is_that_of_all_resamples_within_rooms():
-    rooms = [np.array([0.0, 0.2, 0.7]), np.array([0.5, 0.8, 1.0])]
-    every = np.array([compute_iqm(sample) for sample in enumerate_resamples(*rooms)])
-    for level in (0.5, 0.8):
-        found = compute_interval(compute_iqm, rooms, rng=rng(), resamples=200_000, level=level)
-        exact = np.quantile(every, [(1 - level) / 2, (1 + level) / 2])
-        assert found == pytest.approx(exact, abs=0.02)
-
-
-def test_interval_never_mixes_rooms():
-    """Each room's runs agree, so nothing is uncertain however different the rooms are."""
-    low, high = compute_interval(compute_iqm, [np.zeros(5), np.ones(5)], rng=rng())
-    assert low == high == 0.5
-
-
-def test_interval_of_two_groups_draws_each_independently():
-    """With runs {0, 1} in both, the 16 resamples give P(improvement) with known shares."""
-    two = np.array([0.0, 1.0])
-    shares = [float(compute_improvement([x], [y])) for [x], [y] in
-              itertools.product(enumerate_resamples(two), enumerate_resamples(two))]
-    low, high = compute_interval(compute_improvement, [two], [two], rng=rng(), resamples=100_000, level=0.75)
-    assert (low, high) == pytest.approx(tuple(np.quantile(shares, [0.125, 0.875])))
-    assert (low, high) == (0.25, 0.75)
-
-
-def test_interval_of_a_curve_has_the_curves_shape_and_keeps_runs_together():
-    """Runs are rows of a whole curve: where each run is constant, the interval is too."""
-    curves = np.repeat(rng().normal(size=(1, 6)), 4, axis=0)  # (points, runs)
-    low, high = compute_interval(compute_iqm, [curves], rng=rng())
-    assert low.shape == high.shape == (4,)
-    assert len(set(low)) == len(set(high)) == 1
-
-
-def test_interval_covers_the_truth_as_often_as_it_says():
-    """The mean of 20 normal numbers, 400 times: the percentile bootstrap covers about 93 %."""
-    source = rng(1)
-    covered = 0
-    for _ in range(400):
-        low, high = compute_interval(lambda s: s[0].mean(axis=-1), [source.normal(size=20)], rng=source, resamples=500)
-        covered += bool(low <= 0 <= high)
-    assert 0.89 <= covered / 400 <= 0.97
-
-
-def test_interval_is_the_same_for_the_same_generator():
-    scores = [rng().normal(size=10)]
-    assert compute_interval(compute_iqm, scores, rng=rng(3)) == compute_interval(compute_iqm, scores, rng=rng(3))
 
 
 # --- curves and runs -------------------------------------------------------------------

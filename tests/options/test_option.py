@@ -8,8 +8,9 @@ from hrl_escape.checks import check_option
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.observations import make_observer
 from hrl_escape.errors import ContractError, OptionError
-from hrl_escape.options.option import LearnedOption, Option, OptionReport, ScriptedOption
+from hrl_escape.options.option import LearnedOption, Option, ScriptedOption
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.report import PlanningReport
 
 
 @pytest.fixture(scope="module")
@@ -54,9 +55,9 @@ def test_a_learned_policy_sees_the_observation_it_was_trained_on(env):
 
 
 def test_reports_of_nested_options_add_up():
-    report = OptionReport(1.0, 2, 1, 0, ("a",))
-    report.add(OptionReport(0.5, 1, 1, 3, ("b",)))
-    assert report == OptionReport(1.5, 3, 2, 3, ("a", "b"))
+    report = PlanningReport(1.0, 2, 1, 0, ("a",))
+    report.add(PlanningReport(0.5, 1, 1, 3, ("b",)))
+    assert report == PlanningReport(1.5, 3, 2, 3, ("a", "b"))
 
 
 class _Base(Option):
@@ -88,7 +89,7 @@ class NoMemoryOfItsStart(_Base):
     """Goes on counting from the last run."""
 
     def start(self, state):
-        self.report = OptionReport()
+        self.report = PlanningReport()
         self.turns = getattr(self, "turns", 0)
 
     def policy(self, state):

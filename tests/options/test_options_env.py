@@ -12,8 +12,8 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics, TimeLimit, TransformReward
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.generation import generate
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import (
     ActionError,
     ConfigError,
@@ -404,13 +404,13 @@ def test_numbers_and_names_stay_when_rooms_are_resampled():
     for seed in range(3):
         begin(env, seed)
         rooms.add(env.unwrapped.instance.id)
-        assert env.step(env.action_names.index("meta-01"))[4]["buttons_on"][0] == 1
+        assert 0 in env.step(env.action_names.index("meta-01"))[4]["pressed"]
         assert env.action_names == names
     assert len(rooms) == 3
 
 
 def test_options_made_for_another_room_are_refused():
-    from hrl_escape.options.synthesis import make_meta_options
+    from hrl_escape.options.meta_actions import make_meta_options
 
     options = make_meta_options(generate(get_preset("four-button-chain"), 5))
     with pytest.raises(OptionError, match="was made for room"):

@@ -19,7 +19,7 @@ def test_it_listens_on_this_machine_only(server):
     listening = [line.split()[1] for line in open("/proc/net/tcp").readlines()[1:]
                  if line.split()[3] == "0A" and line.split()[1].endswith(f":{port:04X}")]
     assert listening == [f"0100007F:{port:04X}"]
-    assert get_url(server) == f"http://127.0.0.1:{port}"
+    assert get_url(server) == f"http://127.0.0.1:{port}/?token={server.guard.token}"
 
 
 def test_it_opens_no_tunnel(server):

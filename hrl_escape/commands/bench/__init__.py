@@ -1,1 +1,1 @@
-"""Measure: how fast environments, planners, agents and batches are, beside others in the same run."""
+"""Measure the speed of environments, planners, agents and batches beside others in the same run."""

@@ -1,9 +1,9 @@
-"""Measure updates per second of the deep agents beside Stable-Baselines3 and TorchRL, same networks, in one run.
+"""Measure updates per second of the deep agents beside Stable-Baselines3 and TorchRL.
 
-An update is a sample from replay (or a minibatch of a rollout), a gradient step, and the
-target network's step. All have two hidden layers of 64 and batches of 64 over 12
-observations and 9 actions, on one core. Contenders take turns, so that other work on the
-machine slows all of them alike; the median of the rounds is printed.
+An update is a sample from replay (or a minibatch of a rollout), a gradient step, and the target
+network's step. All contenders have two hidden layers of 64 units and batches of 64, for 12 inputs
+and 9 actions, on one core. They take turns in one run, so that other work on the machine slows all
+of them alike; the median of the rounds is printed.
 
 Examples:
     hrl-escape bench agents
@@ -33,7 +33,6 @@ from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
 
 from hrl_escape.agents import make_agent
 from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.sarsa import Request
 from hrl_escape.errors import MissingExtraError
 
 INPUTS, ACTIONS, HIDDEN, BATCH, STORED = 12, 9, (64, 64), 64, 10_000
@@ -41,18 +40,18 @@ ROLLOUT, EPOCHS = 256, 10
 
 
 class RandomSteps(gymnasium.Env):
-    """Random observations and rewards: an environment that costs next to nothing."""
+    """Environment of random observations that costs next to nothing to step."""
 
     observation_space = gymnasium.spaces.Box(-1, 1, (INPUTS,), np.float32)
     action_space = gymnasium.spaces.Discrete(ACTIONS)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin."""
+        """Begin an episode."""
         super().reset(seed=seed)
         return self._draw(), {}
 
     def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Go on."""
+        """Draw the next observation."""
         return self._draw(), -1.0, bool(self.np_random.random() < 0.01), False, {}
 
     def _draw(self) -> Any:
@@ -60,7 +59,7 @@ class RandomSteps(gymnasium.Env):
 
 
 def make_ours(name: str) -> Callable[[int], None]:
-    """Our agent's update from replay, as `observe` calls it."""
+    """Update of one of our agents from replay, as `observe` calls it."""
     env = RandomSteps()
     fast = {"hidden": HIDDEN, "batch_size": BATCH, "updates_per_step": 0.0, "warmup": 0}
     agent: Any = make_agent(name, env.observation_space, env.action_space, 0, **fast)
@@ -72,17 +71,13 @@ def make_ours(name: str) -> Callable[[int], None]:
 
     def update(count: int) -> None:
         for _ in range(count):
-            if name == "ddpg":
-                agent._update()
-                continue
-            rows = agent.replay.draw(BATCH, agent._replay_rng)
-            agent._update(Request(rows) if name == "sarsa" else rows)
+            agent.update(agent.replay.sample(BATCH, agent._replay_rng))
 
     return update
 
 
 def make_our_ppo() -> Callable[[int], None]:
-    """Our PPO's rounds of updates from a rollout."""
+    """Updates of our PPO from a rollout."""
     env = RandomSteps()
     agent: Any = make_agent(
         "ppo", env.observation_space, env.action_space, 0, hidden=HIDDEN, rollout=ROLLOUT, epochs=EPOCHS
@@ -111,7 +106,7 @@ def draw_transitions(count: int) -> list[SMDPTransition]:
 
 
 def make_torchrl(compiled: bool) -> Callable[[int], None]:
-    """The same double DQN from TorchRL's parts."""
+    """The same double DQN, built from TorchRL's parts."""
     actor = QValueActor(
         TensorDictModule(
             MLP(in_features=INPUTS, out_features=ACTIONS, num_cells=HIDDEN, activation_class=torch.nn.ReLU),
@@ -167,7 +162,7 @@ def make_torchrl(compiled: bool) -> Callable[[int], None]:
 
 
 def make_sb3_dqn() -> Callable[[int], None]:
-    """Stable-Baselines3's DQN (not double), its own replay and train()."""
+    """DQN of Stable-Baselines3 (not double), with its own replay and train()."""
     model = _load_stable_baselines().DQN(
         "MlpPolicy", RandomSteps(), batch_size=BATCH, buffer_size=STORED, learning_starts=STORED - 1, seed=0,
         policy_kwargs={"net_arch": list(HIDDEN)}, device="cpu", target_update_interval=1, tau=0.01,
@@ -183,7 +178,7 @@ def make_sb3_dqn() -> Callable[[int], None]:
 
 
 def make_sb3_ppo() -> Callable[[int], None]:
-    """Stable-Baselines3's PPO, train() on a rollout."""
+    """PPO of Stable-Baselines3: train() on a rollout."""
     model = _load_stable_baselines().PPO(
         "MlpPolicy", RandomSteps(), n_steps=ROLLOUT, batch_size=BATCH, n_epochs=EPOCHS, seed=0,
         policy_kwargs={"net_arch": list(HIDDEN)}, device="cpu", ent_coef=0.01,
@@ -197,8 +192,8 @@ def make_sb3_ppo() -> Callable[[int], None]:
     return update
 
 
-def measure(contenders: dict[str, Callable[[int], None]], updates: int, rounds: int) -> dict[str, float]:
-    """Updates per second of each, the median over rounds in which all take turns."""
+def measure_updates(contenders: dict[str, Callable[[int], None]], updates: int, rounds: int) -> dict[str, float]:
+    """Median updates per second of each contender over rounds in which all take turns."""
     rates: dict[str, list[float]] = {name: [] for name in contenders}
     for update in contenders.values():
         update(80)
@@ -217,9 +212,9 @@ class BenchAgentsArgs:
     updates: int = 400
     """Updates in a round."""
     rounds: int = 7
-    """Rounds in which all take turns."""
+    """Number of rounds in which all take turns."""
     compile: bool = False
-    """Also measure TorchRL's loss compiled; takes some 20 s more."""
+    """Also measure TorchRL's loss compiled, which takes about 20 s more."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -239,7 +234,7 @@ def run(args: BenchAgentsArgs) -> int:
     }
     if args.compile:
         contenders["TorchRL DQNLoss, compiled"] = make_torchrl(compiled=True)
-    rates = measure(contenders, args.updates, args.rounds)
+    rates = measure_updates(contenders, args.updates, args.rounds)
     rows = {}
     for name, rate in rates.items():
         theirs = rates["Stable-Baselines3 PPO" if "ppo" in name.lower() else "Stable-Baselines3 DQN"]

@@ -1,9 +1,9 @@
-"""Measure steps per second of batched rooms against the size of the batch, eager and compiled, beside others.
+"""Measure steps per second of batched rooms by batch size, eager and compiled, beside others.
 
-Beside them in the same run: the Bullet environment in Gymnasium's SyncVectorEnv, CartPole's own
-vector environment and, if installed, XLand-MiniGrid. All take random actions; resets are
-included. Repeats are interleaved and each contender's best counts. The bound is what the
-machine's memory allows, were arithmetic free: bytes a step reads and writes a room.
+The others are the Bullet environment in Gymnasium's SyncVectorEnv, CartPole's own vector
+environment and, if installed, XLand-MiniGrid. All take random actions; resets are included.
+Repeats are interleaved and each contender's best counts. The memory bound is the rate at which
+the bytes that a step reads and writes could be copied: the limit if arithmetic were free.
 
 Examples:
     hrl-escape bench batch
@@ -16,18 +16,14 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from hrl_escape.env import escape_room  # noqa: F401  # so that no measurement has to import it
+from hrl_escape.commands.bench.machine import describe_machine
 from hrl_escape.env.presets import PRESETS
 from hrl_escape.errors import ConfigError, UnknownNameError
-
-if TYPE_CHECKING:
-    from hrl_escape.commands.bench.batch_contenders import Contender
 
 SCENES = ("paper-two-button", "ten-obstacles", "ten-obstacles-by-hand")
 
@@ -41,23 +37,23 @@ class BenchBatchArgs:
     sizes: tuple[int, ...] = (64, 1024, 8192)
     """Rooms in a batch."""
     engines: tuple[str, ...] = ("eager", "compiled")
-    """How to step the batch; compiling takes some 10 s for each scene and size."""
+    """Ways to step the batch; compiling takes about 10 s for each scene and size."""
     instances: int = 1
     """Different instances in a batch."""
     observation: str = "features"
     """Observation of our environments."""
     device: str = "cpu"
-    """Where the batches are: cpu, cuda, ..."""
+    """Device of the batches: cpu, cuda, ..."""
     threads: int = 0
-    """Threads of torch; 0 takes its default, one a core."""
+    """Number of torch threads; 0 for its default, one a core."""
     repeats: int = 5
-    """How often each contender is measured, in turn."""
+    """Number of measurements of each contender."""
     seconds: float = 0.3
     """Length of one measurement, s."""
     peers: bool = True
     """Measure the other environments too."""
     plot: Path | None = None
-    """Draw steps per second against the size of the batch to this PNG, SVG or PDF file."""
+    """PNG, SVG or PDF file for a plot of steps per second by batch size."""
     json: bool = False
     """Print JSON instead of a table."""
 
@@ -76,9 +72,10 @@ def run(args: BenchBatchArgs) -> None:
     from hrl_escape.commands.bench import batch_contenders as bench  # loads torch, which --help does without
 
     bench.set_threads(args.threads)
-    contenders: list[Contender] = []
+    contenders: list[bench.Contender] = []
     with Progress(console=Console(stderr=True), transient=True, disable=args.json) as progress:
-        makers = bench.list_makers(args)
+        batch = bench.BatchSettings(args.instances, args.observation, args.device)
+        makers = bench.list_makers(args.scenes, args.sizes, args.engines, args.peers, batch)
         task = progress.add_task("", total=len(makers) * (1 + args.repeats))
         for name, make in makers:
             progress.update(task, description=f"building {name}")
@@ -91,14 +88,15 @@ def run(args: BenchBatchArgs) -> None:
                 progress.advance(task)
     bandwidth = bench.measure_bandwidth(args.device)
     rows = [contender.summarise(bandwidth) for contender in contenders]
+    machine = describe_machine("torch") | bench.describe_torch(args.device)
     if args.plot:
         bench.draw(args.plot, rows)
     if args.json:
         settings = dataclasses.asdict(args) | {"plot": args.plot and str(args.plot)}
-        print(json.dumps({"machine": bench.describe_machine(args.device), "settings": settings,
+        print(json.dumps({"machine": machine, "settings": settings,
                           "bytes_per_second": bandwidth, "contenders": rows}, indent=2))
     else:
-        _print(rows, bandwidth, bench.describe_machine(args.device))
+        _print(rows, bandwidth, machine)
 
 
 def _print(rows: list[dict], bandwidth: float, machine: dict) -> None:

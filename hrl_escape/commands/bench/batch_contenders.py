@@ -1,53 +1,62 @@
-"""What `hrl-escape bench batch` measures: how each contender is built, stepped and timed."""
+"""Contenders of `hrl-escape bench batch`: built, stepped and timed. Not a command."""
 
 from __future__ import annotations
 
 import dataclasses
 import importlib.util
-import os
-import platform
 import time
-from collections.abc import Callable
-from importlib.metadata import version
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium
 import numpy as np
 import torch
 
+from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.tables import map_tensors
 from hrl_escape.env.config import DynamicsConfig, ObstaclesConfig, RobotConfig, RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.generation import generate
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
-from hrl_escape.env.tensor_instances import map_tensors
-from hrl_escape.env.tensor_room import TensorRoom
-
-if TYPE_CHECKING:
-    from hrl_escape.commands.bench.batch import BenchBatchArgs
+from hrl_escape.env.sampling.generation import generate
 
 POOL = 16  # batches of random actions, drawn beforehand
 SYNC_ROOMS = 8
 CARTPOLE, XLAND = "CartPole-v1", "XLand-MiniGrid-R1-9x9"
 
 
-@dataclasses.dataclass
-class Contender:
-    """Something that steps a batch of rooms, and its measurements.
+@dataclasses.dataclass(frozen=True)
+class BatchSettings:
+    """Settings of our batches.
 
     Attributes:
-        name: environment.
-        engine: how it is stepped.
-        rooms: rooms in the batch.
-        step: runs that many steps of the whole batch.
+        instances: number of different instances in a batch.
+        observation: name of the observation.
+        device: torch device.
+    """
+
+    instances: int
+    observation: str
+    device: str
+
+
+@dataclasses.dataclass
+class Contender:
+    """A batch of rooms that can be stepped, and its measurements.
+
+    Attributes:
+        name: name of the environment.
+        engine: engine that steps it.
+        rooms: number of rooms in the batch.
+        step: runs a number of steps of the whole batch.
         build_seconds: time until it could step, compilation included, s.
-        state_bytes: bytes of state a room.
-        moved_bytes: bytes that a step must at least read and write a room; 0 if unknown.
-        wall: best seconds a step of the batch.
-        cpu: best CPU-seconds a step of the batch.
+        state_bytes: bytes of state of a room.
+        moved_bytes: bytes that a step must at least read and write for a room; 0 if unknown.
+        wall: best time of a step of the batch, s.
+        cpu: best CPU time of a step of the batch, s.
     """
 
     name: str
@@ -61,7 +70,7 @@ class Contender:
     cpu: float = float("inf")
 
     def measure(self, seconds: float) -> None:
-        """Step for some time."""
+        """Step for a while and keep the best times."""
         steps, spent = 1, 0.0
         while spent < seconds:
             wall, cpu = time.perf_counter(), time.process_time()
@@ -72,7 +81,7 @@ class Contender:
             steps = max(1, min(1000, int(steps * 0.02 / max(took, 1e-6))))  # stretches of 20 ms
 
     def summarise(self, bandwidth: float) -> dict[str, Any]:
-        """Numbers for table, plot and JSON."""
+        """Results for table, plot and JSON."""
         return {
             "name": self.name, "engine": self.engine, "rooms": self.rooms, "build_seconds": self.build_seconds,
             "steps_per_second": self.rooms / self.wall, "steps_per_cpu_second": self.rooms / max(self.cpu, 1e-9),
@@ -82,7 +91,7 @@ class Contender:
 
 
 def make_scene(name: str) -> RoomConfig:
-    """Schematic of a scene: a preset, or four buttons among ten yawed boxes, pressed by body or hand."""
+    """Schematic of a scene: a preset, or four buttons among ten rotated boxes, pressed by body or hand."""
     if name not in ("ten-obstacles", "ten-obstacles-by-hand"):
         return get_preset(name)
     by_hand = name == "ten-obstacles-by-hand"
@@ -95,27 +104,36 @@ def make_scene(name: str) -> RoomConfig:
     )
 
 
-def list_makers(args: BenchBatchArgs) -> list[tuple[str, Callable[[], Contender]]]:
-    """Name and builder of every contender that `args` asks for."""
+def list_makers(scenes: Sequence[str], sizes: Sequence[int], engines: Sequence[str], peers: bool,
+                settings: BatchSettings) -> list[tuple[str, Callable[[], Contender]]]:
+    """Name and builder of every contender.
+
+    Args:
+        scenes: names for `make_scene`.
+        sizes: numbers of rooms in a batch.
+        engines: `eager` or `compiled`.
+        peers: include other environments.
+        settings: settings of our batches.
+    """
     makers: list[tuple[str, Callable[[], Contender]]] = []
-    for scene in args.scenes:
-        for size in args.sizes:
-            for engine in args.engines:
+    for scene in scenes:
+        for size in sizes:
+            for engine in engines:
                 makers.append((f"{scene}, {size} rooms, {engine}",
-                               lambda s=scene, n=size, e=engine: _make_batch(s, n, e, args)))
-    if args.peers:
-        scene, size = args.scenes[0], max(args.sizes)
-        makers.append(("SyncVectorEnv", lambda: _make_sync(scene, args)))
+                               lambda s=scene, n=size, e=engine: _make_batch(s, n, e, settings)))
+    if peers:
+        scene, size = scenes[0], max(sizes)
+        makers.append(("SyncVectorEnv", lambda: _make_sync(scene, settings.observation)))
         makers.append((CARTPOLE, lambda: _make_cartpole(size)))
         if importlib.util.find_spec("xminigrid") is not None:
             makers.append((XLAND, lambda: _make_xland(min(size, 1024))))
     return makers
 
 
-def _make_batch(scene: str, rooms: int, engine: str, args: BenchBatchArgs) -> Contender:
-    instances = [generate(make_scene(scene), seed) for seed in range(args.instances)]
+def _make_batch(scene: str, rooms: int, engine: str, settings: BatchSettings) -> Contender:
+    instances = [generate(make_scene(scene), seed) for seed in range(settings.instances)]
     begun = time.perf_counter()
-    batch = TensorRoom(instances, rooms, observation=args.observation, device=args.device,
+    batch = TensorRoom(instances, rooms, observation=settings.observation, device=settings.device,
                        compile=engine == "compiled")
     batch.reset(torch.arange(rooms, device=batch.device))
     generator = torch.Generator().manual_seed(0)
@@ -135,10 +153,10 @@ def _make_batch(scene: str, rooms: int, engine: str, args: BenchBatchArgs) -> Co
                      (2 * state + given + _count_bytes((pool[0],))) // rooms)
 
 
-def _make_sync(scene: str, args: BenchBatchArgs) -> Contender:
+def _make_sync(scene: str, observation: str) -> Contender:
     config, begun = make_scene(scene), time.perf_counter()
     env = gymnasium.vector.SyncVectorEnv(
-        [lambda: EscapeRoomEnv(config, observation=args.observation)] * SYNC_ROOMS)
+        [lambda: EscapeRoomEnv(config, observation=observation)] * SYNC_ROOMS)
     return _make_vector(scene, "Bullet, SyncVectorEnv", env, begun)
 
 
@@ -197,13 +215,13 @@ def _count_bytes(tree: Any) -> int:
 
 
 def set_threads(threads: int) -> None:
-    """Set torch's threads; 0 leaves its default."""
+    """Set the number of torch threads; 0 keeps the default."""
     if threads:
         torch.set_num_threads(threads)
 
 
 def measure_bandwidth(device: str) -> float:
-    """Bytes a second that a large copy reads and writes."""
+    """Memory bandwidth: bytes a second that a large copy reads and writes."""
     source = torch.ones(2**26, dtype=torch.uint8, device=device)
     target = torch.empty_like(source)
     best = float("inf")
@@ -215,16 +233,14 @@ def measure_bandwidth(device: str) -> float:
     return 2 * source.numel() / best
 
 
-def describe_machine(device: str) -> dict[str, Any]:
-    """What the measurements were made on."""
+def describe_torch(device: str) -> dict[str, Any]:
+    """Number of torch threads and name of the device."""
     cuda = torch.cuda.get_device_name(device) if device.startswith("cuda") else None
-    return {"python": platform.python_version(), "machine": platform.machine(), "cores": os.cpu_count(),
-            "threads": torch.get_num_threads(), "device": cuda or device,
-            **{name: version(name) for name in ("hrl-escape", "gymnasium", "numpy", "torch")}}
+    return {"threads": torch.get_num_threads(), "device": cuda or device}
 
 
 def draw(path: Path, rows: list[dict[str, Any]]) -> None:
-    """Draw steps per second against the size of the batch, and the peers as level lines."""
+    """Plot steps per second by batch size, with the peers as horizontal lines."""
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(7.5, 4.8), layout="constrained")

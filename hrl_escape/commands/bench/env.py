@@ -1,8 +1,8 @@
 """Measure steps per second of each preset beside CartPole-v1, Taxi, MiniGrid and panda-gym, in one run.
 
-Every environment comes from gymnasium.make with its default wrappers and takes the same kind
-of random actions. Repeats are interleaved, so that a busy moment of the machine meets all
-alike, and each environment's best repeat counts. Resets are timed by themselves.
+Every environment comes from gymnasium.make with its default wrappers and takes random actions.
+Repeats are interleaved, so that a busy moment of the machine slows all of them alike. The median
+counts. Resets are timed separately.
 
 Examples:
     hrl-escape bench env
@@ -14,11 +14,8 @@ from __future__ import annotations
 import dataclasses
 import importlib.util
 import json
-import os
-import platform
 import statistics
 import time
-from importlib.metadata import version
 from typing import Any
 
 import gymnasium
@@ -26,6 +23,7 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from hrl_escape.commands.bench.machine import describe_machine
 from hrl_escape.env import escape_room  # noqa: F401  # so that no measurement has to import it
 from hrl_escape.env.presets import PRESETS, make_env_name
 from hrl_escape.errors import ConfigError, UnknownNameError
@@ -41,11 +39,11 @@ class BenchEnvArgs:
     """Options of `hrl-escape bench env`."""
 
     presets: tuple[str, ...] = ()
-    """Presets to measure; nothing measures all."""
+    """Presets to measure; all by default."""
     observation: str = "state"
-    """Observation of our environments; `hrl-escape list observations` shows them."""
+    """Observation of our environments; `hrl-escape list observations` names them all."""
     repeats: int = 5
-    """How often each environment is measured, in turn."""
+    """Number of measurements of each environment."""
     seconds: float = 0.2
     """Length of one measurement, s."""
     json: bool = False
@@ -90,15 +88,15 @@ def run(args: BenchEnvArgs) -> None:
     for row in rows:
         row["ratio"] = row["steps_per_second"] / base
     if args.json:
-        print(json.dumps({"baseline": BASELINE, "settings": dataclasses.asdict(args), "machine": _describe_machine(),
-                          "environments": rows}, indent=2))
+        print(json.dumps({"baseline": BASELINE, "settings": dataclasses.asdict(args),
+                          "machine": describe_machine("pybullet"), "environments": rows}, indent=2))
     else:
         _print(rows)
 
 
 def _choose(args: BenchEnvArgs) -> list[tuple[str, str, dict[str, Any]]]:
     """Name, id and arguments of each environment: ours, then the peers that are installed."""
-    ours = [(name, f"hrl_escape/{make_env_name(name)}-v0", {"observation": args.observation})
+    ours = [(name, f"hrl_escape/{make_env_name(name)}-v1", {"observation": args.observation})
             for name in args.presets or PRESETS]
     peers = [BASELINE, max(name for name in gymnasium.registry if name.startswith("Taxi-v"))]
     for module, name in _PEERS.items():
@@ -131,7 +129,7 @@ def _make_subject(name: str, id_: str, arguments: dict[str, Any]) -> _Subject:
 
 
 def _measure(subject: _Subject, seconds: float) -> None:
-    """Step with random actions for some time; resets do not count."""
+    """Step with random actions for a while; resets do not count."""
     env, actions, clock = subject.env, subject.actions, time.perf_counter
     step, number = env.step, 0
     env.reset()
@@ -146,11 +144,6 @@ def _measure(subject: _Subject, seconds: float) -> None:
                 env.reset()
                 lost += clock() - before
         subject.step_seconds.append((clock() - begin - lost) / _CHUNK)
-
-
-def _describe_machine() -> dict[str, Any]:
-    return {"python": platform.python_version(), "machine": platform.machine(), "cores": os.cpu_count(),
-            **{name: version(name) for name in ("hrl-escape", "gymnasium", "numpy", "pybullet")}}
 
 
 def _print(rows: list[dict[str, Any]]) -> None:

@@ -1,8 +1,8 @@
-"""Measure how much faster the headless mode is than the real-time view, and than the published code.
+"""Measure the headless mode against the real-time view and the published code.
 
-The same random primitives run in the same room: headless, with options (each decision a planned
-meta-action), and on the viewer's page as it moves in `hrl-escape play`. All are measured in turns
-in one run. The published code made 97 steps a second, rerun in its fastest setting.
+Random primitives run in the same room headless and on the viewer's page, as it moves in
+`hrl-escape play`; random meta-actions run headless. All are measured in turns in one run. The
+published code made 97 steps a second when rerun in its fastest setting.
 
 Examples:
     hrl-escape bench modes
@@ -27,12 +27,12 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ConfigError
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.viewer.play_page import STRIDE
-from hrl_escape.viewer.room_page import RoomPage
+from hrl_escape.viewer.pages.play import PLAY_STRIDE
+from hrl_escape.viewer.pages.room import RoomPage
 from hrl_escape.viewer.server import open_server
 
 PUBLISHED = 97.0
-"""Steps a second of the published code (Menashe and Stone 2019), rerun on this project's machine."""
+"""Steps a second of the published code (Menashe and Stone 2019), rerun on the machine of benchmarks/README.md."""
 _CHUNK = 50
 
 
@@ -41,7 +41,7 @@ class BenchModesArgs(RoomChoice):
     """Options of `hrl-escape bench modes`."""
 
     repeats: int = 3
-    """How often each mode is measured, in turn."""
+    """Number of measurements of each mode."""
     seconds: float = 1.0
     """Length of one measurement, s."""
     json: bool = False
@@ -72,7 +72,7 @@ def run(args: BenchModesArgs) -> None:
     rows = [{"mode": name, "primitives_per_second": rate, "times_real_time": rate / view,
              "times_published": rate / PUBLISHED} for name, rate in found.items()]
     if args.json:
-        print(json.dumps({"room": instance.id, "name": instance.name, "stride": STRIDE, "modes": rows}, indent=2))
+        print(json.dumps({"room": instance.id, "name": instance.name, "stride": PLAY_STRIDE, "modes": rows}, indent=2))
     else:
         _print(instance, rows)
 
@@ -83,7 +83,7 @@ class _Headless:
     def __init__(self, instance: RoomInstance) -> None:
         self._env = EscapeRoomEnv(instance=instance)
         self._env.reset(seed=0)
-        self._actions = np.random.default_rng(0).integers(len(self._env.rules.primitives), size=1000).tolist()
+        self._actions = np.random.default_rng(0).integers(len(self._env.rules.actions), size=1000).tolist()
 
     def measure(self, seconds: float) -> float:
         step, number, begin = self._env.step, 0, time.perf_counter()
@@ -127,8 +127,8 @@ class _View:
     def measure(self, seconds: float) -> float:
         number, begin = 0, time.perf_counter()
         while (past := time.perf_counter() - begin) < seconds:
-            _, _, terminated, truncated, _ = self._env.step(int(self._rng.integers(len(self._env.rules.primitives))))
-            self._page.move(self._env.get_state(), STRIDE)
+            _, _, terminated, truncated, _ = self._env.step(int(self._rng.integers(len(self._env.rules.actions))))
+            self._page.move(self._env.get_state(), PLAY_STRIDE)
             number += 1
             if terminated or truncated:
                 self._env.reset()

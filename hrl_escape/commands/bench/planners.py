@@ -1,7 +1,7 @@
-"""Measure every planner on the same queries: success, primitives, ratio to the fewest, median and p99 ms.
+"""Measure every planner on the same queries: success, primitives, ratio to the fewest, times.
 
-Contenders are the search with cached cost-to-go fields and, for each path planner, the search
-in a corridor round its path. The fewest primitives come from a slow, near-exact reference.
+The contenders are the search along cached cost-to-go fields and, for each path planner, the
+search in a corridor round its path. The fewest primitives come from a slow, near-exact reference.
 
 Examples:
     hrl-escape bench planners
@@ -27,24 +27,24 @@ class BenchPlannersArgs:
     """Options of `hrl-escape bench planners`."""
 
     contenders: tuple[str, ...] = ()
-    """Contenders to measure: fields, or path planners by name; nothing measures all."""
+    """Contenders to measure: fields, or path planners by name; all by default."""
     floors: tuple[str, ...] = ()
-    """Kinds of rooms; nothing takes all: empty, '10 obstacles', '40 obstacles', 'interior walls'."""
+    """Kinds of rooms, all by default: empty, '10 obstacles', '40 obstacles', 'interior walls'."""
     rooms: int = 3
-    """Rooms of each kind."""
+    """Number of rooms of each kind."""
     queries: int = 5
-    """Queries in each room."""
+    """Number of queries in each room."""
     csv: Path | None = None
-    """Write one line a query and contender to this file."""
+    """File for one line a query and contender."""
     plot: Path | None = None
-    """Draw ratios and times to this PNG, SVG or PDF file."""
+    """PNG, SVG or PDF file for a plot of ratios and times."""
     json: bool = False
     """Print JSON instead of a table."""
 
 
 def run(args: BenchPlannersArgs) -> None:
     """Measure and print."""
-    from hrl_escape.options import planner_bench as bench  # loads OMPL and numba, which --help does without
+    from hrl_escape.commands.bench import planner_contenders as bench  # loads OMPL and numba, which --help does without
 
     known = bench.list_contenders()
     for name in args.contenders:
@@ -64,7 +64,7 @@ def run(args: BenchPlannersArgs) -> None:
             queries = bench.make_queries(floor, range(args.rooms), args.queries)
             rows += bench.measure(queries, contenders, lambda name, floor=floor: progress.update(
                 task, advance=1, description=f"{floor}: {name}"))
-    scores = bench.summarise(rows)
+    scores = bench.score_contenders(rows)
     if args.csv:
         bench.write_csv(args.csv, rows)
     if args.plot:
@@ -87,5 +87,5 @@ def _print(scores: list) -> None:
                       f"{score.primitives:.1f}", f"{score.ratio:.3f}", f"{score.ratio_p95:.3f}",
                       f"{score.median_ms:.2f}", f"{score.p99_ms:.1f}")
         last = score.floor
-    table.caption = "ratio: to the near-exact fewest primitives, over goals that were reached"
+    table.caption = "ratio: primitives divided by the near-exact fewest, over goals that were reached"
     Console(width=120, soft_wrap=True).print(table)

@@ -25,7 +25,7 @@ class FactorialArgs(StudyArgs):
     """Options of `hrl-escape experiment factorial`."""
 
     algorithms: tuple[str, ...] = ALGORITHMS
-    """Whose recipes are taken apart: sarsa, ddpg."""
+    """Algorithms whose recipes are compared: sarsa, ddpg."""
     no_corners: bool = False
     """Only the half fraction that is analysed, not the agents that differ from a recipe in one factor."""
     runs: int = 1

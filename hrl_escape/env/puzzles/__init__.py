@@ -1,10 +1,11 @@
-"""Puzzles: the rules that open the exit, one file a puzzle; importing this registers ours."""
+"""Puzzles: the rules that open the exit, one file a puzzle.
 
-from hrl_escape.env.puzzles.base import register_puzzle
-from hrl_escape.env.puzzles.bit_flip import BitFlipConfig, BitFlipPuzzle
-from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
-from hrl_escape.env.puzzles.push_block import PushBlockConfig, PushBlockPuzzle
+Importing this package imports every module in it; each puzzle's file ends with `register_puzzle`,
+so a new file is a new puzzle.
+"""
 
-register_puzzle(ButtonsConfig, ButtonsPuzzle)
-register_puzzle(BitFlipConfig, BitFlipPuzzle)
-register_puzzle(PushBlockConfig, PushBlockPuzzle)
+from importlib import import_module
+from pkgutil import iter_modules
+
+for _module in iter_modules(__path__):
+    import_module(f"{__name__}.{_module.name}")

@@ -1,4 +1,4 @@
-"""What a puzzle is: the rules that must be solved before the exit opens (paper, section 5.1).
+"""Puzzles: the rules that must be solved before the exit opens (paper, section 5.1).
 
 A puzzle sees contacts and keeps state; it declares its observation numbers, what is lit,
 whether it is solved, and a symbolic model that planners read and agents never see. It knows
@@ -10,14 +10,15 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
 from importlib.metadata import entry_points
-from typing import Any, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
+from typing_extensions import Self
 
-from hrl_escape.env.settings import Settings, knob
 from hrl_escape.errors import ConfigError, PluginError, UnknownNameError
+from hrl_escape.settings import Range, Settings
 
 __all__ = [
     "Contacts",
@@ -38,7 +39,7 @@ PuzzleState = Hashable
 
 
 class Contacts(NamedTuple):
-    """What happened to a puzzle's things during one primitive.
+    """Contacts of one primitive with the puzzle's targets and props.
 
     Attributes:
         pressed: indices of targets whose touching began at this primitive's end, ascending.
@@ -101,10 +102,14 @@ class Place(Settings):
     """
 
     _section = "place"
-    x: float = knob(0.0, "Centre.", "m", -110, 110)
-    y: float = knob(0.0, "Centre.", "m", -110, 110)
-    yaw_deg: float = knob(0.0, "Direction of the width, counter-clockwise from +x.", "deg", -360, 360)
-    z: float | None = knob(None, "Height of the centre.", "m", 0, 50)
+    x: Annotated[float, Range(-110, 110, "m")] = 0.0
+    """Centre."""
+    y: Annotated[float, Range(-110, 110, "m")] = 0.0
+    """Centre."""
+    yaw_deg: Annotated[float, Range(-360, 360, "deg")] = 0.0
+    """Direction of the width, counter-clockwise from +x."""
+    z: Annotated[float, Range(0, 50, "m")] | None = None
+    """Height of the centre."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -112,15 +117,21 @@ class Panels(Settings):
     """Size and places of the things on the walls that can be pressed (boxes)."""
 
     _section = "panels"
-    width: float = knob(1.0, "Size along the wall.", "m", 0.02, 200)
-    height: float = knob(1.0, "Vertical size.", "m", 0.02, 50)
-    thickness: float = knob(0.1, "Size away from the wall.", "m", 0.005, 10)
-    centre_height: float = knob(0.75, "Height of the centre.", "m", 0, 50)
-    height_spread: float = knob(0.0, "Centres vary by up to this, up and down.", "m", 0, 50)
-    inset: float | None = knob(None, "Distance of the centre from its wall (None: flush).", "m", 0, 50)
-    places: str | tuple[Place, ...] = knob(
-        "random", "Anywhere on the walls, the paper's four places, or explicit ones.", choices=("random", "paper")
-    )
+    _takes_ranges = True
+    width: Annotated[float, Range(0.02, 200, "m")] = 1.0
+    """Size along the wall."""
+    height: Annotated[float, Range(0.02, 50, "m")] = 1.0
+    """Vertical size."""
+    thickness: Annotated[float, Range(0.005, 10, "m")] = 0.1
+    """Size away from the wall."""
+    centre_height: Annotated[float, Range(0, 50, "m")] = 0.75
+    """Height of the centre."""
+    height_spread: Annotated[float, Range(0, 50, "m")] = 0.0
+    """Centres vary by up to this, up and down."""
+    inset: Annotated[float, Range(0, 50, "m")] | None = None
+    """Distance of the centre from its wall (None: flush)."""
+    places: Literal["random", "paper"] | tuple[Place, ...] = "random"
+    """Anywhere on the walls, the paper's four places, or explicit ones."""
 
     def check_places(self, count: int) -> None:
         """Check that there are places for a number of panels.
@@ -139,20 +150,63 @@ class Prop(Settings):
     """A thing on the floor: a movable block (physics dynamics), or a flat plate."""
 
     _section = "prop"
-    name: str = knob("block", "Unique name.")
-    kind: str = knob("block", "Movable solid, or flat region.", choices=("block", "plate"))
-    half_size: float = knob(0.3, "Half its side; the footprint is a square.", "m", 0.05, 10)
-    height: float = knob(0.4, "Height (blocks).", "m", 0.01, 10)
-    mass: float = knob(5.0, "Mass (blocks).", "kg", 0.01, 10_000)
+    name: str = "block"
+    """Unique name."""
+    kind: Literal["block", "plate"] = "block"
+    """Movable solid, or flat region."""
+    half_size: Annotated[float, Range(0.05, 10, "m")] = 0.3
+    """Half its side; the footprint is a square."""
+    height: Annotated[float, Range(0.01, 10, "m")] = 0.4
+    """Height (blocks)."""
+    mass: Annotated[float, Range(0.01, 10_000, "kg")] = 5.0
+    """Mass (blocks)."""
 
 
 @dataclasses.dataclass(frozen=True)
-class PuzzleConfig(Settings, ABC):
-    """The puzzle's part of the schematic; `make_puzzle` draws what is random in it."""
+class _OfKind(Settings, ABC):
+    """Settings of one registered kind of puzzle; plain dicts name it in the field `kind`."""
 
     kind: ClassVar[str]
-    needs_physics: ClassVar[bool] = False
     _section = "puzzle"
+    _default_kind: ClassVar[str | None] = None
+
+    @classmethod
+    @abstractmethod
+    def _get_member(cls, kind: PuzzleKind) -> type[Self]:
+        """Return this family's class of a kind."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the kind and the fields as plain values."""
+        return {"kind": self.kind} | super().to_dict()
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Self:
+        """Build the settings of the kind that `data` names.
+
+        Raises:
+            UnknownNameError: no such kind of puzzle, or no such field.
+            ConfigError: a value is not possible.
+        """
+        if not isinstance(data, Mapping):
+            raise ConfigError(cls._section, data, "a table of fields")
+        own = getattr(cls, "kind", None)
+        kind = data.get("kind", own or cls._default_kind)
+        member = cls if own is not None and kind == own else cls._get_member(get_puzzle_kind(kind))
+        if not issubclass(member, cls):
+            raise ConfigError("puzzle.kind", kind, repr(own))
+        return super(_OfKind, member).from_dict({name: value for name, value in data.items() if name != "kind"})
+
+
+@dataclasses.dataclass(frozen=True)
+class PuzzleConfig(_OfKind):
+    """The puzzle's part of the schematic; `make_puzzle` draws what is random in it."""
+
+    needs_physics: ClassVar[bool] = False
+    _default_kind = "buttons"
+
+    @classmethod
+    def _get_member(cls, kind: PuzzleKind) -> type[PuzzleConfig]:
+        return kind.config_type
 
     @abstractmethod
     def make_puzzle(self, rng: np.random.Generator) -> Puzzle:
@@ -160,12 +214,12 @@ class PuzzleConfig(Settings, ABC):
 
     @property
     def panels(self) -> Panels | None:
-        """Where and how large the puzzle's targets are; None where it has none."""
+        """Sizes and places of the puzzle's targets; None if it has none."""
         return None
 
 
 @dataclasses.dataclass(frozen=True)
-class Puzzle(Settings, ABC):
+class Puzzle(_OfKind):
     """A concrete puzzle: the rules, as pure functions of its hashable state.
 
     Attributes:
@@ -174,8 +228,9 @@ class Puzzle(Settings, ABC):
         props: things on the floor.
     """
 
-    kind: ClassVar[str]
-    _section = "puzzle"
+    @classmethod
+    def _get_member(cls, kind: PuzzleKind) -> type[Puzzle]:
+        return kind.puzzle_type
 
     @property
     @abstractmethod
@@ -190,6 +245,15 @@ class Puzzle(Settings, ABC):
     @abstractmethod
     def make_state(self) -> PuzzleState:
         """Return the state at the start of an episode."""
+
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside is a state of this puzzle; by default, if its numbers are within bounds."""
+        try:
+            numbers = self.observe(state)
+            return type(state) is type(self.make_state()) and len(numbers) == len(self.bounds) and all(
+                low <= number <= high for number, (low, high) in zip(numbers, self.bounds, strict=True))
+        except Exception:  # whatever the rules raise on what is no state of theirs
+            return False
 
     @abstractmethod
     def update(self, state: PuzzleState, contacts: Contacts) -> PuzzleState:
@@ -263,7 +327,7 @@ def get_puzzle_kind(kind: Any) -> PuzzleKind:
     Raises:
         UnknownNameError: no puzzle of that name; the message lists those there are.
     """
-    if kind not in _REGISTRY:
+    if isinstance(kind, str) and kind not in _REGISTRY:
         _load_entry_points()
     if not isinstance(kind, str) or kind not in _REGISTRY:
         raise UnknownNameError("puzzle", kind, _REGISTRY)

@@ -11,11 +11,12 @@ puzzle it is not monotone: a press can undo many. The state is an integer whose 
 from __future__ import annotations
 
 import dataclasses
+from typing import Annotated, Any
 
 import numpy as np
 
-from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel
-from hrl_escape.env.settings import knob
+from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel, register_puzzle
+from hrl_escape.settings import Range
 
 __all__ = ["BitFlipConfig", "BitFlipPuzzle"]
 
@@ -25,8 +26,11 @@ class BitFlipConfig(PuzzleConfig):
     """Schematic of BitFlip."""
 
     kind = "bit-flip"
-    count: int = knob(4, "Number of bits.", "", 1, 64)
-    buttons: Panels = knob(factory=Panels, doc="Sizes and places of the bits' panels.")
+    _takes_ranges = True
+    count: Annotated[int, Range(1, 64)] = 4
+    """Number of bits."""
+    buttons: Panels = Panels()
+    """Sizes and places of the bits' panels."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -47,7 +51,8 @@ class BitFlipPuzzle(Puzzle):
     """A concrete BitFlip puzzle. Bit i is called `bit-<i+1>`."""
 
     kind = "bit-flip"
-    count: int = knob(1, "Number of bits.", "", 1, 64)
+    count: Annotated[int, Range(1, 64)] = 1
+    """Number of bits."""
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -73,6 +78,10 @@ class BitFlipPuzzle(Puzzle):
         """All bits off."""
         return 0
 
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside is a word of this many bits."""
+        return type(state) is int and 0 <= state < 1 << self.count
+
     def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
         """Flip, or reset, for each press in index order."""
         for bit in contacts.pressed:
@@ -92,7 +101,7 @@ class BitFlipPuzzle(Puzzle):
         return tuple(float(state >> i & 1) for i in range(self.count))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
-        """Which bits are on."""
+        """Bits that are on."""
         return tuple(bool(state >> i & 1) for i in range(self.count))
 
     def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]
@@ -109,3 +118,6 @@ class BitFlipPuzzle(Puzzle):
             operators.append(Operator(f"set-{name}", name, "press", lower, this, this, none))
             operators.append(Operator(f"clear-{name}", name, "press", lower | this, none, none, this))
         return SymbolicModel(tuple(fact), tuple(operators), frozenset(fact))
+
+
+register_puzzle(BitFlipConfig, BitFlipPuzzle)

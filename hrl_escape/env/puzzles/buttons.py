@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cached_property
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel
-from hrl_escape.env.puzzles.graphs import GraphConfig, compute_order, sample_graph
-from hrl_escape.env.settings import knob
+from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel, register_puzzle
+from hrl_escape.env.puzzles.graphs import ButtonNumber, GraphConfig, compute_order, sample_graph
 from hrl_escape.errors import ConfigError
+from hrl_escape.settings import Range
 
 __all__ = ["ButtonsConfig", "ButtonsPuzzle"]
 
-VIOLATION_RULES = ("ignore", "reset")
+ViolationRule = Literal["ignore", "reset"]
+"""Answer to a press with unmet parents: ignore it, or turn all buttons off."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,13 +28,19 @@ class ButtonsConfig(PuzzleConfig):
     """Schematic of the button puzzle."""
 
     kind = "buttons"
-    count: int = knob(2, "Number of buttons.", "", 1, 64)
-    graph: GraphConfig = knob(factory=GraphConfig, doc="Dependencies between buttons.")
-    on_violation: str = knob("ignore", "A press with unmet parents is ignored, or turns all buttons off.",
-                             choices=VIOLATION_RULES)
-    allow_off: bool = knob(False, "Pressing a button that is on turns it off.")
-    goal: int | None = knob(None, "Number of the goal button from 0 (None: last in topological order).", "", 0, 63)
-    buttons: Panels = knob(factory=Panels, doc="Sizes and places.")
+    _takes_ranges = True
+    count: Annotated[int, Range(1, 64)] = 2
+    """Number of buttons."""
+    graph: GraphConfig = GraphConfig()
+    """Dependencies between buttons."""
+    on_violation: ViolationRule = "ignore"
+    """A press with unmet parents is ignored, or turns all buttons off."""
+    allow_off: bool = False
+    """Pressing a button that is on turns it off."""
+    goal: ButtonNumber | None = None
+    """Number of the goal button from 0, before `graph.relabel` (None: last in topological order)."""
+    buttons: Panels = Panels()
+    """Sizes and places."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -48,9 +56,13 @@ class ButtonsConfig(PuzzleConfig):
         return self.buttons
 
     def make_puzzle(self, rng: np.random.Generator) -> ButtonsPuzzle:
-        """Sample the dependency graph."""
+        """Sample the dependency graph, then shuffle the buttons' numbers if the graph is to be relabelled."""
         edges = sample_graph(self.graph, self.count, rng)
         goal = compute_order(self.count, edges)[-1] if self.goal is None else self.goal
+        if self.graph.relabel and self.graph.kind != "edges":
+            label = rng.permutation(self.count).tolist()
+            edges = tuple(sorted((label[parent], label[child]) for parent, child in edges))
+            goal = label[goal]
         return ButtonsPuzzle(self.count, edges, goal, self.on_violation, self.allow_off)
 
 
@@ -59,11 +71,16 @@ class ButtonsPuzzle(Puzzle):
     """A concrete button puzzle. Button i is called `button-<i+1>`."""
 
     kind = "buttons"
-    count: int = knob(1, "Number of buttons.", "", 1, 64)
-    edge_list: tuple[tuple[int, int], ...] = knob((), "Dependencies (parent, child).", "", 0, 63)
-    goal: int = knob(0, "Number of the goal button from 0.", "", 0, 63)
-    on_violation: str = knob("ignore", "What a press with unmet parents does.", choices=VIOLATION_RULES)
-    allow_off: bool = knob(False, "Pressing a button that is on turns it off.")
+    count: Annotated[int, Range(1, 64)] = 1
+    """Number of buttons."""
+    edge_list: tuple[tuple[ButtonNumber, ButtonNumber], ...] = ()
+    """Dependencies (parent, child)."""
+    goal: ButtonNumber = 0
+    """Number of the goal button from 0."""
+    on_violation: ViolationRule = "ignore"
+    """Answer to a press with unmet parents."""
+    allow_off: bool = False
+    """Pressing a button that is on turns it off."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -103,6 +120,10 @@ class ButtonsPuzzle(Puzzle):
         """All buttons off."""
         return 0
 
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside is a word of this many bits."""
+        return type(state) is int and 0 <= state < 1 << self.count
+
     def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
         """Apply presses in index order."""
         for button in contacts.pressed:
@@ -125,7 +146,7 @@ class ButtonsPuzzle(Puzzle):
         return tuple(float(state >> i & 1) for i in range(self.count))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
-        """Which buttons are on."""
+        """Buttons that are on."""
         return tuple(bool(state >> i & 1) for i in range(self.count))
 
     def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]
@@ -141,3 +162,6 @@ class ButtonsPuzzle(Puzzle):
             operators.append(Operator(f"press-{name}", name, "press", parents, frozenset({fact[i]}),
                                       frozenset({fact[i]}), frozenset()))
         return SymbolicModel(tuple(fact), tuple(operators), frozenset({fact[self.goal]}))
+
+
+register_puzzle(ButtonsConfig, ButtonsPuzzle)

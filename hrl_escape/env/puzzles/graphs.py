@@ -11,32 +11,40 @@ import dataclasses
 import random
 from collections import Counter
 from collections.abc import Callable
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 
-from hrl_escape.env.settings import Settings, knob
 from hrl_escape.errors import ConfigError
+from hrl_escape.settings import Range, Settings
 
 __all__ = ["Edges", "GraphConfig", "compute_order", "sample_graph", "sample_larg_graph"]
 
 Edges = tuple[tuple[int, int], ...]
 
-GRAPH_KINDS = ("chain", "tree", "layered", "random", "larg-2019", "edges")
+GraphKind = Literal["chain", "tree", "layered", "random", "larg-2019", "edges"]
+GRAPH_KINDS = get_args(GraphKind)
+ButtonNumber = Annotated[int, Range(0, 63)]
 
 
 @dataclasses.dataclass(frozen=True)
 class GraphConfig(Settings):
-    """Which directed acyclic graph makes buttons depend on each other."""
+    """Directed acyclic graph of dependencies between buttons."""
 
     _section = "graph"
-    kind: str = knob("chain", "Family of graphs; 'edges' takes them from `edges`.", choices=GRAPH_KINDS)
-    max_parents: int = knob(1, "Most parents of a button (the paper's complexity): layered, random, larg-2019.",
-                            "", 1, 63)
-    edge_probability: float = knob(0.5, "Chance of each possible edge (random).", "", 0, 1)
-    seed: int | None = knob(None, "Seed of the graph alone (larg-2019; None: the instance's seed).",
-                            "", 0, 2**63 - 1)
-    edges: tuple[tuple[int, int], ...] = knob((), "Explicit (parent, child) pairs of button numbers from 0.",
-                                              "", 0, 63)
+    _takes_ranges = True
+    kind: GraphKind = "chain"
+    """Family of graphs; 'edges' takes them from `edges`."""
+    max_parents: Annotated[int, Range(1, 63)] = 1
+    """Most parents of a button (the paper's complexity): layered, random, larg-2019."""
+    edge_probability: Annotated[float, Range(0, 1)] = 0.5
+    """Chance of each possible edge (random)."""
+    seed: Annotated[int, Range(0, 2**63 - 1)] | None = None
+    """Seed of the graph alone (larg-2019; None: the instance's seed)."""
+    edges: tuple[tuple[ButtonNumber, ButtonNumber], ...] = ()
+    """Explicit (parent, child) pairs of button numbers from 0."""
+    relabel: bool = True
+    """Shuffle the numbers of a generated graph's buttons, so that names say nothing of the order."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -67,12 +75,13 @@ def compute_order(count: int, edges: Edges) -> tuple[int, ...]:
 
 
 def sample_graph(config: GraphConfig, count: int, rng: np.random.Generator) -> Edges:
-    """Sample the edges of a DAG over `count` buttons; parents have smaller numbers.
+    """Sample the edges of a DAG over `count` buttons; in generated ones, parents have smaller numbers.
 
-    The families: `chain` 0 -> 1 -> ...; `tree` one random earlier parent each; `layered`
-    layers of random width, each button with 1 to max_parents parents in the layer before
-    (the published generator's shape); `random` every earlier button a parent with
-    `edge_probability`, at most max_parents; `larg-2019` the published graphs; `edges`.
+    `ButtonsConfig` shuffles these numbers afterwards, see `GraphConfig.relabel`.
+
+    The families: `chain` 0 -> 1 -> ...; `tree` one random earlier parent each; `layered` layers of random width, each
+    button with 1 to max_parents parents in the layer before (the published generator's shape); `random` every earlier
+    button a parent with `edge_probability`, at most max_parents; `larg-2019` the published graphs; `edges`.
     """
     if config.kind == "edges":
         return config.edges

@@ -9,18 +9,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
 
-from hrl_escape.env.puzzles.base import Contacts, Operator, Prop, Puzzle, PuzzleConfig, SymbolicModel
-from hrl_escape.env.settings import knob
+from hrl_escape.env.puzzles.base import Contacts, Operator, Prop, Puzzle, PuzzleConfig, SymbolicModel, register_puzzle
 from hrl_escape.errors import ConfigError
+from hrl_escape.settings import Range
 
-__all__ = ["FAR", "BlockPose", "PushBlockConfig", "PushBlockPuzzle"]
+__all__ = ["LARGEST_OFFSET", "BlockPose", "PushBlockConfig", "PushBlockPuzzle"]
 
-FAR = 300.0
+LARGEST_OFFSET = 300.0
 """Observed offsets are cut at this distance, m; no room is as large."""
+_OFFSETS = (-LARGEST_OFFSET, LARGEST_OFFSET)
 
 
 class BlockPose(NamedTuple):
@@ -43,12 +44,16 @@ class PushBlockConfig(PuzzleConfig):
 
     kind = "push-block"
     needs_physics = True
-    count: int = knob(1, "Number of blocks, each with a plate.", "", 1, 16)
-    block_size: float = knob(0.6, "Side of a block.", "m", 0.1, 10)
-    block_height: float = knob(0.4, "Height of a block.", "m", 0.05, 5)
-    block_mass: float = knob(5.0, "Mass of a block; the robot pushes with 20 N a kg of its own mass.", "kg",
-                             0.01, 10_000)
-    plate_size: float = knob(1.5, "Side of a plate; smaller is harder.", "m", 0.1, 20)
+    count: Annotated[int, Range(1, 16)] = 1
+    """Number of blocks, each with a plate."""
+    block_size: Annotated[float, Range(0.1, 10, "m")] = 0.6
+    """Side of a block."""
+    block_height: Annotated[float, Range(0.05, 5, "m")] = 0.4
+    """Height of a block."""
+    block_mass: Annotated[float, Range(0.01, 10_000, "kg")] = 5.0
+    """Mass of a block; the robot pushes with 20 N a kg of its own mass."""
+    plate_size: Annotated[float, Range(0.1, 20, "m")] = 1.5
+    """Side of a plate; smaller is harder."""
 
     def make_puzzle(self, rng: np.random.Generator) -> PushBlockPuzzle:
         """Nothing is random; the room places the props."""
@@ -64,7 +69,8 @@ class PushBlockPuzzle(Puzzle):
     """A concrete pushing puzzle: `block-<i>` belongs onto `plate-<i>`."""
 
     kind = "push-block"
-    things: tuple[Prop, ...] = knob((Prop(), Prop("plate", "plate")), "A block, its plate, the next block, and so on.")
+    things: tuple[Prop, ...] = (Prop(), Prop("plate", "plate"))
+    """A block, its plate, the next block, and so on."""
 
     def check(self) -> None:
         """Check that blocks and plates come in pairs."""
@@ -85,11 +91,11 @@ class PushBlockPuzzle(Puzzle):
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
         """Of offset x and y, yaw, and whether it is on the plate."""
-        return ((-FAR, FAR), (-FAR, FAR), (-math.pi / 4, math.pi / 4), (0.0, 1.0)) * (len(self.things) // 2)
+        return (_OFFSETS, _OFFSETS, (-math.pi / 4, math.pi / 4), (0.0, 1.0)) * (len(self.things) // 2)
 
     def make_state(self) -> tuple[BlockPose, ...]:
         """Out of sight, until the room says where the blocks stand."""
-        return (BlockPose(FAR, FAR, 0.0),) * (len(self.things) // 2)
+        return (BlockPose(LARGEST_OFFSET, LARGEST_OFFSET, 0.0),) * (len(self.things) // 2)
 
     def update(self, state: tuple[BlockPose, ...], contacts: Contacts) -> tuple[BlockPose, ...]:  # type: ignore[override]
         """Look where the blocks are now."""
@@ -110,7 +116,8 @@ class PushBlockPuzzle(Puzzle):
         """Four numbers a block: offset from its plate (m, plate frame), yaw (rad), 1 on the plate."""
         numbers: list[float] = []
         for block, is_on in zip(state, self._list_on_plate(state), strict=True):
-            numbers += [min(max(block.x, -FAR), FAR), min(max(block.y, -FAR), FAR), block.yaw, float(is_on)]
+            numbers += [min(max(offset, -LARGEST_OFFSET), LARGEST_OFFSET) for offset in (block.x, block.y)]
+            numbers += [block.yaw, float(is_on)]
         return tuple(numbers)
 
     def get_lit(self, state: tuple[BlockPose, ...]) -> tuple[bool, ...]:  # type: ignore[override]
@@ -138,3 +145,6 @@ def _see_from(plate: tuple[float, float, float], block: tuple[float, float, floa
     cos, sin = math.cos(plate[2]), math.sin(plate[2])
     quarter = math.pi / 2
     return BlockPose(cos * dx + sin * dy, cos * dy - sin * dx, (yaw + quarter / 2) % quarter - quarter / 2)
+
+
+register_puzzle(PushBlockConfig, PushBlockPuzzle)

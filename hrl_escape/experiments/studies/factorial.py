@@ -1,8 +1,8 @@
-"""Why SARSA and DDPG worsen with meta-actions: a two-level factorial between the paper's recipe and the corrected one.
+"""Study of the decay of SARSA and DDPG with meta-actions: a two-level factorial between two recipes.
 
-Six factors, each at the published program's level or at ours: a half fraction of resolution VI, 32 agents an algorithm,
-which is analysed, and 12 more that differ from either recipe in one factor alone. This says which agents and rooms;
-`contrasts.py` analyses, `factorial_page.py` tells.
+Six factors, each at the level of the recipe `paper` or of `corrected`. A half fraction of resolution VI, 32 agents an
+algorithm, is analysed; 12 more differ from either recipe in one factor alone. Agents and rooms are listed here;
+`contrasts.py` holds the analysis, `factorial_page.py` the page.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ FACTORS: dict[str, tuple[Factor, ...]] = {
     "sarsa": (
         *_SHARED,
         Factor("exploration", "Boltzmann, temperature 1", "epsilon-greedy",
-               {"exploration": "boltzmann"}, {"exploration": "epsilon-greedy"}),
+               {"exploration": "boltzmann", "boltzmann_clip": 500.0}, {"exploration": "epsilon-greedy"}),
         Factor("replay", "each decision once, no target network", "replay, target network, expected value",
                {"replay_capacity": 0, "target_rate": 1.0, "expected": False},
                {"replay_capacity": 50_000, "target_rate": 0.01, "expected": True}),

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from hrl_escape.env import looks
-from hrl_escape.env.rendering import save_figure
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.maps import save_figure
 from hrl_escape.experiments.studies.contrasts import Analysis, Term
 from hrl_escape.experiments.studies.factorial import (
     CONTROLS,
@@ -22,6 +22,7 @@ from hrl_escape.experiments.studies.factorial import (
     name_control,
     read_levels,
 )
+from hrl_escape.experiments.studies.factorial_cause import HEALED, SIGNIFICANT, conclude
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
 from hrl_escape.experiments.studies.raw import BINS, RawRun
 from hrl_escape.files import write_text
@@ -29,17 +30,12 @@ from hrl_escape.files import write_text
 __all__ = ["compute_corners", "write_factorial_page"]
 
 COMMAND = "hrl-escape experiment factorial"
-COLOURS = (looks.LINES[0], looks.LINES[4])
+COLOURS = (palette.LINES[0], palette.LINES[4])
 WORDS = {
     "final score": "score of frozen weights in the last fifth of training",
     "slope": "slope of the score of training episodes over a run, exploration included",
 }
 MOST_INTERACTIONS = 5
-SIGNIFICANT = 0.05
-HEALED = 0.9
-"""Mean final score from which on a correction is said to heal."""
-LITTLE = 0.1
-"""An effect on the final score that is small beside those that heal."""
 
 
 def write_factorial_page(results: dict[str, list[RawRun]], docs: Path) -> dict[tuple[str, str], Analysis]:
@@ -65,17 +61,17 @@ def write_factorial_page(results: dict[str, list[RawRun]], docs: Path) -> dict[t
 def draw_effects(names: Sequence[str], analyses: Sequence[Analysis]) -> Figure:
     """Main effects with their intervals, one panel a response."""
     with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(8.2, 2.6), facecolor=looks.BACKGROUND, layout="constrained")
+        figure = Figure(figsize=(8.2, 2.6), facecolor=palette.BACKGROUND, layout="constrained")
         panels = figure.subplots(1, len(analyses), sharey=True)
         at = np.arange(len(names))[::-1]
         for axes, analysis, response, colour in zip(panels, analyses, RESPONSES, COLOURS, strict=True):
             terms = [analysis.get_term(name) for name in names]
             value = np.array([100 * term.effect for term in terms])
             reach = np.array([[100 * (term.effect - term.low), 100 * (term.high - term.effect)] for term in terms]).T
-            axes.barh(at, value, xerr=reach, color=colour, height=0.6, ecolor=looks.INK, capsize=2)
-            axes.axvline(0, color=looks.MUTED, linewidth=0.8)
+            axes.barh(at, value, xerr=reach, color=colour, height=0.6, ecolor=palette.INK, capsize=2)
+            axes.axvline(0, color=palette.MUTED, linewidth=0.8)
             axes.set_yticks(at, names)
-            axes.set_xlabel(f"effect on the {response}, points", color=looks.INK)
+            axes.set_xlabel(f"effect on the {response}, points", color=palette.INK)
             finish_axes(axes)
             axes.grid(visible=False, axis="y")
     return figure
@@ -134,27 +130,12 @@ def _write_lines(results: dict[str, list[RawRun]], found: dict[tuple[str, str], 
 
 
 def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], Analysis]) -> list[str]:
-    """The cause in two sentences, then what bears it out, as far as it was run."""
-    effects = {response: {name: {factor: found[name, response].get_term(factor) for factor in get_factors(name)}
-                          for name in results} for response in RESPONSES}
-    final, slope = (effects[response] for response in RESPONSES)
-    corrected = ", ".join(f"the {response} by {_quote(of, 'discount', 'truncation')}"
-                          for response, of in effects.items())
-    large = _quote(final, "choices")
-    if all(map(_shows_dead_exploration, final.values(), slope.values())):
-        cause = (
-            "Neither the missing gamma^k nor the large changes of state is the cause: correcting discount and "
-            f"truncation moves {corrected}, and with options as the only choices, where every change is large, runs "
-            f"end higher, by {large}, not lower. It is that exploration dies while the values are still wrong "
-            "(Boltzmann at temperature 1 among values tens apart is greedy, and a small noise on an actor's unbounded "
-            "outputs changes no choice), so that an agent which may also choose primitives repeats one of them for "
-            "whole episodes and learns from nothing else")
-    else:
-        cause = ("These runs do not show one cause for both algorithms: correcting discount and truncation moves "
-                 f"{corrected}; leaving options as the only choices moves the final score by {large}")
-    lines = [f"**{cause}.**", "", f"In points of 100, where p < {SIGNIFICANT:g}, corrections move", ""]
-    lines += [f"- the {response} of {name} by {_list_significant(terms)}"
-              for response, of in effects.items() for name, terms in of.items()]
+    """Conclusions by rule, then what became of single corrections, as far as it was run."""
+    lines = [f"Main effects in points of 100, where p < {SIGNIFICANT:g} after correction for all main effects of this "
+             "page (Holm). The sentences are chosen by rule from the tables below; rooms are fixed, and with few "
+             "training seeds a cell nothing is claimed of other rooms.", ""]
+    for name, runs in results.items():
+        lines.append(f"- **{name}**. {' '.join(conclude(name, found, runs))}")
     lines += ["", "What became of single corrections:", ""]
     for name, runs in results.items():
         ends, trends = (compute_corners(name, runs, response) for response in RESPONSES)
@@ -167,37 +148,13 @@ def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], A
             healing = [factor for factor, alone, _ in ends[1:] if alone >= HEALED]
             others = [f"{factor} ({_points(alone)}, slope {_points(trend, '+')})"
                       for (factor, alone, _), (_, trend, _) in zip(ends[1:], trends[1:], strict=True) if alone < HEALED]
-            lines.append(f"- Corrected alone, {_join(healing) or 'no factor'} "
-                         f"{'heals' if len(healing) < 2 else 'heal'} it ({_points(HEALED)} points or more); "
+            lines.append(f"- Means over rooms, corrected alone: {_join(healing) or 'no factor'} "
+                         f"{'ends' if len(healing) < 2 else 'end'} at {_points(HEALED)} points or more; "
                          f"{_join(others) or 'none'} {'does' if len(others) == 1 else 'do'} not.")
         lines += [f"- Control: published but for {control}, `{name}` ends at {_points(float(np.mean(values)))} points "
                   f"({len(values)} run{'s' if len(values) > 1 else ''})."
                   for control, values in compute_controls(name, runs).items()]
-        if effects["slope"][name]["exploration"].effect < 0 < effects["final score"][name]["exploration"].effect:
-            lines.append(f"- That exploration lowers the slope of `{name}` tells of its beginning: as published it is "
-                         f"at {_points(first)} points in the first tenth already; epsilon-greedy begins with the "
-                         "random policy's score and falls from there where nothing is learned.")
     return lines
-
-
-def _shows_dead_exploration(final: Mapping[str, Term], slope: Mapping[str, Term]) -> bool:
-    """Exploration and the choices move the final score for the better; discount and truncation move nothing by much."""
-    helps = [final[name].p < SIGNIFICANT and final[name].effect > 0 for name in ("exploration", "choices")]
-    idle = [effects[name].p >= SIGNIFICANT or abs(effects[name].effect) < LITTLE
-            for effects in (final, slope) for name in ("discount", "truncation")]
-    return all(helps + idle)
-
-
-def _quote(effects: Mapping[str, Mapping[str, Term]], *factors: str) -> str:
-    """Effects of some factors, algorithm by algorithm."""
-    return ", ".join(f"{' and '.join(_points(terms[factor].effect, '+') for factor in factors)} ({name})"
-                     for name, terms in effects.items())
-
-
-def _list_significant(terms: Mapping[str, Term]) -> str:
-    """Effects that are significant, the largest first."""
-    shown = sorted((term for term in terms.values() if term.p < SIGNIFICANT), key=lambda term: -abs(term.effect))
-    return ", ".join(f"{term.factors[0]} {_points(term.effect, '+')}" for term in shown) or "nothing"
 
 
 def _compute_span(runs: Sequence[RawRun]) -> tuple[float, float]:

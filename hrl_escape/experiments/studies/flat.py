@@ -1,6 +1,6 @@
-"""Where flat learning breaks as buttons grow: chains of one to six buttons, with and without exploration by counts.
+"""Limits of flat learning as buttons grow: chains of one to six buttons, with and without exploration by counts.
 
-This says which agents and rooms, and writes docs/results/flat.md from the raw results.
+Defines the agents and rooms, and writes docs/results/flat.md from the raw results.
 """
 
 from __future__ import annotations
@@ -13,18 +13,18 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from hrl_escape.env import looks
 from hrl_escape.env.config import ExitConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.maps import save_figure
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
-from hrl_escape.env.rendering import save_figure
 from hrl_escape.experiments.grid import AgentSpec, Grid, RoomSpec
+from hrl_escape.experiments.reporting.agent_style import choose_styles
 from hrl_escape.experiments.statistics import compute_final
-from hrl_escape.experiments.studies.measures import Results, estimate_share_of_runs, get_runs, share_of_training
+from hrl_escape.experiments.studies.measures import Results, get_runs, measure_share_of_runs, share_of_training
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
 from hrl_escape.experiments.studies.raw import RawRun
-from hrl_escape.experiments.style import choose_looks
 from hrl_escape.files import write_text
 
 __all__ = ["BUTTONS", "CHAIN_AGENTS", "FLAT_AGENTS", "find_break", "make_flat_grid", "make_paper_grid",
@@ -108,9 +108,9 @@ def write_flat_page(results: Results, docs: Path) -> dict[str, int | None]:
 def draw_breaks(runs: Sequence[RawRun]) -> Figure:
     """Runs that escape at all, and the final score, against the number of buttons."""
     with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(8.6, 3.2), facecolor=looks.BACKGROUND, layout="constrained")
+        figure = Figure(figsize=(8.6, 3.2), facecolor=palette.BACKGROUND, layout="constrained")
         panels = figure.subplots(1, 2, sharey=True)
-        for number, (spec, look) in enumerate(zip(CHAIN_AGENTS, choose_looks(CHAIN_AGENTS), strict=True)):
+        for number, (spec, look) in enumerate(zip(CHAIN_AGENTS, choose_styles(CHAIN_AGENTS), strict=True)):
             rooms = [[run for run in runs if run.agent == spec.label and run.room == f"chain-{n}"] for n in BUTTONS]
             ever = [100 * np.mean([run.first_escape is not None for run in room]) for room in rooms]
             final = [100 * np.mean([compute_final(run.at, run.scores, run.budget) for run in room]) for room in rooms]
@@ -119,8 +119,8 @@ def draw_breaks(runs: Sequence[RawRun]) -> Figure:
             panels[0].plot(BUTTONS, ever, **style)
             panels[1].plot(BUTTONS, final, label=spec.label, **style)
         for axes, title in zip(panels, ("runs that ever escape, %", "final score, %"), strict=True):
-            axes.set_title(title, fontsize=9, color=looks.INK, loc="left")
-            axes.set_xlabel("buttons in a chain", color=looks.INK)
+            axes.set_title(title, fontsize=9, color=palette.INK, loc="left")
+            axes.set_xlabel("buttons in a chain", color=palette.INK)
             axes.set_ylim(-4, 104)
             finish_axes(axes)
         panels[1].legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
@@ -186,7 +186,7 @@ def _count(runs: int) -> str:
 
 
 def _make_row(runs: Sequence[RawRun]) -> str:
-    ever = estimate_share_of_runs([run.first_escape is not None for run in runs])
+    ever = measure_share_of_runs([run.first_escape is not None for run in runs]).estimate()
     first = [run.first_escape for run in runs if run.first_escape is not None]
     share = [np.mean([share_of_training(run, run.training_successes, bins) for run in runs])
              for bins in (slice(None), slice(16, None))]

@@ -1,34 +1,38 @@
-"""What is read off the runs of a study: shares, trends and times, each with a 95 % interval over runs.
+"""Measures of the runs of a study: shares, trends and gains, each with a 95 % interval over runs.
 
-Means over runs have bootstrap intervals; shares of runs have Wilson's, which stay honest where all runs or none did.
+Scores and shares, which are bounded, have intervals that hold where all runs agree (`inference.compute_interval`);
+slopes and differences have Student's.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TypeAlias
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
 
 import numpy as np
-from scipy import stats
 
 from hrl_escape.errors import ComparisonError
-from hrl_escape.experiments.statistics import LATE, Floats, compute_final, compute_interval, compute_iqm, compute_slope
-from hrl_escape.experiments.studies.raw import BINS, NEAR_BEST, RawRun
-from hrl_escape.experiments.summary import Estimate
+from hrl_escape.experiments.inference import Estimate, Statistic, compare_pairs, compute_interval, draw_ends
+from hrl_escape.experiments.statistics import LATE, compute_final, compute_iqm, compute_mean, compute_slope
+from hrl_escape.experiments.studies.raw import BINS, OPTIMAL_SCORE, RawRun
 
 __all__ = [
+    "Measurement",
     "Results",
-    "compute_mean",
-    "estimate",
-    "estimate_final",
-    "estimate_gain",
-    "estimate_share_of_runs",
-    "estimate_slope",
+    "Side",
     "get_runs",
     "has_escaped_by",
     "has_settled",
+    "measure_final",
+    "measure_gain",
+    "measure_share_of_runs",
+    "measure_slope",
     "share_of_training",
 ]
+
+Side: TypeAlias = Literal["above", "below"]
+DRAWS = 20_000
 
 Results: TypeAlias = Mapping[str, Sequence[RawRun]]
 """Name of a grid -> its runs."""
@@ -48,31 +52,56 @@ def get_runs(results: Results, grid: str, agent: str) -> list[RawRun]:
     return runs
 
 
-def compute_mean(groups: Sequence[Floats]) -> Floats:
-    """Mean over all runs."""
-    return np.mean(np.concatenate(groups, axis=-1), axis=-1)
+@dataclass(frozen=True)
+class Measurement:
+    """One number a run, with its interval and its tests against a level.
+
+    Attributes:
+        values: one a run.
+        statistic: of them.
+        is_bounded: from 0 to 1, with an interval that holds for any such numbers; otherwise Student's for their mean.
+    """
+
+    values: tuple[float, ...]
+    statistic: Statistic = compute_mean
+    is_bounded: bool = True
+
+    def estimate(self) -> Estimate:
+        """Statistic with its 95 % interval; the same every time."""
+        array = np.array(self.values, dtype=np.float64)
+        if not self.is_bounded:
+            test = compare_pairs([array])
+            return Estimate(test.difference, test.low, test.high)
+        low, high = compute_interval(self.statistic, [array], self._bounds, np.random.default_rng(2019), DRAWS)
+        return Estimate(float(self.statistic([array])), float(low), float(high))
+
+    def compute_p(self, level: float, side: Side) -> float:
+        """One-sided p-value: chance of runs as far above (below) the level where the statistic is not so."""
+        array = np.array(self.values, dtype=np.float64)
+        sign = 1.0 if side == "above" else -1.0
+        if not self.is_bounded:
+            test = compare_pairs([sign * (array - level)])
+            return test.p / 2 if test.difference > 0 else 1 - test.p / 2
+        ends = draw_ends(self.statistic, [array], self._bounds, np.random.default_rng(2019), DRAWS)
+        drawn = ends[0] if side == "above" else ends[1]
+        return float((1 + np.sum(sign * (drawn - level) <= 1e-12)) / (1 + DRAWS))
+
+    @property
+    def _bounds(self) -> tuple[float, float]:
+        return min(0.0, *self.values), max(1.0, *self.values)
 
 
-def estimate(values: Sequence[float], statistic: Callable[..., Floats] = compute_mean) -> Estimate:
-    """A statistic of one number a run, with its bootstrap interval; the same every time."""
-    array = np.array(values, dtype=np.float64)
-    low, high = compute_interval(statistic, [array], rng=np.random.default_rng(2019))
-    return Estimate(float(statistic([array])), float(low), float(high))
+def measure_share_of_runs(hits: Sequence[bool]) -> Measurement:
+    """Share of runs in which something happened, with the interval of Clopper and Pearson."""
+    return Measurement(tuple(map(float, hits)))
 
 
-def estimate_share_of_runs(hits: Sequence[bool]) -> Estimate:
-    """Share of runs in which something happened, with Wilson's interval."""
-    result = stats.binomtest(sum(hits), len(hits))
-    interval = result.proportion_ci(method="wilson")
-    return Estimate(float(result.statistic), float(interval.low), float(interval.high))
-
-
-def estimate_final(runs: Sequence[RawRun]) -> Estimate:
+def measure_final(runs: Sequence[RawRun]) -> Measurement:
     """Interquartile mean of the score of frozen weights in the last fifth."""
-    return estimate([compute_final(run.at, run.scores, run.budget) for run in runs], compute_iqm)
+    return Measurement(tuple(compute_final(run.at, run.scores, run.budget) for run in runs), compute_iqm)
 
 
-def estimate_slope(runs: Sequence[RawRun], training: bool, since: float) -> Estimate:
+def measure_slope(runs: Sequence[RawRun], training: bool, since: float) -> Measurement:
     """Mean slope of the score, over one budget.
 
     Args:
@@ -85,21 +114,25 @@ def estimate_slope(runs: Sequence[RawRun], training: bool, since: float) -> Esti
         x, y = (run.training_at, run.training_scores) if training else (run.at, run.scores)
         return run.budget * compute_slope(x, y, since * run.budget, np.inf)
 
-    return estimate([compute(run) for run in runs])
+    return Measurement(tuple(map(compute, runs)), is_bounded=False)
 
 
-def estimate_gain(first: Sequence[RawRun], second: Sequence[RawRun]) -> Estimate:
-    """Difference of the mean scores of training episodes, all parts of a run weighing the same."""
+def measure_gain(first: Sequence[RawRun], second: Sequence[RawRun], read: Callable[[RawRun], float] | None = None
+                 ) -> Measurement:
+    """Mean difference between runs with the same seed.
 
-    def compute(runs: Sequence[RawRun]) -> Floats:
-        return np.array([np.nanmean(run.training_scores) for run in runs])
+    Args:
+        first: runs of one agent.
+        second: of another.
+        read: from the first, by default as from the second: mean score of training episodes, parts of a run alike.
+    """
+    others = {run.seed: run for run in second}
+    return Measurement(tuple((read or _get_training_score)(run) - _get_training_score(others[run.seed])
+                             for run in first if run.seed in others), is_bounded=False)
 
-    def differ(x: Sequence[Floats], y: Sequence[Floats]) -> Floats:
-        return compute_mean(x) - compute_mean(y)
 
-    groups = [compute(first)], [compute(second)]
-    low, high = compute_interval(differ, *groups, rng=np.random.default_rng(2019))
-    return Estimate(float(differ(*groups)), float(low), float(high))
+def _get_training_score(run: RawRun) -> float:
+    return float(np.nanmean(run.training_scores))
 
 
 def share_of_training(run: RawRun, counts: Sequence[int], bins: slice = LATE_BINS) -> float:
@@ -109,7 +142,7 @@ def share_of_training(run: RawRun, counts: Sequence[int], bins: slice = LATE_BIN
 
 def has_settled(run: RawRun) -> bool:
     """Every evaluation in the last fifth was optimal."""
-    return bool(np.all(run.scores[run.at >= LATE * run.budget] >= NEAR_BEST))
+    return bool(np.all(run.scores[run.at >= LATE * run.budget] >= OPTIMAL_SCORE))
 
 
 def has_escaped_by(run: RawRun, primitives: float) -> bool:

@@ -16,27 +16,27 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.results import EpisodeRecord, load_result
+from hrl_escape.agents.training.results import EpisodeRecord, find_first_escape, load_result
 from hrl_escape.errors import FileReadError
-from hrl_escape.experiments.cell import CellResult, get_cell_folder
 from hrl_escape.experiments.comparison import Comparison
-from hrl_escape.experiments.grid import Cell
+from hrl_escape.experiments.grid import GridRun
+from hrl_escape.experiments.runs import RunResult, get_training_folder
 from hrl_escape.experiments.statistics import compute_score
 from hrl_escape.experiments.summary import Summary
 from hrl_escape.files import read_text, write_text
 
-__all__ = ["NEAR_BEST", "RawRun", "collect_runs", "load_runs", "save_runs"]
+__all__ = ["OPTIMAL_SCORE", "RawRun", "collect_runs", "load_runs", "save_runs"]
 
 BINS = 20
-NEAR_BEST = 0.99
-"""An episode counts as optimal from this score on: within a hundredth of the way from never escaping to the best."""
+OPTIMAL_SCORE = 0.99
+"""Score from which on these studies call an episode optimal: stricter than `NEAR_BEST`, as published with 0.1."""
 
 Axis = Literal["primitives", "decisions"]
 
 
 @dataclass(frozen=True)
 class RawRun:
-    """What one run of a study left.
+    """Result of one run of a study.
 
     Attributes:
         agent: label.
@@ -53,7 +53,7 @@ class RawRun:
         episodes: training episodes that ended in each twentieth of the budget.
         training_returns: mean return of these; None where none ended.
         training_successes: how many of these escaped.
-        training_near_best: how many of these scored `NEAR_BEST` or more.
+        training_optimal: how many of these scored `OPTIMAL_SCORE` or more.
         first_escape: primitives at the end of the first training episode that escaped; None if none did.
     """
 
@@ -71,12 +71,12 @@ class RawRun:
     episodes: tuple[int, ...]
     training_returns: tuple[float | None, ...]
     training_successes: tuple[int, ...]
-    training_near_best: tuple[int, ...]
+    training_optimal: tuple[int, ...]
     first_escape: int | None
 
     @property
     def at(self) -> NDArray[np.float64]:
-        """Where each evaluation was made, in units of the budget."""
+        """Time of each evaluation, in units of the budget."""
         return np.array(getattr(self, self.axis), dtype=np.float64)
 
     @property
@@ -97,28 +97,30 @@ class RawRun:
 
 
 def collect_runs(summary: Summary, comparison: Comparison) -> list[RawRun]:
-    """Read the finished runs of a comparison, with their training episodes.
+    """Read the finished runs of a comparison, with their training episodes; references, which have none, are left out.
 
     Raises:
         FileReadError: a run's log is missing or damaged.
     """
     runs = []
-    for cell, result in summary.runs:
-        episodes = load_result(get_cell_folder(comparison.out, cell) / "run").episodes
-        runs.append(_make_run(cell, result, episodes))
+    for run, result in summary.runs:
+        if run.agent.is_reference:
+            continue
+        episodes = load_result(get_training_folder(comparison.out, run)).episodes
+        runs.append(_make_run(run, result, episodes))
     return runs
 
 
-def _make_run(cell: Cell, result: CellResult, episodes: Sequence[EpisodeRecord]) -> RawRun:
-    axis: Axis = "decisions" if cell.grid.decisions else "primitives"
-    budget = cell.grid.decisions or cell.grid.primitives
-    worst, best = result.scale.worst, float(np.mean(result.scale.best))
+def _make_run(run: GridRun, result: RunResult, episodes: Sequence[EpisodeRecord]) -> RawRun:
+    axis: Axis = "decisions" if run.grid.decisions else "primitives"
+    budget = run.grid.decisions or run.grid.primitives
+    worst, best = result.score_range.worst, float(np.mean(result.score_range.best))
     ended = [episode for episode in episodes if episode.end != "budget"]
     at = np.array([getattr(episode, axis) for episode in ended], dtype=np.float64)
     place = np.minimum((at - 1) * BINS // budget, BINS - 1).astype(np.int64)
     returns = np.array([episode.episode_return for episode in ended])
     escaped = np.array([episode.success for episode in ended], dtype=bool)
-    near_best = compute_score(returns, worst, best) >= NEAR_BEST
+    optimal = compute_score(returns, worst, best) >= OPTIMAL_SCORE
 
     def count(chosen: NDArray[np.bool_]) -> tuple[int, ...]:
         return tuple(np.bincount(place[chosen], minlength=BINS).tolist())
@@ -126,7 +128,7 @@ def _make_run(cell: Cell, result: CellResult, episodes: Sequence[EpisodeRecord])
     counts = count(np.ones(len(ended), dtype=bool))
     sums = np.bincount(place, weights=returns, minlength=BINS)
     return RawRun(
-        agent=cell.agent.label, room=cell.room, seed=cell.seed, worst=worst, best=best, axis=axis, budget=budget,
+        agent=run.agent.label, room=run.room, seed=run.seed, worst=worst, best=best, axis=axis, budget=budget,
         primitives=tuple(evaluation.primitives for evaluation in result.evaluations),
         decisions=tuple(evaluation.decisions for evaluation in result.evaluations),
         returns=tuple(round(evaluation.mean_return, 3) for evaluation in result.evaluations),
@@ -134,8 +136,8 @@ def _make_run(cell: Cell, result: CellResult, episodes: Sequence[EpisodeRecord])
         episodes=counts,
         training_returns=tuple(round(total / n, 2) if n else None for total, n in zip(sums, counts, strict=True)),
         training_successes=count(escaped),
-        training_near_best=count(near_best),
-        first_escape=next((episode.primitives for episode in ended if episode.success), None),
+        training_optimal=count(optimal),
+        first_escape=find_first_escape(ended),
     )
 
 
@@ -172,7 +174,7 @@ def _check(run: RawRun) -> RawRun:
     """Raise where a field cannot be what it is."""
     evaluations = len(run.primitives)
     for names, length in ((("primitives", "decisions", "returns", "successes"), max(1, evaluations)),
-                          (("episodes", "training_returns", "training_successes", "training_near_best"), BINS)):
+                          (("episodes", "training_returns", "training_successes", "training_optimal"), BINS)):
         for name in names:
             values = getattr(run, name)
             if not isinstance(values, tuple) or len(values) != length:

@@ -7,22 +7,22 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from hrl_escape.errors import ComparisonError
-from hrl_escape.experiments.comparison import run_grid
+from hrl_escape.experiments.comparison import Comparison, run_grid
 from hrl_escape.experiments.grid import Grid
-from hrl_escape.experiments.launcher import LocalLauncher
+from hrl_escape.experiments.launching.local import LocalLauncher
 from hrl_escape.experiments.studies.raw import RawRun, collect_runs, load_runs, save_runs
 from hrl_escape.experiments.summary import summarise
 from hrl_escape.files import claim_folder
 
-__all__ = ["StudyArgs", "get_raw_file", "run_study"]
+__all__ = ["StudyArgs", "get_raw_file", "refuse_failures", "run_study"]
 
 
 @dataclasses.dataclass(frozen=True)
 class StudyArgs:
-    """What the command of every study takes."""
+    """Options that the commands of all studies share."""
 
     docs: Path = Path("docs/results")
-    """Where the page, its figures and the raw results go."""
+    """Folder of the page, its figures and the raw results."""
     out: Path = Path("runs")
     """Folder of the runs, one of its own for each grid; finished runs in it are kept."""
     workers: int | None = None
@@ -32,7 +32,7 @@ class StudyArgs:
 
 
 def get_raw_file(docs: Path, name: str) -> Path:
-    """Where a page keeps the raw results of a grid."""
+    """Path of a grid's raw results beside the page."""
     return docs / "raw" / f"{name}.jsonl"
 
 
@@ -53,10 +53,19 @@ def run_study(grids: Sequence[Grid], args: StudyArgs) -> dict[str, list[RawRun]]
         path = get_raw_file(args.docs, grid.name)
         if not args.from_raw:
             comparison = run_grid(grid, args.out / grid.name, LocalLauncher(args.workers))
-            if comparison.failures:
-                first = comparison.failures[0]
-                raise ComparisonError(f"{len(comparison.failures)} runs of {grid.name} failed; {first.cell.name}: "
-                                      f"{first.message}. The same command tries them again")
+            refuse_failures(comparison)
             save_runs(path, collect_runs(summarise(comparison), comparison))
         found[grid.name] = load_runs(path)
     return found
+
+
+def refuse_failures(comparison: Comparison) -> None:
+    """Refuse a comparison in which runs failed, because a study tells of all of them.
+
+    Raises:
+        ComparisonError: runs failed; names the first and its error.
+    """
+    if comparison.failures:
+        first = comparison.failures[0]
+        raise ComparisonError(f"{len(comparison.failures)} runs of {comparison.grid.name} failed; {first.run.name}: "
+                              f"{first.message}. The same command tries them again")

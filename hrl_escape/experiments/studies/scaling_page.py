@@ -10,33 +10,25 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter
 
-from hrl_escape.env import looks
-from hrl_escape.env.rendering import save_figure
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.maps import save_figure
 from hrl_escape.experiments.grid import AgentSpec
+from hrl_escape.experiments.reporting.agent_style import choose_styles
+from hrl_escape.experiments.statistics import NEAR_BEST
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
-from hrl_escape.experiments.studies.scaling import (
-    AGENTS,
-    BAR,
-    BAR_AGENT,
-    BAR_RUNS,
-    GRAPHS,
-    NEAR_BEST,
-    RULES,
-    SIZES,
-    TrialResult,
-)
-from hrl_escape.experiments.style import choose_looks
+from hrl_escape.experiments.studies.scaling import AGENTS, BAR, BAR_AGENT, BAR_RUNS, GRAPHS, RULES, SIZES
+from hrl_escape.experiments.studies.scaling_raw import ScalingRun
 from hrl_escape.files import write_text
 
 __all__ = ["draw_escapes", "draw_structure", "write_scaling_page"]
 
 COMMAND = "hrl-escape experiment scaling"
-COLOURS = {agent: look.colour for agent, look in zip(AGENTS, choose_looks(list(map(AgentSpec, AGENTS))), strict=True)}
+COLOURS = {agent: look.colour for agent, look in zip(AGENTS, choose_styles(list(map(AgentSpec, AGENTS))), strict=True)}
 MARKERS = dict(zip(AGENTS, "od^svPX*<x", strict=True))
-Pick = Callable[[TrialResult], int | None]
+Pick = Callable[[ScalingRun], int | None]
 
 
-def write_scaling_page(results: Sequence[TrialResult], docs: Path) -> None:
+def write_scaling_page(results: Sequence[ScalingRun], docs: Path) -> None:
     """Write the page and its figures.
 
     Args:
@@ -51,11 +43,11 @@ def write_scaling_page(results: Sequence[TrialResult], docs: Path) -> None:
     write_text(docs / "scaling.md", "\n".join(_write_lines(results)))
 
 
-def draw_escapes(results: Sequence[TrialResult]) -> Figure:
+def draw_escapes(results: Sequence[ScalingRun]) -> Figure:
     """Primitives to the first escape against buttons: a column a graph, a row a rule; dots are runs."""
     budget = max(result.primitives for result in results)
     with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(10.4, 5.0), facecolor=looks.BACKGROUND, layout="constrained")
+        figure = Figure(figsize=(10.4, 5.0), facecolor=palette.BACKGROUND, layout="constrained")
         panels = figure.subplots(len(RULES), len(GRAPHS), sharex=True, sharey=True, squeeze=False)
         for row, rule in zip(panels, RULES, strict=True):
             for axes, graph in zip(row, GRAPHS, strict=True):
@@ -72,30 +64,30 @@ def draw_escapes(results: Sequence[TrialResult]) -> Figure:
                     axes.scatter(*zip(*dots, strict=True) if dots else ([], []), s=7, alpha=0.5, **style)
                     failed = [r.buttons + shift for r in here if r.agent == agent and r.first_escape is None]
                     axes.scatter(failed, [1.5 * budget] * len(failed), s=14, linewidths=0.8, **style)
-                axes.axhline(budget, color=looks.MUTED, linestyle=":", linewidth=1)
-                axes.set_title(f"{graph}, {rule}", fontsize=9, color=looks.INK, loc="left")
+                axes.axhline(budget, color=palette.MUTED, linestyle=":", linewidth=1)
+                axes.set_title(f"{graph}, {rule}", fontsize=9, color=palette.INK, loc="left")
                 axes.set_yscale("log")
                 finish_axes(axes)
                 axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:.0f}"))
                 axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
         for axes in panels[-1]:
-            axes.set_xlabel("buttons", color=looks.INK)
+            axes.set_xlabel("buttons", color=palette.INK)
             axes.set_xlim(0.5, SIZES[-1] + 1.5)
             axes.set_xticks(SIZES)
         for axes in panels[:, 0]:
-            axes.set_ylabel("primitives to the\nfirst escape", color=looks.INK)
+            axes.set_ylabel("primitives to the\nfirst escape", color=palette.INK)
         panels[0, -1].legend(loc="upper left", bbox_to_anchor=(1.01, 1.0), frameon=False)
     return figure
 
 
-def draw_structure(results: Sequence[TrialResult]) -> Figure:
+def draw_structure(results: Sequence[ScalingRun]) -> Figure:
     """Precision and recall of the recovered graph against primitives, means over runs and graphs, 10 and 20 buttons."""
     agents = [agent for agent in AGENTS if any(result.agent == agent and result.structure for result in results)]
     columns = [(rule, buttons) for rule in RULES for buttons in (10, 20)]
     budget = max(result.primitives for result in results)
     grid = np.linspace(0, budget, 201)
     with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(10.4, 2.9), facecolor=looks.BACKGROUND, layout="constrained")
+        figure = Figure(figsize=(10.4, 2.9), facecolor=palette.BACKGROUND, layout="constrained")
         panels = figure.subplots(1, len(columns), sharey=True)
         for axes, (rule, buttons) in zip(panels, columns, strict=True):
             for agent in agents:
@@ -105,8 +97,8 @@ def draw_structure(results: Sequence[TrialResult]) -> Figure:
                     middle = np.mean(curves, axis=0) if curves else np.full(len(grid), np.nan)
                     label = f"{agent}, {'precision' if measure == 1 else 'recall'}"
                     axes.plot(grid, middle, dash, color=COLOURS[agent], linewidth=1.6, label=label)
-            axes.set_title(f"{buttons} buttons, {rule}", fontsize=9, color=looks.INK, loc="left")
-            axes.set_xlabel("primitives", color=looks.INK)
+            axes.set_title(f"{buttons} buttons, {rule}", fontsize=9, color=palette.INK, loc="left")
+            axes.set_xlabel("primitives", color=palette.INK)
             axes.set_ylim(-0.04, 1.04)
             finish_axes(axes)
             axes.set_xticks([0, budget // 20_000 * 10_000 or budget // 2, budget // 10_000 * 10_000 or budget])
@@ -114,22 +106,22 @@ def draw_structure(results: Sequence[TrialResult]) -> Figure:
     return figure
 
 
-def _sample(result: TrialResult, measure: int, grid: np.ndarray) -> np.ndarray:
-    """A measure of the graph as a step function; it stays as it was when the trial was over."""
+def _sample(result: ScalingRun, measure: int, grid: np.ndarray) -> np.ndarray:
+    """A measure of the graph as a step function; it stays as it was when the run was over."""
     at = [step[0] for step in result.structure]
     values = np.array([0.0, *(step[measure] for step in result.structure)])
     return values[np.searchsorted(at, grid, side="right")]
 
 
-def _write_lines(results: Sequence[TrialResult]) -> list[str]:
+def _write_lines(results: Sequence[ScalingRun]) -> list[str]:
     most = max(result.primitives for result in results)
     budget = most // 1_000 * 1_000 or most  # the last option may have gone beyond it
-    runs = 1 + max((r.run for r in results if (r.graph, r.buttons, r.rule) not in BAR), default=0)
-    cells = {result.trial for result in results}
+    runs = 1 + max((r.run for r in results if r.task not in BAR), default=0)
+    trials = {(result.task, result.agent, result.run) for result in results}
     hours = sum(result.seconds for result in results) / 3600
     lines = [
         "# From 2 to 20 buttons", "",
-        f"Who still escapes as buttons grow, and how soon the graph of buttons is known? {len(cells)} trials of at "
+        f"Who still escapes as buttons grow, and how soon the graph of buttons is known? {len(trials)} trials of at "
         f"most {budget:,} primitives each, {hours:.1f} hours of one process in all. The literature's bar (Menashe and "
         "Stone 2015, 2019) is 10 to 20 buttons modelled and solved within 20,000 steps.", "",
         *_tell_bar(results), "",
@@ -176,25 +168,24 @@ def _write_lines(results: Sequence[TrialResult]) -> list[str]:
     return lines
 
 
-def _tell_bar(results: Sequence[TrialResult]) -> list[str]:
+def _tell_bar(results: Sequence[ScalingRun]) -> list[str]:
     lines = ["| " + " | ".join(("room", "runs", "escape within the budget", "first escape, median",
                                 "precision, mean (least)", "recall, mean (least)", "near the best")) + " |",
              "|---|---|---|---|---|---|---|"]  # fmt: skip
-    for graph, buttons, rule in BAR:
-        own = [r for r in results if (r.graph, r.buttons, r.rule, r.agent) == (graph, buttons, rule, BAR_AGENT)]
-        own = [r for r in own if r.run < BAR_RUNS]
+    for task in BAR:
+        own = [r for r in results if (r.task, r.agent) == (task, BAR_AGENT) and r.run < BAR_RUNS]
         if not own:
             continue
         escapes = [r.first_escape for r in own if r.first_escape is not None]
         last = [np.array([r.structure[-1][measure] if r.structure else 0.0 for r in own]) for measure in (1, 2)]
         shares = " | ".join(f"{values.mean():.3f} ({values.min():.2f})" for values in last)
         near = sum(r.near_best is not None for r in own)
-        lines.append(f"| {buttons} buttons, {graph}, {rule} | {len(own)} | {len(escapes)} "
+        lines.append(f"| {task.buttons} buttons, {task.graph}, {task.rule} | {len(own)} | {len(escapes)} "
                      f"| {f'{np.median(escapes):,.0f}' if escapes else 'never'} | {shares} | {near} of {len(own)} |")
     return [f"The bar, by `{BAR_AGENT.removeprefix('smdp-')}`, at the end of each trial:", "", *lines]
 
 
-def _make_table(results: Sequence[TrialResult], pick: Pick) -> list[str]:
+def _make_table(results: Sequence[ScalingRun], pick: Pick) -> list[str]:
     lines = ["| rule | agent | " + " | ".join(f"{size}" for size in SIZES) + " |", "|---|---|" + "---|" * len(SIZES)]
     for rule in RULES:
         for agent in AGENTS:
@@ -209,7 +200,7 @@ def _make_table(results: Sequence[TrialResult], pick: Pick) -> list[str]:
     return lines
 
 
-def _make_structure_table(results: Sequence[TrialResult]) -> list[str]:
+def _make_structure_table(results: Sequence[ScalingRun]) -> list[str]:
     lines = ["| rule | agent | " + " | ".join(f"{size}" for size in SIZES) + " |", "|---|---|" + "---|" * len(SIZES)]
     for rule in RULES:
         for agent in AGENTS:
@@ -224,7 +215,7 @@ def _make_structure_table(results: Sequence[TrialResult]) -> list[str]:
     return [*lines, "", "Each cell: mean precision / mean recall at the end of the trials."]
 
 
-def _make_counts(results: Sequence[TrialResult]) -> list[str]:
-    """How many trials each agent had, for the tables count only those."""
+def _make_counts(results: Sequence[ScalingRun]) -> list[str]:
+    """Number of runs of each agent; the tables count only those."""
     counts = [f"`{agent}` {sum(r.agent == agent for r in results)}" for agent in AGENTS]
     return [f"Trials: {', '.join(counts)}."]

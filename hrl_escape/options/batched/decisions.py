@@ -1,7 +1,8 @@
-"""What a batch of running decisions is made of: plain tensors, rooms first.
+"""Decisions of a batch of rooms as plain tensors, rooms first.
 
-`Decisions` is what learners get: the fields of `OptionsEnv`'s transitions, one row a room. `Running`
-is what is kept while decisions last. How options choose is `policy.py`, who steps them `env.py`.
+`Transitions` holds the finished ones, for learners: the fields of `OptionsEnv`'s transitions, one
+row a room. `OpenDecisions` holds those in progress. `policy.py` chooses for options, `env.py`
+steps the rooms.
 """
 
 from __future__ import annotations
@@ -10,31 +11,31 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-__all__ = ["ENDINGS", "PLANNED", "Decisions", "Running"]
+__all__ = ["ENDINGS", "PLAN_LENGTH", "Transitions", "OpenDecisions"]
 
 ENDINGS = ("reached", "timeout", "episode-over", "planning-failed")
-"""How decisions end; `Decisions.ended` counts into it. The words are those of `info["option"]["ended"]`."""
+"""Endings of decisions, in the words of `info["option"]["ended"]`; `Transitions.ended` is an index into it."""
 
-PLANNED = 64
-"""Primitives of a plan that a room keeps."""
+PLAN_LENGTH = 64
+"""Longest plan that a room keeps, primitives."""
 
 
-class Decisions(NamedTuple):
-    """What came to an end with the last primitive; rows count only where `where` is true.
+class Transitions(NamedTuple):
+    """SMDP transitions that ended with the last primitive; rows count only where `where` is true.
 
     Attributes:
         where: rooms whose decision ended, bool (rooms,).
-        observation: what the room showed when the decision began, float32 (rooms, numbers).
+        observation: observation at the start of the decision, float32 (rooms, numbers).
         action: the action chosen, int64 (rooms,).
         reward: sum of the primitive rewards, float32 (rooms,).
         discounted_reward: sum over i < k of gamma^i r_i, float32 (rooms,).
         duration: k >= 1, primitives that ran, int32 (rooms,).
         discount: gamma^k, float32 (rooms,).
-        next_observation: what the room showed at the decision's end, before any automatic reset.
+        next_observation: observation at its end, before any automatic reset.
         next_action_mask: the actions legal there, bool (rooms, actions).
         terminated: the robot escaped, bool (rooms,).
         truncated: the horizon was reached, bool (rooms,); bootstrap from the state reached.
-        ended: how, an index into `ENDINGS`, int8 (rooms,).
+        ended: its ending, an index into `ENDINGS`, int8 (rooms,).
         pressed: bit i is set if target i was pressed by any of the k primitives, int64 (rooms,).
         primitives: primitives of the episode so far, int32 (rooms,).
     """
@@ -55,23 +56,23 @@ class Decisions(NamedTuple):
     primitives: Tensor
 
 
-class Running(NamedTuple):
-    """Decisions that last; every field is (rooms,) unless said.
+class OpenDecisions(NamedTuple):
+    """Decisions in progress; every field is (rooms,) unless stated.
 
     Attributes:
         action: the action chosen, int64; -1 where a room waits for one.
-        observation: what was shown when it began, float32 (rooms, numbers).
+        observation: observation at its start, float32 (rooms, numbers).
         reward: sum of primitive rewards so far, float32.
         discounted_reward: their discounted sum, float32.
         discount: gamma to the power of the duration so far, float32.
         duration: primitives so far, int32.
         pressed: bits of the targets pressed so far, int64.
-        least: the lowest cost to go that the option has seen, float32.
-        waited: primitives since then, int32.
-        places: cells lately decided in, int64 (remembered, rooms).
-        costs: what was found there, float32 (remembered, rooms).
-        plan: primitives to follow where the field has led nowhere, the last ones of it, int8 (`PLANNED`, rooms).
-        planned: how many of them are left, int32.
+        least: lowest cost-to-go that the option has met, float32.
+        stalled: primitives since then, int32.
+        cells: cells of the last choices, int64 (memory, rooms).
+        costs: cost-to-go found there, float32 (memory, rooms).
+        plan: primitives to follow where the field led nowhere, aligned to the end, int8 (`PLAN_LENGTH`, rooms).
+        plan_left: primitives of the plan still to run, int32.
     """
 
     action: Tensor
@@ -82,8 +83,8 @@ class Running(NamedTuple):
     duration: Tensor
     pressed: Tensor
     least: Tensor
-    waited: Tensor
-    places: Tensor
+    stalled: Tensor
+    cells: Tensor
     costs: Tensor
     plan: Tensor
-    planned: Tensor
+    plan_left: Tensor

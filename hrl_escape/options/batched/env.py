@@ -1,8 +1,8 @@
 """`BatchedOptionsEnv`: thousands of rooms in which decisions of different durations run side by side.
 
-Every step runs one primitive in every room and hands over the decisions that ended with it,
-with the SMDP fields of `OptionsEnv`; a room whose decision has ended takes its next one at once and waits
-for nobody. The rules are the batched engine's; what happens in a step is `stepping.py`.
+Every step runs one primitive in every room and returns the decisions that ended with it, with the
+SMDP fields of `OptionsEnv`. A room takes its next decision as soon as the last one ends, whatever
+the others do. The rules are the batched engine's; one step is `stepping.py`.
 """
 
 from __future__ import annotations
@@ -17,33 +17,45 @@ import torch
 from gymnasium import spaces
 from torch import Tensor
 
+from hrl_escape.env.batched.devices import check_compiler
+from hrl_escape.env.batched.engine import TensorRoom, compile_step, list_shapes
+from hrl_escape.env.batched.observations import load_observation
+from hrl_escape.env.batched.poses import TensorState
+from hrl_escape.env.batched.tables import InstanceSource, Layout, Tables, collect_instances, map_tensors
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.primitives import make_primitives
-from hrl_escape.env.tensor_instances import InstanceSource, Layout, Tables, collect_instances, map_tensors
-from hrl_escape.env.tensor_observations import compute_bounds
-from hrl_escape.env.tensor_poses import TensorState
-from hrl_escape.env.tensor_room import TensorRoom, check_compiler, compile_step, list_shapes
 from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError
-from hrl_escape.options.batched.decisions import ENDINGS, Decisions, Running
-from hrl_escape.options.batched.planning import Guide
-from hrl_escape.options.batched.prices import Prices, stack_prices
-from hrl_escape.options.batched.stepping import PATIENCE, STUCK, Settings, Shown, advance, begin, make_running, show
+from hrl_escape.options.batched.cost_to_go import CostFields, stack_fields
+from hrl_escape.options.batched.decisions import ENDINGS, OpenDecisions, Transitions
+from hrl_escape.options.batched.host_planner import HostPlanner
+from hrl_escape.options.batched.stepping import (
+    FAIL_AFTER,
+    PLAN_AFTER,
+    AgentView,
+    StepSettings,
+    begin_decisions,
+    make_decisions,
+    make_view,
+    step_decisions,
+)
 
-__all__ = ["ENDINGS", "BatchedOptionsEnv", "Decisions"]
+__all__ = ["ENDINGS", "BatchedOptionsEnv", "Transitions"]
 
-Kernel: TypeAlias = Callable[[Tables, Prices | None, TensorState, Running, Shown, Tensor],
-                             tuple[TensorState, Running, Shown, Decisions]]
+Stepped: TypeAlias = tuple[TensorState, OpenDecisions, AgentView, Transitions]
+DecisionKernel: TypeAlias = Callable[
+    [Tables, CostFields | None, TensorState, OpenDecisions, AgentView, Tensor], Stepped]
 
 
 class BatchedOptionsEnv:
     """Many rooms whose robots choose among options and primitives, each at its own pace.
 
     Actions are those of `OptionsEnv` on the same instance, with the same numbers, names and masks: primitives
-    (unless `include_primitives` is false), `meta-01` to `meta-NN`, `meta-exit`. Where `OptionsEnv` follows a plan,
-    options here are greedy on cost-to-go fields that were computed once an instance, and ask the planner only where
-    these lead nowhere; they reach what plans reach, in about as many primitives. Rooms pressed by hand have no fields,
-    for what is left to do depends on every joint: their options are planned on the host, one room after the other,
-    as `OptionsEnv` plans them (under noise or slip, at every primitive). Only their primitives run in the batch.
+    (unless `include_primitives` is false), `meta-01` to `meta-NN`, `meta-exit`. `OptionsEnv` follows plans; options
+    here are greedy on cost-to-go fields, computed once an instance, and ask the planner only where these lead
+    nowhere. They reach the same goals in about as many primitives. Rooms pressed by hand have no fields, because
+    the cost-to-go depends on every joint: their options are planned on the host, one room after the other, as
+    `OptionsEnv` plans them (under noise or slip, at every primitive). Only their primitives run in the batch.
+
+    A learner's loop::
 
         seen = env.reset(torch.arange(env.count))
         while learning:
@@ -52,28 +64,28 @@ class BatchedOptionsEnv:
             rows = done.where.nonzero().squeeze(1)
             replay.add(*(field[rows] for field in done[1:]))
 
-    All tensors are on `device`, rooms first. What happens in a room depends on its own seed and actions, never on the
-    batch it is in.
+    All tensors are on `device`, rooms first. A room's course depends on its own seed and actions, never on the rest
+    of the batch.
 
     Args:
         num_envs: number of rooms.
         config: preset name, `RoomConfig`, or the dict form of one.
         instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
         instance_seed: instance seed of the first room instance.
-        num_instances: how many instances of the schematic there are; room i is in instance i modulo their number.
-        observation: `state`, `features` or `egocentric`.
+        num_instances: number of instances of the schematic; room i is in instance i modulo this number.
+        observation: name of a vector observation.
         resample_instance: every episode draws one of the instances.
         include_primitives: whether primitives are actions too.
         discount: gamma per primitive, in [0, 1]; readable as `gamma`.
         max_duration: primitives after which an option is ended (`timeout`); None for no limit.
         autoreset: begin the next episode of a room as soon as one ends; else it stands still until `reset`.
-        device: where the rooms are.
+        device: device of the rooms.
         compile: fuse a step into compiled kernels; takes some 20 s once for each shape of batch.
 
     Attributes:
         room: the batched engine: instances, layout, states.
         count: number of rooms.
-        device: where everything is.
+        device: device of all tensors.
         action_names: names of the actions.
         actions: their number.
         gamma: discount per primitive.
@@ -111,59 +123,61 @@ class BatchedOptionsEnv:
         self.count, self.device, self.gamma = num_envs, self.room.device, float(discount)
         layout = self.room.layout
         self._by_hand = layout.dynamics.press_with == "hand"
-        self._prices = None if self._by_hand else stack_prices(self.room.instances, self.device)
-        self._guide = Guide(self.room)
-        names = [primitive.name for primitive in make_primitives(layout.robot.joints)] if include_primitives else []
+        self._fields = None if self._by_hand else stack_fields(self.room.instances, self.device)
+        self._host_planner = HostPlanner(self.room)
+        names = layout.actions.names if include_primitives else ()
         self.action_names = (*names, *(f"meta-{n + 1:02d}" for n in range(layout.targets)), "meta-exit")
         self.actions = len(self.action_names)
         self.action_space = spaces.Discrete(self.actions)
-        self.observation_space = spaces.Box(*compute_bounds(self.room.instances, observation), dtype=np.float32)
-        patience = math.ceil(PATIENCE / (1.0 - layout.dynamics.slip)) if layout.dynamics.slip < 1.0 else PATIENCE
+        self.observation_space = spaces.Box(self.room.low, self.room.high, dtype=np.float32)
+        fail_after = math.ceil(FAIL_AFTER / (1.0 - layout.dynamics.slip)) if layout.dynamics.slip < 1.0 else FAIL_AFTER
         if self._by_hand:
-            patience = 2**31 - 1  # planned options have their own
-        self._settings = Settings(observation, len(names), self.gamma, patience, max_duration or 2**31 - 1, autoreset)
-        self._kernel: Kernel | None = None
+            fail_after = 2**31 - 1  # planned options have a limit of their own
+        self._settings = StepSettings(load_observation(observation), len(names), self.gamma, fail_after,
+                                      max_duration or 2**31 - 1, autoreset)
+        self._view: AgentView | None = None
+        self._running: OpenDecisions | None = None
+        self._kernel: DecisionKernel | None = None
         if compile:
             check_compiler(self.device)
-            shapes = (num_envs, *list_shapes(self.room.tables), *(list_shapes(self._prices) if self._prices else ()))
-            self._kernel = _compile(layout, self._settings, self.device.type, torch.get_num_threads(), shapes)
+            shapes = (num_envs, *list_shapes(self.room.tables), *(list_shapes(self._fields) if self._fields else ()))
+            self._kernel = _compile_kernel(layout, self._settings, self.device.type, torch.get_num_threads(), shapes)
 
-    # --- what there is to see --------------------------------------------------------------
+    # --- observations and masks --------------------------------------------------------------
 
-    def _check_begun(self) -> None:
-        if not hasattr(self, "_shown"):
+    def _get_begun(self) -> tuple[AgentView, OpenDecisions]:
+        """Present view and decisions. Raises `ResetNeededError` before the first reset."""
+        if self._view is None or self._running is None:
             raise ResetNeededError("call reset() with seeds first: no episode has begun")
+        return self._view, self._running
 
     @property
     def observation(self) -> Tensor:
-        """What the rooms show now, after any automatic reset, float32 (rooms, numbers)."""
-        self._check_begun()
-        return self._shown.observation
+        """Present observation of the rooms, after any automatic reset, float32 (rooms, numbers)."""
+        return self._get_begun()[0].observation
 
     @property
     def action_mask(self) -> Tensor:
-        """The actions legal now, bool (rooms, actions)."""
-        self._check_begun()
-        return self._shown.mask
+        """Actions legal now, bool (rooms, actions)."""
+        return self._get_begun()[0].mask
 
     @property
     def is_waiting(self) -> Tensor:
         """Rooms that take an action at the next step, bool (rooms,)."""
-        self._check_begun()
-        return (self._running.action < 0) & ~self.is_over
+        return (self._get_begun()[1].action < 0) & ~self.is_over
 
     @property
     def is_over(self) -> Tensor:
-        """Rooms whose episode has ended and that stand still until `reset`, bool (rooms,)."""
-        return self.room.get_state().has_ended != 0
+        """Rooms whose episode has ended and that wait for `reset`, bool (rooms,)."""
+        return self.room.state.has_ended != 0
 
     # --- episodes ----------------------------------------------------------------------------
 
     def reset(self, seeds: Tensor | None = None, where: Tensor | None = None) -> Tensor:
-        """Begin new episodes; decisions that run in these rooms are dropped.
+        """Begin new episodes; decisions in progress in these rooms are dropped.
 
         Args:
-            seeds: key of each room's random numbers, int64 (rooms,); None goes on with the streams there are.
+            seeds: key of each room's random numbers, int64 (rooms,); None continues the present streams.
             where: rooms to reset, bool (rooms,); None resets all.
 
         Returns:
@@ -175,16 +189,15 @@ class BatchedOptionsEnv:
         """
         self.room.reset(seeds, where)
         with torch.no_grad():
-            self._shown = show(self.room.layout, self.room.tables, self.room.get_state(), self._settings)
-            fresh = make_running(self._shown.observation)
-            if where is not None and hasattr(self, "_running"):
-                fresh = fresh._replace(action=torch.where(where, -1, self._running.action))
-                fresh = self._running._replace(action=fresh.action)
-            # each tensor its own memory, as steps leave them: a compiled step would compile anew for shared ones
-            self._running, self.room.state = map_tensors(_own, fresh), map_tensors(_own, self.room.get_state())
-        return self._shown.observation
+            self._view = make_view(self.room.layout, self.room.tables, self.room.state, self._settings)
+            fresh = make_decisions(self._view.observation)
+            if where is not None and self._running is not None:
+                fresh = self._running._replace(action=torch.where(where, -1, self._running.action))
+            # each tensor gets its own memory, as after a step: shared memory would make a compiled step recompile
+            self._running, self.room.state = map_tensors(_own, fresh), map_tensors(_own, self.room.state)
+        return self._view.observation
 
-    def step(self, action: Tensor) -> Decisions:
+    def step(self, action: Tensor) -> Transitions:
         """Give waiting rooms their decisions and run one primitive in every room.
 
         Args:
@@ -194,39 +207,37 @@ class BatchedOptionsEnv:
             The decisions that ended with this primitive.
 
         Raises:
-            ActionError: an action outside the table. On an accelerator, where looking would stall it, such an action
-                is taken for the nearest one there is.
+            ActionError: an action outside the table. On an accelerator, where the check would stall it, such an action
+                is clamped to the nearest number.
             BatchError: another shape, dtype or device.
             ResetNeededError: no episode has begun, or all have ended.
         """
-        self._check_begun()
+        view, running = self._get_begun()
         action = self._check_action(action)
         room = self.room
         with torch.no_grad():
-            self._plan(action)
+            running = self._plan(view, running, action)
             if self._kernel is not None:
-                found = self._kernel(room.tables, self._prices, room.state, self._running, self._shown, action)
+                found = self._kernel(room.tables, self._fields, room.state, running, view, action)
             else:
-                found = advance(room.layout, self._settings, room.tables, self._prices, room.state, self._running,
-                                self._shown, action)
-        room.state, self._running, self._shown, decisions = found
-        return decisions
+                found = step_decisions(room.layout, self._settings, room.tables, self._fields, room.state, running,
+                                       view, action)
+        room.state, self._running, self._view, transitions = found
+        return transitions
 
-    def _plan(self, action: Tensor) -> None:
-        """Ask the planners for all who press by hand, else where greed has come no nearer for a while."""
+    def _plan(self, view: AgentView, running: OpenDecisions, action: Tensor) -> OpenDecisions:
+        """Plan for all rooms pressed by hand, else for those where the greedy policy has made no progress."""
         primitives = self._settings.primitives
-        running = begin(self._running, self.is_waiting, action, self._shown.observation) if self._by_hand \
-            else self._running
-        where = (running.action >= primitives) & (running.planned == 0) & ~self.is_over
+        if self._by_hand:
+            running = begin_decisions(running, self.is_waiting, action, view.observation)
+        where = (running.action >= primitives) & (running.plan_left == 0) & ~self.is_over
         goals = running.action - primitives
         if self._by_hand:
-            legal = torch.gather(self._shown.mask, 1, running.action.clamp(min=0).unsqueeze(1)).squeeze(1)
-            self._running, _ = self._guide.pursue(running, where & legal, goals)
-        else:
-            running, has_failed = self._guide.plan(running, where & (running.waited >= STUCK), goals)
-            # one more primitive in vain, and those that planning has failed give up
-            self._running = running._replace(
-                waited=torch.where(has_failed, self._settings.patience, running.waited))
+            legal = torch.gather(view.mask, 1, running.action.clamp(min=0).unsqueeze(1)).squeeze(1)
+            return self._host_planner.follow(running, where & legal, goals)[0]
+        running, has_failed = self._host_planner.plan(running, where & (running.stalled >= PLAN_AFTER), goals)
+        # a room whose planning failed gives up after one more primitive without progress
+        return running._replace(stalled=torch.where(has_failed, self._settings.fail_after, running.stalled))
 
     def _check_action(self, action: Tensor) -> Tensor:
         if not isinstance(action, Tensor) or action.shape != (self.count,) or action.dtype != torch.int64 \
@@ -248,23 +259,23 @@ def _own(field: Tensor) -> Tensor:
 
 
 @lru_cache(maxsize=64)
-def _compile(layout: Layout, settings: Settings, device: str, threads: int, shapes: tuple) -> Kernel:
-    """Compile a step for one shape of batch; kernels hand flags over as words, as in `tensor_room.py`."""
+def _compile_kernel(layout: Layout, settings: StepSettings, device: str, threads: int, shapes: tuple) -> DecisionKernel:
+    """Compile a step for one shape of batch; kernels return flags as integers, as in `engine.py`."""
 
-    def kernel(tables: Tables, prices: Prices | None, state: TensorState, running: Running, shown: Shown, action: Tensor
-               ) -> tuple[TensorState, Running, Shown, Decisions]:
-        state, running, shown, done = advance(layout, settings, tables, prices, state, running, shown, action)
-        shown, done = (map_tensors(lambda field: field.to(torch.int32) if field.dtype == torch.bool else field, part)
-                       for part in (shown, done))
-        return state, running, shown, done
+    def kernel(tables: Tables, fields: CostFields | None, state: TensorState, running: OpenDecisions, view: AgentView,
+               action: Tensor) -> Stepped:
+        state, running, view, done = step_decisions(layout, settings, tables, fields, state, running, view, action)
+        view, done = (map_tensors(lambda field: field.to(torch.int32) if field.dtype == torch.bool else field, part)
+                       for part in (view, done))
+        return state, running, view, done
 
     compiled = compile_step(kernel, device, threads)
 
-    def run(tables: Tables, prices: Prices | None, state: TensorState, running: Running, shown: Shown, action: Tensor
-            ) -> tuple[TensorState, Running, Shown, Decisions]:
-        state, running, shown, done = compiled(tables, prices, state, running, shown, action)
+    def run(tables: Tables, fields: CostFields | None, state: TensorState, running: OpenDecisions, view: AgentView,
+            action: Tensor) -> Stepped:
+        state, running, view, done = compiled(tables, fields, state, running, view, action)
         done = done._replace(where=done.where != 0, next_action_mask=done.next_action_mask != 0,
                              terminated=done.terminated != 0, truncated=done.truncated != 0)
-        return state, running, shown._replace(mask=shown.mask != 0), done
+        return state, running, view._replace(mask=view.mask != 0), done
 
     return run

@@ -19,7 +19,7 @@ def test_the_puzzles_that_ship_are_listed():
 
 
 def test_an_unknown_puzzle_names_the_closest_one():
-    with pytest.raises(UnknownNameError, match="Perhaps you meant 'buttons'"):
+    with pytest.raises(UnknownNameError, match="did you mean 'buttons'"):
         get_puzzle_kind("butons")
     with pytest.raises(UnknownNameError, match="puzzle None"):
         get_puzzle_kind(None)
@@ -41,15 +41,17 @@ def test_registering_again_is_harmless_and_a_taken_name_is_refused():
 STRANGER = '''
 """A combination lock: targets must be pressed in one secret order; a wrong press starts again."""
 import dataclasses
+from typing import Annotated
 
 from hrl_escape.env.puzzles.base import Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel
-from hrl_escape.env.settings import knob
+from hrl_escape.settings import Range
 
 
 @dataclasses.dataclass(frozen=True)
 class LockConfig(PuzzleConfig):
     kind = "combination-lock"
-    digits: int = knob(3, "Length of the code.", "", 1, 10)
+    digits: Annotated[int, Range(1, 10)] = 3
+    "Length of the code."
 
     @property
     def panels(self):
@@ -62,7 +64,8 @@ class LockConfig(PuzzleConfig):
 @dataclasses.dataclass(frozen=True)
 class Lock(Puzzle):
     kind = "combination-lock"
-    code: tuple[int, ...] = knob((0,), "Order in which the targets must be pressed.", "", 0, 9)
+    code: tuple[Annotated[int, Range(0, 9)], ...] = (0,)
+    "Order in which the targets must be pressed."
 
     @property
     def target_names(self):
@@ -107,9 +110,9 @@ PROGRAM = """
 import json, sys
 import numpy as np
 from hrl_escape.checks import check_puzzle
-from hrl_escape.env.bullet_room import BulletRoom
+from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.generation import generate
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.base import list_puzzles
 

@@ -64,4 +64,4 @@ def test_reachable_sets_of_lit_buttons_are_the_down_sets_of_the_dag(dag):
 def test_the_default_goal_comes_last_in_topological_order():
     for seed in range(20):
         puzzle = ButtonsConfig(count=6).make_puzzle(np.random.default_rng(seed))
-        assert puzzle.goal == 5
+        assert puzzle.goal not in {parent for parent, _ in puzzle.edges}

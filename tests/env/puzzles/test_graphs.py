@@ -8,6 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
 from hrl_escape.env.puzzles.graphs import GRAPH_KINDS, GraphConfig, compute_order, sample_graph, sample_larg_graph
 from hrl_escape.errors import ConfigError
 
@@ -48,3 +50,52 @@ def test_a_cycle_is_refused_and_shown():
 def test_an_edge_to_no_button_is_refused():
     with pytest.raises(ConfigError, match="from 0 to 2"):
         compute_order(3, ((0, 3),))
+
+
+# --- relabelling -----------------------------------------------------------------------------
+
+GENERATED = [GraphConfig(kind=kind, max_parents=3, relabel=relabel)
+             for kind in ("chain", "tree", "layered", "random") for relabel in (True, False)]
+
+
+def draw_puzzles(relabel: bool) -> list[ButtonsPuzzle]:
+    configs = [ButtonsConfig(count=8, graph=graph) for graph in GENERATED if graph.relabel == relabel]
+    return [config.make_puzzle(np.random.default_rng(seed)) for config in configs for seed in range(100)]
+
+
+def solves(puzzle: ButtonsPuzzle, order) -> bool:
+    state = puzzle.make_state()
+    for button in order:
+        state = puzzle.update(state, Contacts((int(button),)))
+    return puzzle.is_solved(state)
+
+
+def test_pressing_in_index_order_solves_no_more_relabelled_graphs_than_a_random_order_does():
+    rng = np.random.default_rng(0)
+    puzzles = draw_puzzles(relabel=True)
+    chance = sum(solves(puzzle, rng.permutation(8)) for puzzle in puzzles for _ in range(25)) / 25
+    assert chance < 100
+    assert sum(solves(puzzle, range(8)) for puzzle in puzzles) <= chance + 3 * np.sqrt(chance)
+
+
+def test_without_relabelling_index_order_solves_every_graph():
+    assert all(solves(puzzle, range(8)) for puzzle in draw_puzzles(relabel=False))
+
+
+def test_relabelling_changes_numbers_only():
+    for plain, shuffled in zip(draw_puzzles(relabel=False), draw_puzzles(relabel=True), strict=True):
+        assert describe_shape(plain) == describe_shape(shuffled)
+
+
+def describe_shape(puzzle: ButtonsPuzzle):
+    """Numbers of parents and children of each button, and those of the goal."""
+    degrees = [(sum(p == i for p, _ in puzzle.edges), sum(c == i for _, c in puzzle.edges))
+               for i in range(puzzle.count)]
+    return sorted(degrees), degrees[puzzle.goal]
+
+
+def test_explicit_edges_keep_their_numbers():
+    graph = GraphConfig(kind="edges", edges=((0, 1), (1, 2)))
+    for seed in range(20):
+        puzzle = ButtonsConfig(count=3, graph=graph).make_puzzle(np.random.default_rng(seed))
+        assert (puzzle.edges, puzzle.goal) == (((0, 1), (1, 2)), 2)

@@ -30,7 +30,7 @@ def make_run(agent: str, scores: Sequence[float], *, training: Sequence[float] |
         primitives=tuple(places), decisions=tuple(place // 10 for place in places),
         returns=tuple(1000 * (score - 1) for score in scores), successes=tuple(float(score > 0) for score in scores),
         episodes=(1,) * BINS, training_returns=tuple(1000 * (score - 1) for score in training),
-        training_successes=tuple(map(int, escaped)), training_near_best=tuple(int(score >= 0.99) for score in training),
+        training_successes=tuple(map(int, escaped)), training_optimal=tuple(int(score >= 0.99) for score in training),
         first_escape=first,
     )
     return dataclasses.replace(run, **changes)

@@ -1,95 +1,175 @@
-"""The scaling study: which edges count, trials in real rooms, studies that go on, and pages made from raw results."""
+"""The scaling study: runs in real rooms, studies that go on, and pages made from raw results."""
 
 import dataclasses
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
 
+import numpy as np
 import pytest
+from rich.console import Console
 
 from hrl_escape.cli import main
-from hrl_escape.errors import FileReadError
+from hrl_escape.errors import ComparisonError, FileReadError, RunBusyError
+from hrl_escape.experiments.comparison import run_grids
+from hrl_escape.experiments.launching.local import LocalLauncher
 from hrl_escape.experiments.studies import scaling
-from hrl_escape.experiments.studies.scaling import (
-    AGENTS,
-    Trial,
-    TrialResult,
-    compare_graphs,
-    find_edges_that_matter,
-    load_results,
-    run_trial,
-    run_trials,
-    save_results,
-)
+from hrl_escape.experiments.studies.scaling import AGENTS, Round, run_scaling
 from hrl_escape.experiments.studies.scaling_page import write_scaling_page
+from hrl_escape.experiments.studies.scaling_raw import (
+    ScalingRun,
+    Task,
+    collect_scaling_runs,
+    load_scaling_runs,
+    save_scaling_runs,
+)
 
 
 def make_result(agent="smdp-factored-r-max", buttons=10, rule="ignore", run=0, graph="layered", first=400, near=900):
     structure = ((100, 0.5, 0.25), (800, 1.0, 1.0)) if agent != "smdp-random" else ()
     measured = {"best": 50.0, "worst": -1000.0, "primitives": 20_000, "decisions": 900, "seconds": 1.5}
-    return TrialResult(graph, buttons, rule, agent, run, "abc", **measured, first_escape=first, near_best=near, edges=4,
-                       structure=structure)
+    return ScalingRun(graph, buttons, rule, agent, run, "abc", **measured, first_escape=first, near_best=near, edges=4,
+                      structure=structure)
 
 
-def test_an_edge_that_a_longer_way_implies_does_not_matter():
-    assert find_edges_that_matter([(0, 1), (1, 2), (0, 2)], goal=2) == {(0, 1), (1, 2)}
+def make_console() -> Console:
+    return Console(quiet=True)
 
 
-def test_edges_to_what_the_goal_does_not_need_do_not_matter():
-    assert find_edges_that_matter([(0, 1), (0, 3), (3, 4), (1, 2)], goal=2) == {(0, 1), (1, 2)}
-    assert find_edges_that_matter([(0, 1)], goal=0) == set()
+def run_rounds(out: Path, primitives: int, *rounds: Round, **launcher: object) -> list[ScalingRun]:
+    found = []
+    grids = [round_.make_grid(primitives) for round_ in rounds]
+    comparisons = run_grids(grids, out, LocalLauncher(**launcher), make_console())  # type: ignore[arg-type]
+    for round_, comparison in zip(rounds, comparisons, strict=True):
+        assert not comparison.failures, comparison.failures[0].message
+        found += collect_scaling_runs(comparison, round_.tasks)
+    return found
 
 
-def test_a_believed_graph_may_have_cycles():
-    found = find_edges_that_matter([(0, 1), (1, 0), (1, 2)], goal=2)
-    assert found == {(0, 1), (1, 0), (1, 2)}
+def forget_time(runs: list[ScalingRun]) -> set[ScalingRun]:
+    return {dataclasses.replace(run, seconds=0.0) for run in runs}
 
 
-def test_precision_and_recall_of_edges():
-    true = frozenset({(0, 1), (1, 2)})
-    assert compare_graphs(frozenset({(0, 1), (0, 2), (5, 6), (7, 8)}), true) == (0.25, 0.5)
-    assert compare_graphs(frozenset(), true) == (0.0, 0.0)
-    assert compare_graphs(frozenset(), frozenset()) == (1.0, 1.0)
+def test_factored_r_max_is_near_the_best_of_a_real_room_and_has_its_graph(tmp_path):
+    tasks = Task("chain", 4, "ignore"), Task("chain", 4, "reset")
+    for run in run_rounds(tmp_path, 4_000, Round(tasks, "smdp-factored-r-max", 0)):
+        assert run.first_escape is not None and run.near_best is not None
+        assert run.first_escape <= run.near_best < run.primitives < 4_000, "it stops once the room is solved"
+        assert run.edges == 3
+        assert run.structure[-1][1:] == (1.0, 1.0)
 
 
-@pytest.mark.parametrize("rule", ["ignore", "reset"])
-def test_factored_r_max_is_near_the_best_of_a_real_room_and_has_its_graph(rule):
-    result = run_trial(Trial("chain", 4, rule, "smdp-factored-r-max", 0), primitives=4_000)
-    assert result.first_escape is not None and result.near_best is not None
-    assert result.first_escape <= result.near_best < result.primitives < 4_000, "it stops once nothing is left to note"
-    assert result.edges == 3
-    assert result.structure[-1][1:] == (1.0, 1.0)
+def test_a_run_gives_the_numbers_that_version_0_1_gave(tmp_path):
+    """Also the published ones: these runs are lines of docs/results/raw/scaling.csv."""
+    published = load_scaling_runs(Path(__file__).parents[3] / "docs" / "results" / "raw" / "scaling.csv", AGENTS)
+    chosen = [run for run in published if (run.task, run.run) == (Task("chain", 4, "reset"), 1)
+              and run.agent in ("smdp-factored-r-max", "smdp-random")]
+    rounds = [Round((run.task,), run.agent, run.run) for run in chosen]
+    assert len(rounds) == 2
+    assert forget_time(run_rounds(tmp_path, 20_000, *rounds)) == forget_time(chosen)
 
 
-@pytest.mark.parametrize("agent", AGENTS)
-def test_every_agent_is_tried(agent):
-    result = run_trial(Trial("chain", 2, "ignore", agent, 0), primitives=60)
-    assert result.primitives >= 60 or result.first_escape is not None
+def test_every_agent_runs(tmp_path):
+    runs = run_rounds(tmp_path, 60, *(Round((Task("chain", 2, "ignore"),), agent, 0) for agent in AGENTS))
+    assert [run.agent for run in runs] == list(AGENTS)
+    assert all(run.primitives >= 60 or run.first_escape is not None for run in runs)
 
 
-def test_a_study_goes_on_where_it_was_stopped_and_tries_no_hopeless_rooms(tmp_path, monkeypatch):
+def test_a_killed_run_measures_what_an_uninterrupted_one_does(tmp_path):
+    task, agent, seed = Task("chain", 4, "reset"), "smdp-factored-r-max", 0
+    script = ("import sys\n"
+              "from tests.experiments.studies.test_scaling import Round, Task, run_rounds\n"
+              "from pathlib import Path\n"
+              "if __name__ == '__main__':\n"
+              f"    run_rounds(Path(sys.argv[1]), 4_000, Round((Task('chain', 4, 'reset'),), {agent!r}, {seed}),\n"
+              "               checkpoint_seconds=0.0)\n")
+    (tmp_path / "study.py").write_text(script)
+    out, rng = tmp_path / "killed", np.random.default_rng(2)
+    for _ in range(2):
+        before = count_log_bytes(out)
+        process = subprocess.Popen([sys.executable, str(tmp_path / "study.py"), str(out)],
+                                   env=add_tests_to_path(), stderr=subprocess.DEVNULL)
+        deadline = time.monotonic() + 60
+        while process.poll() is None and count_log_bytes(out) == before and time.monotonic() < deadline:
+            time.sleep(0.02)
+        time.sleep(rng.uniform(0.0, 0.3))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+    alone = run_rounds(tmp_path / "alone", 4_000, Round((task,), agent, seed))
+    assert forget_time(run_rounds(out, 4_000, Round((task,), agent, seed))) == forget_time(alone)
+
+
+def count_log_bytes(out: Path) -> int:
+    return sum(log.stat().st_size for log in out.glob("runs/*/training/log.jsonl"))
+
+
+def add_tests_to_path() -> dict[str, str]:
+
+
+    return os.environ | {"PYTHONPATH": str(Path(__file__).parents[3])}
+
+
+@pytest.fixture
+def small_study(monkeypatch):
     for name, value in (("GRAPHS", ("chain",)), ("RULES", ("ignore",)), ("SIZES", (2, 4)), ("BAR_RUNS", 0),
                         ("AGENTS", ("smdp-r-max", "smdp-q-learning"))):
         monkeypatch.setattr(scaling, name, value)
-    heard = []
 
-    def call():
-        heard.clear()
-        found = run_trials(tmp_path, 1, 60, 1, 5.0, lambda result, number, total: heard.append(result.trial))
-        return {dataclasses.replace(result, seconds=0.0) for result in found}
+
+def test_a_study_goes_on_where_it_was_stopped_and_tries_no_hopeless_rooms(tmp_path, small_study):
+    def call(minutes=5.0):
+        return forget_time(run_scaling(tmp_path, 1, 60, 1, minutes, make_console()))
 
     first = call()
-    assert [trial.buttons for trial in heard] == [2, 2], "60 primitives are too few, so 4 buttons are not tried"
-    (tmp_path / f"{heard[0].name}.json").unlink()
-    assert call() == first and len(heard) == 1
-    (tmp_path / f"{heard[0].name}.json").write_text('{"budget": 60, "result": {}}')
-    with pytest.raises(FileReadError, match="damaged"):
-        call()
+    assert [run.buttons for run in first] == [2, 2], "60 primitives are too few, so there is no run with 4 buttons"
+    results = sorted(tmp_path.glob("runs/*/run_result.json"))
+    stamps = [path.stat().st_mtime_ns for path in results]
+    results[0].unlink()
+    assert call() == first
+    assert results[1].stat().st_mtime_ns == stamps[1], "finished runs are kept"
+
+
+def test_no_run_begins_after_the_time_is_up_and_finished_ones_count(tmp_path, small_study):
+    assert run_scaling(tmp_path, 1, 60, 1, 0.0, make_console()) == []
+    finished = run_scaling(tmp_path, 1, 60, 1, 5.0, make_console())
+    assert run_scaling(tmp_path, 1, 60, 1, 0.0, make_console()) == finished
+
+
+def test_a_failed_run_ends_the_study_with_its_message(tmp_path, small_study, monkeypatch):
+    monkeypatch.setattr(scaling, "AGENTS", ("smdp-dreamer",))
+    with pytest.raises(Exception, match="smdp-dreamer"):
+        run_scaling(tmp_path, 1, 60, 1, 5.0, make_console())
+    monkeypatch.undo()
+    round_ = Round((Task("chain", 2, "ignore"),), "smdp-r-max", 0)
+    (run,) = round_.make_grid(60).make_runs([room.make_instance() for room in round_.make_grid(60).rooms])
+    damaged = tmp_path / "runs" / run.folder / "training" / "checkpoint.npz"
+    damaged.parent.mkdir(parents=True)
+    damaged.write_bytes(b"no checkpoint")
+    monkeypatch.setattr(scaling, "BAR_RUNS", 1)
+    monkeypatch.setattr(scaling, "BAR", (Task("chain", 2, "ignore"),))
+    monkeypatch.setattr(scaling, "BAR_AGENT", "smdp-r-max")
+    with pytest.raises(ComparisonError, match="1 runs of scaling--smdp-r-max--0 failed.*checkpoint"):
+        run_scaling(tmp_path, 0, 60, 1, 5.0, make_console())
+
+
+def test_one_study_at_a_time_in_a_folder(tmp_path):
+    grids = run_grids([Round((Task("chain", 2, "ignore"),), "smdp-random", 0).make_grid(60)] * 2, tmp_path, None,
+                      make_console())
+    next(grids)  # the folder stays locked between two grids
+    with pytest.raises(RunBusyError, match="another comparison is running in this folder"):
+        run_scaling(tmp_path, 1, 60, 1, 5.0, make_console())
+    grids.close()
 
 
 def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
     results = [make_result(), make_result(run=1, first=600, near=None), make_result(rule="reset"),
                make_result("smdp-random", first=None, near=None), make_result(buttons=20)]
     raw = tmp_path / "raw" / "scaling.csv"
-    save_results(raw, results)
-    assert set(load_results(raw)) == set(results)
+    save_scaling_runs(raw, results)
+    assert set(load_scaling_runs(raw, AGENTS)) == set(results)
     assert main(["experiment", "scaling", "--from-raw", "--docs", str(tmp_path)]) == 0
     page = (tmp_path / "scaling.md").read_text()
     assert "| ignore | smdp-factored-r-max | — | — | — | 2 of 2; 500 | — | 1 of 1; 400 |" in page
@@ -99,26 +179,26 @@ def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
     for figure in ("scaling", "scaling-structure"):
         assert "<svg" in (tmp_path / "figures" / f"{figure}.svg").read_text()[:1_000]
     before = page, (tmp_path / "figures" / "scaling.svg").read_bytes()
-    write_scaling_page(load_results(raw), tmp_path)
+    write_scaling_page(load_scaling_runs(raw, AGENTS), tmp_path)
     assert ((tmp_path / "scaling.md").read_text(), (tmp_path / "figures" / "scaling.svg").read_bytes()) == before
 
 
 @pytest.mark.parametrize("option", ["--runs=0", "--runs=-3", "--primitives=0", "--minutes=0"])
 def test_a_study_of_nothing_is_refused_and_leaves_earlier_results_alone(tmp_path, capsys, option):
     raw = tmp_path / "raw" / "scaling.csv"
-    save_results(raw, [make_result()])
+    save_scaling_runs(raw, [make_result()])
     assert main(["experiment", "scaling", "--docs", str(tmp_path), "--out", str(tmp_path), option]) == 2
     assert "it must be above 0" in capsys.readouterr().err
-    assert load_results(raw) == [make_result()]
+    assert load_scaling_runs(raw, AGENTS) == [make_result()]
 
 
 def test_results_of_an_unknown_agent_are_refused(tmp_path):
-    save_results(tmp_path / "scaling.csv", [make_result(), make_result("smdp-dreamer")])
+    save_scaling_runs(tmp_path / "scaling.csv", [make_result(), make_result("smdp-dreamer")])
     with pytest.raises(FileReadError, match="line 2.*smdp-dreamer"):
-        load_results(tmp_path / "scaling.csv")
+        load_scaling_runs(tmp_path / "scaling.csv", AGENTS)
 
 
-def test_no_trial_makes_no_page(tmp_path, capsys):
-    save_results(tmp_path / "raw" / "scaling.csv", [])
+def test_no_run_makes_no_page(tmp_path, capsys):
+    save_scaling_runs(tmp_path / "raw" / "scaling.csv", [])
     assert main(["experiment", "scaling", "--from-raw", "--docs", str(tmp_path)]) == 2
-    assert "holds no trial" in capsys.readouterr().err
+    assert "holds no run" in capsys.readouterr().err

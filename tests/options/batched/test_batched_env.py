@@ -10,18 +10,18 @@ from torch._dynamo.utils import counters
 from benchmarks.options_conformance import compare_options
 from hrl_escape.env.config import DynamicsConfig, ExitConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.generation import generate
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError
-from hrl_escape.options.batched.decisions import PLANNED
+from hrl_escape.options.batched.decisions import PLAN_LENGTH
 from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
-from hrl_escape.options.goals import PressGoal
-from hrl_escape.options.lattice.areas import compute_area
-from hrl_escape.options.lattice.reference import find_fewest_primitives
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.goals import PressGoal
+from hrl_escape.planning.lattice.areas import compute_goal_area
+from hrl_escape.planning.lattice.reference import find_fewest_primitives
 from tests.env.rooms import all_schematics
 
 FORWARD, TURN_LEFT = 0, 4
@@ -175,7 +175,7 @@ def test_what_options_env_reaches_is_reached_in_about_as_many_primitives(name, m
 def test_where_greed_leads_nowhere_the_planner_is_asked():
     env = begin(make_env(config="paper-two-button", include_primitives=False))
     env.step(torch.tensor([0]))
-    env._prices.values.fill_(1)  # fields that say nothing
+    env._fields.values.fill_(1)  # fields without information
     done = decide(env, 0)
     assert ENDINGS[done.ended] == "reached" and int(done.duration) <= 9 + 2 * 5, "four primitives in vain, then a plan"
 
@@ -189,7 +189,7 @@ def test_greedy_presses_come_near_the_exact_fewest_primitives():
         begin(env, first * 10)
         state = env.room.get_room_state(0)
         goal = PressGoal(first % 2)
-        fewest += len(find_fewest_primitives(rules, state, goal, *compute_area(goal, instance)) or ())
+        fewest += len(find_fewest_primitives(rules, state, goal, *compute_goal_area(goal, instance)) or ())
         taken += int(decide(env, first % 2).duration)
     assert fewest > 20 and fewest <= taken <= 1.05 * fewest
 
@@ -264,7 +264,7 @@ def test_a_hand_plan_longer_than_a_room_keeps_is_gone_on_with():
     single.unwrapped.set_state(env.room.get_room_state(0))
     single.resume()
     done = decide(env, 1)
-    assert int(done.duration) == single.step(1)[4]["duration"] > PLANNED and ENDINGS[done.ended] == "reached"
+    assert int(done.duration) == single.step(1)[4]["duration"] > PLAN_LENGTH and ENDINGS[done.ended] == "reached"
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.05])

@@ -1,0 +1,87 @@
+"""Calibration of a comparison's statistics on simulated runs: how often verdicts are wrong, and intervals miss.
+
+    python benchmarks/calibration.py            # the table of docs/metrics.md; some minutes
+
+Agents are identical, so any agent called better than another is an error, whatever sentence says so; the best of
+several is picked by the same data. An interval misses where the truth lies outside.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.experiments.inference import compute_interval
+from hrl_escape.experiments.pairs import compare_agents, is_better
+from hrl_escape.experiments.statistics import compute_iqm, compute_mean
+
+Draw = Callable[[np.random.Generator, int], NDArray[np.float64]]
+
+
+def make_bimodal(share: float) -> Draw:
+    """Runs that end near 0.9 with this probability, near 0.05 otherwise."""
+
+    def draw(rng: np.random.Generator, runs: int) -> NDArray[np.float64]:
+        middle = np.where(rng.random(runs) < share, 0.9, 0.05)
+        return np.clip(middle + rng.normal(0, 0.03, runs), 0, 1)
+
+    return draw
+
+
+SHAPES: dict[str, Draw] = {
+    "all or nothing, 1 in 2": lambda rng, runs: (rng.random(runs) < 0.5).astype(np.float64),
+    "bimodal, 1 in 2": make_bimodal(0.5),
+    "bimodal, 7 in 10": make_bimodal(0.7),
+    "bimodal, 9 in 10": make_bimodal(0.9),
+    "skewed": lambda rng, runs: rng.beta(0.5, 3, runs),
+    "narrow": lambda rng, runs: np.clip(rng.normal(0.9, 0.02, runs), 0, 1),
+}
+
+
+def count_false_verdicts(draw: Draw, agents: int, rooms: int, runs: int, trials: int, rng: np.random.Generator
+                         ) -> float:
+    """Share of comparisons of identical agents in which some agent is called better than another."""
+    wrong = 0
+    for _ in range(trials):
+        finals = [{(str(room), seed): float(value) for room in range(rooms) for seed, value in
+                   enumerate(draw(rng, runs))} for _ in range(agents)]
+        pairs = compare_agents(finals, [True] * agents, rng, resamples=1)
+        wrong += any(is_better(pair) for pair in itertools.chain.from_iterable(pairs))
+    return wrong / trials
+
+
+def measure_coverage(draw: Draw, rooms: int, runs: int, trials: int, rng: np.random.Generator) -> tuple[float, float]:
+    """Share of intervals that hold the truth: of the interquartile mean, and of the mean."""
+    found = []
+    for statistic in (compute_iqm, compute_mean):
+        truth = float(statistic([draw(rng, 400_000)]))
+        hits = 0
+        for _ in range(trials):
+            low, high = compute_interval(statistic, [draw(rng, runs) for _ in range(rooms)], (0.0, 1.0), rng, 500)
+            hits += bool(low <= truth <= high)
+        found.append(hits / trials)
+    return found[0], found[1]
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Print the table as Markdown."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--trials", type=int, default=2_000)
+    trials = parser.parse_args(arguments).trials
+    rng = np.random.default_rng(15)
+    print("| scores | wrong verdicts, 5 agents, 5, 8 and 10 runs | 7 agents, 2 rooms of 8 | IQM interval holds, 8 runs "
+          "| in 3 rooms | mean's, 8 runs |\n|---|---|---|---|---|---|")
+    for name, draw in SHAPES.items():
+        wrong = " / ".join(f"{count_false_verdicts(draw, 5, 1, runs, trials, rng):.1%}" for runs in (5, 8, 10))
+        more = count_false_verdicts(draw, 7, 2, 8, trials, rng)
+        one, mean = measure_coverage(draw, 1, 8, trials // 4, rng)
+        three, _ = measure_coverage(draw, 3, 8, trials // 4, rng)
+        print(f"| {name} | {wrong} | {more:.1%} | {one:.1%} | {three:.1%} | {mean:.1%} |", flush=True)
+
+
+if __name__ == "__main__":
+    main()

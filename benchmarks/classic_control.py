@@ -1,0 +1,182 @@
+"""Tasks of Gymnasium with known answers: does an agent solve them, and does it still solve them when its budget ends?
+
+    python benchmarks/classic_control.py                       # all tasks and contenders, ten seeds: hours on a core
+    python benchmarks/classic_control.py --tasks CartPole-v1   # one task
+    python benchmarks/classic_control.py --quick               # seconds: shows that everything runs
+
+Agents run at their default settings, `sb3-dqn` (Stable-Baselines3) at those that RL Baselines3 Zoo tuned for each task,
+all for the same number of primitives. `final` is the mean return of the greedy policy when the budget ends, `best` that
+of its best evaluation on the way: reaching a threshold is not holding it. Finished runs are kept, a line each, in the
+file `--out`; the command goes on where it was stopped.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from hrl_escape.agents import evaluate, make_agent
+from hrl_escape.agents.agent import Agent, make_transition
+
+EPISODES = 20
+"""Greedy episodes in an evaluation, the same ones for every contender and seed."""
+EVALUATIONS = 8
+"""Evaluations in a run, evenly spaced, the last at its end."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """An environment, a budget, and what Stable-Baselines3's DQN was tuned to for it.
+
+    Attributes:
+        primitives: budget of a run.
+        threshold: mean return from which the task counts as solved.
+        tuned: arguments of `stable_baselines3.DQN`, from RL Baselines3 Zoo's `hyperparams/dqn.yml`.
+    """
+
+    primitives: int
+    threshold: float
+    tuned: dict[str, Any] = field(default_factory=dict)
+
+
+_WIDE = {"policy_kwargs": {"net_arch": [256, 256]}, "gamma": 0.99}
+_LONG = {"learning_rate": 6.3e-4, "batch_size": 128, "buffer_size": 50_000, "learning_starts": 0,
+         "target_update_interval": 250, "train_freq": 4, "gradient_steps": -1, "exploration_fraction": 0.12,
+         "exploration_final_eps": 0.1, **_WIDE}
+TASKS = {
+    "CartPole-v1": Task(40_000, 475.0, {
+        "learning_rate": 2.3e-3, "batch_size": 64, "buffer_size": 100_000, "learning_starts": 1_000,
+        "target_update_interval": 10, "train_freq": 256, "gradient_steps": 128, "exploration_fraction": 0.16,
+        "exploration_final_eps": 0.04, **_WIDE,
+    }),
+    "Acrobot-v1": Task(100_000, -100.0, _LONG),
+    "LunarLander-v3": Task(100_000, 200.0, _LONG),
+}
+Trainer = Callable[[str, Task, int, int], Iterator[tuple[int, float]]]
+"""From task, its settings, seed and budget to pairs (primitives, mean return of an evaluation)."""
+
+
+class Peer:
+    """The greedy policy of a model of Stable-Baselines3, as `evaluate` needs it."""
+
+    gamma = 0.99
+
+    def __init__(self, model: Any) -> None:
+        self._model = model
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The likeliest action."""
+        return int(self._model.predict(observation, deterministic=True)[0])
+
+
+def measure(agent: Any, env: gymnasium.Env) -> float:
+    """Mean return of a greedy policy."""
+    return evaluate(agent, env, EPISODES, seed=0).mean_return
+
+
+def train_agent(name: str) -> Trainer:
+    """A trainer of one of our agents at its default settings."""
+
+    def run(task_id: str, task: Task, seed: int, budget: int) -> Iterator[tuple[int, float]]:
+        env, eval_env = gymnasium.make(task_id), gymnasium.make(task_id)
+        agent: Agent = make_agent(name, env.observation_space, env.action_space, seed)
+        observation, _ = env.reset(seed=seed)
+        mask = np.ones(env.action_space.n, np.bool_)  # type: ignore[attr-defined]
+        for primitives in range(1, budget + 1):
+            action = agent.act(observation, mask)
+            transition = make_transition(observation, action, mask, env.step(action), agent.gamma)
+            agent.observe(transition)
+            observation = transition.next_observation
+            if transition.terminated or transition.truncated:
+                observation, _ = env.reset()
+            if primitives % (budget // EVALUATIONS) == 0:
+                yield primitives, measure(agent, eval_env)
+
+    return run
+
+
+def train_peer(task_id: str, task: Task, seed: int, budget: int) -> Iterator[tuple[int, float]]:
+    """Train Stable-Baselines3's DQN at the settings tuned for the task."""
+    from stable_baselines3 import DQN
+    from stable_baselines3.common.callbacks import BaseCallback
+
+    eval_env = gymnasium.make(task_id)
+    scores: list[tuple[int, float]] = []
+
+    class Evaluate(BaseCallback):
+        def _on_step(self) -> bool:
+            if self.num_timesteps % (budget // EVALUATIONS) == 0:
+                scores.append((self.num_timesteps, measure(Peer(self.model), eval_env)))
+            return True
+
+    model = DQN("MlpPolicy", gymnasium.make(task_id), seed=seed, device="cpu", **task.tuned)
+    model.learn(budget, callback=Evaluate())
+    yield from scores
+
+
+CONTENDERS: dict[str, Trainer] = {"dqn": train_agent("dqn"), "ppo": train_agent("ppo"), "sb3-dqn": train_peer}
+
+
+def summarise(rows: Sequence[dict[str, Any]]) -> str:
+    """A table with a line for each task and contender.
+
+    Args:
+        rows: finished runs.
+    """
+    lines = ["| task | contender | runs | final, mean | 95 % interval | best, mean | final at the threshold |",
+             "|---|---|---|---|---|---|---|"]
+    for task_id, task in TASKS.items():
+        for name in CONTENDERS:
+            scores = [row["scores"] for row in rows if (row["task"], row["contender"]) == (task_id, name)]
+            if not scores:
+                continue
+            final, best = np.array([run[-1][1] for run in scores]), np.array([max(s for _, s in run) for run in scores])
+            draws = np.random.default_rng(0).integers(len(final), size=(10_000, len(final)))
+            low, high = np.percentile(final[draws].mean(axis=1), (2.5, 97.5))
+            held = f"{(final >= task.threshold).sum()} of {len(final)}"
+            lines.append(f"| {task_id} | {name} | {len(final)} | {final.mean():.0f} | {low:.0f} to {high:.0f} | "
+                         f"{best.mean():.0f} | {held} |")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Run what is missing, then print the table."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--tasks", nargs="+", choices=TASKS, default=list(TASKS))
+    parser.add_argument("--contenders", nargs="+", choices=CONTENDERS, default=list(CONTENDERS))
+    parser.add_argument("--seeds", nargs="+", type=int, default=list(range(10)))
+    parser.add_argument("--out", type=Path, default=Path("classic_control.jsonl"), help="where finished runs are kept")
+    parser.add_argument("--quick", action="store_true", help="a fiftieth of each budget, one seed")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    rows = [json.loads(line) for line in arguments.out.read_text().splitlines()] if arguments.out.exists() else []
+    wanted = [(task, name, seed) for seed in arguments.seeds[: 1 if arguments.quick else None]
+              for task in arguments.tasks for name in arguments.contenders]
+    for task_id, name, seed in wanted:
+        task = TASKS[task_id]
+        budget = task.primitives // (50 if arguments.quick else 1)
+        run = {"task": task_id, "contender": name, "seed": seed, "primitives": budget}
+        if any(row.items() >= run.items() for row in rows):
+            continue
+        started = time.perf_counter()
+        run |= {"scores": list(CONTENDERS[name](task_id, task, seed, budget))}
+        rows.append(run | {"seconds": round(time.perf_counter() - started, 1)})
+        with arguments.out.open("a") as file:
+            file.write(json.dumps(rows[-1]) + "\n")
+        print(f"{name} on {task_id}, seed {seed}: {run['scores'][-1][1]:.1f} at the end", flush=True)
+    budgets = {(each, TASKS[each].primitives // (50 if arguments.quick else 1)) for each in arguments.tasks}
+    print(summarise([row for row in rows if (row["task"], row["primitives"]) in budgets]))
+
+
+if __name__ == "__main__":
+    main()

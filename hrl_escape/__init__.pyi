@@ -1,0 +1,24 @@
+from .agents.registry import make_agent
+from .agents.training.train import train
+from .env.config import RoomConfig
+from .env.escape_room import EscapeRoomEnv
+from .env.instance import RoomInstance
+from .env.presets import get_preset
+from .env.sampling.generation import generate
+from .options.options_env import OptionsEnv
+from .planning.room_planner import RoomPlanner
+
+__version__: str
+
+__all__ = [
+    "EscapeRoomEnv",
+    "OptionsEnv",
+    "RoomConfig",
+    "RoomInstance",
+    "RoomPlanner",
+    "__version__",
+    "generate",
+    "get_preset",
+    "make_agent",
+    "train",
+]

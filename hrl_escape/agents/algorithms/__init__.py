@@ -1,0 +1,1 @@
+"""The catalogue of algorithms, one file each."""

@@ -1,0 +1,1 @@
+"""Algorithms that act by a given hierarchy of tasks, one file each."""

@@ -1,0 +1,317 @@
+"""h-DQN: a manager that learns which goal to name, over a worker that learns to reach every goal.
+
+Kulkarni, Narasimhan, Saeedi and Tenenbaum (2016). Both are Q-learners, by tables or by networks.
+Other than in the paper, the manager discounts by gamma^k, the time that a goal took.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import StateTree, count_actions
+from hrl_escape.agents.components.exploration import (
+    EpsilonSettings,
+    choose_best,
+    compute_epsilon,
+    make_rng,
+    sample_legal,
+)
+from hrl_escape.agents.components.networks import (
+    Learner,
+    NetworkSettings,
+    ObservationEncoder,
+    compute_td_loss,
+    make_forward,
+    make_generator,
+    make_network,
+)
+from hrl_escape.agents.components.replay import Experience, ReplayBuffer
+from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
+from hrl_escape.agents.hierarchy.call_stack import Return
+from hrl_escape.agents.hierarchy.goals import GoalSet, Worker, make_goal_hierarchy, make_goals
+from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.task import Seen, Stack, Step
+from hrl_escape.settings import Range
+
+__all__ = ["HDqn", "HDqnSettings"]
+
+
+@dataclass(frozen=True)
+class HDqnSettings(StackSettings, NetworkSettings, EpsilonSettings):
+    """Settings of `h-dqn`; the epsilon schedule is the manager's."""
+
+    values: Literal["network", "table"] = "network"
+    """Networks over the observation and a one-hot goal, or tables over rounded observations."""
+    patience: Annotated[int, Range(0)] = 100
+    """Primitives after which a goal is given up; 0 never gives up."""
+    worker_epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """The worker explores with this epsilon for a goal that it always reaches, with 1 for one that it never does."""
+    success_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.05
+    """Weight of the latest call in the running success rate of a goal."""
+    worker_warmup: Annotated[int, Range(0)] = 1_000
+    """Primitives for which goals are named at random and the manager does not learn."""
+    replay_capacity: Annotated[int, Range(1)] = 50_000
+    """Decisions kept for replay, at each level."""
+    batch_size: Annotated[int, Range(1)] = 32
+    """Decisions in an update of a network."""
+    updates_per_decision: Annotated[float, Range(0)] = 0.5
+    """Updates of a level's network for each decision of that level."""
+    target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
+    """Share of the online network blended into the target network at each update."""
+    table_learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
+    """With tables, alpha at a state and action's first update."""
+    table_learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
+    """With tables, the n-th update uses alpha / n^power."""
+    bins: Annotated[int, Range(2)] = 11
+    """With tables, points that a component with bounds is rounded to."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """With tables, what a component without bounds is rounded to multiples of."""
+
+
+class _Backup(NamedTuple):
+    """One decision of a level: s, goal, action, R, b, s', legal at s'."""
+
+    observation: Any
+    goal: int | None
+    action: int
+    reward: float
+    bootstrap: float
+    next_observation: Any
+    next_mask: NDArray[np.bool_]
+
+
+class _Values(Protocol):
+    def compute(self, observation: Any, goal: int | None) -> NDArray: ...
+
+    def learn(self, backup: _Backup) -> float: ...
+
+    def state_dict(self) -> StateTree: ...
+
+    def load_state_dict(self, state: StateTree) -> None: ...
+
+
+class HDqn(CallRunner):
+    """Q-learning at two levels of time.
+
+    The worker, told goal g, is paid f = 1 on reaching g, which ends its call:
+
+        Q1(s, a; g) <- f + gamma (1 - reached or terminated) max over a' of Q1(s', a'; g)
+
+    The manager named g at s; s', k primitives later, is where that call ended, and F = sum of gamma^i r_i on the way:
+
+        Q2(s, g) <- F + gamma^k (1 - terminated) max over g' of Q2(s', g')
+
+    s is the state in which g was chosen. A call that is given up, or cut, bootstraps at both levels.
+
+    Args:
+        observation_space: of the environment.
+        action_space: Discrete.
+        seed: fixes exploration and weights.
+        settings: see `HDqnSettings`.
+        goals: by default those that `make_goals` finds in the observation space.
+    """
+
+    Settings: ClassVar[type] = HDqnSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: HDqnSettings | None = None,
+        goals: GoalSet | None = None,
+    ) -> None:
+        settings = settings or HDqnSettings()
+        actions = count_actions(action_space, "h-dqn")
+        goals = goals or make_goals(observation_space, "h-dqn")
+        super().__init__(make_goal_hierarchy(goals, actions, settings.patience), seed, settings)
+        self._action_rng = make_rng(seed, "actions")
+        make = _NetworkValues if settings.values == "network" else _TableValues
+        self.manager: _Values = make(observation_space, 0, goals.count, settings, make_rng(seed, "manager"))
+        self.worker: _Values = make(observation_space, goals.count, actions, settings, make_rng(seed, "worker"))
+        self.successes = np.zeros(goals.count)
+        """Running success rate of each goal."""
+        self._steps = 0
+
+    def compute_worker_epsilon(self, goal: int) -> float:
+        """The share of random primitives on the way to a goal."""
+        end = self.settings.worker_epsilon_end
+        return end + (1 - end) * (1 - float(self.successes[goal]))
+
+    def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
+        """Epsilon-greedy: the worker by the goal's success rate, the manager by the schedule."""
+        goal = stack[-1].context
+        if goal is not None:
+            epsilon = self.compute_worker_epsilon(goal)
+        else:
+            learning = self._steps - self.settings.worker_warmup
+            epsilon = 1.0 if learning < 0 else compute_epsilon(self.settings, learning)
+        if self._action_rng.random() < epsilon:
+            return sample_legal(legal, self._action_rng)
+        return choose_best(self._compute(view, goal), legal)
+
+    def choose_greedy(
+        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+    ) -> int:
+        """The best goal, the best primitive towards it."""
+        return choose_best(self._compute(view, stack[-1].context), legal)
+
+    def _compute(self, observation: Any, goal: int | None) -> NDArray:
+        return (self.manager if goal is None else self.worker).compute(observation, goal)
+
+    def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
+        """Learn at each level whose decision came back."""
+        metrics: dict[str, float] = {}
+        for returned in returns:
+            frame, decision = returned.frame, returned.decision
+            goal = frame.context
+            is_worker = goal is not None
+            reached = is_worker and self._get_worker(returned).is_reached(frame, returned.seen)
+            if is_worker and (returned.ended or returned.terminated):
+                rate = self.settings.success_rate
+                self.successes[goal] += rate * (reached - self.successes[goal])
+            if not is_worker and self._steps < self.settings.worker_warmup:
+                continue
+            legal = frame.task.legal(returned.seen, goal)
+            backup = _Backup(
+                decision.view,
+                goal,
+                decision.choice,
+                decision.reward,
+                0.0 if reached or returned.terminated else decision.discount,
+                returned.seen.observation,
+                legal,
+            )
+            level = self.worker if is_worker else self.manager
+            metrics["worker_error" if is_worker else "manager_error"] = level.learn(backup)
+        self._steps += step.duration
+        return metrics
+
+    def _get_worker(self, returned: Return) -> Worker:
+        task = returned.frame.task
+        assert isinstance(task, Worker)
+        return task
+
+    def state_dict(self) -> StateTree:
+        """Both levels, success rates, counter, generators, running calls."""
+        return {
+            **super().state_dict(),
+            "manager": self.manager.state_dict(),
+            "worker": self.worker.state_dict(),
+            "successes": self.successes,
+            "steps": self._steps,
+            "action_rng": self._action_rng.bit_generator.state,
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore what `state_dict` gave."""
+        super().load_state_dict(state)
+        self.manager.load_state_dict(state["manager"])
+        self.worker.load_state_dict(state["worker"])
+        self.successes = np.array(state["successes"])
+        self._steps = int(state["steps"])
+        self._action_rng.bit_generator.state = state["action_rng"]
+
+
+class _TableValues:
+    """Q(s, .; g) in a table."""
+
+    def __init__(
+        self, space: gymnasium.Space, goals: int, actions: int, settings: HDqnSettings, rng: np.random.Generator
+    ) -> None:
+        table = TabularSettings(
+            bins=settings.bins,
+            resolution=settings.resolution,
+            learning_rate=settings.table_learning_rate,
+            learning_rate_power=settings.table_learning_rate_power,
+        )
+        self.table = QTable(actions, table)
+        self._discretise = make_discretiser(space, table, "h-dqn")
+
+    def _make_key(self, observation: Any, goal: int | None) -> bytes:
+        return self._discretise(observation) + np.int32(-1 if goal is None else goal).tobytes()
+
+    def compute(self, observation: Any, goal: int | None) -> NDArray:
+        return self.table.get_values(self._make_key(observation, goal))
+
+    def learn(self, backup: _Backup) -> float:
+        target = backup.reward
+        if backup.bootstrap:
+            values = self.compute(backup.next_observation, backup.goal)
+            target += backup.bootstrap * float(values[backup.next_mask].max())
+        return abs(self.table.update(self._make_key(backup.observation, backup.goal), backup.action, target))
+
+    def state_dict(self) -> StateTree:
+        return self.table.state_dict()
+
+    def load_state_dict(self, state: StateTree) -> None:
+        self.table.load_state_dict(state)
+
+
+class _NetworkValues:
+    """Q(s, .; g) by a network with replay and a target network, double estimation."""
+
+    def __init__(
+        self, space: gymnasium.Space, goals: int, actions: int, settings: HDqnSettings, rng: np.random.Generator
+    ) -> None:
+        self._settings, self._goals = settings, goals
+        self._encoder = ObservationEncoder(space, settings.scale_observations)
+        generator = make_generator(rng)
+        self.online = make_network(self._encoder, actions, settings, generator, extra_inputs=goals)
+        self._target = make_network(self._encoder, actions, settings, generator, extra_inputs=goals)
+        self._target.requires_grad_(False).blend(self.online, 1.0)
+        self._forward = make_forward(self.online)
+        self._learner = Learner("h-dqn", {"online": self.online, "target": self._target}, ["online"], settings)
+        shape = (self._encoder.shape[0] + goals,) if goals else self._encoder.shape
+        self._replay = ReplayBuffer(settings.replay_capacity, shape, self._encoder.dtype, actions)
+        self._rng, self._due, self._all = rng, 0.0, np.ones(actions, np.bool_)
+
+    def _encode(self, observation: Any, goal: int | None) -> NDArray:
+        encoded = self._encoder.encode(observation)
+        if goal is None:
+            return encoded
+        told = np.zeros(self._goals, np.float32)
+        told[goal] = 1.0
+        return np.concatenate([encoded, told])
+
+    def compute(self, observation: Any, goal: int | None) -> NDArray:
+        return self._forward(self._encode(observation, goal)) / self._settings.reward_scale
+
+    def learn(self, backup: _Backup) -> float:
+        self._replay.add(Experience(
+            self._encode(backup.observation, backup.goal), self._all, backup.action,
+            backup.reward * self._settings.reward_scale, backup.bootstrap,
+            self._encode(backup.next_observation, backup.goal), backup.next_mask,
+        ))  # fmt: skip
+        self._due += self._settings.updates_per_decision
+        loss = 0.0
+        while self._due >= 1 and len(self._replay) >= self._settings.batch_size:
+            self._due -= 1
+            loss = self._learner.minimise(self._compute_loss(self._replay.sample(self._settings.batch_size, self._rng)))
+            self._target.blend(self.online, self._settings.target_rate)
+        return loss
+
+    def _compute_loss(self, batch: Experience) -> torch.Tensor:
+        observation, _, action, reward, bootstrap, next_observation, next_mask = map(torch.from_numpy, batch)
+        with torch.no_grad():
+            # Where nothing is legal, nothing is bootstrapped.
+            best = self.online(next_observation).masked_fill(~next_mask, -1e9).argmax(dim=1, keepdim=True)
+            targets = reward + bootstrap * self._target(next_observation).gather(1, best).squeeze(1)
+        values = self.online(observation).gather(1, action.unsqueeze(1)).squeeze(1)
+        return compute_td_loss(values, targets, "huber")
+
+    def state_dict(self) -> StateTree:
+        return {"learner": self._learner.state_dict(), "replay": self._replay.state_dict(), "due": self._due,
+                "rng": self._rng.bit_generator.state}  # fmt: skip
+
+    def load_state_dict(self, state: StateTree) -> None:
+        self._learner.load_state_dict(state["learner"])
+        self._replay.load_state_dict(state["replay"])
+        self._due, self._rng.bit_generator.state = float(state["due"]), state["rng"]

@@ -1,0 +1,252 @@
+"""HAMQ: Q-learning at the choice points of a partial program.
+
+Parr and Russell (1998). The program fixes what its author knows; learning fills in its choices. Run in an
+environment it is an SMDP whose states are pairs of observation and machine state, the whole stack of running
+machines included. `internal` looks up choices that no primitive separates, as in Bai and Russell (2017).
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_actions
+from hrl_escape.agents.components.exploration import (
+    ExplorationSettings,
+    choose_best,
+    compute_epsilon,
+    make_rng,
+    sample_action,
+)
+from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
+from hrl_escape.agents.hierarchy.machine import Choose, Do, Machine, MachineRun, choose, do, machine
+from hrl_escape.agents.hierarchy.task import Seen
+from hrl_escape.agents.hierarchy.task_graph import freeze
+from hrl_escape.agents.hierarchy.value_table import ValueTable
+from hrl_escape.errors import StepContractError
+from hrl_escape.settings import Range
+
+__all__ = ["Hamq", "HamqSettings", "flat_machine"]
+
+
+MOST_INTERNAL = 10_000
+"""Bound on choices without a primitive between them; more is a program that never acts."""
+
+
+@dataclass(frozen=True)
+class HamqSettings(TabularSettings, ExplorationSettings):
+    """Settings of `hamq`."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive."""
+    internal: bool = False
+    """Remember which choice point follows a choice that no primitive comes after, and use its value in place of an own
+    one (HAMQ-INT)."""
+
+
+@machine
+def flat_machine(seen: Callable[[], Seen]) -> Any:
+    """The program that leaves everything open: any legal primitive, for ever."""
+    while True:
+        yield do((yield choose([int(action) for action in seen().mask.nonzero()[0]])))
+
+
+class _Point(NamedTuple):
+    """A choice point that was passed: its key, how many things could be chosen, and which one was."""
+
+    key: Hashable
+    choices: int
+    chosen: int
+
+
+class Hamq(Agent):
+    """Values of the choices that a program leaves open.
+
+    At a choice point (s, m), where c was chosen, R was earned in k primitives, and (s', m') is the next one:
+
+        Q(s, m, c) <- Q(s, m, c) + alpha [R + gamma^k max over c' of Q(s', m', c') - Q(s, m, c)]
+
+    R and k go on adding up through calls and returns. k may be 0 between choice points, and only there. A choice among
+    one thing is none. Where the episode terminated, or the program has returned, nothing follows; where it was cut
+    inside a choice, that choice learns nothing.
+
+    Args:
+        observation_space: of the environment.
+        action_space: Discrete.
+        seed: fixes exploration.
+        settings: rates, exploration, discount.
+        program: a machine without arguments; by default one that leaves every primitive open, which is Q-learning.
+        see: what of a moment choices depend on; the whole observation by default.
+        read: makes `Seen.state` of an observation.
+    """
+
+    Settings: ClassVar[type] = HamqSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: HamqSettings | None = None,
+        program: Machine | None = None,
+        see: Callable[[Seen], Any] | None = None,
+        read: Callable[[Any], Any] | None = None,
+    ) -> None:
+        self.settings = settings = settings or HamqSettings()
+        count_actions(action_space, "hamq")
+        self._program, self._see, self._read = program or flat_machine, see, read
+        self._discretise = None if see is not None else make_discretiser(observation_space, settings, "hamq")
+        self.table = ValueTable(settings.learning_rate, settings.learning_rate_power, settings.initial_value)
+        self.successors: dict[Hashable, _Point] = {}
+        """(key, index) -> the choice point that follows without a primitive between."""
+        self._rng = make_rng(seed, "actions")
+        self._steps = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nothing runs: a new episode."""
+        self._run = MachineRun(self._program)
+        self._told = 0
+        """Inputs told up to the last primitive; `act` goes on from there, however often it is asked."""
+        self._passed: list[_Point] = []
+        """Choice points since then."""
+        self._open: _Point | None = None
+        self._reward, self._discount, self._duration = 0.0, 1.0, 0
+        self._evaluation: tuple[np.random.Generator, MachineRun] | None = None
+
+    @property
+    def privileges(self) -> tuple[str, ...]:
+        """Information that the agent is given and a flat one is not."""
+        given = () if self._program is flat_machine else ("program",)
+        return given if self._read is None else (*given, "state")
+
+    def compute_choice_values(self, key: Hashable, count: int) -> NDArray[np.float64]:
+        """Q(s, m, .) at a choice point, (count,)."""
+        return np.array([self._compute_value(key, index) for index in range(count)])
+
+    def _compute_value(self, key: Hashable, index: int) -> float:
+        following = self.successors.get((key, index))
+        if following is None:
+            return self.table.get((key, index))
+        return max(self._compute_value(following.key, other) for other in range(following.choices))
+
+    def _make_key(self, run: MachineRun) -> Hashable:
+        view = self._see(run.seen) if self._see is not None else None
+        return freeze(view) if self._discretise is None else self._discretise(run.seen.observation), run.read_state()
+
+    def _advance(self, run: MachineRun, seen: Seen, pick: Callable[[NDArray[np.float64]], int]) -> list[_Point]:
+        """Tell a run the moment and make its choices down to a primitive; returns the choice points passed."""
+        run.tell(seen)
+        passed: list[_Point] = []
+        while isinstance(run.request, Choose):
+            count, index = len(run.request.things), 0
+            if count > 1:
+                key = self._make_key(run)
+                index = pick(self.compute_choice_values(key, count))
+                passed.append(_Point(key, count, index))
+                if len(passed) > MOST_INTERNAL:
+                    raise StepContractError(f"{MOST_INTERNAL} choices without a primitive at {run.read_state()}")
+            run.tell(index)
+        assert isinstance(run.request, Do)
+        if not seen.mask[run.request.primitive]:
+            raise StepContractError(f"primitive {run.request.primitive} is illegal here: {run.read_state()}")
+        return passed
+
+    def _look(self, observation: Any, mask: NDArray[np.bool_]) -> Seen:
+        return Seen(observation, mask, None if self._read is None else self._read(observation))
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Run the program to its next primitive, exploring at choice points."""
+        if len(self._run.inputs) > self._told:
+            self._run = MachineRun(self._program, self._run.inputs[: self._told])
+
+        def pick(values: NDArray[np.float64]) -> int:
+            legal = np.ones(len(values), np.bool_)
+            return sample_action(values, legal, self.settings, self._steps, self._rng)
+
+        self._passed = self._advance(self._run, self._look(observation, action_mask), pick)
+        assert isinstance(self._run.request, Do)
+        return self._run.request.primitive
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """Run the program of this evaluation, which belongs to `rng`, to its next primitive."""
+        if self._evaluation is None or self._evaluation[0] is not rng:
+            self._evaluation = rng, MachineRun(self._program)
+        run = self._evaluation[1]
+        self._advance(run, self._look(observation, action_mask),
+                      lambda values: choose_best(values, np.ones(len(values), np.bool_)))  # fmt: skip
+        assert isinstance(run.request, Do)
+        return run.request.primitive
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Learn at the choice points passed, and add the primitive to the choice that is open."""
+        error = 0.0
+        for point in self._passed:
+            if self._open is not None:
+                error = max(error, self._learn(self._open, point))
+            self._open, self._reward, self._discount, self._duration = point, 0.0, 1.0, 0
+        self._passed, self._told = [], len(self._run.inputs)
+        self._reward += self._discount * transition.reward
+        self._discount *= transition.discount
+        self._duration += transition.duration
+        if transition.terminated or transition.truncated:
+            error = max(error, self._finish(transition))
+            self._begin()
+        self._steps += transition.duration
+        return {"td_error": error, "epsilon": compute_epsilon(self.settings, self._steps), "values": len(self.table)}
+
+    def _learn(self, point: _Point, following: _Point) -> float:
+        """One backup of an open choice from the choice point that follows."""
+        if self.settings.internal and self._duration == 0:
+            self.successors[point.key, point.chosen] = following
+            return 0.0
+        after = float(self.compute_choice_values(following.key, following.choices).max())
+        return abs(self.table.update((point.key, point.chosen), self._reward + self._discount * after))
+
+    def _finish(self, transition: SMDPTransition) -> float:
+        """The backup of the choice that is open when the episode ends."""
+        if self._open is None:
+            return 0.0
+        if transition.terminated:
+            return abs(self.table.update((self._open.key, self._open.chosen), self._reward))
+        self._run.tell(self._look(transition.next_observation, transition.next_action_mask))
+        while isinstance(self._run.request, Choose):
+            count = len(self._run.request.things)
+            if count > 1:
+                return self._learn(self._open, _Point(self._make_key(self._run), count, 0))
+            self._run.tell(0)
+        return 0.0  # cut inside the choice: what would have followed is unknown
+
+    def state_dict(self) -> StateTree:
+        """Table, successors, counter, generator, and what the running program was told."""
+        return {
+            "table": self.table.state_dict(),
+            "successors": [repr((key, tuple(point))) for key, point in self.successors.items()],
+            "steps": self._steps,
+            "rng": self._rng.bit_generator.state,
+            "inputs": [each if isinstance(each, int) else [each.observation, each.mask]
+                       for each in self._run.inputs[: self._told]],
+            "open": repr(None if self._open is None else tuple(self._open)),
+            "since": [self._reward, self._discount, self._duration],
+        }  # fmt: skip
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore what `state_dict` gave."""
+        self._begin()
+        self.table.load_state_dict(state["table"])
+        pairs = [ast.literal_eval(each) for each in state["successors"]]
+        self.successors = {key: _Point(*point) for key, point in pairs}
+        self._steps = int(state["steps"])
+        self._rng.bit_generator.state = state["rng"]
+        inputs = [each if isinstance(each, int) else self._look(each[0], np.asarray(each[1], np.bool_))
+                  for each in state["inputs"]]  # fmt: skip
+        self._run, self._told = MachineRun(self._program, inputs), len(inputs)
+        point = ast.literal_eval(state["open"])
+        self._open = None if point is None else _Point(*point)
+        self._reward, self._discount, self._duration = state["since"]

@@ -1,0 +1,234 @@
+"""HDG: distances to goals, learned for all near ones at once, and by way of landmarks for those far away.
+
+Kaelbling (1993), Hierarchical learning in stochastic domains. Every primitive teaches how far the
+state is from every goal that is kept there, so that it reaches goals it was never sent to.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_actions
+from hrl_escape.agents.components.exploration import EpsilonSettings, compute_epsilon, make_rng, sample_legal
+from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
+from hrl_escape.agents.hierarchy.regions import Landmarks
+from hrl_escape.agents.hierarchy.task_graph import freeze
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.settings import Range
+
+__all__ = ["Hdg", "HdgSettings"]
+
+
+@dataclass(frozen=True)
+class HdgSettings(EpsilonSettings):
+    """Settings of `hdg`."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive of what is logged; distances are counted in primitives, without discount."""
+    learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
+    """Step size alpha of a distance; 1 suits deterministic environments."""
+    neighbours: bool = True
+    """Aim straight at a goal in a neighbouring region too, not in the own region alone. Without it, walks whose best
+    way crosses a border turn back at it for ever."""
+    most_states: Annotated[int, Range(1)] = 4_000
+    """Bound on states met; memory grows with its square."""
+    bins: Annotated[int, Range(2)] = 11
+    """Without landmarks, points that a component with bounds is rounded to."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """Without landmarks, what a component without bounds is rounded to multiples of."""
+
+
+class Hdg(Agent):
+    """Distances D from each state, by action, to the goals kept there: near ones and all landmarks.
+
+    After a from s to s' in k primitives, for every goal g that s keeps, those in its region and in neighbouring ones:
+
+        D(s, a, g) <- D(s, a, g) + alpha [k + [s' is not g] d(s', g) - D(s, a, g)]
+        d(s', g)    = min over a' of D(s', a', g)              where s' keeps g
+                      d(s', l) + d(l, g), l the landmark of g  else
+
+    It acts by D(s, ., g) where the goal's region is its own or a neighbouring one, else by D(s, ., l') for the next
+    landmark l' on the shortest way over landmarks (Floyd and Warshall, over edges between neighbouring regions).
+    Everything begins at 0, which is optimistic, so that what was never tried is tried.
+
+    Args:
+        observation_space: of the environment, for states where no landmarks are given.
+        action_space: Discrete.
+        seed: fixes exploration.
+        settings: see `HdgSettings`.
+        landmarks: the division; by default all is one region.
+        goal: observation -> state to go to; by default the nearest of those in which episodes have terminated.
+    """
+
+    Settings: ClassVar[type] = HdgSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: HdgSettings | None = None,
+        landmarks: Landmarks | None = None,
+        goal: Callable[[Any], Hashable] | None = None,
+    ) -> None:
+        self.settings = settings = settings or HdgSettings()
+        self._actions = count_actions(action_space, "hdg")
+        self._landmarks, self._goal = landmarks, goal
+        self._find_state: Callable[[Any], Hashable]
+        if landmarks is None:
+            table = TabularSettings(bins=settings.bins, resolution=settings.resolution)
+            self._find_state = make_discretiser(observation_space, table, "hdg")
+        else:
+            self._find_state = landmarks.state
+        self._rng = make_rng(seed, "actions")
+        self._steps = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self._numbers: dict[Hashable, int] = {}
+        self._regions = np.zeros(0, np.int64)
+        self.distances = np.zeros((0, 0, self._actions))
+        """(states, goals, actions), by number of the state met."""
+        self._terminal: list[int] = []
+        count = 1 if self._landmarks is None else len(self._landmarks.states)
+        self._borders = np.eye(count, dtype=np.bool_)
+        """(regions, regions): neighbours, or the same."""
+        for state in () if self._landmarks is None else self._landmarks.states:
+            self.number(state)
+
+    @property
+    def privileges(self) -> tuple[str, ...]:
+        """Information that the agent is given and a flat one is not."""
+        return () if self._landmarks is None else ("landmarks",)
+
+    def number(self, state: Hashable) -> int:
+        """Number of a state, a new one at the first meeting; landmarks have the first ones."""
+        state = freeze(state)
+        if state not in self._numbers:
+            number = len(self._numbers)
+            if number >= self.settings.most_states:
+                raise UnsupportedError(f"hdg met more than {number} states; raise `most_states` or give landmarks a "
+                                       "coarser `state`")  # fmt: skip
+            if number == len(self.distances):
+                size = max(64, 2 * number)
+                grown = np.zeros((size, size, self._actions))
+                grown[:number, :number] = self.distances
+                regions = np.zeros(size, np.int64)
+                regions[:number] = self._regions
+                self.distances, self._regions = grown, regions
+            self._numbers[state] = number
+            self._regions[number] = 0 if self._landmarks is None else self._landmarks.region(state)
+        return self._numbers[state]
+
+    def _keeps(self, state: int) -> NDArray[np.bool_]:
+        """Goals kept at a state, (states met,)."""
+        met = len(self._numbers)
+        kept = self._borders[self._regions[state], self._regions[:met]]
+        kept[: 0 if self._landmarks is None else len(self._landmarks.states)] = True
+        return kept
+
+    def _estimate(self, state: int) -> NDArray[np.float64]:
+        """d(s, g) of every state met, (states met,); over the goal's landmark where it is not kept."""
+        met = len(self._numbers)
+        near = self.distances[:met, :met].min(axis=2) if self._landmarks is not None else None
+        estimate = self.distances[state, :met].min(axis=1)
+        if near is not None:
+            landmark = self._regions[:met]
+            far = estimate[landmark] + near[landmark, np.arange(met)]
+            estimate = np.where(self._keeps(state), estimate, far)
+        estimate[state] = 0.0
+        return estimate
+
+    def compute_ways(self) -> NDArray[np.float64]:
+        """Shortest lengths over landmarks, (regions, regions)."""
+        count = len(self._borders)
+        ways = np.where(self._borders, self.distances[:count, :count].min(axis=2), np.inf)
+        np.fill_diagonal(ways, 0.0)
+        for middle in range(count):
+            ways = np.minimum(ways, ways[:, middle, None] + ways[None, middle, :])
+        return ways
+
+    def choose_target(self, state: int, goal: int) -> int:
+        """The state to aim at: the goal, or the next landmark on the way to it."""
+        here, there = int(self._regions[state]), int(self._regions[goal])
+        if here == there or (self.settings.neighbours and self._borders[here, there]) or self._landmarks is None:
+            return goal
+        ways = self.compute_ways()
+        ways_on = np.where(self._borders[here], self.distances[state, : len(ways)].min(axis=1) + ways[:, there], np.inf)
+        ways_on[here] = np.inf
+        return int(ways_on.argmin()) if np.isfinite(ways_on).any() else goal
+
+    def _find_goal(self, observation: Any, state: int) -> int | None:
+        if self._goal is not None:
+            return self._numbers.get(freeze(self._goal(observation)))
+        if not self._terminal:
+            return None
+        lengths = self.distances[state, self._terminal].min(axis=1)
+        return self._terminal[int(lengths.argmin())]
+
+    def _choose(self, observation: Any, mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        state = self._numbers.get(freeze(self._find_state(observation)))
+        goal = None if state is None else self._find_goal(observation, state)
+        if state is None or goal is None:
+            return sample_legal(mask, rng)
+        lengths = np.where(mask, self.distances[state, self.choose_target(state, goal)], np.inf)
+        return int(lengths.argmin())
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Epsilon-greedy; at random before a goal is known."""
+        if self._rng.random() < compute_epsilon(self.settings, self._steps):
+            return sample_legal(action_mask, self._rng)
+        return self._choose(observation, action_mask, self._rng)
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The way that is held for the shortest."""
+        return self._choose(observation, action_mask, rng)
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """One backup for every goal kept."""
+        before = self.number(self._find_state(transition.observation))
+        after = self.number(self._find_state(transition.next_observation))
+        self._borders[self._regions[before], self._regions[after]] = True
+        self._borders[self._regions[after], self._regions[before]] = True
+        if transition.terminated and self._goal is None and after not in self._terminal:
+            self._terminal.append(after)
+        target = transition.duration + self._estimate(after)
+        # An episode's end is no way to anywhere but to the state it ended in.
+        updated = self._keeps(before) if not transition.terminated else np.arange(len(self._numbers)) == after
+        updated[before] = False
+        row = self.distances[before, : len(updated), transition.action]
+        error = np.where(updated, target - row, 0.0)
+        row += self.settings.learning_rate * error
+        self._steps += transition.duration
+        return {"distance_error": float(np.abs(error).max()), "states": len(self._numbers)}
+
+    def state_dict(self) -> StateTree:
+        """States met, distances, borders, terminal states, counter, generator."""
+        met = len(self._numbers)
+        return {
+            "states": [repr(state) for state in self._numbers],
+            "distances": self.distances[:met, :met],
+            "borders": self._borders,
+            "terminal": self._terminal,
+            "steps": self._steps,
+            "rng": self._rng.bit_generator.state,
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore what `state_dict` gave."""
+        self._begin()
+        for each in state["states"]:
+            self.number(ast.literal_eval(each))
+        met = len(self._numbers)
+        self.distances[:met, :met] = state["distances"]
+        self._borders = np.array(state["borders"], np.bool_)
+        self._terminal = [int(each) for each in state["terminal"]]
+        self._steps = int(state["steps"])
+        self._rng.bit_generator.state = state["rng"]

@@ -1,0 +1,235 @@
+"""R-MAXQ: R-MAX's optimistic model of the primitives, put together upwards into models of whole tasks.
+
+Jong and Stone (2008), Hierarchical model-based reinforcement learning: R-MAX + MAXQ. A task's model
+says what it earns and where it ends, so that its caller plans with it as with a primitive.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Hashable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import StateTree, count_actions
+from hrl_escape.agents.components.exploration import make_rng, sample_legal
+from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
+from hrl_escape.agents.hierarchy.call_stack import Return
+from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, get_graph
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.settings import Range
+
+__all__ = ["RMaxq", "RMaxqSettings"]
+
+SWEEPS = 10_000
+"""Bound on sweeps of value iteration in one task."""
+LEAK = 1e-10
+"""Share of a task's steps that end it nowhere, so that a policy that never ends has a finite, hopeless value."""
+
+
+@dataclass(frozen=True)
+class RMaxqSettings(StackSettings):
+    """Settings of `r-maxq`."""
+
+    visits: Annotated[int, Range(1)] = 1
+    """Samples that make a pair of state and primitive known (m); 1 is enough where outcomes have no chance in them."""
+    optimistic_value: float = 100.0
+    """What an unknown pair is worth (V_max), in units of return: no state's true value may be higher."""
+    tolerance: Annotated[float, Range(0, open_low=True)] = 1e-9
+    """Value iteration stops when no value moves by more than this."""
+    most_states: Annotated[int, Range(1)] = 2_000
+    """Bound on states met; a task's model grows with its square."""
+    bins: Annotated[int, Range(2)] = 11
+    """Points that a component of the observation with bounds is rounded to."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this."""
+
+
+class _Model(NamedTuple):
+    """A primitive or a task as its caller plans with it: R (states,), P (states, states) with discounts inside."""
+
+    rewards: NDArray
+    follow: NDArray
+
+
+class _Plan(NamedTuple):
+    """A task's Q(s, .) as it plans, (states, choices), and its model."""
+
+    values: NDArray
+    model: _Model
+
+
+class RMaxq(CallRunner):
+    """Models of tasks from models of their children.
+
+    Primitive a:  R(s), P(s, .) as counted, P with gamma^k inside; R = V_max, P = 0 where n(s, a) < m
+    Task i:       pi(s)   = argmax over legal c of R_c(s) + sum over x of P_c(s, x) V(x)
+                  V(x)    = pseudo-reward of x where i is over, else the maximum
+                  R_i(s)  = R_pi(s) + sum over x where i goes on of P_pi(s, x) R_i(x)
+                  P_i(s, x) = P_pi(s, x) [i is over at x] + sum over y where i goes on of P_pi(s, y) P_i(y, x)
+
+    An unknown primitive makes every call that leads to it look worth V_max; nothing else explores. Plans are made anew
+    when a pair becomes known, over the states met so far.
+
+    Args:
+        observation_space: states are its observations, rounded.
+        action_space: Discrete.
+        seed: of choices in states never met.
+        settings: see `RMaxqSettings`.
+        hierarchy: from `maxq(graph, until)`; without one, a single task over all primitives, which is R-MAX.
+    """
+
+    Settings: ClassVar[type] = RMaxqSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: RMaxqSettings | None = None,
+        hierarchy: Hierarchy | None = None,
+    ) -> None:
+        settings = settings or RMaxqSettings()
+        self._actions = count_actions(action_space, "r-maxq")
+        super().__init__(hierarchy or flat(self._actions), seed, settings)
+        get_graph(self.hierarchy, "r-maxq")
+        table = TabularSettings(bins=settings.bins, resolution=settings.resolution)
+        self._discretise = make_discretiser(observation_space, table, "r-maxq")
+        self._action_rng = make_rng(seed, "actions")
+        self._forget()
+
+    def _forget(self) -> None:
+        self._numbers: dict[Hashable, int] = {}
+        self._moments: list[Seen] = []
+        self._counts: list[NDArray[np.int64]] = []
+        self._rewards: list[NDArray[np.float64]] = []
+        self._weights: list[dict[tuple[int, int], float]] = []
+        """By state, (primitive, next state) -> sum of gamma^k over samples that went on."""
+        self._plans: dict[str, _Plan] = {}
+
+    # --- the model --------------------------------------------------------------------
+
+    def number(self, seen: Seen) -> int:
+        """Number of a moment's state, a new one at the first meeting."""
+        key = self._discretise(seen.observation)
+        if key not in self._numbers:
+            if len(self._moments) >= self.settings.most_states:
+                raise UnsupportedError(f"r-maxq met more than {len(self._moments)} states; raise `most_states`, or "
+                                       "round observations more coarsely")  # fmt: skip
+            self._numbers[key] = len(self._moments)
+            self._moments.append(seen)
+            self._counts.append(np.zeros(self._actions, np.int64))
+            self._rewards.append(np.zeros(self._actions))
+            self._weights.append({})
+            self._plans = {}
+        return self._numbers[key]
+
+    def _model_primitive(self, action: int) -> _Model:
+        states = len(self._moments)
+        rewards, follow = np.full(states, self.settings.optimistic_value), np.zeros((states, states))
+        for state in range(states):
+            count = int(self._counts[state][action])
+            if count >= self.settings.visits:
+                rewards[state] = self._rewards[state][action] / count
+                for (taken, after), weight in self._weights[state].items():
+                    if taken == action:
+                        follow[state, after] = weight / count
+        return _Model(rewards, follow)
+
+    def plan(self, task: GraphTask) -> _Plan:
+        """The plan of a task in the present model, and of all tasks below."""
+        if task.name not in self._plans:
+            models = [self._get_model(child) for child in task.children]
+            moments = self._moments
+            over = np.array([task.until(seen) for seen in moments], np.bool_)
+            legal = np.stack([task.legal(seen, None) for seen in moments]) & ~over.reshape(-1, 1)
+            goes_on = np.asarray(legal.any(axis=1))
+            values = np.where(over, [task.pseudo(seen) if task.pseudo else 0.0 for seen in moments], 0.0)
+            rewards = np.stack([model.rewards for model in models], axis=1)
+            choices = rewards
+            for _ in range(SWEEPS):
+                choices = rewards + np.stack([model.follow @ values for model in models], axis=1)
+                choices = np.where(legal, choices, -np.inf)
+                swept = np.where(goes_on, choices.max(axis=1), values)
+                change, values = np.abs(swept - values).max(), swept
+                if change <= self.settings.tolerance:
+                    break
+            rows, best = np.arange(len(moments)), choices.argmax(axis=1)
+            follow = np.stack([model.follow for model in models])[best, rows] * goes_on[:, None]
+            system = np.eye(len(moments)) - follow * (goes_on * (1 - LEAK))
+            right = np.column_stack([rewards[rows, best] * goes_on, follow * ~goes_on])
+            solved = np.linalg.solve(system, right)
+            self._plans[task.name] = _Plan(choices, _Model(solved[:, 0], solved[:, 1:]))
+        return self._plans[task.name]
+
+    def _get_model(self, child: GraphTask | int) -> _Model:
+        if not isinstance(child, int):
+            return self.plan(child).model
+        name = f"primitive {child}"
+        if name not in self._plans:
+            self._plans[name] = _Plan(np.zeros((0, 0)), self._model_primitive(child))
+        return self._plans[name].model
+
+    # --- the agent --------------------------------------------------------------------
+
+    def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
+        """The best choice of the optimistic plan."""
+        return self.choose_greedy(stack, view, legal, seen, self._action_rng)
+
+    def choose_greedy(
+        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+    ) -> int:
+        """The best choice of the same plan; any in a state never met."""
+        task = stack[-1].task
+        state = self._numbers.get(self._discretise(seen.observation))
+        if state is None:
+            return sample_legal(legal, rng)
+        assert isinstance(task, GraphTask)
+        return int(np.where(legal, self.plan(task).values[state], -np.inf).argmax())
+
+    def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
+        """Count one primitive."""
+        before, after, action = self.number(step.seen), self.number(step.next_seen), step.action
+        weights = self._weights[before]
+        is_new = False
+        if not step.terminated:
+            is_new = (action, after) not in weights
+            weights[action, after] = weights.get((action, after), 0.0) + self.gamma**step.duration
+        self._rewards[before][action] += step.reward
+        self._counts[before][action] += 1
+        count = int(self._counts[before][action])
+        # Afterwards averages move little: at every doubling is often enough.
+        if is_new or count == self.settings.visits or (count > self.settings.visits and count & (count - 1) == 0):
+            self._plans = {}
+        return {"states": len(self._moments)}
+
+    def count_unknown(self) -> int:
+        """Pairs of a state met and a primitive that are not known."""
+        return int(sum((counts < self.settings.visits).sum() for counts in self._counts))
+
+    def state_dict(self) -> StateTree:
+        """States met, counts, generators, running calls; plans follow from these."""
+        return {
+            **super().state_dict(),
+            "states": [[seen.observation, seen.mask] for seen in self._moments],
+            "counts": np.array(self._counts, np.int64),
+            "rewards": np.array(self._rewards),
+            "weights": [repr(weights) for weights in self._weights],
+            "action_rng": self._action_rng.bit_generator.state,
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore what `state_dict` gave."""
+        super().load_state_dict(state)
+        self._forget()
+        for observation, mask in state["states"]:
+            self.number(self.hierarchy.see(observation, np.asarray(mask, np.bool_)))
+        self._counts, self._rewards = list(np.array(state["counts"])), list(np.array(state["rewards"]))
+        self._weights = [ast.literal_eval(weights) for weights in state["weights"]]
+        self._action_rng.bit_generator.state = state["action_rng"]

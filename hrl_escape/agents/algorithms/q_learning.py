@@ -1,0 +1,56 @@
+"""Tabular Q-learning over decisions of any duration.
+
+SMDP Q-learning of Bradtke and Duff (1994), as in Sutton, Precup and Singh (1999), section 3.2;
+with durations of 1 it is Q-learning of Watkins (1989).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import ClassVar
+
+import gymnasium
+
+from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
+from hrl_escape.agents.components.tabular_agent import TabularAgent, TabularAgentSettings
+
+__all__ = ["QLearning", "QLearningSettings"]
+
+
+@dataclass(frozen=True)
+class QLearningSettings(BonusSettings, TabularAgentSettings):
+    """Settings of `q-learning`."""
+
+
+class QLearning(TabularAgent):
+    """Q(s, o) <- Q(s, o) + alpha [R + gamma^k (1 - terminated) max over legal o' of Q(s', o') - Q(s, o)]."""
+
+    name: ClassVar[str] = "q-learning"
+    Settings: ClassVar[type] = QLearningSettings
+    settings: QLearningSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: QLearningSettings | None = None,
+    ) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        self._bonus = CountBonus(observation_space, self.settings, self.name)
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """One backup."""
+        error = self.back_up(transition, self._bonus.visit(transition.next_observation))
+        return self.finish_decision(transition, error)
+
+    def state_dict(self) -> StateTree:
+        """Visit counts beside table, counter and generator."""
+        return super().state_dict() | {"bonus": self._bonus.state_dict()}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        super().load_state_dict(state)
+        self._bonus.load_state_dict(state["bonus"])

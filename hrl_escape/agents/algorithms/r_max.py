@@ -1,0 +1,247 @@
+"""R-MAX: optimism about unknown pairs of state and action, and planning (Brafman and Tennenholtz 2002).
+
+Over decisions of any duration, as in R-MAXQ's lowest level (Jong and Stone 2008): a pair of state and action is known
+after `visits` samples; the model of known pairs is solved by value iteration. It knows no factors: experience in one
+state says nothing about another, so the states it has to visit grow exponentially with the number of buttons.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_actions
+from hrl_escape.agents.components.exploration import make_rng, sample_legal
+from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
+from hrl_escape.agents.factored.observation import FactorReader
+from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.settings import Range
+
+__all__ = ["RMax", "RMaxSettings"]
+
+SWEEPS = 20_000
+"""Bound on sweeps of value iteration, for discounts near 1."""
+
+
+@dataclass(frozen=True)
+class RMaxSettings(AgentSettings):
+    """Settings of `r-max`."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive."""
+    visits: Annotated[int, Range(1)] = 1
+    """Samples that make a pair of state and action known (m); 1 is enough where outcomes have no chance in them."""
+    optimistic_value: float = 100.0
+    """Value of a pair that is not known, in units of return: no state's true value may be higher."""
+    states: Literal["factors", "cells"] = "factors"
+    """`factors`: a state is its discrete components, in a room the puzzle's bits, whatever the pose. `cells`: every
+    component counts, rounded as tabular agents round it."""
+    bins: Annotated[int, Range(2)] = 11
+    """With `cells`, points that a component with bounds is rounded to."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """With `cells`, what a component without bounds is rounded to multiples of."""
+    tolerance: Annotated[float, Range(0, open_low=True)] = 1e-9
+    """Value iteration stops when no value moves by more than this."""
+
+
+class RMax(Agent):
+    """Optimism over a table: every pair is tried `visits` times before it is weighed."""
+
+    Settings: ClassVar[type] = RMaxSettings
+    settings: RMaxSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: RMaxSettings | None = None,
+    ) -> None:
+        self.settings = settings or RMaxSettings()
+        self._actions = count_actions(action_space, "r-max")
+        self._reader: FactorReader | None = None
+        self._discretise: Callable[[Any], bytes] | None = None
+        if self.settings.states == "factors":
+            self._reader = FactorReader(observation_space, "r-max")
+        else:
+            table = TabularSettings(bins=self.settings.bins, resolution=self.settings.resolution)
+            self._discretise = make_discretiser(observation_space, table, "r-max")
+        self._rng = make_rng(seed, "actions")
+        self._history: list[SMDPTransition] = []
+        self._rebuild()
+
+    def _rebuild(self) -> None:
+        """Make the table anew from the history, because states are told apart in another way."""
+        self._numbers: dict[bytes, int] = {}
+        self._legal: list[NDArray[np.bool_]] = []  # by state, what was ever legal there
+        self._counts: list[NDArray[np.int64]] = []
+        self._rewards: list[NDArray[np.float64]] = []
+        self._weights: list[dict[tuple[int, int], float]] = []  # by state, (action, next state) -> sum of gamma^k
+        self._values = np.zeros(0)
+        self._is_stale = True
+        self._known_values: NDArray[np.float64] | None = None  # of what is known alone; a function of the counts
+        for transition in self._history:
+            self._learn(transition)
+
+    def _key(self, observation: Any) -> bytes:
+        if self._reader is None:
+            assert self._discretise is not None
+            return self._discretise(observation)
+        return self._reader.read(self._reader.flatten(observation)).tobytes()
+
+    def _number(self, observation: Any) -> int:
+        """The state's row, a new one at the first meeting."""
+        key = self._key(observation)
+        if key not in self._numbers:
+            self._numbers[key] = len(self._legal)
+            self._legal.append(np.zeros(self._actions, dtype=np.bool_))
+            self._counts.append(np.zeros(self._actions, dtype=np.int64))
+            self._rewards.append(np.zeros(self._actions))
+            self._weights.append({})
+        return self._numbers[key]
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """A legal action that is not known, if there is one; else the best by the optimistic model."""
+        number = self._numbers.get(self._key(observation))
+        counts = np.zeros(self._actions) if number is None else self._counts[number]
+        unknown = action_mask & (counts < self.settings.visits)
+        if number is None or unknown.any():
+            return sample_legal(unknown, self._rng)
+        if self._is_stale:
+            self._values, self._is_stale = self._solve(self._values, self.settings.optimistic_value), False
+        return self._choose(number, self._values, action_mask, self._rng)
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The best by what is known alone; where nothing is, any."""
+        number = self._numbers.get(self._key(observation))
+        if number is None:
+            return sample_legal(action_mask, rng)
+        if self._known_values is None:
+            self._known_values = self._solve(np.zeros(0), None)  # from nothing, so that evaluating changes nothing
+        return self._choose(number, self._known_values, action_mask, rng)
+
+    def _choose(
+        self, number: int, values: NDArray[np.float64], mask: NDArray[np.bool_], rng: np.random.Generator
+    ) -> int:
+        known = mask & (self._counts[number] >= self.settings.visits)
+        if not known.any():
+            return sample_legal(mask, rng)
+        q = np.where(known, self._compute_row(number, values), -np.inf)
+        return int(q.argmax())
+
+    def _compute_row(self, number: int, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Q(s, .) of the empirical model at given state values, (actions,)."""
+        row = self._rewards[number].copy()
+        for (action, after), weight in self._weights[number].items():
+            row[action] += weight * values[after]
+        return row / np.maximum(self._counts[number], 1)
+
+    def compute_values(self, observation: Any) -> NDArray[np.float64]:
+        """Q(s, .) of the optimistic model, float64 (actions,): `optimistic_value` where a pair is not known."""
+        unknown = np.full(self._actions, float(self.settings.optimistic_value))
+        number = self._numbers.get(self._key(observation))
+        if number is None:
+            return unknown
+        values = self._solve(self._values, self.settings.optimistic_value)
+        is_known = self._counts[number] >= self.settings.visits
+        return np.where(is_known, self._compute_row(number, values), unknown)
+
+    def _solve(self, values: NDArray[np.float64], unknown: float | None) -> NDArray[np.float64]:
+        """Value iteration over the states met, from earlier values on.
+
+        Args:
+            values: (states,) or fewer.
+            unknown: what pairs that are not known are worth; None leaves them out.
+
+        Returns:
+            (states,). A state whose pairs are all left out is worth what never ending there costs.
+        """
+        states = len(self._legal)
+        counts, legal = np.array(self._counts), np.array(self._legal)
+        known = counts >= self.settings.visits
+        divisor = np.maximum(counts, 1).ravel()
+        reward = np.array(self._rewards).ravel() / divisor
+        entries = [(s * self._actions + a, n, w) for s, row in enumerate(self._weights) for (a, n), w in row.items()]
+        pairs, nexts = (np.array([entry[i] for entry in entries], dtype=np.int64) for i in (0, 1))
+        weights = np.array([entry[2] for entry in entries]) / divisor[pairs]
+        floor = min(float(reward.min(initial=0.0)) / max(1.0 - self.gamma, 1e-3), 0.0)
+        start = floor if unknown is None else unknown
+        current = np.concatenate([values, np.full(states - len(values), start)])
+        for _ in range(SWEEPS):
+            q = (reward + np.bincount(pairs, weights * current[nexts], states * self._actions)).reshape(states, -1)
+            if unknown is None:
+                after = np.where(known, q, -np.inf).max(axis=1)
+                after[~known.any(axis=1)] = floor
+            else:
+                after = np.where(known, q, np.where(legal, unknown, -np.inf)).max(axis=1)
+                after[~(known | legal).any(axis=1)] = unknown
+            moved = np.abs(after - current).max(initial=0.0)
+            current = after
+            if moved <= self.settings.tolerance:
+                break
+        return current
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Count, also what is known: it plans anew when a pair's samples have doubled or show something new."""
+        if transition.truncated and transition.duration > 1:
+            return {}  # a cut inside an action does not show where it leads
+        kept = transition._replace(trace=())
+        self._history.append(kept)
+        flats = [] if self._reader is None else [
+            self._reader.flatten(each) for each in (kept.observation, kept.next_observation)
+        ]
+        if self._reader is not None and self._reader.notice(np.stack(flats)):
+            self._rebuild()
+        else:
+            self._learn(kept)
+        return {"states": len(self._legal)}
+
+    def _learn(self, transition: SMDPTransition) -> None:
+        """Take one transition in."""
+        action = transition.action
+        before, after = self._number(transition.observation), self._number(transition.next_observation)
+        is_new = bool((transition.action_mask & ~self._legal[before]).any())
+        self._legal[before] |= transition.action_mask
+        if not transition.terminated:
+            is_new |= bool((transition.next_action_mask & ~self._legal[after]).any())
+            self._legal[after] |= transition.next_action_mask
+            key = action, after
+            is_new |= key not in self._weights[before]
+            self._weights[before][key] = self._weights[before].get(key, 0.0) + transition.discount
+        self._rewards[before][action] += transition.reward
+        self._counts[before][action] += 1
+        count = int(self._counts[before][action])
+        if is_new or count == self.settings.visits or (count > self.settings.visits and count & (count - 1) == 0):
+            self._is_stale = True
+        self._known_values = None
+
+    def state_dict(self) -> StateTree:
+        """All transitions, values, generator."""
+        fields = SMDPTransition._fields[:-1]
+        columns = {name: np.array([getattr(each, name) for each in self._history]) for name in fields}
+        return {"history": columns, "values": self._values, "stale": self._is_stale,
+                "rng": self._rng.bit_generator.state}  # fmt: skip
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        columns = state["history"]
+        self._history = [
+            SMDPTransition(
+                columns["observation"][n], int(columns["action"][n]), columns["action_mask"][n],
+                float(columns["reward"][n]), float(columns["summed_reward"][n]), int(columns["duration"][n]),
+                float(columns["discount"][n]), columns["next_observation"][n], columns["next_action_mask"][n],
+                bool(columns["terminated"][n]), bool(columns["truncated"][n]),
+            )
+            for n in range(len(columns["action"]))
+        ]  # fmt: skip
+        if self._reader is not None and self._history:
+            observations = [each for row in self._history for each in (row.observation, row.next_observation)]
+            self._reader.notice(np.stack([self._reader.flatten(each) for each in observations]))
+        self._rebuild()
+        self._values, self._is_stale, self._known_values = np.array(state["values"]), bool(state["stale"]), None
+        self._rng.bit_generator.state = state["rng"]

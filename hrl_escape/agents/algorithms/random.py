@@ -1,0 +1,67 @@
+"""The random policy: uniform over legal actions, learning nothing.
+
+Over options it measures how much the options' planners already know (Sutton, Precup and Singh 1999 compare with it).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_actions
+from hrl_escape.agents.components.exploration import make_rng, sample_legal
+from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.settings import Range
+
+__all__ = ["RandomAgent", "RandomSettings"]
+
+
+@dataclass(frozen=True)
+class RandomSettings(AgentSettings):
+    """Settings of `random`."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive, for its logs only."""
+
+
+class RandomAgent(Agent):
+    """pi(a | s) = 1 / (number of legal actions at s)."""
+
+    Settings: ClassVar[type] = RandomSettings
+    settings: RandomSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: RandomSettings | None = None,
+    ) -> None:
+        count_actions(action_space, "random")
+        self.settings = settings or RandomSettings()
+        self._rng = make_rng(seed, "actions")
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """A legal action, uniformly."""
+        return sample_legal(action_mask, self._rng)
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """A legal action, uniformly: this policy is what is evaluated."""
+        return sample_legal(action_mask, rng)
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Nothing to learn."""
+        return {}
+
+    def state_dict(self) -> StateTree:
+        """The generator."""
+        return {"rng": self._rng.bit_generator.state}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        self._rng.bit_generator.state = state["rng"]

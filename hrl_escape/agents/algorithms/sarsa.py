@@ -1,0 +1,138 @@
+"""Deep SARSA over decisions of any duration: sampled or expected, online or with replay.
+
+Zhao et al. (2016); expected SARSA is van Seijen et al. (2009).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.components.action_value_agent import ActionValueAgent, ActionValueSettings
+from hrl_escape.agents.components.exploration import compute_epsilon, compute_policy, sample_action, sample_index
+from hrl_escape.agents.components.replay import Experience
+from hrl_escape.agents.larg2019.late_terminal import LateTerminal
+from hrl_escape.errors import AgentSettingsError
+from hrl_escape.settings import Range
+
+__all__ = ["Sarsa", "SarsaSettings"]
+
+
+@dataclass(frozen=True)
+class SarsaSettings(ActionValueSettings):
+    """Settings of `sarsa`."""
+
+    expected: bool = True
+    """Value s' by its expectation over the policy; otherwise by one action drawn from the policy, the very one
+    taken next where there is no replay."""
+    replay_capacity: Annotated[int, Range(0)] = 50_000
+    """Decisions kept for replay; 0 learns from each decision once, as it comes."""
+    updates_per_step: Annotated[float, Range(0)] = 0.25
+    """Updates from replay for each step of the clock; without replay there is one a decision."""
+    late_terminal: bool = False
+    """Repeat a mistake of keras-rl 0.4.2: the flag that the episode ended reaches the learner one decision early. The
+    last decision but one is valued as if nothing followed, the last bootstraps even from a terminal state. Only
+    without replay."""
+
+    def check(self) -> None:
+        """Refuse impossible combinations."""
+        if self.late_terminal and self.replay_capacity:
+            raise AgentSettingsError("SarsaSettings.late_terminal", True, "False, or replay_capacity = 0")
+
+
+class Sarsa(ActionValueAgent):
+    """Minimise the mean of loss(R + b V(s') - Q_theta(s, o)), V(s') = sum over o' of pi(o' | s') Q_target(s', o').
+
+    pi is the exploring policy of the online network at s', over legal actions. With `expected` off, V(s') is
+    Q_target(s', o') of one o' drawn from pi. R = sum gamma^i r_i, b = gamma^k (1 - terminated).
+    """
+
+    name: ClassVar[str] = "sarsa"
+    Settings: ClassVar[type] = SarsaSettings
+    settings: SarsaSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: SarsaSettings | None = None,
+    ) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        self._next_action: int | None = None  # bootstrapped from, to be taken next
+        self._late_terminal = LateTerminal()
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Explore as the settings say, or take the action that the last target was computed with."""
+        action, self._next_action = self._next_action, None
+        return super().act(observation, action_mask) if action is None else action
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Learn from replay, or from this decision as it comes."""
+        experience = self.make_experience(transition)
+        if self.settings.replay_capacity:
+            self.replay.add(experience)
+            return self.learn_from_replay(transition)
+        self.advance_clock(transition)
+        metrics = {"epsilon": compute_epsilon(self.settings, self._steps)}
+        if self.settings.late_terminal:
+            for late, taken in self._late_terminal.push(experience, transition, self.settings):
+                if self._is_warm:
+                    metrics |= self.update(_as_batch(late), self._choose_next(late) if taken is None else taken)
+            return metrics
+        next_action = self._choose_next(experience)
+        self._next_action = None if transition.terminated or transition.truncated else next_action
+        return metrics | (self.update(_as_batch(experience), next_action) if self._is_warm else {})
+
+    @property
+    def _is_warm(self) -> bool:
+        return self._steps > self.settings.warmup
+
+    def _choose_next(self, experience: Experience) -> int | None:
+        """An action at s' to bootstrap from and to take next; None where the expectation over all is taken."""
+        if self.settings.expected:
+            return None
+        values = self._forward(experience.next_observation) / self.settings.reward_scale
+        return sample_action(values, experience.next_mask, self.settings, self._steps, self._action_rng)
+
+    def compute_targets(self, batch: Experience, next_action: int | None) -> torch.Tensor:
+        """R + b V(s')."""
+        next_online = self.online(batch.next_observation).numpy()
+        weights = torch.from_numpy(self._compute_weights(next_online, batch.next_mask.numpy(), next_action))
+        return batch.reward + batch.bootstrap * (weights * self.target(batch.next_observation)).sum(dim=1)
+
+    def _compute_weights(
+        self, next_online: NDArray, next_mask: NDArray[np.bool_], next_action: int | None
+    ) -> NDArray[np.float32]:
+        """Weight of each next action in V(s'), float32 (batch, actions)."""
+        one_hot = np.eye(next_online.shape[1], dtype=np.float32)
+        if next_action is not None and not self.settings.expected:
+            return one_hot[[next_action]]
+        policy = compute_policy(next_online / self.settings.reward_scale, next_mask, self.settings, self._steps)
+        if self.settings.expected:
+            return policy.astype(np.float32)
+        return one_hot[[sample_index(row, self._replay_rng) for row in policy]]
+
+    def state_dict(self) -> StateTree:
+        """Decisions in waiting beside networks, replay, counters and generators."""
+        late = self._late_terminal.state_dict()
+        return super().state_dict() | {"next_action": self._next_action, "late_terminal": late}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        super().load_state_dict(state)
+        self._next_action = state["next_action"]
+        self._late_terminal.load_state_dict(state["late_terminal"])
+
+
+def _as_batch(experience: Experience) -> Experience:
+    """The same experience with a leading dimension of one."""
+    single = experience._replace(reward=np.float32(experience.reward), bootstrap=np.float32(experience.bootstrap))
+    return Experience(*(np.asarray(field)[None] for field in single))

@@ -1,0 +1,1 @@
+"""Parts that algorithms share: networks, replay, exploration, tables."""

@@ -1,0 +1,75 @@
+"""Exploration by counts: a state reached before costs, and costs more the more often it was reached.
+
+The bonus weight / sqrt(n) of MBIE-EB (Strehl and Littman 2008), given to deep agents by Bellemare et al. (2016), less
+the weight itself. So it is never positive, and no agent puts off the end of an episode to collect it. Agents learn
+from it as from any reward; reported returns leave it out. `make_discretiser` must be able to bin the observations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import gymnasium
+import numpy as np
+
+from hrl_escape.agents.agent import StateTree
+from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
+from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.settings import Range
+
+__all__ = ["BonusSettings", "CountBonus"]
+
+
+@dataclass(frozen=True)
+class BonusSettings(AgentSettings):
+    """Weight and resolution of exploration by counts."""
+
+    bonus_weight: Annotated[float, Range(0)] = 0.0
+    """A decision that leads to a cell for the n-th time costs this (1 - 1 / sqrt(n)), in units of return; 0 counts
+    nothing."""
+    bonus_bins: Annotated[int, Range(2)] = 5
+    """A component of the observation with bounds is rounded to the nearest of so many points for counting, both ends
+    included: 5 over a 20 m room is 5 m; a bit stays a bit."""
+
+
+class CountBonus:
+    """Counts of visits by cell, and the bonus of the next visit.
+
+    Args:
+        space: of the observations.
+        settings: weight and bins.
+        agent: name of the agent, for messages.
+
+    Raises:
+        UnsupportedSpaceError: a weight above 0 and observations that cannot be binned, such as pictures.
+    """
+
+    def __init__(self, space: gymnasium.Space, settings: BonusSettings, agent: str) -> None:
+        self._weight = settings.bonus_weight
+        self._counts: dict[bytes, int] = {}
+        self._discretise: Callable[[Any], bytes] | None = None
+        if self._weight:
+            self._discretise = make_discretiser(space, TabularSettings(bins=settings.bonus_bins), agent)
+
+    def __len__(self) -> int:
+        return len(self._counts)
+
+    def visit(self, observation: Any) -> float:
+        """Count a visit of an observation's cell; returns the bonus, 0 or below, in units of return."""
+        if self._discretise is None:
+            return 0.0
+        key = self._discretise(observation)
+        count = self._counts[key] = self._counts.get(key, 0) + 1
+        return self._weight / count**0.5 - self._weight
+
+    def state_dict(self) -> StateTree:
+        """Cells (cells, bytes) and counts (cells,), in order of first visit."""
+        keys = [np.frombuffer(key, np.uint8) for key in self._counts]
+        return {"keys": np.array(keys, np.uint8), "counts": np.array(list(self._counts.values()), np.int64)}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        keys = [key.tobytes() for key in state["keys"]]
+        self._counts = dict(zip(keys, np.array(state["counts"]).tolist(), strict=True))

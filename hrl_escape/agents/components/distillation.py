@@ -1,0 +1,138 @@
+"""Exploration by random network distillation (Burda et al. 2018), beside counts.
+
+A network learns to predict the outputs of another whose random weights never change. Its error is large at
+observations unlike those it has learned from, so it stands in for counts where no cells can be made, as with pictures.
+
+As in the paper, observations are whitened by their running mean and deviation and clipped to +-5. The paper gives
+novelty a value of its own that ignores the ends of episodes, for an agent paid for novelty in the same value puts off
+the end to collect more. Here one value holds both rewards, so the bonus is never positive, as with counts: the error is
+divided by its running mean, capped at 1, and 1 is taken off.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import StateTree
+from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
+from hrl_escape.agents.components.exploration import make_rng
+from hrl_escape.agents.components.networks import (
+    Learner,
+    NetworkSettings,
+    ObservationEncoder,
+    make_forward,
+    make_generator,
+    make_network,
+)
+
+__all__ = ["DeepBonusSettings", "DistillationBonus", "make_bonus"]
+
+FEATURES = 32
+"""Outputs of the random network."""
+BATCH = 32
+"""Observations in an update of the predictor, each learned from once."""
+CLIP = 5.0
+"""Bound on whitened observations."""
+
+
+@dataclass(frozen=True)
+class DeepBonusSettings(BonusSettings):
+    """Exploration bonus of deep agents."""
+
+    bonus: Literal["counts", "distillation"] = "counts"
+    """Measure of novelty behind `bonus_weight`. `counts`: visits of a cell. `distillation`: the error of a network that
+    predicts a random one (Burda et al. 2018); a decision costs the weight times 1 - error / mean error, at least 0."""
+
+
+class DistillationBonus:
+    """Prediction error of a random network's outputs, and the bonus that it gives.
+
+    Args:
+        space: of the observations, vectors or pictures.
+        seed: of the agent; the weights follow from it and from nothing else.
+        weight: largest cost of a familiar observation, in units of return.
+        settings: of the agent's networks; the predictor learns at their learning rate.
+        agent: name of the agent, for messages.
+    """
+
+    def __init__(
+        self, space: gymnasium.Space, seed: int, weight: float, settings: NetworkSettings, agent: str
+    ) -> None:
+        self._weight = weight
+        self._encoder = encoder = ObservationEncoder(space, settings.scale_observations)
+        generator = make_generator(make_rng(seed, "distillation"))
+        self._random = make_network(encoder, FEATURES, settings, generator).requires_grad_(False)
+        self._predictor = make_network(encoder, FEATURES, settings, generator)
+        self._forward_random, self._forward = make_forward(self._random), make_forward(self._predictor)
+        networks = {"random": self._random, "predictor": self._predictor}
+        self._learner = Learner(agent, networks, ["predictor"], settings)
+        self._visits, self._errors = 0, 0.0
+        self._mean, self._squares = np.zeros(encoder.shape), np.zeros(encoder.shape)
+        self._batch: list[NDArray] = []
+
+    def visit(self, observation: Any) -> float:
+        """Learn from an observation; returns the bonus that it gives before, 0 or below, in units of return."""
+        whitened = self._whiten(self._encoder.encode(observation))
+        error = float(((self._forward(whitened) - self._forward_random(whitened)) ** 2).mean())
+        self._errors += error
+        self._batch.append(whitened)
+        if len(self._batch) == BATCH:
+            batch, self._batch = torch.from_numpy(np.stack(self._batch)), []
+            self._learner.minimise(((self._predictor(batch) - self._random(batch)) ** 2).mean())
+        share = error * self._visits / self._errors if self._errors else 1.0
+        return self._weight * (min(share, 1.0) - 1.0)
+
+    def _whiten(self, encoded: NDArray) -> NDArray:
+        """Count an encoded observation in the running moments (Welford 1962), then whiten it; pictures stay bytes."""
+        self._visits += 1
+        if self._encoder.is_image:
+            return encoded
+        before = encoded - self._mean
+        self._mean = self._mean + before / self._visits
+        self._squares = self._squares + before * (encoded - self._mean)
+        deviation = np.sqrt(self._squares / self._visits)
+        return np.clip((encoded - self._mean) / np.maximum(deviation, 1e-6), -CLIP, CLIP).astype(np.float32)
+
+    def state_dict(self) -> StateTree:
+        """Networks, optimiser, running moments and the batch so far."""
+        return {
+            "learner": self._learner.state_dict(),
+            "visits": self._visits,
+            "errors": self._errors,
+            "mean": self._mean,
+            "squares": self._squares,
+            "batch": np.array(self._batch, self._encoder.dtype).reshape(-1, *self._encoder.shape),
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        self._learner.load_state_dict(state["learner"])
+        self._visits, self._errors = int(state["visits"]), float(state["errors"])
+        self._mean, self._squares = np.array(state["mean"]), np.array(state["squares"])
+        self._batch = list(np.array(state["batch"]))
+
+
+def make_bonus(
+    space: gymnasium.Space, seed: int, bonus: DeepBonusSettings, networks: NetworkSettings, agent: str
+) -> CountBonus | DistillationBonus:
+    """The bonus that an agent's settings ask for; with a weight of 0 it counts nothing.
+
+    Args:
+        space: of the observations.
+        seed: of the agent.
+        bonus: kind and weight.
+        networks: the agent's networks.
+        agent: its name, for messages.
+
+    Raises:
+        UnsupportedSpaceError: observations that the bonus cannot use.
+    """
+    if bonus.bonus_weight and bonus.bonus == "distillation":
+        return DistillationBonus(space, seed, bonus.bonus_weight, networks, agent)
+    return CountBonus(space, bonus, agent)

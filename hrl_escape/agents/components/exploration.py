@@ -1,0 +1,156 @@
+"""Exploration from action values: epsilon-greedy and Boltzmann, over legal actions only.
+
+Pure functions of values, mask and steps; samplers take a generator. The policy's probabilities are exact, since
+expected SARSA needs them. Ornstein-Uhlenbeck noise for a continuous actor is at the end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.settings import Range
+
+__all__ = [
+    "EpsilonSettings",
+    "ExplorationSettings",
+    "OrnsteinUhlenbeck",
+    "choose_best",
+    "compute_epsilon",
+    "compute_policy",
+    "make_rng",
+    "mask_values",
+    "sample_action",
+    "sample_index",
+    "sample_legal",
+]
+
+
+@dataclass(frozen=True)
+class EpsilonSettings(AgentSettings):
+    """Schedule of epsilon, the share of random actions."""
+
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+
+
+@dataclass(frozen=True)
+class ExplorationSettings(EpsilonSettings):
+    """Exploration from action values."""
+
+    exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
+    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
+    proportional to exp(q / temperature)."""
+    temperature: Annotated[float, Range(0, open_low=True)] = 1.0
+    """Temperature of `boltzmann`, in units of return."""
+    boltzmann_clip: Annotated[float, Range(0)] = 0.0
+    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
+    likely. 0 sets no bound."""
+
+
+def make_rng(seed: int, stream: str) -> np.random.Generator:
+    """A generator of its own for one purpose: streams of one seed are independent of each other."""
+    return np.random.default_rng([seed, *stream.encode()])
+
+
+def mask_values(values: NDArray, mask: NDArray[np.bool_]) -> NDArray:
+    """Give illegal actions the value -inf, so that none wins a maximum. Shapes (..., actions)."""
+    return np.where(mask, values, -np.inf)
+
+
+def choose_best(values: NDArray, mask: NDArray[np.bool_]) -> int:
+    """The legal action of highest value, the first among equals. Shapes (actions,)."""
+    return int(np.where(mask, values, -np.inf).argmax())
+
+
+def compute_epsilon(settings: EpsilonSettings, steps: int) -> float:
+    """Epsilon after so many steps: linear from `epsilon_start` to `epsilon_end`, then constant."""
+    progress = min(steps / settings.epsilon_steps, 1.0)
+    return settings.epsilon_start + progress * (settings.epsilon_end - settings.epsilon_start)
+
+
+def compute_policy(
+    values: NDArray, mask: NDArray[np.bool_], settings: ExplorationSettings, steps: int
+) -> NDArray[np.float64]:
+    """Probabilities of the exploring policy.
+
+    Args:
+        values: (..., actions), in units of return.
+        mask: bool (..., actions), at least one true in each row.
+        settings: kind of exploration.
+        steps: how far the clock is.
+
+    Returns:
+        float64 (..., actions); rows sum to 1, illegal actions have exactly 0.
+    """
+    legal_values = mask_values(np.asarray(values, dtype=np.float64), mask)
+    if settings.exploration == "boltzmann":
+        scaled = legal_values / settings.temperature
+        if settings.boltzmann_clip:
+            scaled = np.clip(scaled, -settings.boltzmann_clip, settings.boltzmann_clip)
+        weights = np.where(mask, np.exp(scaled - scaled.max(axis=-1, keepdims=True)), 0.0)
+        return weights / weights.sum(axis=-1, keepdims=True)
+    epsilon = compute_epsilon(settings, steps)
+    policy = epsilon * mask / mask.sum(axis=-1, keepdims=True)
+    best = legal_values.argmax(axis=-1)[..., None]
+    np.put_along_axis(policy, best, np.take_along_axis(policy, best, axis=-1) + (1 - epsilon), axis=-1)
+    return policy
+
+
+def sample_action(
+    values: NDArray,
+    mask: NDArray[np.bool_],
+    settings: ExplorationSettings,
+    steps: int,
+    rng: np.random.Generator,
+) -> int:
+    """Draw one action from `compute_policy`. Shapes (actions,)."""
+    if settings.exploration == "boltzmann":
+        return sample_index(compute_policy(values, mask, settings, steps), rng)
+    if rng.random() < compute_epsilon(settings, steps):
+        return sample_legal(mask, rng)
+    return choose_best(values, mask)
+
+
+def sample_legal(mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+    """A legal action, uniformly."""
+    legal = mask.nonzero()[0]
+    return int(legal[rng.integers(len(legal))])
+
+
+def sample_index(probabilities: NDArray[np.float64], rng: np.random.Generator) -> int:
+    """An index with these probabilities; one of probability 0 is never drawn. Shape (actions,)."""
+    cumulative = probabilities.cumsum()
+    total = cumulative[-1]
+    draw = min(rng.random() * total, np.nextafter(total, 0.0))  # the product may round up to the total
+    return int(cumulative.searchsorted(draw, side="right"))
+
+
+class OrnsteinUhlenbeck:
+    """Noise with memory, x <- x - theta x dt + sigma sqrt(dt) n (Uhlenbeck and Ornstein 1930), started at 0.
+
+    Attributes:
+        state: float64 (size,), the present noise.
+    """
+
+    def __init__(self, size: int, theta: float = 0.15, sigma: float = 0.3, dt: float = 0.01) -> None:
+        self.theta, self.sigma, self.dt = theta, sigma, dt
+        self.state = np.zeros(size)
+
+    def reset(self) -> None:
+        """Start at 0 again, at the beginning of an episode."""
+        self.state = np.zeros_like(self.state)
+
+    def sample(self, rng: np.random.Generator) -> NDArray[np.float64]:
+        """The next noise vector, (size,)."""
+        drift = -self.theta * self.state * self.dt
+        self.state = self.state + drift + self.sigma * np.sqrt(self.dt) * rng.standard_normal(len(self.state))
+        return self.state

@@ -1,0 +1,114 @@
+"""Tables of action values over a discretised observation.
+
+An observation becomes a key: a Discrete one is itself, a Box is rounded component by component.
+Rows appear when a state is first met, so memory follows the states visited.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import StateTree
+from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.errors import UnsupportedSpaceError
+from hrl_escape.settings import Range
+
+__all__ = ["QTable", "TabularSettings", "make_discretiser"]
+
+
+@dataclass(frozen=True)
+class TabularSettings(AgentSettings):
+    """Resolution of states, and learning rates of the table."""
+
+    bins: Annotated[int, Range(2)] = 11
+    """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
+    included: 11 over a 20 m room is 2 m; a bit stays a bit."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this, in its own unit."""
+    learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
+    """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
+    learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
+    """The n-th update of a state and action uses learning_rate / n^power; above 0.5 converges under noise."""
+    initial_value: float = 0.0
+    """Value of actions that were never tried, in units of return."""
+
+
+def make_discretiser(space: gymnasium.Space, settings: TabularSettings, agent: str) -> Callable[[Any], bytes]:
+    """A function from observations to table keys: bytes of int32 cells.
+
+    Raises:
+        UnsupportedSpaceError: observations are neither Discrete, MultiBinary, MultiDiscrete nor a one-axis Box.
+    """
+    if isinstance(space, (spaces.Discrete, spaces.MultiBinary, spaces.MultiDiscrete)):
+        return lambda observation: np.asarray(observation, dtype=np.int32).tobytes()
+    if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+        raise UnsupportedSpaceError(
+            f"{agent} keeps a table and needs Discrete, MultiBinary, MultiDiscrete or flat Box observations, not "
+            f"{space}; for pictures use dqn or ppo"
+        )
+    low, high = space.low.astype(np.float64), space.high.astype(np.float64)
+    bounded = (low > -1e6) & (high < 1e6) & (high > low)
+    origin = np.where(bounded, low, 0.0)
+    width = np.where(bounded, (np.where(bounded, high, 1.0) - origin) / (settings.bins - 1), settings.resolution)
+
+    def discretise(observation: Any) -> bytes:
+        return np.rint((observation - origin) / width).astype(np.int32).tobytes()
+
+    return discretise
+
+
+class QTable:
+    """Action values and update counts of the states met so far.
+
+    Args:
+        actions: number of actions.
+        settings: step sizes and initial value.
+    """
+
+    def __init__(self, actions: int, settings: TabularSettings) -> None:
+        self._actions, self._settings = actions, settings
+        self._values: dict[bytes, NDArray[np.float64]] = {}
+        self._counts: dict[bytes, NDArray[np.int64]] = {}
+
+    def __len__(self) -> int:
+        return len(self._values)
+
+    def get_values(self, key: bytes) -> NDArray[np.float64]:
+        """Values at a state, (actions,); not to be written. A state never met has `initial_value`."""
+        values = self._values.get(key)
+        return np.full(self._actions, self._settings.initial_value) if values is None else values
+
+    def update(self, key: bytes, action: int, target: float) -> float:
+        """Q(s, a) <- Q(s, a) + alpha (target - Q(s, a)); returns the error before it."""
+        if key not in self._values:
+            self._values[key] = np.full(self._actions, self._settings.initial_value)
+            self._counts[key] = np.zeros(self._actions, np.int64)
+        values, counts = self._values[key], self._counts[key]
+        counts[action] += 1
+        alpha = self._settings.learning_rate / float(counts[action]) ** self._settings.learning_rate_power
+        error = target - values[action]
+        # Not values += alpha * error: with alpha = 1 the target must be reached exactly.
+        values[action] = (1 - alpha) * values[action] + alpha * target
+        return float(error)
+
+    def state_dict(self) -> StateTree:
+        """Keys (states, bytes), values and counts (states, actions), in order of first meeting."""
+        keys = [np.frombuffer(key, np.uint8) for key in self._values]
+        return {
+            "keys": np.array(keys, np.uint8),
+            "values": np.array(list(self._values.values())).reshape(len(keys), self._actions),
+            "counts": np.array(list(self._counts.values()), np.int64).reshape(len(keys), self._actions),
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        keys = [key.tobytes() for key in state["keys"]]
+        self._values = dict(zip(keys, np.array(state["values"]), strict=True))
+        self._counts = dict(zip(keys, np.array(state["counts"]), strict=True))

@@ -1,0 +1,1 @@
+"""Structure learning over factored states, shared by the model-based structure learners."""

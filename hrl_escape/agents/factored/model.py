@@ -1,0 +1,294 @@
+"""Factored model learned from a history of decisions: outcomes, rewards and durations.
+
+Everything but the history is derived from it, so the history is the checkpoint. The reward is modelled as a usual rate
+a primitive plus a bonus at a decision's end, and the bonus as an outcome like others. Agents choose the hypotheses to
+believe, and explore.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.factored.compiled_model import (
+    ActionModel,
+    ChooseHypotheses,
+    Packing,
+    compile_action,
+    find_relevant,
+)
+from hrl_escape.agents.factored.durations import DurationModel, DurationSample, fit_durations
+from hrl_escape.agents.factored.observation import FactorReader
+from hrl_escape.agents.factored.search import MOST_ACTIONS, Plan, find_plan, make_tables
+from hrl_escape.agents.factored.structure import LEVELS, StructureLearner
+from hrl_escape.errors import UnsupportedSpaceError
+
+__all__ = ["Belief", "FactoredModel", "PendingPlan"]
+
+REMEMBERED_DECISIONS = 2_000
+"""Decisions that durations are fitted to."""
+
+
+class Belief:
+    """A compiled model, kept up to date action by action.
+
+    Args:
+        choose: the hypotheses to go by; asked again about an action after each sample of it.
+        visits: samples that make a context known.
+    """
+
+    def __init__(self, choose: ChooseHypotheses, visits: int) -> None:
+        self.choose, self.visits = choose, visits
+        self._models: list[ActionModel] = []
+        self._stale: set[int] = set()
+
+    def forget(self, action: int | None = None) -> None:
+        """Mark an action, or (None) every action, for compilation."""
+        if action is None:
+            self._models = []
+        self._stale.add(-1 if action is None else action)
+
+    def update(self, model: FactoredModel) -> None:
+        """Compile the marked actions."""
+        if not self._stale and self._models:
+            return
+        packing, bonuses = model.packing, model.bonuses
+        for action in range(model.learner.actions):
+            if action >= len(self._models):
+                self._models.append(compile_action(model.learner, packing, action, self.choose, bonuses, self.visits))
+            elif action in self._stale:
+                self._models[action] = compile_action(
+                    model.learner, packing, action, self.choose, bonuses, self.visits
+                )
+        self._stale.clear()
+        self.tables = make_tables(self._models)
+        self.bonus = max([rule.bonus for each in self._models for rule in each.rules], default=0.0)
+        self.relevant = find_relevant(self._models, packing.wide, with_gaps=False)
+        self.relevant_with_gaps = find_relevant(self._models, packing.wide, with_gaps=True)
+
+
+class PendingPlan:
+    """Rest of a plan, followed as long as it leads to the states it predicted."""
+
+    def __init__(self) -> None:
+        self._states: list[int] = []
+        self._actions: list[int] = []
+
+    def begin(self, plan: Plan) -> None:
+        """Follow another plan from now on."""
+        self._states, self._actions = list(plan.states), list(plan.actions)
+
+    def drop(self) -> None:
+        """Follow none."""
+        self._states, self._actions = [], []
+
+    def take(self, state: int, legal: NDArray[np.bool_]) -> int | None:
+        """The next action, if this is the state that was expected and the action is legal."""
+        if not self._states or self._states[0] != state or not legal[self._actions[0]]:
+            return None
+        self._states.pop(0)
+        return self._actions.pop(0)
+
+    def state_dict(self) -> StateTree:
+        """Remaining states and actions."""
+        return {"states": self._states, "actions": self._actions}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        self._states, self._actions = list(state["states"]), list(state["actions"])
+
+
+class FactoredModel:
+    """History of an agent, and the model derived from it.
+
+    Args:
+        space: of the observations.
+        actions: how many.
+        gamma: discount per primitive.
+        max_parents: largest set of parents that is considered.
+        conditions: `all-on` or `any`; see `FactoredRMaxSettings`.
+        agent: name of the agent, for messages.
+
+    Attributes:
+        learner: outcomes by parents.
+        rate: usual reward of a primitive.
+    """
+
+    def __init__(
+        self, space: gymnasium.Space, actions: int, gamma: float, max_parents: int, conditions: str, agent: str
+    ) -> None:
+        if actions > MOST_ACTIONS:
+            raise UnsupportedSpaceError(f"{agent} plans with at most {MOST_ACTIONS} actions, not {actions}")
+        self.gamma, self._actions, self._max_parents, self._agent = gamma, actions, max_parents, agent
+        self._reader = FactorReader(space, agent)
+        self._all_on = conditions == "all-on" and bool((self._reader.sizes == 2).all())
+        self._before: list[NDArray[np.float64]] = []
+        self._after: list[NDArray[np.float64]] = []
+        self._rows: list[tuple[int, int, float, bool, int]] = []  # action, duration, summed reward, over, previous
+        self._previous = -1  # the action before in the same episode
+        self._rates: Counter[float] = Counter()
+        self._beliefs: list[Belief] = []
+        self._rebuild()
+
+    def _rebuild(self, rate: float = 0.0) -> None:
+        """Derive the model anew, because the factors or the usual rate have changed."""
+        self._packing: Packing | None = None  # at the first need: a Box's numbers are sorted out by then
+        self.learner = StructureLearner(self._reader.sizes, self._actions, self._max_parents, self._all_on)
+        self.rate = rate
+        self._levels: dict[float, int] = {0.0: 0}
+        self._durations: DurationModel | None = None
+        for number in range(len(self._rows)):
+            self._learn(number)
+        for belief in self._beliefs:
+            belief.forget()
+
+    def _learn(self, number: int) -> None:
+        action, duration, reward, over, _ = self._rows[number]
+        before, after = self._reader.read(self._before[number]), self._reader.read(self._after[number])
+        self.learner.add(before, action, after, over, self._get_level(round(reward - self.rate * duration, 6)))
+
+    def _get_level(self, bonus: float) -> int:
+        if bonus not in self._levels:
+            if len(self._levels) == LEVELS:
+                return self._levels[min(self._levels, key=lambda level: abs(level - bonus))]
+            self._levels[bonus] = len(self._levels)
+        return self._levels[bonus]
+
+    @property
+    def components(self) -> NDArray[np.int64]:
+        """Index of each factor in the observation."""
+        return self._reader.components
+
+    @property
+    def bonuses(self) -> list[float]:
+        """The bonus of each level."""
+        return sorted(self._levels, key=lambda bonus: self._levels[bonus])
+
+    @property
+    def packing(self) -> Packing:
+        """Bit layout of states."""
+        if self._packing is None:
+            self._packing = Packing(self.learner, self._agent)
+        return self._packing
+
+    @property
+    def is_empty(self) -> bool:
+        """Nothing was recorded yet."""
+        return not self._rows
+
+    def get_alive(self, action: int, outcome: int) -> NDArray[np.int64]:
+        """Every hypothesis that the history does not contradict, small ones first."""
+        return self.learner.get_alive(action, outcome)
+
+    def get_likeliest(self, action: int, outcome: int) -> NDArray[np.int64]:
+        """The smallest hypothesis that the history does not contradict."""
+        return self.learner.get_alive(action, outcome)[:1]
+
+    def make_belief(self, choose: ChooseHypotheses, visits: int) -> Belief:
+        """A compiled model that hears of everything recorded from now on; see `compile_action`."""
+        belief = Belief(choose, visits)
+        self._beliefs.append(belief)
+        return belief
+
+    def record(self, transition: SMDPTransition) -> None:
+        """Take in a decision; an option cut inside by truncation shows no outcome and is left out."""
+        previous = self._previous
+        self._previous = -1 if transition.terminated or transition.truncated else transition.action
+        if transition.truncated and transition.duration > 1:
+            return
+        before = self._reader.flatten(transition.observation)
+        after = self._reader.flatten(transition.next_observation)
+        self._before.append(before)
+        self._after.append(after)
+        row = (transition.action, transition.duration, transition.summed_reward, transition.terminated, previous)
+        self._rows.append(row)
+        self._count_rate(row)
+        usual, count = self._rates.most_common(1)[0] if self._rates else (self.rate, 0)
+        usual = usual if count > self._rates[self.rate] else self.rate
+        if self._reader.notice(np.stack([before, after])) or usual != self.rate:
+            self._rebuild(usual)
+        else:
+            self._learn(len(self._rows) - 1)
+            self._durations = None
+            for belief in self._beliefs:
+                belief.forget(transition.action)
+
+    def _count_rate(self, row: tuple[int, int, float, bool, int]) -> None:
+        _, duration, reward, over, _ = row
+        if not over:
+            self._rates[round(reward / duration, 9)] += 1
+
+    def pack(self, observation: Any) -> int:
+        """The state as one word."""
+        return self.packing.pack(self._reader.read(self._reader.flatten(observation)))
+
+    def search(
+        self, belief: Belief, observation: Any, legal: NDArray[np.bool_], seek_gaps: bool, most_nodes: int
+    ) -> Plan:
+        """Plan from an observation; see `find_plan`."""
+        belief.update(self)
+        if self._durations is None:
+            remembered = range(len(self._rows))[-REMEMBERED_DECISIONS:]
+            self._durations = fit_durations(map(self._make_sample, remembered), self._actions)
+        pose = self._reader.read_pose(self._reader.flatten(observation))
+        relevant = belief.relevant_with_gaps if seek_gaps else belief.relevant
+        return find_plan(
+            belief.tables, self.pack(observation), legal, relevant, self._durations.compute_durations(pose),
+            self._durations.places, self.rate, self.gamma, belief.bonus, seek_gaps, most_nodes,
+        )  # fmt: skip
+
+    def _make_sample(self, number: int) -> DurationSample:
+        action, duration, _, _, previous = self._rows[number]
+        poses = (self._reader.read_pose(flat) for flat in (self._before[number], self._after[number]))
+        start, end = poses
+        return DurationSample(start, action, end, duration, previous)
+
+    def find_graph(self, choose: ChooseHypotheses) -> frozenset[tuple[int, int]]:
+        """Edges (parent, child): some action puts the child up, and the parent is one of those that decide it.
+
+        Numbers are those of the observation's components. A child's own value is no parent.
+        """
+        edges: set[tuple[int, int]] = set()
+        for action in range(self._actions):
+            for outcome in self.learner.list_active(action):
+                if outcome >= self.learner.over:
+                    continue
+                hypothesis = int(choose(action, int(outcome))[0])
+                counts = self.learner.get_counts(action, hypothesis, int(outcome))
+                if self.learner.sizes[outcome] == 2 and not counts[:, 0, 1].any():
+                    continue  # it only ever goes off here
+                child = int(self.components[outcome])
+                parents = (int(self.components[p]) for p in self.learner.hypotheses[hypothesis])
+                edges |= {(parent, child) for parent in parents if parent != child}
+        return frozenset(edges)
+
+    def state_dict(self) -> StateTree:
+        """The history."""
+        names = ("action", "duration", "reward", "over", "previous")
+        columns = zip(*self._rows, strict=True) if self._rows else ([] for _ in names)
+        return {
+            "rate": self.rate,
+            "last": self._previous,
+            "before": np.array(self._before),
+            "after": np.array(self._after),
+            **{name: np.array(list(column)) for name, column in zip(names, columns, strict=True)},
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        self._previous = int(state["last"])
+        self._before, self._after = list(state["before"]), list(state["after"])
+        columns = (state[name].tolist() for name in ("action", "duration", "reward", "over", "previous"))
+        self._rows = [tuple(row) for row in zip(*columns, strict=True)]
+        for rows in (self._before, self._after):
+            if rows:
+                self._reader.notice(np.stack(rows))
+        self._rates.clear()
+        for row in self._rows:
+            self._count_rate(row)
+        self._rebuild(float(state["rate"]))

@@ -1,0 +1,116 @@
+"""Agents that learn a factored model and plan in it: to open outcomes first, then to the end of the task.
+
+A subclass chooses the hypotheses that it believes.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_actions
+from hrl_escape.agents.components.exploration import make_rng, sample_legal
+from hrl_escape.agents.factored.model import Belief, FactoredModel, PendingPlan
+from hrl_escape.agents.factored.search import Plan
+from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.settings import Range
+
+__all__ = ["PlanningAgent", "PlanningSettings"]
+
+
+@dataclass(frozen=True)
+class PlanningSettings(AgentSettings):
+    """Hypotheses that are considered, and the bound of the search."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive."""
+    max_parents: Annotated[int, Range(0, 8)] = 2
+    """Most factors that decide an outcome, a bit's own value not counted; hypotheses grow as factors to this power."""
+    conditions: Literal["all-on", "any"] = "all-on"
+    """Contexts that a set of parents tells apart. `all-on`: all of them on, or not, as in a graph of prerequisites
+    (wherever every factor is a bit). `any`: each combination of their values."""
+    most_nodes: Annotated[int, Range(1)] = 20_000
+    """States that a search may expand; what it has not found by then it takes to be out of reach."""
+
+
+class PlanningAgent(Agent):
+    """Base of agents that follow plans in a learned factored model.
+
+    Attributes:
+        name: of the algorithm, for messages.
+        model: the history, and everything derived from it.
+    """
+
+    name: ClassVar[str]
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: PlanningSettings | None,
+    ) -> None:
+        self.settings = settings or self.Settings()
+        actions = count_actions(action_space, self.name)
+        self.model = FactoredModel(
+            observation_space, actions, self.gamma, self.settings.max_parents, self.settings.conditions, self.name
+        )
+        self._rng = make_rng(seed, "actions")
+        self._pending = PendingPlan()
+        self._is_exploring = False
+
+    @abstractmethod
+    def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> Plan:
+        """The plan to follow in training: to an open outcome, or to the end of the task."""
+
+    @abstractmethod
+    def _find_escape(self, observation: Any, action_mask: NDArray[np.bool_]) -> Plan:
+        """The plan to the end of the task by what is known."""
+
+    def _search(self, belief: Belief, observation: Any, action_mask: NDArray[np.bool_], seek_gaps: bool) -> Plan:
+        return self.model.search(belief, observation, action_mask, seek_gaps, self.settings.most_nodes)
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """The next step of the plan; without one, any legal action."""
+        if self.model.is_empty:
+            return sample_legal(action_mask, self._rng)
+        state = self.model.pack(observation)
+        action = self._pending.take(state, action_mask)
+        if action is None:
+            self._pending.begin(self._find_plan(observation, action_mask))
+            action = self._pending.take(state, action_mask)
+        return sample_legal(action_mask, self._rng) if action is None else action
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The first step to the end of the task; where no way is known, any legal action."""
+        plan = None if self.model.is_empty else self._find_escape(observation, action_mask)
+        return plan.actions[0] if plan and plan.actions else sample_legal(action_mask, rng)
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Add to the history; the end of an episode drops the plan."""
+        self.model.record(transition)
+        if transition.terminated or transition.truncated:
+            self._pending.drop()
+        return {"exploring": float(self._is_exploring)}
+
+    def state_dict(self) -> StateTree:
+        """History, plan, generator."""
+        return {
+            "model": self.model.state_dict(),
+            "pending": self._pending.state_dict(),
+            "exploring": self._is_exploring,
+            "rng": self._rng.bit_generator.state,
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        self.model.load_state_dict(state["model"])
+        self._pending.load_state_dict(state["pending"])
+        self._is_exploring = bool(state["exploring"])
+        self._rng.bit_generator.state = state["rng"]

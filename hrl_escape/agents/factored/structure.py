@@ -1,0 +1,141 @@
+"""Structure learning: the factors that decide each outcome of an action, found from (s, a, s') histories.
+
+One dynamic Bayesian network an action (Dean and Kanazawa 1989), its parents found as SLF-R-MAX does (Strehl, Diuk
+and Littman 2007): every set of at most `max_parents` factors is a hypothesis, counted in all its contexts. Two priors
+make few samples enough: outcomes are functions of the parents (a set that explains more of the history beats one
+that explains less; among equals the smaller), and an action is not suspected of effects that it has never shown.
+A bit's own value is always among its parents and is not counted as one.
+"""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = ["LEVELS", "StructureLearner"]
+
+LEVELS = 8
+"""Most levels of the end bonus that are told apart."""
+
+
+class StructureLearner:
+    """Counts contexts and outcomes for every action, outcome and set of parents.
+
+    Outcomes are numbered: first the factors (their next value), then `over` (1 if the task ended) and `bonus`
+    (a level of reward, 0 for the usual one).
+
+    Args:
+        sizes: (factors,), values of each factor.
+        actions: how many.
+        max_parents: largest set of parents.
+        all_on: a set has two contexts only, all of its bits on (0) and not (1), instead of one for each combination
+            of their values.
+
+    Attributes:
+        hypotheses: sets of parents as sorted tuples of factors, small ones first.
+        context_counts: int64 (hypotheses,), contexts of each.
+        over: number of that outcome.
+        bonus: number of that outcome.
+    """
+
+    def __init__(self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool = False) -> None:
+        self.sizes, self.actions, self.all_on = sizes, actions, all_on
+        factors = len(sizes)
+        self.hypotheses: list[tuple[int, ...]] = [
+            chosen for size in range(min(max_parents, factors) + 1) for chosen in
+            itertools.combinations(range(factors), size)
+        ]
+        self.over, self.bonus = factors, factors + 1
+        self._outcomes = np.arange(factors + 2)
+        self._is_bit = sizes == 2
+        self._strides = np.zeros((len(self.hypotheses), factors), dtype=np.int64)
+        self.context_counts = np.ones(len(self.hypotheses), dtype=np.int64)
+        for number, parents in enumerate(self.hypotheses):
+            for parent in parents:
+                self._strides[number, parent] = self.context_counts[number]
+                self.context_counts[number] *= sizes[parent]
+        if all_on:
+            self._strides = (self._strides > 0).astype(np.int64)
+            self.context_counts = np.minimum(self.context_counts, 2)
+        self._set_sizes = np.array([len(parents) for parents in self.hypotheses])
+        self._rows = np.arange(len(self.hypotheses))[:, None]
+        values = max(LEVELS, int(sizes.max(initial=2)))
+        self._shape = (len(self.hypotheses), int(self.context_counts.max()), factors + 2, 2, values)
+        self._counts: dict[int, NDArray[np.int32]] = {}
+        self._errors = np.zeros((actions, len(self.hypotheses), factors + 2), dtype=np.int64)
+        self._active = np.zeros((actions, factors + 2), dtype=np.bool_)
+
+    def add(self, before: NDArray[np.int64], action: int, after: NDArray[np.int64], over: bool, bonus: int) -> None:
+        """Take in one transition.
+
+        Args:
+            before: (factors,).
+            action: taken there.
+            after: (factors,).
+            over: the task ended.
+            bonus: level of reward, below `LEVELS`.
+        """
+        if action not in self._counts:
+            self._counts[action] = np.zeros(self._shape, dtype=np.int32)
+        counts = self._counts[action]
+        own = np.concatenate([np.where(self._is_bit, before, 0), [0, 0]])
+        result = np.concatenate([after, [int(over), bonus]])
+        sums = self._strides @ before
+        contexts = ((sums < self._set_sizes).astype(np.int64) if self.all_on else sums)[:, None]
+        cells = counts[self._rows, contexts, self._outcomes, own]  # (hypotheses, outcomes, values)
+        best = cells.max(axis=2)
+        landed = cells[self._rows, self._outcomes, result]
+        self._errors[action] += landed < best  # against what most in its cell did
+        counts[self._rows, contexts, self._outcomes, own, result] += 1
+        changed = np.concatenate([after != before, [over, bonus != 0]])
+        self._active[action] |= changed
+
+    def list_active(self, action: int) -> NDArray[np.int64]:
+        """Outcomes that this action has been seen to change."""
+        return self._active[action].nonzero()[0]
+
+    def get_alive(self, action: int, outcome: int) -> NDArray[np.int64]:
+        """Hypotheses that contradict the history least, small ones first.
+
+        If some set explains everything that the action does to factors as well as sets of their own would explain
+        each, only such sets are alive: what decides one outcome of an action decides the others. The same holds
+        for the task's end and the bonus, apart from factors.
+        """
+        active = self._active[action]
+        if active[outcome]:
+            errors = self._errors[action][:, active & ((self._outcomes < self.over) == (outcome < self.over))]
+            joint = errors.sum(axis=1)
+            if joint.min() == errors.min(axis=0).sum():
+                return (joint == joint.min()).nonzero()[0]
+        errors = self._errors[action, :, outcome]
+        return (errors == errors.min()).nonzero()[0]
+
+    def count_samples(self, action: int) -> int:
+        """Number of samples of an action."""
+        return int(self._counts[action][0, 0, self.over].sum()) if action in self._counts else 0
+
+    def get_errors(self, action: int, outcome: int) -> NDArray[np.int64]:
+        """Number of samples that each hypothesis leaves unexplained, (hypotheses,)."""
+        return self._errors[action, :, outcome]
+
+    def get_samples(self, action: int, hypotheses: NDArray[np.int64], outcome: int) -> NDArray[np.int32]:
+        """`get_counts` of several hypotheses, (hypotheses, contexts, 2, values); the action was seen."""
+        return self._counts[action][hypotheses, :, outcome]
+
+    def get_counts(self, action: int, hypothesis: int, outcome: int) -> NDArray[np.int32]:
+        """Samples by context, own value (0 where the factor is no bit) and result, (contexts, 2, values)."""
+        contexts = self.context_counts[hypothesis]
+        if action not in self._counts:
+            return np.zeros((contexts, *self._shape[3:]), dtype=np.int32)
+        return self._counts[action][hypothesis, :contexts, outcome]
+
+    def find_unseen(self, action: int, hypotheses: NDArray[np.int64], visits: int) -> list[tuple[int, int]]:
+        """Pairs (hypothesis, context) met less than `visits` times with this action."""
+        if action not in self._counts:
+            return [(0, 0)]
+        seen = self._counts[action][hypotheses, :, self.over].sum(axis=(2, 3))
+        exists = np.arange(self._shape[1]) < self.context_counts[hypotheses][:, None]
+        rows, contexts = ((seen < visits) & exists).nonzero()
+        return list(zip(hypotheses[rows].tolist(), contexts.tolist(), strict=True))

@@ -1,0 +1,130 @@
+"""Hierarchies as programs: partial machines (Parr and Russell 1998) written as Python generators.
+
+    @machine
+    def press(seen, button):
+        while not is_on(seen(), button):
+            yield from go_to((yield choose(PANELS)))    # learned: which panel
+            yield do(TURN_LEFT)                         # a primitive
+
+`seen()` is the present moment. `yield choose(things)` is a choice point and gives back the thing that was chosen;
+`yield do(primitive)` acts; `yield from other(...)` calls another machine. The machine state is the whole stack of
+running machines, each as (name, line, arguments): what a machine remembers in other variables is not part of it, so
+pass on as an argument what later choices depend on. The line counts from the machine's own first.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Generator, Hashable, Sequence
+from typing import Any, NamedTuple
+
+from hrl_escape.agents.hierarchy.task import Seen
+from hrl_escape.agents.hierarchy.task_graph import freeze
+from hrl_escape.errors import StepContractError
+
+__all__ = ["Choose", "Do", "Input", "Machine", "MachineRun", "choose", "do", "machine"]
+
+
+class Choose(NamedTuple):
+    """A choice point: what can be chosen, and a label where one line holds several."""
+
+    things: Sequence[Any]
+    label: str = ""
+
+
+class Do(NamedTuple):
+    """A primitive to do."""
+
+    primitive: int
+
+
+class _Look(NamedTuple):
+    """A machine asks for `seen`."""
+
+
+Program = Generator[Any, Any, Any]
+Machine = Callable[..., Program]
+"""A function decorated with `machine`; without arguments it can be the root."""
+
+def choose(things: Sequence[Any], label: str = "") -> Choose:
+    """A choice among things, to be yielded; with a single thing there is nothing to learn."""
+    return Choose(tuple(things), label)
+
+
+def do(primitive: int) -> Do:
+    """A primitive, to be yielded."""
+    return Do(int(primitive))
+
+
+def machine(function: Callable[..., Program]) -> Machine:
+    """Make a machine of a generator function whose first argument is `seen`; callers leave that out."""
+
+    @functools.wraps(function)
+    def call(*arguments: Any) -> Program:
+        seen = yield _Look()
+        return (yield from function(seen, *arguments))
+
+    return call
+
+
+Input = Seen | int
+"""Input of a run: a moment, at its start and after each primitive, or the index of what was chosen."""
+
+
+class MachineRun:
+    """One run of a machine, from the beginning of an episode.
+
+    A generator cannot be copied, so a run keeps all it was told: `MachineRun(root, run.inputs[:n])` is the run as it
+    was then.
+
+    Attributes:
+        inputs: all it was told.
+        request: what it waits for; None before the first moment, and where the machine has returned.
+        seen: the present moment.
+    """
+
+    def __init__(self, root: Machine, inputs: Sequence[Input] = ()) -> None:
+        self.inputs: list[Input] = []
+        self.request: Choose | Do | None = None
+        self._program = root()
+        for each in inputs:
+            self.tell(each)
+
+    def tell(self, told: Input) -> None:
+        """Tell the moment reached, or which of the things is chosen.
+
+        Raises:
+            StepContractError: the machine yields something else than choices and primitives, offers nothing, or has
+                returned.
+        """
+        answer: Any = None
+        if isinstance(told, Seen):
+            self.seen = told
+        else:
+            assert isinstance(self.request, Choose)
+            answer = self.request.things[told]
+        self.inputs.append(told)
+        try:
+            request = self._program.send(answer if len(self.inputs) > 1 else None)
+            while isinstance(request, _Look):
+                request = self._program.send(lambda: self.seen)
+        except StopIteration:
+            raise StepContractError("the root machine returned while the episode goes on; let it loop") from None
+        if not isinstance(request, (Choose, Do)):
+            raise StepContractError(f"a machine yielded {request!r}; it must yield choose(things) or do(primitive)")
+        self.request = request
+        if isinstance(request, Choose) and not request.things:
+            raise StepContractError(f"a machine has nothing to choose at {self.read_state()}")
+
+    def read_state(self) -> Hashable:
+        """The machine state: (name, line, arguments) of every running machine, the outermost first, and the label."""
+        stack = []
+        program: Any = self._program
+        while program is not None:
+            frame = program.gi_frame
+            if frame is not None and frame.f_code.co_filename != __file__:  # not the decorator's own
+                code = frame.f_code
+                arguments = tuple(freeze(frame.f_locals[name]) for name in code.co_varnames[1 : code.co_argcount])
+                stack.append((code.co_name, frame.f_lineno - code.co_firstlineno, arguments))
+            program = program.gi_yieldfrom
+        return (*stack, self.request.label if isinstance(self.request, Choose) else "")

@@ -1,0 +1,156 @@
+"""An agent that runs a hierarchy's calls: the part of the Agent protocol that all hierarchical agents share.
+
+It walks the stack and turns each primitive's outcome into returned decisions; subclasses choose and
+learn. Evaluation runs calls of its own beside those of learning, one stack per generator: `play_episode`
+makes a generator per episode, so a call that lasts is remembered within an episode and never beyond, and
+nothing of it is part of the agent's state.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree
+from hrl_escape.agents.components.exploration import make_rng
+from hrl_escape.agents.hierarchy.call_stack import Return, arrive, descend, load_stack, save_stack
+from hrl_escape.agents.hierarchy.task import Frame, Hierarchy, Seen, Stack, Step, Task
+from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.errors import StepContractError
+from hrl_escape.settings import Range
+
+__all__ = ["CallRunner", "StackSettings"]
+
+
+@dataclass(frozen=True)
+class StackSettings(AgentSettings):
+    """Settings of how calls run."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive."""
+    polled: Literal["never", "evaluation", "always"] = "never"
+    """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
+    only (hierarchical greedy execution), or always."""
+
+
+class CallRunner(Agent):
+    """Runs the calls of a hierarchy on a flat environment.
+
+    Args:
+        hierarchy: what is run.
+        seed: of terminations that are drawn, and of tasks that decide for themselves.
+        settings: discount and polling.
+
+    Attributes:
+        hierarchy: what is run.
+        settings: as given.
+        stack: the running calls, the root first; what `watch` shows.
+    """
+
+    def __init__(self, hierarchy: Hierarchy, seed: int, settings: StackSettings) -> None:
+        self.hierarchy = hierarchy
+        self.settings: Any = settings
+        self._rng = make_rng(seed, "calls")
+        self._stack: Stack = ()
+        """Calls that run at the next choice; the last of them is to choose."""
+        self._chosen: tuple[Stack, Seen, int] | None = None
+        """After `act`: the stack down to the primitive, and the moment. Asking again chooses anew."""
+        self._evaluation: tuple[np.random.Generator, Stack, Seen, int] | None = None
+
+    @property
+    def stack(self) -> Stack:
+        """Running calls, down to the one that chose the primitive."""
+        return self._stack if self._chosen is None else self._chosen[0]
+
+    @property
+    def moment(self) -> Seen | None:
+        """The moment at which the primitive was chosen; None before `act`."""
+        return None if self._chosen is None else self._chosen[1]
+
+    @property
+    def privileges(self) -> tuple[str, ...]:
+        """Information that the agent is given and a flat one is not."""
+        return self.hierarchy.privileges
+
+    # --- what subclasses say ----------------------------------------------------------
+
+    @abstractmethod
+    def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
+        """Choose for the last call, exploring."""
+
+    @abstractmethod
+    def choose_greedy(
+        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+    ) -> int:
+        """Choose for the last call in evaluation; nothing in the agent may change."""
+
+    @abstractmethod
+    def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
+        """Learn from one primitive and the decisions that came back with it, the innermost first."""
+
+    def get_gamma(self, task: Task) -> float:
+        """Discount at which a task's decisions are summed."""
+        return self.gamma
+
+    # --- the agent --------------------------------------------------------------------
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Let the running calls choose down to a primitive."""
+        seen = self.hierarchy.see(observation, action_mask)
+        stack, action = descend(self._stack or self._begin(seen), seen, self.choose)
+        self._chosen = stack, seen, action
+        return action
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """Let the calls of this evaluation, which belong to `rng`, choose down to a primitive."""
+        seen = self.hierarchy.see(observation, action_mask)
+        stack: Stack = ()
+        if self._evaluation is not None and self._evaluation[0] is rng and self.settings.polled == "never":
+            _, running, before, action = self._evaluation
+            step = Step(before, action, 0.0, 0.0, 1, seen, False, False)
+            stack, _ = arrive(running, step, self.get_gamma, lambda p: rng.random() < p, paid=False)
+
+        def choose(running: Stack, view: Any, legal: NDArray[np.bool_], moment: Seen) -> int:
+            return self.choose_greedy(running, view, legal, moment, rng)
+
+        stack, action = descend(stack or self._begin(seen), seen, choose)
+        self._evaluation = rng, stack, seen, action
+        return action
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Pay the running calls, end those that are over, and learn.
+
+        Raises:
+            StepContractError: the primitive is not the one that was chosen.
+        """
+        if self._chosen is None or self._chosen[2] != transition.action:
+            raise StepContractError(
+                f"action {transition.action} was not chosen by the calls that run; a hierarchical agent learns from "
+                "its own decisions, each observed right after it was acted"
+            )
+        stack, seen, action = self._chosen
+        after = self.hierarchy.see(transition.next_observation, transition.next_action_mask)
+        step = Step(seen, action, transition.reward, transition.summed_reward, transition.duration, after,
+                    transition.terminated, transition.truncated)  # fmt: skip
+        self._stack, returns = arrive(stack, step, self.get_gamma, lambda p: self._rng.random() < p,
+                                      polled=self.settings.polled == "always")  # fmt: skip
+        self._chosen = None
+        return self.learn(step, returns)
+
+    def _begin(self, seen: Seen) -> Stack:
+        return (Frame(self.hierarchy.root, None, seen),)
+
+    def state_dict(self) -> StateTree:
+        """Generator and running calls; subclasses add what they learned."""
+        return {"calls_rng": self._rng.bit_generator.state, "stack": save_stack(self._stack)}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore what `state_dict` gave."""
+        self._rng.bit_generator.state = state["calls_rng"]
+        self._stack = load_stack(state["stack"], self.hierarchy)
+        self._chosen = self._evaluation = None

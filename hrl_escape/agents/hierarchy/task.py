@@ -1,0 +1,265 @@
+"""The words of a hierarchy: what a task sees, what it calls, what a running call is, and the Task protocol.
+
+A hierarchical method is a stack of running calls. At each primitive the top call chooses, the world
+moves once, and every running call is paid and asked whether it is over. Methods differ in the answers
+that a task gives to six questions: `view`, `legal`, `decode`, `ends`, `pay`, `final`. Nothing here learns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent
+from hrl_escape.errors import AgentSettingsError, UnknownNameError
+
+__all__ = [
+    "BaseTask",
+    "Call",
+    "Decision",
+    "Frame",
+    "Hierarchy",
+    "LearnerSpec",
+    "Seen",
+    "Stack",
+    "Step",
+    "Task",
+]
+
+
+class Seen(NamedTuple):
+    """A moment as tasks may look at it.
+
+    Attributes:
+        observation: as the environment gave it.
+        mask: bool (primitives,), the primitives legal there.
+        state: what `Hierarchy.read` made of the observation; None without it.
+    """
+
+    observation: Any
+    mask: NDArray[np.bool_]
+    state: Any = None
+
+
+class Call(NamedTuple):
+    """A choice of a task.
+
+    Attributes:
+        child: a task, or the number of a primitive.
+        context: what the child is told: a goal, a command, a length.
+    """
+
+    child: Task | int
+    context: Any = None
+
+
+class Decision(NamedTuple):
+    """A choice that a running call has made, and what came of it so far.
+
+    Attributes:
+        view: what the task saw when it chose.
+        legal: bool (choices,), what it could choose.
+        choice: what it chose.
+        reward: sum of gamma^i times its pay since.
+        summed: undiscounted sum of its pay since.
+        duration: primitives since.
+        discount: gamma^duration.
+    """
+
+    view: Any
+    legal: NDArray[np.bool_]
+    choice: int
+    reward: float = 0.0
+    summed: float = 0.0
+    duration: int = 0
+    discount: float = 1.0
+
+
+class Frame(NamedTuple):
+    """One running call.
+
+    Attributes:
+        task: which task runs.
+        context: what its caller told it.
+        start: the moment of the call.
+        primitives: primitives that ran since.
+        reward: undiscounted sum of its pay since.
+        decision: its latest choice; None before the first.
+    """
+
+    task: Task
+    context: Any
+    start: Seen
+    primitives: int = 0
+    reward: float = 0.0
+    decision: Decision | None = None
+
+
+Stack = tuple[Frame, ...]
+"""Running calls, the root first."""
+
+
+class Step(NamedTuple):
+    """One primitive: what the world did.
+
+    Attributes:
+        seen: where it was done.
+        action: which primitive.
+        reward: what the environment paid, discounted within the primitive where it lasts several steps (an option of
+            the environment).
+        summed: the same without discount.
+        duration: steps of the environment, 1 for a true primitive.
+        next_seen: the moment reached.
+        terminated: the episode ended in the task's sense.
+        truncated: the episode was cut off.
+    """
+
+    seen: Seen
+    action: int
+    reward: float
+    summed: float
+    duration: int
+    next_seen: Seen
+    terminated: bool
+    truncated: bool
+
+
+class Task(Protocol):
+    """A kind of call. `BaseTask` has the usual answers.
+
+    Views and contexts are numbers, arrays, or None, so that a checkpoint can hold a running call.
+    """
+
+    name: str
+    space: gymnasium.spaces.Discrete
+    """Of its choices."""
+    view_space: gymnasium.Space | None
+    """Of its views; None is the environment's observation space."""
+
+    def view(self, seen: Seen, stack: Stack) -> Any:
+        """View that its learner has; `stack` holds the running calls, its own last."""
+        ...
+
+    def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
+        """Choices it has here, bool (choices,); children that would be over at once are not among them."""
+        ...
+
+    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
+        """The call that a choice stands for."""
+        ...
+
+    def ends(self, frame: Frame, seen: Seen) -> float:
+        """Probability that the call is over here; 1.0 is certain."""
+        ...
+
+    def pay(self, step: Step, frame: Frame) -> float:
+        """Its reward for one primitive, the environment's by default."""
+        ...
+
+    def final(self, frame: Frame, seen: Seen) -> float:
+        """Pseudo-reward where it ended by itself: for its own learner, never for its caller's."""
+        ...
+
+    def decide(self, seen: Seen, context: Any, rng: np.random.Generator) -> int:
+        """Its choice where no learner makes it."""
+        ...
+
+
+class BaseTask:
+    """A task that sees the observation, is paid by the environment, and calls primitives at random until told to end.
+
+    Args:
+        name: unique in its hierarchy.
+        choices: how many it has.
+        view_space: of its views; None is the environment's observation space.
+    """
+
+    def __init__(self, name: str, choices: int, view_space: gymnasium.Space | None = None) -> None:
+        self.name, self.view_space = name, view_space
+        self.space = gymnasium.spaces.Discrete(choices)
+
+    def view(self, seen: Seen, stack: Stack) -> Any:
+        """The observation."""
+        return seen.observation
+
+    def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
+        """The legal primitives."""
+        return seen.mask
+
+    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
+        """The primitive of this number."""
+        return Call(int(choice))
+
+    def ends(self, frame: Frame, seen: Seen) -> float:
+        """Never."""
+        return 0.0
+
+    def pay(self, step: Step, frame: Frame) -> float:
+        """The environment's reward."""
+        return step.reward
+
+    def final(self, frame: Frame, seen: Seen) -> float:
+        """Nothing."""
+        return 0.0
+
+    def decide(self, seen: Seen, context: Any, rng: np.random.Generator) -> int:
+        """Any legal choice, uniformly."""
+        legal = self.legal(seen, context).nonzero()[0]
+        return int(legal[rng.integers(len(legal))])
+
+
+LearnerSpec = Callable[[gymnasium.Space, gymnasium.spaces.Discrete, int], Agent]
+"""Makes the learner of a task from view space, choices and seed: an agent's class, or
+`functools.partial(make_agent, "dqn")`."""
+
+
+@dataclass(frozen=True)
+class Hierarchy:
+    """Tasks below a root, who learns at each, and what all this is told that a flat agent is not.
+
+    Attributes:
+        root: the call that runs for the whole episode.
+        below: all other tasks.
+        learners: task name -> how its learner is made; a task without one decides for itself.
+        share: task name -> name of the task whose learner it shares.
+        source: where the structure comes from.
+        privileges: what it reads that is not in the observation, such as `task graph` or `state`; printed in tables.
+        read: makes `Seen.state` of an observation.
+    """
+
+    root: Task
+    below: tuple[Task, ...] = ()
+    learners: Mapping[str, LearnerSpec] = field(default_factory=dict)
+    share: Mapping[str, str] = field(default_factory=dict)
+    source: Literal["given", "synthesised", "learned"] = "given"
+    privileges: tuple[str, ...] = ()
+    read: Callable[[Any], Any] | None = None
+
+    MOST_DEPTH: ClassVar[int] = 64
+    """Bound on running calls; more is a task that calls itself for ever."""
+
+    def see(self, observation: Any, mask: NDArray[np.bool_]) -> Seen:
+        """The moment of an observation."""
+        return Seen(observation, mask, None if self.read is None else self.read(observation))
+
+    @property
+    def tasks(self) -> dict[str, Task]:
+        """All tasks by name, the root first."""
+        return {task.name: task for task in (self.root, *self.below)}
+
+    def __post_init__(self) -> None:
+        names = [task.name for task in (self.root, *self.below)]
+        if len(set(names)) < len(names):
+            raise AgentSettingsError("Hierarchy.below", names, "tasks of different names")
+        for where, mentioned in (("learners", self.learners), ("share", {**self.share, **_swap(self.share)})):
+            if unknown := set(mentioned) - set(names):
+                raise UnknownNameError(f"task in Hierarchy.{where}", min(unknown), names)
+
+
+def _swap(mapping: Mapping[str, str]) -> dict[str, str]:
+    return {value: key for key, value in mapping.items()}

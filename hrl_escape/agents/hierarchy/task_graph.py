@@ -1,0 +1,182 @@
+"""Task hierarchies by hand: a graph of named tasks, MAXQ's form (Dietterich 2000).
+
+A task is a name, its children, a predicate that ends it, what of the moment it may look at, and a
+pseudo-reward where it ends. Children are other tasks or numbers of primitives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, LearnerSpec, Seen, Stack
+from hrl_escape.errors import AgentSettingsError, UnknownNameError
+
+__all__ = ["GraphTask", "Pseudo", "Until", "View", "flat", "freeze", "get_graph", "maxq"]
+
+Until = Callable[[Seen], bool]
+"""True where the task is over."""
+View = Callable[[Seen], Any]
+"""Part of a moment that matters: a number, a tuple of numbers, or an array."""
+Pseudo = Callable[[Seen], float]
+"""Pseudo-reward of the state in which the task ended."""
+
+
+class GraphTask(BaseTask):
+    """A named task of a graph.
+
+    Attributes:
+        children: tasks and primitives, numbered as choices are.
+        until: ends the task.
+        views: what matters to it: under None, for the task; under a choice, for that choice's completion.
+        primitive_views: what matters to the value of a primitive, for all tasks.
+        pseudo: pseudo-reward at its end.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        until: Until,
+        views: Mapping[int | None, View],
+        primitive_views: Mapping[int, View],
+        pseudo: Pseudo | None,
+        choices: int,
+        space: gymnasium.Space | None,
+    ) -> None:
+        super().__init__(name, choices, space)
+        self.until, self.views, self.primitive_views, self.pseudo = until, views, primitive_views, pseudo
+        self.children: tuple[GraphTask | int, ...] = ()
+
+    def view(self, seen: Seen, stack: Stack) -> Any:
+        """The moment as `see` shows it, the observation by default."""
+        view = self.views.get(None)
+        return seen.observation if view is None else view(seen)
+
+    def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
+        """Legal primitives, and tasks that are not over and have something to choose themselves."""
+        return np.array([seen.mask[child] if isinstance(child, int) else child.is_callable(seen)
+                         for child in self.children], np.bool_)  # fmt: skip
+
+    def is_callable(self, seen: Seen) -> bool:
+        """The task is not over here and has something to choose."""
+        return not self.until(seen) and any(
+            seen.mask[child] if isinstance(child, int) else child.is_callable(seen) for child in self.children
+        )
+
+    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
+        """The child of this number."""
+        return Call(self.children[choice])
+
+    def ends(self, frame: Frame, seen: Seen) -> float:
+        """Certain at the end that `until` names."""
+        return float(self.until(seen))
+
+    def final(self, frame: Frame, seen: Seen) -> float:
+        """The pseudo-reward."""
+        return 0.0 if self.pseudo is None else self.pseudo(seen)
+
+
+def maxq(
+    graph: Mapping[str, Sequence[str | int]],
+    until: Mapping[str, Until],
+    see: Mapping[str | int | tuple[str, str | int], View] | None = None,
+    pseudo: Mapping[str, Pseudo] | None = None,
+    *,
+    spaces: Mapping[str, gymnasium.Space] | None = None,
+    learners: Mapping[str, LearnerSpec] | None = None,
+    read: Callable[[Any], Any] | None = None,
+) -> Hierarchy:
+    """A hierarchy from a graph of named tasks.
+
+    Args:
+        graph: task -> its children, tasks by name and primitives by number; the first task is the root.
+        until: task -> where it is over; the root needs none.
+        see: what matters, the whole observation by default: task -> to its decisions; (task, child) -> to the
+            completion of that one choice, MAXQ's finer abstraction; primitive -> to what it earns by itself.
+        pseudo: task -> pseudo-reward of the state it ended in.
+        spaces: task -> space of its views, for `StackAgent`.
+        learners: task -> its learner, for `StackAgent`.
+        read: makes `Seen.state` of an observation.
+
+    Raises:
+        UnknownNameError: a child or a key names no task.
+        AgentSettingsError: a task below the root has no `until`, or tasks call each other in a circle.
+    """
+    see, pseudo, spaces = see or {}, pseudo or {}, spaces or {}
+    names = list(graph)
+    for where, mentioned in (("until", until), ("pseudo", pseudo), ("spaces", spaces),
+                             ("see", [_get_name(key) for key in see if not isinstance(key, int)])):  # fmt: skip
+        for name in mentioned:
+            if name not in graph:
+                raise UnknownNameError(f"task in {where}", name, names)
+    primitive_views = {key: view for key, view in see.items() if isinstance(key, int)}
+    tasks: dict[str, GraphTask] = {}
+    for name, children in graph.items():
+        if name not in until and name != names[0]:
+            raise AgentSettingsError("until", name, "a predicate for every task below the root")
+        views: dict[int | None, View] = {None: see[name]} if name in see else {}
+        views |= {index: see[name, child] for index, child in enumerate(children) if (name, child) in see}
+        tasks[name] = GraphTask(
+            name, until.get(name, _never), views, primitive_views, pseudo.get(name), len(children), spaces.get(name)
+        )
+    for name, children in graph.items():
+        for child in children:
+            if isinstance(child, str) and child not in tasks:
+                raise UnknownNameError(f"child of {name}", child, names)
+        tasks[name].children = tuple(tasks[child] if isinstance(child, str) else int(child) for child in children)
+    root, *below = tasks.values()
+    _refuse_circles(root, ())
+    privileges = ("task graph",) if read is None else ("task graph", "state")
+    return Hierarchy(root, tuple(below), learners or {}, source="given", privileges=privileges, read=read)
+
+
+def flat(primitives: int, learner: LearnerSpec | None = None) -> Hierarchy:
+    """One task that calls every primitive: a flat agent as a hierarchy."""
+    given = maxq({"root": range(primitives)}, {}, learners={} if learner is None else {"root": learner})
+    return Hierarchy(given.root, learners=given.learners)
+
+
+def get_graph(hierarchy: Hierarchy, agent: str) -> GraphTask:
+    """The root of a hierarchy that is a task graph.
+
+    Raises:
+        AgentSettingsError: some task is of another kind, without children that could be listed.
+    """
+    for task in hierarchy.tasks.values():
+        if not isinstance(task, GraphTask):
+            raise AgentSettingsError("hierarchy", task.name, f"tasks from maxq(graph, until); {agent} lists children")
+    assert isinstance(hierarchy.root, GraphTask)
+    return hierarchy.root
+
+
+def freeze(view: Any) -> Hashable:
+    """A view as a key: equal views have equal keys, and `repr` writes a key as a literal."""
+    if isinstance(view, np.ndarray):
+        return view.tobytes()
+    if isinstance(view, np.generic):
+        return view.item()
+    if isinstance(view, (tuple, list)):
+        return tuple(freeze(part) for part in view)
+    if isinstance(view, dict):
+        return tuple((key, freeze(view[key])) for key in sorted(view))
+    return view
+
+
+def _get_name(key: str | tuple[str, str | int]) -> str:
+    return key if isinstance(key, str) else key[0]
+
+
+def _never(seen: Seen) -> bool:
+    return False
+
+
+def _refuse_circles(task: GraphTask, callers: tuple[str, ...]) -> None:
+    if task.name in callers:
+        raise AgentSettingsError("graph", " -> ".join((*callers, task.name)), "a graph in which no task calls itself")
+    for child in task.children:
+        if not isinstance(child, int):
+            _refuse_circles(child, (*callers, task.name))

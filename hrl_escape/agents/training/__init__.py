@@ -1,0 +1,1 @@
+"""The training loop, evaluation, run folders, checkpoints and results."""

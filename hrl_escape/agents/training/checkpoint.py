@@ -1,0 +1,128 @@
+"""Checkpoints: a tree of numbers, strings and arrays in one `.npz` file, written whole or not at all.
+
+The arrays are npy members of a zip (each with its CRC-32), the tree's shape is JSON beside
+them. Nothing is pickled, and reading refuses pickles, so a checkpoint from a stranger cannot run code. Nothing is
+compressed either, so a checkpoint takes no more memory than its file has bytes, whatever it claims.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import zipfile
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.lib import format as npy
+
+from hrl_escape.agents.agent import StateTree
+from hrl_escape.errors import CheckpointError, describe_damage
+from hrl_escape.files import atomic_writer, open_plain
+
+__all__ = ["compute_state_digest", "load_checkpoint", "save_checkpoint"]
+
+TREE = "tree"
+ARRAY = "__array__"
+
+
+def save_checkpoint(path: str | os.PathLike[str], state: StateTree) -> None:
+    """Write a state tree atomically.
+
+    Args:
+        path: the file, by custom ending in `.npz`.
+        state: dicts (keys are strings), lists, tuples (which come back as lists), None, bool, int, float, str, numpy
+            arrays and numbers, and anything with `.detach().cpu().numpy()`, such as a torch tensor.
+
+    Raises:
+        FileWriteError: full disk, or a folder that cannot be written.
+        TypeError: the tree holds something else; the message says where.
+    """
+    arrays: dict[str, np.ndarray] = {}
+    tree = _pack(state, "state", arrays)
+    arrays[TREE] = np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8)
+    with atomic_writer(path) as file:
+        np.savez(file, allow_pickle=False, **arrays)  # pyright: ignore[reportArgumentType]
+
+
+def load_checkpoint(path: str | os.PathLike[str]) -> StateTree:
+    """Read a state tree, bit for bit as `save_checkpoint` took it.
+
+    Raises:
+        FileReadError: there is no such file, or it may not be read.
+        CheckpointError: the file is truncated, damaged or something else.
+    """
+    with open_plain(path, "checkpoint", largest=_count_memory()) as file:
+        try:
+            with zipfile.ZipFile(file) as archive:
+                members = {member.filename: member for member in archive.infolist()}
+                tree = json.loads(_read_array(archive, members.pop(f"{TREE}.npy")).tobytes())
+                state = _unpack(tree, lambda name: _read_array(archive, members.pop(f"{name}.npy")))
+            if not isinstance(state, dict):
+                raise ValueError("it holds no tree")
+            return state
+        except Exception as error:  # damaged bytes make the readers of zip, npy and JSON raise almost anything
+            raise CheckpointError(
+                f"{os.fspath(path)}: this checkpoint is damaged or is something else ({describe_damage(error)}). "
+                "Delete it to start the run anew, or restore it from a copy"
+            ) from error
+
+
+def _read_array(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> np.ndarray:
+    """Read one array, whose claimed size must be that of its bytes in the file."""
+    if member.compress_type != zipfile.ZIP_STORED:
+        raise ValueError(f"{member.filename} is compressed, which checkpoints are not")
+    with archive.open(member) as file:
+        version = npy.read_magic(file)
+        shape, _, dtype = (npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0)(file)
+        claimed = math.prod(shape) * dtype.itemsize
+        if min(shape, default=0) < 0 or claimed != member.file_size - file.tell():
+            raise ValueError(f"{member.filename} has {member.file_size - file.tell():,} bytes and claims {claimed:,}")
+    with archive.open(member) as file:  # opened again, since seeking would turn its checksum off
+        return npy.read_array(file, allow_pickle=False)
+
+
+def _count_memory() -> int:
+    """Bytes of memory that this machine has."""
+    return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+
+
+def compute_state_digest(state: StateTree) -> str:
+    """Short hash of a state tree: 16 hexadecimal digits of SHA-256."""
+    arrays: dict[str, np.ndarray] = {}
+    content = hashlib.sha256(json.dumps(_pack(state, "state", arrays), sort_keys=True).encode())
+    for array in arrays.values():
+        content.update(f"{array.dtype.str} {array.shape}".encode())
+        content.update(np.ascontiguousarray(array).tobytes())
+    return content.hexdigest()[:16]
+
+
+def _pack(value: Any, where: str, arrays: dict[str, np.ndarray]) -> Any:
+    if isinstance(value, dict):
+        for key in value:
+            if not isinstance(key, str):
+                raise TypeError(f"{where} has the key {key!r}; keys of a state tree are strings")
+        return {key: _pack(item, f"{where}.{key}", arrays) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_pack(item, f"{where}[{index}]", arrays) for index, item in enumerate(value)]
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if hasattr(value, "detach"):
+        value = value.detach().cpu().numpy()
+    if not isinstance(value, np.ndarray) or value.dtype.hasobject:
+        raise TypeError(f"{where} is a {type(value).__name__}; a state tree holds numbers, strings and arrays")
+    name = f"array{len(arrays)}"
+    arrays[name] = value
+    return {ARRAY: name}
+
+
+def _unpack(value: Any, read: Callable[[str], np.ndarray]) -> Any:
+    if isinstance(value, dict):
+        if value.keys() == {ARRAY}:
+            return read(value[ARRAY])
+        return {key: _unpack(item, read) for key, item in value.items()}
+    return [_unpack(item, read) for item in value] if isinstance(value, list) else value

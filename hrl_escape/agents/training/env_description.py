@@ -1,0 +1,176 @@
+"""Descriptions of environments as JSON: a run's folder keeps one, by which it is recognised and made again.
+
+A description names the innermost environment and the wrappers around it, each by its class and its arguments. An
+environment with a `describe` method gives its arguments itself; others are described by their Gymnasium spec, or,
+without one, by their class alone. Wrappers give their arguments by Gymnasium's `RecordConstructorArgs`.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import importlib
+import inspect
+import json
+from collections.abc import Callable, Mapping
+from typing import Any, Protocol, runtime_checkable
+
+import gymnasium
+import numpy as np
+from gymnasium.utils import RecordConstructorArgs
+from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo
+
+from hrl_escape.errors import CheckpointError, describe_damage
+from hrl_escape.settings import Settings
+
+__all__ = ["DescribedEnv", "compute_digest", "describe_env", "make_described_env", "summarise"]
+
+PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo)
+"""Wrappers that change no number; others say so by the attribute `is_passive`."""
+
+
+@runtime_checkable
+class DescribedEnv(Protocol):
+    """Environment that gives the arguments by which an equal one is made."""
+
+    def describe(self) -> Mapping[str, Any]:
+        """Return the arguments that decide its numbers, as JSON values.
+
+        A large argument may be `{"id": hash, "content": value}`: runs are then compared by the hash alone, and the
+        environment is made again from the value.
+        """
+        ...
+
+
+def describe_env(env: gymnasium.Env) -> dict[str, Any]:
+    """Description of an environment, a JSON value."""
+    wrappers = []
+    while isinstance(env, gymnasium.Wrapper):
+        if not isinstance(env, PASSIVE_WRAPPERS) and not getattr(env, "is_passive", False):
+            saved = env._saved_kwargs if isinstance(env, RecordConstructorArgs) else {}
+            wrappers.append({"class": _name(type(env)), "arguments": _make_plain(saved)})
+        env = env.env
+    arguments = None
+    if isinstance(env, DescribedEnv):
+        arguments = env.describe()
+    elif env.spec is not None:
+        arguments = {name: value for name, value in env.spec.kwargs.items() if name != "render_mode"}
+    return {"class": _name(type(env)), "arguments": _make_plain(arguments), "wrappers": wrappers[::-1]}
+
+
+def make_described_env(
+    description: Mapping[str, Any], wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env
+) -> gymnasium.Env:
+    """Make an environment from its description.
+
+    Args:
+        description: from `describe_env`.
+        wrap: applied to the innermost environment, below its wrappers.
+
+    Raises:
+        CheckpointError: the description is damaged, or does not suffice to make the environment.
+    """
+    try:
+        env = wrap(_make_part(description, gymnasium.Env))
+        for wrapper in description["wrappers"]:
+            env = _make_part(wrapper, gymnasium.Wrapper, env)
+        return env
+    except Exception as error:  # a damaged description makes constructors raise almost anything
+        raise CheckpointError(f"this environment cannot be made from its description: {describe_damage(error)}. Make "
+                              "it and give env=") from error
+
+
+def summarise(value: Any) -> Any:
+    """Copy of a JSON value in which the hash of a large argument stands for its content."""
+    if isinstance(value, Mapping):
+        if value.keys() == {"id", "content"}:
+            return value["id"]
+        return {name: summarise(part) for name, part in value.items()}
+    return [summarise(part) for part in value] if isinstance(value, list) else value
+
+
+def compute_digest(value: Any) -> str:
+    """Short hash of a JSON value: 8 hexadecimal digits of SHA-256 over its canonical form."""
+    text = json.dumps(value, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:8]
+
+
+def _make_part(description: Mapping[str, Any], kind: type, *inner: gymnasium.Env) -> Any:
+    part = _find(description["class"])
+    if not (isinstance(part, type) and issubclass(part, kind)):
+        raise TypeError(f"{description['class']} is no {kind.__name__}")
+    if description["arguments"] is None:
+        raise TypeError(f"the arguments of {description['class']} are unknown")
+    return part(*inner, **{name: _revive(value) for name, value in description["arguments"].items()})
+
+
+def _make_plain(value: Any) -> Any:
+    """JSON value of an argument; functions are named, other objects named and hashed."""
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, (np.generic, np.ndarray)):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {str(name): _make_plain(part) for name, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_make_plain(part) for part in value]
+    if isinstance(value, Settings):
+        return {"settings": _name(type(value)), "fields": value.to_dict()}
+    if inspect.isroutine(value) or isinstance(value, type):
+        return {"function": _name(value)} if "<" not in _name(value) else _describe_object(value, _list_code(value))
+    if isinstance(value, functools.partial):
+        return _describe_object(value, {"call": _make_plain([value.func, value.args, value.keywords])})
+    if not hasattr(value, "__dict__"):
+        return _describe_object(value, {"value": repr(value)})
+    return _describe_object(
+        value, {name: _make_plain(part) for name, part in vars(value).items() if _is_value(name, part)})
+
+
+def _describe_object(value: Any, fields: Mapping[str, Any]) -> dict[str, str]:
+    return {"object": _name(type(value)), "name": str(fields.get("name", "")), "digest": compute_digest(fields)}
+
+
+def _list_code(function: Any) -> dict[str, Any]:
+    """Code and bound values of a function that no module holds by name, such as a lambda."""
+    code = getattr(function, "__code__", None)
+    if code is None:
+        return {"name": _name(function)}
+    bound = [cell.cell_contents for cell in function.__closure__ or ()]
+    constants = [constant for constant in code.co_consts if not inspect.iscode(constant)]
+    return {"name": _name(function), "code": code.co_code.hex(), "names": list(code.co_names),
+            "values": _make_plain([constants, list(function.__defaults__ or ()), bound])}
+
+
+def _is_value(name: str, value: Any) -> bool:
+    if isinstance(value, (list, tuple)):
+        return all(_is_value(name, part) for part in value)
+    kinds = (bool, int, float, str, np.generic, np.ndarray, Settings)
+    return not name.startswith("_") and (value is None or isinstance(value, kinds))
+
+
+def _revive(value: Any) -> Any:
+    if isinstance(value, list):
+        return [_revive(part) for part in value]
+    if not isinstance(value, Mapping):
+        return value
+    if value.keys() == {"id", "content"}:
+        return value["content"]
+    if value.keys() == {"settings", "fields"}:
+        return _find(value["settings"]).from_dict(value["fields"])
+    if value.keys() == {"function"}:
+        return _find(value["function"])
+    if value.keys() == {"object", "name", "digest"}:
+        raise TypeError(f"an object of {value['object']} is not kept with a run")
+    return {name: _revive(part) for name, part in value.items()}
+
+
+def _name(thing: Any) -> str:
+    return f"{thing.__module__}:{thing.__qualname__}"
+
+
+def _find(name: str) -> Any:
+    module, _, path = name.partition(":")
+    found: Any = importlib.import_module(module)
+    for part in path.split("."):
+        found = getattr(found, part)
+    return found

@@ -1,0 +1,153 @@
+"""Evaluation of frozen weights on fixed episode seeds, repeatable to the last bit.
+
+Nothing here learns or explores. Returns are undiscounted sums of primitive rewards; lengths are
+given in primitives and in decisions, which differ by the options' durations.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from hrl_escape.agents.agent import (
+    Agent,
+    SMDPTransition,
+    check_observation,
+    count_actions,
+    make_transition,
+    read_action_mask,
+)
+
+__all__ = ["Evaluation", "compute_episode_seed", "evaluate", "play_episode"]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Returns and lengths of episodes played with frozen weights.
+
+    Attributes:
+        primitives: primitives trained for when it was made.
+        decisions: decisions trained for.
+        returns: undiscounted return of each episode.
+        lengths: primitives of each episode.
+        decision_counts: decisions of each episode.
+        successes: whether each succeeded: `info["is_success"]` at its end if given, else `terminated`.
+        progress: share of the task done at best in each: the largest `info["progress"]` if given, else 1 for success.
+        seconds: wall time of the evaluation; left out of comparisons between results.
+    """
+
+    primitives: int
+    decisions: int
+    returns: tuple[float, ...]
+    lengths: tuple[int, ...]
+    decision_counts: tuple[int, ...]
+    successes: tuple[bool, ...]
+    progress: tuple[float, ...]
+    seconds: float = field(default=0.0, compare=False)
+
+    @property
+    def mean_return(self) -> float:
+        """Mean over episodes."""
+        return statistics.fmean(self.returns)
+
+    @property
+    def success_rate(self) -> float:
+        """Share of episodes that succeeded."""
+        return statistics.fmean(self.successes)
+
+    @property
+    def mean_progress(self) -> float:
+        """Mean over episodes."""
+        return statistics.fmean(self.progress)
+
+    @property
+    def mean_length(self) -> float:
+        """Mean primitives of an episode."""
+        return statistics.fmean(self.lengths)
+
+
+def compute_episode_seed(seed: int, purpose: str, episode: int) -> int:
+    """Seed of an episode, as a pure function: episode n needs none of the episodes before it."""
+    return int(np.random.SeedSequence([seed, *purpose.encode(), episode]).generate_state(1)[0])
+
+
+def play_episode(
+    agent: Agent, env: gymnasium.Env, seed: int, max_primitives: int = 100_000
+) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
+    """Play one greedy episode, yielding each transition with its `info`.
+
+    Args:
+        agent: acts with frozen weights.
+        env: reset with `seed` first.
+        seed: fixes the episode, and the draws of a policy that is random by nature.
+        max_primitives: the episode stops here at the latest.
+    """
+    actions = count_actions(env.action_space, "evaluation")
+    rng = np.random.default_rng(seed)
+    observation, info = env.reset(seed=seed)
+    check_observation(observation, "at the episode's start")
+    mask = read_action_mask(info, actions)
+    primitives = 0
+    while primitives < max_primitives:
+        action = agent.act_greedy(observation, mask, rng)
+        step = env.step(action)
+        transition = make_transition(observation, action, mask, step, agent.gamma)
+        primitives += transition.duration
+        yield transition, step[4]
+        if transition.terminated or transition.truncated:
+            return
+        observation, mask = transition.next_observation, transition.next_action_mask
+
+
+def evaluate(
+    agent: Agent,
+    env: gymnasium.Env,
+    episodes: int,
+    seed: int = 0,
+    primitives: int = 0,
+    decisions: int = 0,
+    max_primitives: int = 100_000,
+) -> Evaluation:
+    """Play greedy episodes with seeds that depend only on `seed` and the episode's number.
+
+    Args:
+        agent: acts greedily with frozen weights.
+        env: the environment; its own state is overwritten.
+        episodes: number of episodes, at least 1.
+        seed: fixes the episodes; the same for all agents that are compared.
+        primitives: primitives trained for, kept with the result.
+        decisions: decisions trained for, kept with the result.
+        max_primitives: longest episode in an environment without a time limit.
+    """
+    started = time.perf_counter()
+    returns, lengths, counts, successes, progress = [], [], [], [], []
+    for episode in range(episodes):
+        total, length, count, success, best = 0.0, 0, 0, False, 0.0
+        episode_seed = compute_episode_seed(seed, "evaluation", episode)
+        for transition, info in play_episode(agent, env, episode_seed, max_primitives):
+            total += transition.summed_reward
+            length += transition.duration
+            count += 1
+            success = bool(info.get("is_success", transition.terminated))
+            best = max(best, float(info.get("progress", success)))
+        returns.append(total)
+        lengths.append(length)
+        counts.append(count)
+        successes.append(success)
+        progress.append(best)
+    return Evaluation(
+        primitives,
+        decisions,
+        tuple(returns),
+        tuple(lengths),
+        tuple(counts),
+        tuple(successes),
+        tuple(progress),
+        time.perf_counter() - started,
+    )

@@ -1,0 +1,64 @@
+"""Progress line of a training run: primitives, rate, returns, time left.
+
+It is shown on terminals only.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Protocol
+
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+__all__ = ["Reporter", "show_progress"]
+
+REFRESH_SECONDS = 0.2
+
+
+class Reporter(Protocol):
+    """Function that takes the progress of a run: primitives so far, and the latest returns in words."""
+
+    def __call__(self, primitives: int, words: str) -> None:
+        """Refresh the line, at most every `REFRESH_SECONDS`."""
+        ...
+
+
+@contextmanager
+def show_progress(name: str, total: int, done: int, show: bool | None) -> Iterator[Reporter]:
+    """Show a line on standard error while training.
+
+    Args:
+        name: name of the run.
+        total: budget in primitives.
+        done: primitives already done, in a run that resumes.
+        show: None shows it on a terminal only.
+    """
+    console = Console(stderr=True)
+    if not (console.is_terminal if show is None else show):
+        yield lambda primitives, words: None
+        return
+    columns = (  # fits 80 characters
+        TextColumn("{task.description}"),
+        BarColumn(bar_width=8),
+        TextColumn("{task.completed:,.0f}/{task.total:,.0f}"),
+        TextColumn("{task.fields[rate]}"),
+        TextColumn("{task.fields[words]}"),
+        TimeRemainingColumn(compact=True),
+    )
+    with Progress(*columns, console=console) as progress:
+        task = progress.add_task(name, total=total, completed=done, rate="", words="")
+        started = last = time.monotonic()
+
+        def report(primitives: int, words: str) -> None:
+            nonlocal last
+            now = time.monotonic()
+            if now - last < REFRESH_SECONDS and primitives < total:
+                return
+            last = now
+            rate = (primitives - done) / max(now - started, 1e-9)
+            progress.update(task, completed=min(primitives, total), rate=f"{rate:,.0f}/s", words=words)
+
+        yield report

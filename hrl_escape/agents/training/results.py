@@ -1,0 +1,211 @@
+"""Results of a training run: episodes, evaluations, totals, and the rows of its log.
+
+Everything here is plain data that goes to JSON and back without loss. Fields that depend on the
+wall clock take no part in equality, so two results are equal if all that learning decides is equal, bit for bit.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.training.evaluation import Evaluation
+from hrl_escape.errors import CheckpointError, EscapeError, describe_damage
+from hrl_escape.files import read_json
+from hrl_escape.settings import read_record
+
+__all__ = ["METRICS", "EpisodeRecord", "TrainResult", "find_first_escape", "load_result", "make_evaluation_row",
+           "read_result", "read_row"]
+
+METRICS = {
+    "train/return": "undiscounted return of a training episode, exploration included",
+    "train/length": "primitives in a training episode",
+    "train/decisions": "decisions in a training episode",
+    "train/success": "1 if it succeeded (info['is_success'] if given, else terminated), else 0",
+    "train/end": "how it ended: terminated, truncated, or budget where the run's budget cut it",
+    "train/loss": "mean loss of the updates in the episode",
+    "train/actor_loss": "mean loss of ddpg's actor",
+    "train/policy_loss": "ppo's clipped objective, negated",
+    "train/value_loss": "ppo's half squared value error, in scaled rewards",
+    "train/entropy": "mean entropy of ppo's policy, in nats",
+    "train/value": "mean predicted value in the updates, in units of return",
+    "train/td_error": "mean absolute error of tabular updates, in units of return",
+    "train/epsilon": "mean share of random actions asked for",
+    "train/states": "states in the table",
+    "eval/return": "mean undiscounted return of frozen weights",
+    "eval/success": "share of evaluation episodes that succeeded",
+    "eval/length": "mean primitives of an evaluation episode",
+    "eval/returns": "return of each evaluation episode",
+    "eval/lengths": "primitives of each",
+    "eval/decision_counts": "decisions of each",
+    "eval/successes": "whether each succeeded",
+    "eval/progress": "share of the task done at best in each: the largest info['progress'] if given, else its success",
+    "option/choices": "decisions of the episode by the name of what was chosen, primitives included",
+    "option/primitives": "primitives of the episode by the name of what was chosen",
+    "option/failures": "decisions of the episode whose planning failed",
+    "option/planner_calls": "planner calls so far in the run",
+    "time/planner_seconds": "seconds in planners so far in the run",
+    "time/seconds": "seconds of training so far in the run, evaluations left out",
+    "time/primitives_per_second": "rate of training over the episode",
+    "time/eval_seconds": "seconds of one evaluation",
+}
+"""Names in a log and their meaning. An agent of your own adds its `observe` metrics under `train/`."""
+
+
+@dataclass(frozen=True)
+class EpisodeRecord:
+    """One training episode.
+
+    Attributes:
+        primitives: primitives trained for, at its end.
+        decisions: decisions trained for, at its end.
+        episode_return: undiscounted sum of primitive rewards.
+        length: primitives in it.
+        success: `info["is_success"]` at its end if given, else `terminated`.
+        end: `terminated`, `truncated`, or `budget` where the run's budget cut it.
+        seconds: seconds of training at its end, without evaluations; left out of comparisons.
+    """
+
+    primitives: int
+    decisions: int
+    episode_return: float
+    length: int
+    success: bool
+    end: str
+    seconds: float = field(compare=False)
+
+
+def find_first_escape(episodes: Sequence[EpisodeRecord]) -> int | None:
+    """Primitives trained for at the end of the first episode that succeeded; None if none did."""
+    return next((episode.primitives for episode in episodes if episode.success), None)
+
+
+def make_evaluation_row(evaluation: Evaluation) -> dict[str, Any]:
+    """Row of the log for an evaluation."""
+    return {
+        "kind": "evaluation",
+        "primitives": evaluation.primitives,
+        "decisions": evaluation.decisions,
+        "eval/return": evaluation.mean_return,
+        "eval/success": evaluation.success_rate,
+        "eval/length": evaluation.mean_length,
+        "eval/returns": list(evaluation.returns),
+        "eval/lengths": list(evaluation.lengths),
+        "eval/decision_counts": list(evaluation.decision_counts),
+        "eval/successes": list(evaluation.successes),
+        "eval/progress": list(evaluation.progress),
+        "time/eval_seconds": evaluation.seconds,
+    }
+
+
+EPISODE_ROW = {
+    "primitives": "primitives", "decisions": "decisions", "episode_return": "train/return", "length": "train/length",
+    "success": "train/success", "end": "train/end", "seconds": "time/seconds",
+}
+EVALUATION_ROW = {
+    "primitives": "primitives", "decisions": "decisions", "returns": "eval/returns", "lengths": "eval/lengths",
+    "decision_counts": "eval/decision_counts", "successes": "eval/successes",
+    "progress": "eval/progress", "seconds": "time/eval_seconds",
+}
+
+
+def read_row(row: Mapping[str, Any]) -> EpisodeRecord | Evaluation:
+    """Episode or evaluation from a row of the log.
+
+    Raises:
+        KeyError: the row lacks a name.
+        ConfigError: a value is not possible.
+    """
+    if row["kind"] == "evaluation":
+        return read_record(Evaluation, {field: row[name] for field, name in EVALUATION_ROW.items()})
+    fields = {field: row[name] for field, name in EPISODE_ROW.items()}
+    return read_record(EpisodeRecord, {**fields, "success": bool(row["train/success"])})
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """Result of a training run.
+
+    Attributes:
+        agent_name: registered name of the agent, or the name of its class.
+        seed: the run's seed.
+        settings: the agent's settings, as a JSON value.
+        primitives: primitives trained for; a last option may carry it beyond the budget.
+        decisions: decisions trained for.
+        planner_calls: calls of planners behind options, summed over `info["option"]["planner_calls"]`.
+        evaluations: the first before training, the last after it.
+        episodes: every training episode.
+        seconds: wall time of training, evaluations excluded.
+        planner_seconds: share of it spent in planners.
+        agent: the trained agent; None in a result read from a file.
+        folder: folder of the run; None where it left no files.
+    """
+
+    agent_name: str
+    seed: int
+    settings: Mapping[str, Any]
+    primitives: int
+    decisions: int
+    planner_calls: int
+    evaluations: tuple[Evaluation, ...]
+    episodes: tuple[EpisodeRecord, ...]
+    seconds: float = field(compare=False)
+    planner_seconds: float = field(compare=False)
+    agent: Agent | None = field(default=None, compare=False, repr=False)
+    folder: Path | None = field(default=None, compare=False)
+
+    def curve(self, metric: str = "mean_return", against: str = "primitives") -> tuple[NDArray, NDArray]:
+        """Learning curve from the evaluations.
+
+        Args:
+            metric: `mean_return`, `success_rate` or `mean_length`.
+            against: `primitives`, `decisions` or `seconds` (of training).
+
+        Returns:
+            x and y, float64 (evaluations,).
+        """
+        if against == "seconds":
+            ends = {record.primitives: record.seconds for record in self.episodes}
+            x = [ends.get(evaluation.primitives, 0.0) for evaluation in self.evaluations]
+        else:
+            x = [getattr(evaluation, against) for evaluation in self.evaluations]
+        return np.array(x, float), np.array([getattr(e, metric) for e in self.evaluations], float)
+
+    def to_json(self) -> dict[str, Any]:
+        """JSON value without agent and folder."""
+        value = {f.name: getattr(self, f.name) for f in dataclasses.fields(self) if f.name not in ("agent", "folder")}
+        return value | {
+            "settings": dict(self.settings),
+            "evaluations": [dataclasses.asdict(evaluation) for evaluation in self.evaluations],
+            "episodes": [dataclasses.asdict(record) for record in self.episodes],
+        }
+
+
+def load_result(folder: str | os.PathLike[str]) -> TrainResult:
+    """Read the result of a finished run, without its agent (see `load_agent`).
+
+    Raises:
+        FileReadError: the run is not finished, or its result cannot be read.
+        CheckpointError: the result is damaged.
+    """
+    return read_result(folder)[1]
+
+
+def read_result(folder: str | os.PathLike[str]) -> tuple[str, TrainResult]:
+    """Key and result of a finished run; see `load_result`."""
+    path = Path(folder) / "result.json"
+    content = read_json(path, "result of a run")
+    try:
+        key = content.pop("key")
+        return key, dataclasses.replace(read_record(TrainResult, content), folder=Path(folder))
+    except (EscapeError, AttributeError, KeyError, TypeError) as error:
+        raise CheckpointError(f"{path}: this result of a run is damaged ({describe_damage(error)}). Delete the folder "
+                              "to start anew") from error

@@ -1,0 +1,352 @@
+"""One training run: its episodes, evaluations and totals, in a folder or without one.
+
+The arguments and their defaults are documented in `train.py`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import time
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any, cast
+
+import gymnasium
+
+from hrl_escape.agents.agent import (
+    Agent,
+    SMDPTransition,
+    StateTree,
+    check_observation,
+    count_actions,
+    make_transition,
+    read_action_mask,
+)
+from hrl_escape.agents.registry import SMDP_PREFIX
+from hrl_escape.agents.training.env_description import compute_digest, describe_env, summarise
+from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
+from hrl_escape.agents.training.probe import Probe
+from hrl_escape.agents.training.progress import Reporter
+from hrl_escape.agents.training.results import EpisodeRecord, TrainResult, make_evaluation_row, read_row
+from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
+from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
+from hrl_escape.version import __version__, find_versions
+
+__all__ = ["Plan", "Run", "load_agent_state"]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Arguments of a run; see `train`.
+
+    Attributes:
+        agent_state: hash of the state of an agent that was given as an object; None for one made by name.
+    """
+
+    name: str
+    seed: int
+    primitives: int
+    decisions: int | None
+    eval_every: int
+    eval_episodes: int
+    eval_seed: int
+    agent_state: str | None = None
+
+
+NO_OPTIONS = (
+    "{name} chooses options, and this environment's steps have no info['duration'], so that each counts as one "
+    "primitive. Where it should have options, give train OptionsEnv(env)"
+)
+
+
+class Run:
+    """State of a run between episodes: the agent, totals, and measurements so far.
+
+    Args:
+        agent: a new agent.
+        env: training environment.
+        eval_env: evaluation environment.
+        plan: arguments of the run.
+        probe: measurements of the agent on the way.
+    """
+
+    def __init__(
+        self, agent: Agent, env: gymnasium.Env, eval_env: gymnasium.Env, plan: Plan, probe: Probe | None = None
+    ) -> None:
+        self.agent, self.env, self.eval_env, self.plan, self.probe = agent, env, eval_env, plan, probe
+        self.actions = count_actions(env.action_space, plan.name)
+        self.episodes: list[EpisodeRecord] = []
+        self.evaluations: list[Evaluation] = []
+        self.primitives = self.decisions = self.planner_calls = 0
+        self.seconds = self.planner_seconds = 0.0
+        self._folder: RunFolder | None = None
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """Everything that decides the run's numbers, as a JSON value; `run.json` keeps it."""
+        apart = self.eval_env is not self.env
+        return {
+            "format": FORMAT,
+            "version": __version__,
+            "versions": find_versions(),
+            "agent": f"{type(self.agent).__module__}:{type(self.agent).__qualname__}",
+            **dataclasses.asdict(self.plan),
+            "settings": self._list_settings(),
+            "environment": describe_env(self.env),
+            "evaluation_environment": describe_env(self.eval_env) if apart else None,
+            "observation_space": repr(self.env.observation_space),
+            "action_space": repr(self.env.action_space),
+            **({} if self.probe is None else {"probe": self.probe.identity}),
+        }
+
+    @property
+    def key(self) -> str:
+        """Short hash of the identity: different numbers, different keys."""
+        return compute_digest(summarise(self.identity))
+
+    def open(self, out: str | os.PathLike[str], tensorboard: bool) -> None:
+        """Claim a folder, and resume from its checkpoint."""
+        self._folder = RunFolder(out, self.identity, tensorboard)
+        if self._folder.state is not None:
+            self.load_state_dict(self._folder.state, self._folder.rows)
+
+    def close(self) -> None:
+        """Release the folder."""
+        if self._folder is not None:
+            self._folder.close()
+
+    def _list_settings(self) -> dict[str, Any]:
+        return json.loads(json.dumps(dataclasses.asdict(self.agent.settings)))
+
+    def finish(self, checkpoint_seconds: float, report: Reporter) -> TrainResult:
+        """Train to the end; the result of a finished folder is returned at once.
+
+        Raises:
+            DivergenceError: a loss became NaN; names run and primitive.
+        """
+        folder = self._folder
+        if folder is not None and folder.state is not None and (finished := folder.result) is not None:
+            return dataclasses.replace(finished, agent=self.agent)
+        try:
+            self._train(folder, checkpoint_seconds, report)
+        except DivergenceError as error:
+            label = f"{self.plan.name}, seed {self.plan.seed}" + (f", {folder.path}" if folder is not None else "")
+            raise DivergenceError(error.agent, error.updates, label, self.primitives, error.loss,
+                                  error.gradient_norm) from error
+        result = self.make_result(self._list_settings())
+        if folder is not None:
+            folder.finish(result.to_json())
+        return result
+
+    def _train(self, folder: RunFolder | None, checkpoint_seconds: float, report: Reporter) -> None:
+        """Run episodes until the budget is spent, evaluating and saving between them."""
+        last_save = time.monotonic()
+        if not self.episodes:
+            self._evaluate(folder)
+        next_evaluation = self._next_evaluation()
+        while not self.is_over:
+            row = self._run_episode(report)
+            if folder is not None:
+                folder.log(row)
+            if self.probe is not None:
+                self.probe.after_episode(self.agent, self.episodes[-1])
+            if self.is_over or self.primitives >= next_evaluation:
+                self._evaluate(folder)
+                next_evaluation = self._next_evaluation()
+            if folder is not None and (self.is_over or time.monotonic() - last_save >= checkpoint_seconds):
+                folder.save(self.state_dict())
+                last_save = time.monotonic()
+
+    @property
+    def is_over(self) -> bool:
+        """True once the budget is spent or the probe has seen enough."""
+        return self._is_spent or (self.probe is not None and self.probe.is_done)
+
+    @property
+    def _is_spent(self) -> bool:
+        most = self.plan.decisions
+        return self.primitives >= self.plan.primitives or (most is not None and self.decisions >= most)
+
+    def _next_evaluation(self) -> int:
+        return (self.primitives // self.plan.eval_every + 1) * self.plan.eval_every
+
+    def _run_episode(self, report: Reporter) -> dict[str, Any]:
+        """Train for one episode; returns its row of the log."""
+        started = time.perf_counter()
+        tally = _Tally()
+        agent, env = self.agent, self.env
+        observation, info = env.reset(seed=compute_episode_seed(self.plan.seed, "training", len(self.episodes)))
+        check_observation(observation, "at the episode's start")
+        mask = read_action_mask(info, self.actions)
+        words = self._describe()
+        end = "budget"
+        while end == "budget" and not self._is_spent:
+            action = agent.act(observation, mask)
+            step = env.step(action)
+            transition = make_transition(observation, action, mask, step, agent.gamma)
+            if self.decisions == 0 and "duration" not in step[4] and self.plan.name.startswith(SMDP_PREFIX):
+                warnings.warn(NO_OPTIONS.format(name=self.plan.name), stacklevel=2)
+            metrics = agent.observe(transition)
+            self.primitives += transition.duration
+            self.decisions += 1
+            tally.add(transition, step[4], metrics)
+            if self.probe is not None:
+                self.probe.after_decision(agent, self.primitives)
+            report(self.primitives, words)
+            if transition.terminated or transition.truncated:
+                end = "terminated" if transition.terminated else "truncated"
+            observation, mask = transition.next_observation, transition.next_action_mask
+        seconds = time.perf_counter() - started
+        self.seconds += seconds
+        self.planner_calls += tally.planner_calls
+        self.planner_seconds += tally.planner_seconds
+        row = {
+            "kind": "episode",
+            "episode": len(self.episodes),
+            "primitives": self.primitives,
+            "decisions": self.decisions,
+            "train/return": tally.episode_return,
+            "train/length": tally.length,
+            "train/decisions": tally.decisions,
+            "train/success": int(tally.success),
+            "train/end": end,
+            **tally.make_row(),
+            "option/planner_calls": self.planner_calls,
+            "time/planner_seconds": self.planner_seconds,
+            "time/seconds": self.seconds,
+            "time/primitives_per_second": tally.length / max(seconds, 1e-9),
+        }
+        self.episodes.append(cast("EpisodeRecord", read_row(row)))
+        return row
+
+    def _describe(self) -> str:
+        """Describe the latest returns for the progress line."""
+        recent = [record.episode_return for record in self.episodes[-10:]]
+        words = [f"return {sum(recent) / len(recent):.1f}"] if recent else []
+        if self.evaluations:
+            words.append(f"eval {self.evaluations[-1].mean_return:.1f}")
+        return " ".join(words)
+
+    def _evaluate(self, folder: RunFolder | None) -> None:
+        if not self.plan.eval_episodes:
+            return
+        evaluation = evaluate(
+            self.agent,
+            self.eval_env,
+            self.plan.eval_episodes,
+            self.plan.eval_seed,
+            primitives=self.primitives,
+            decisions=self.decisions,
+        )
+        self.evaluations.append(evaluation)
+        if folder is not None:
+            folder.log(make_evaluation_row(evaluation))
+
+    def make_result(self, settings: Mapping[str, Any]) -> TrainResult:
+        """Build the result."""
+        return TrainResult(
+            agent_name=self.plan.name,
+            seed=self.plan.seed,
+            settings=settings,
+            primitives=self.primitives,
+            decisions=self.decisions,
+            planner_calls=self.planner_calls,
+            evaluations=tuple(self.evaluations),
+            episodes=tuple(self.episodes),
+            seconds=self.seconds,
+            planner_seconds=self.planner_seconds,
+            agent=self.agent,
+            folder=self._folder.path if self._folder is not None else None,
+        )
+
+    def state_dict(self) -> StateTree:
+        """State beyond the log."""
+        return {
+            "agent": self.agent.state_dict(),
+            "primitives": self.primitives,
+            "decisions": self.decisions,
+            "planner_calls": self.planner_calls,
+            "seconds": self.seconds,
+            "planner_seconds": self.planner_seconds,
+            "probe": None if self.probe is None else self.probe.state_dict(),
+        }
+
+    def load_state_dict(self, state: StateTree, rows: list[dict[str, Any]]) -> None:
+        """Resume from a checkpoint and the log up to it."""
+        load_agent_state(self.agent, state, self.plan.name)
+        with refusing_damage(f"{self.plan.name}: the checkpoint or its log"):
+            self.primitives, self.decisions = int(state["primitives"]), int(state["decisions"])
+            self.planner_calls = int(state["planner_calls"])
+            self.seconds, self.planner_seconds = float(state["seconds"]), float(state["planner_seconds"])
+            if self.probe is not None:
+                self.probe.load_state_dict(state["probe"])
+            records = [read_row(row) for row in rows]
+        self.episodes = [record for record in records if isinstance(record, EpisodeRecord)]
+        self.evaluations = [record for record in records if isinstance(record, Evaluation)]
+
+
+class _Tally:
+    """Sums over one training episode."""
+
+    def __init__(self) -> None:
+        self.episode_return = self.planner_seconds = 0.0
+        self.length = self.decisions = self.planner_calls = 0
+        self.success = False
+        self._choices: dict[str, int] = {}
+        self._choice_primitives: dict[str, int] = {}
+        self._failures = 0
+        self._sums: dict[str, float] = {}
+        self._counts: dict[str, int] = {}
+
+    def add(self, transition: SMDPTransition, info: Mapping[str, Any], metrics: Mapping[str, float]) -> None:
+        """Add one decision."""
+        self.episode_return += transition.summed_reward
+        self.length += transition.duration
+        self.decisions += 1
+        if transition.terminated or transition.truncated:
+            self.success = bool(info.get("is_success", transition.terminated))
+        if (option := info.get("option")) is not None:
+            name = option["name"]
+            self._choices[name] = self._choices.get(name, 0) + 1
+            self._choice_primitives[name] = self._choice_primitives.get(name, 0) + transition.duration
+            self._failures += option.get("ended") == "planning-failed"
+            self.planner_calls += option.get("planner_calls", 0)
+            self.planner_seconds += option.get("planner_seconds", 0.0)
+        for name, value in metrics.items():
+            self._sums[name] = self._sums.get(name, 0.0) + value
+            self._counts[name] = self._counts.get(name, 0) + 1
+
+    def make_row(self) -> dict[str, Any]:
+        """Means of the agent's metrics, and counts of its choices, under their logged names."""
+        row: dict[str, Any] = {f"train/{name}": total / self._counts[name] for name, total in self._sums.items()}
+        if self._choices:
+            row["option/choices"] = self._choices
+            row["option/primitives"] = self._choice_primitives
+            row["option/failures"] = self._failures
+        return row
+
+
+def load_agent_state(agent: Agent, state: StateTree, where: str) -> None:
+    """Restore an agent from a run's checkpoint.
+
+    Raises:
+        CheckpointError: it does not fit the agent.
+    """
+    with refusing_damage(f"{where}: the checkpoint"):
+        agent.load_state_dict(state["agent"])
+
+
+@contextmanager
+def refusing_damage(what: str) -> Iterator[None]:
+    """Turn whatever reading damaged content raises into a `CheckpointError`."""
+    try:
+        yield
+    except CheckpointError:
+        raise
+    except Exception as error:
+        raise CheckpointError(f"{what} is damaged, or of another agent ({describe_damage(error)}). Delete the run's "
+                              "folder to start anew") from error

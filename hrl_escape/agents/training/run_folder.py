@@ -1,0 +1,250 @@
+"""Folder of one training run: identity, log, checkpoint and result.
+
+`run.json` holds the identity, `log.jsonl` one line an episode and an evaluation, `checkpoint.npz` the latest state,
+`result.json` the result of a finished run. A checkpoint records the length of the log, and resuming cuts the log back
+to it. So a run killed at any moment leaves the files of an uninterrupted one.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import math
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, Any
+
+from hrl_escape.agents.agent import StateTree
+from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
+from hrl_escape.agents.training.env_description import compute_digest, summarise
+from hrl_escape.agents.training.results import TrainResult, read_result
+from hrl_escape.errors import (
+    CheckpointError,
+    EscapeError,
+    FileWriteError,
+    MissingExtraError,
+    RunBusyError,
+    RunMismatchError,
+    describe_damage,
+    show_value,
+)
+from hrl_escape.files import (
+    clear_unfinished,
+    describe_write_failure,
+    open_plain,
+    parse_json,
+    read_json,
+    write_json,
+)
+
+__all__ = ["FORMAT", "RunFolder", "read_run"]
+
+FORMAT = 2
+"""Version of `run.json`."""
+
+MOST_NAMED = 8
+"""Differences that a message names."""
+
+
+class RunFolder:
+    """Folder of a run, opened for one process.
+
+    Args:
+        path: path of the folder; made if missing.
+        identity: everything that decides the run's numbers, a JSON value. A folder never holds two runs.
+        tensorboard: also write event files into `path/tensorboard`.
+
+    Attributes:
+        key: short hash of the identity; checkpoint and result carry it.
+        state: checkpoint to resume from, or None.
+        rows: rows of the log up to that checkpoint.
+
+    Raises:
+        RunBusyError: another process has the folder open.
+        RunMismatchError: it holds a run of another identity.
+        CheckpointError: checkpoint or log are damaged.
+        FileWriteError: the folder cannot be made or written.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], identity: Mapping[str, Any], tensorboard: bool) -> None:
+        self.path = Path(path)
+        self.key = compute_digest(summarise(identity))
+        self.state: StateTree | None = None
+        self.rows: list[dict[str, Any]] = []
+        self._lock = self._take_lock()
+        try:
+            clear_unfinished(self.path)
+            self._claim(json.loads(json.dumps(identity)))
+            offset = self._restore()
+            self._log = self._open(self.path / "log.jsonl", "ab")
+            self._log.truncate(offset)
+            step = self.rows[-1]["primitives"] + 1 if self.rows else 0
+            self._events = _open_events(self.path / "tensorboard", step) if tensorboard else None
+        except BaseException:
+            self._lock.close()
+            raise
+
+    @property
+    def result(self) -> TrainResult | None:
+        """Result of a finished run, else None."""
+        if not (self.path / "result.json").exists():
+            return None
+        key, result = read_result(self.path)
+        self._check_key(key, "result.json")
+        return result
+
+    def log(self, row: Mapping[str, Any]) -> None:
+        """Append one row; numbers under names with a slash also go to TensorBoard, against primitives."""
+        clean = {
+            key: None if isinstance(value, float) and not math.isfinite(value) else value for key, value in row.items()
+        }
+        with self._writing_log():
+            self._log.write(json.dumps(clean, allow_nan=False).encode() + b"\n")
+            self._log.flush()
+        self.rows.append(clean)
+        if self._events is not None:
+            for key, value in clean.items():
+                if "/" in key and isinstance(value, (int, float)):
+                    self._events.add_scalar(key, value, clean["primitives"])
+
+    def save(self, state: StateTree) -> None:
+        """Make the log durable, then replace the checkpoint."""
+        with self._writing_log():
+            os.fsync(self._log.fileno())
+        save_checkpoint(self.path / "checkpoint.npz", {"key": self.key, "log_bytes": self._log.tell(), **state})
+
+    def finish(self, result: Mapping[str, Any]) -> None:
+        """Write the result, which marks the run as finished."""
+        with self._writing_log():
+            write_json(self.path / "result.json", {"key": self.key, **result})
+
+    def close(self) -> None:
+        """Close the files and release the lock."""
+        if self._events is not None:
+            self._events.close()
+        with suppress(OSError):  # a full disk has been told of
+            self._log.close()
+        self._lock.close()
+
+    @contextmanager
+    def _writing_log(self) -> Iterator[None]:
+        """Say at once where the log's disk is full, or where its folder was deleted or moved."""
+        path = self.path / "log.jsonl"
+        try:
+            if not os.path.samestat(os.stat(path), os.fstat(self._log.fileno())):
+                raise FileNotFoundError
+            yield
+        except FileWriteError:
+            raise
+        except FileNotFoundError as error:
+            raise FileWriteError(f"{path} was deleted or moved while its run was writing it. Start the run anew, and "
+                                 "leave its folder where it is") from error
+        except OSError as error:
+            raise FileWriteError(describe_write_failure(path, error)) from error
+
+    def _take_lock(self) -> IO[bytes]:
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise FileWriteError(describe_write_failure(self.path, error)) from error
+        lock = self._open(self.path / "lock", "ab")
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # falls with the process, however it ends
+        except OSError as error:
+            lock.close()
+            raise RunBusyError(
+                f"{self.path}: another process is training into this folder. Wait for it or choose another folder"
+            ) from error
+        return lock
+
+    def _open(self, path: Path, mode: str) -> IO[bytes]:
+        try:
+            return open(path, mode)
+        except OSError as error:
+            raise FileWriteError(describe_write_failure(path, error)) from error
+
+    def _claim(self, identity: dict[str, Any]) -> None:
+        """Write the identity, or compare it with the one that is there."""
+        path = self.path / "run.json"
+        if not path.exists():
+            left = [name for name in ("result.json", "checkpoint.npz", "log.jsonl") if (self.path / name).exists()]
+            if left:
+                raise CheckpointError(f"{self.path / left[0]}: this folder is damaged: its run.json is gone. Choose "
+                                      "another folder, or delete this one")
+            write_json(path, identity)
+            return
+        found = read_run(self.path)
+        there, now = _flatten(summarise(found)), _flatten(summarise(identity))
+        if there != now:
+            differing = [key for key in {**there, **now} if there.get(key) != now.get(key)]
+            named = differing[:MOST_NAMED]
+            changes = "; ".join(f"{key}: {show_value(there.get(key))} there, {show_value(now.get(key))} now"
+                                for key in named)
+            changes += f"; and {len(differing) - MOST_NAMED} more" if len(differing) > MOST_NAMED else ""
+            raise RunMismatchError(
+                f"{self.path} holds a run that differs in {changes}. Choose another folder, or delete "
+                "this one"
+            )
+
+    def _restore(self) -> int:
+        """Read checkpoint and log; return the length of the log at the checkpoint, in bytes."""
+        path = self.path / "checkpoint.npz"
+        if not path.exists():
+            return 0
+        self.state = load_checkpoint(path)
+        self._check_key(self.state.get("key"), path.name)
+        log_path = self.path / "log.jsonl"
+        try:
+            offset = self.state["log_bytes"]
+            with open_plain(log_path, "log of a run") as log:
+                size = os.fstat(log.fileno()).st_size
+                if not isinstance(offset, int) or not 0 <= offset <= size:
+                    raise ValueError(f"it has {size} bytes; the checkpoint was made at {show_value(offset)}")
+                content = log.read(offset)
+            self.rows = [parse_json(line, log_path, "log of a run") for line in content.splitlines()]
+        except (EscapeError, KeyError, TypeError, ValueError) as error:
+            raise CheckpointError(f"{log_path}: this log is damaged ({describe_damage(error)}). Delete the folder to "
+                                  "start anew") from error
+        return offset
+
+    def _check_key(self, key: Any, name: str) -> None:
+        """Refuse a file of another run."""
+        if key != self.key:
+            raise CheckpointError(f"{self.path / name} belongs to another run than the run.json beside it. Delete the "
+                                  "folder to start anew")
+
+
+def read_run(folder: str | os.PathLike[str]) -> dict[str, Any]:
+    """Read the description of a run: its identity, as `run.json` keeps it.
+
+    Raises:
+        FileReadError: there is none.
+        CheckpointError: it is damaged, or of another format.
+    """
+    path = Path(folder) / "run.json"
+    described = read_json(path, "description of a run")
+    if not isinstance(described, dict) or described.get("format") != FORMAT:
+        raise CheckpointError(f"{path}: this is not the description of a run in format {FORMAT}. Train the run anew "
+                              "with this version of hrl-escape")
+    return described
+
+
+def _flatten(value: Any, path: str = "") -> dict[str, Any]:
+    """Values by their dotted path; lists of tables count as tables whose names are numbers."""
+    if isinstance(value, list) and any(isinstance(part, dict) for part in value):
+        value = dict(enumerate(value))
+    if not isinstance(value, dict) or not value:
+        return {path: value}
+    parts = (_flatten(part, f"{path}.{name}" if path else str(name)) for name, part in value.items())
+    return {name: part for found in parts for name, part in found.items()}
+
+
+def _open_events(path: Path, purge_step: int) -> Any:
+    """Make TensorBoard's writer; `purge_step` drops events from after the checkpoint."""
+    try:
+        from torch.utils.tensorboard import SummaryWriter  # optional
+    except ImportError as error:
+        raise MissingExtraError("tensorboard", "tensorboard", "writing TensorBoard files") from error
+    return SummaryWriter(path, purge_step=purge_step)

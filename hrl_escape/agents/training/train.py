@@ -1,0 +1,160 @@
+"""Training: one loop for every agent, budgets in primitives, runs that resume to the same bits.
+
+An episode's seed is a function of the run's seed and its number, and checkpoints are taken between episodes, so no
+environment needs saving: a killed run resumes to the same bits. Evaluations happen between episodes
+too. Many runs at once are the part of `hrl_escape.experiments`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
+from hrl_escape.agents.training.env_description import compute_digest, make_described_env, summarise
+from hrl_escape.agents.training.probe import Probe
+from hrl_escape.agents.training.progress import show_progress
+from hrl_escape.agents.training.results import TrainResult
+from hrl_escape.agents.training.run import Plan, Run, load_agent_state, refusing_damage
+from hrl_escape.agents.training.run_folder import read_run
+from hrl_escape.errors import AgentSettingsError, CheckpointError
+
+__all__ = ["load_agent", "load_env", "train"]
+
+
+def train(
+    agent: str | Agent,
+    env: gymnasium.Env,
+    *,
+    primitives: int,
+    decisions: int | None = None,
+    seed: int = 0,
+    recipe: str = "corrected",
+    settings: Mapping[str, Any] | None = None,
+    eval_env: gymnasium.Env | None = None,
+    eval_every: int | None = None,
+    eval_episodes: int = 5,
+    eval_seed: int = 0,
+    out: str | os.PathLike[str] | None = None,
+    checkpoint_seconds: float = 30.0,
+    tensorboard: bool = False,
+    progress: bool | None = None,
+    probe: Probe | None = None,
+) -> TrainResult:
+    """Train an agent on an environment, flat or with options.
+
+    Args:
+        agent: a name (see `registry.list_agents`, with or without `smdp-`), or an agent of your own, made new.
+        env: Discrete actions; what `step` must return is in `agent.make_transition`. It must depend on nothing
+            before `reset(seed=...)`, which is called for every episode. Give an environment of your own a `describe`
+            method (see `DescribedEnv`), so that runs with other arguments are told apart.
+        primitives: budget. The decision that reaches it is the last.
+        decisions: budget of decisions, if it is spent earlier; for programs that counted decisions.
+        seed: 0 or more; fixes the agent (if named) and every training episode.
+        recipe: `corrected` or `paper`, for a named agent.
+        settings: fields of a named agent's settings to change.
+        eval_env: evaluation environment; by default `env` itself, between episodes.
+        eval_every: primitives between evaluations, a twentieth of the budget by default. Each is made at
+            the first episode's end from there on, besides one before training and one after.
+        eval_episodes: episodes in an evaluation; 0 leaves evaluations out.
+        eval_seed: fixes the evaluation episodes; use one value for all runs that are compared.
+        out: folder for log, checkpoints and result; `{key}` in its name becomes a hash of everything that decides
+            the run's numbers. The same run found there goes on from its last checkpoint, to the same bits; a
+            finished one is returned at once; any other run is refused.
+        checkpoint_seconds: least wall time between checkpoints; 0 makes one after every episode.
+        tensorboard: also write event files (needs `out` and the extra `tensorboard`).
+        progress: show a progress line; by default on a terminal only.
+        probe: measures the agent on the way, and may end the run before its budget.
+
+    Returns:
+        Curves, episodes, totals and the trained agent.
+
+    Raises:
+        AgentSettingsError: an argument or setting is impossible.
+        UnknownNameError: no such agent, recipe or setting.
+        StepContractError: the environment breaks the contract.
+        DivergenceError: a loss became NaN; names run and primitive.
+        RunMismatchError, RunBusyError, CheckpointError, FileWriteError: about `out`.
+    """
+    eval_every = eval_every or max(1, primitives // 20)
+    for name, value, least in (
+        ("primitives", primitives, 1),
+        ("decisions", 1 if decisions is None else decisions, 1),
+        ("eval_every", eval_every, 1),
+        ("eval_episodes", eval_episodes, 0),
+        ("eval_seed", eval_seed, 0),
+        ("seed", seed, 0),
+    ):
+        if not isinstance(value, (int, np.integer)) or value < least:
+            raise AgentSettingsError(name, value, f"a whole number of at least {least}")
+    if settings is not None and not isinstance(settings, Mapping):
+        raise AgentSettingsError("settings", settings, "a mapping from names of settings to values, or None")
+    if tensorboard and out is None:
+        raise AgentSettingsError("tensorboard", True, "False, or give out= for the event files")
+    if isinstance(agent, str):
+        name = agent
+        learner = make_agent(agent, env.observation_space, env.action_space, seed, recipe, **settings or {})
+    else:
+        name, learner = type(agent).__name__, agent
+    agent_state = None if out is None or isinstance(agent, str) else compute_state_digest(learner.state_dict())
+    plan = Plan(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state)
+    run = Run(learner, env, eval_env or env, plan, probe)
+    if out is not None:
+        run.open(os.fspath(out).replace("{key}", run.key), tensorboard)
+    try:
+        with show_progress(f"{name} seed {seed}", primitives, run.primitives, progress) as report:
+            return run.finish(checkpoint_seconds, report)
+    finally:
+        run.close()
+
+
+def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None) -> Agent:
+    """Load the agent of a run as of its last checkpoint; in a finished run, the trained one.
+
+    Args:
+        folder: folder of a run of a named agent.
+        env: environment with the spaces of the training; None makes the run's own, see `load_env`.
+
+    Raises:
+        FileReadError: no checkpoint or description there.
+        CheckpointError: the description or the checkpoint is damaged or does not fit.
+    """
+    described = read_run(folder)
+    state = load_checkpoint(Path(folder) / "checkpoint.npz")
+    if state.get("key") != compute_digest(summarise(described)):
+        raise CheckpointError(f"{folder}: the checkpoint belongs to another run than the run.json beside it")
+    own = load_env(folder) if env is None else None
+    spaces = env or own
+    assert spaces is not None
+    try:
+        with refusing_damage(f"{folder}: the description of this run"):
+            agent = make_agent(described["name"], spaces.observation_space, spaces.action_space, described["seed"],
+                               **described["settings"])
+    finally:
+        if own is not None:
+            own.close()
+    load_agent_state(agent, state, str(folder))
+    return agent
+
+
+def load_env(
+    folder: str | os.PathLike[str], wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env
+) -> gymnasium.Env:
+    """Make the environment of a run again: room, observation, options and wrappers.
+
+    Args:
+        folder: folder of the run.
+        wrap: applied to the innermost environment, below the run's wrappers.
+
+    Raises:
+        FileReadError: no description there.
+        CheckpointError: it is damaged, or the environment has arguments that no file keeps.
+    """
+    return make_described_env(read_run(folder).get("environment", {}), wrap)

@@ -1,0 +1,91 @@
+"""The contract of path planners: exact, repeatable paths that join start and goal, prompt when time is up."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TYPE_CHECKING, TypeAlias
+
+import numpy as np
+
+from hrl_escape.checks.claims import Claims
+from hrl_escape.env.config import ObstaclesConfig
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import ContractError, PathPlannerError
+
+if TYPE_CHECKING:
+    from hrl_escape.planning.paths.navigator import Navigator
+    from hrl_escape.planning.paths.problem import PathResult
+
+__all__ = ["check_path_planner"]
+
+Place: TypeAlias = tuple[float, float]
+PROMPT = 10.0
+"""A planner whose time is up must have stopped by then, s; late enough for a busy machine."""
+
+
+def check_path_planner(name: str, queries: int = 8, seed: int = 0) -> None:
+    """Check a registered path planner in three generated rooms.
+
+    Args:
+        name: under which it was registered.
+        queries: how many are asked in each room.
+        seed: of the queries.
+
+    Raises:
+        ContractError: the first claim that does not hold.
+        UnknownNameError: no planner of that name.
+    """
+    from hrl_escape.planning.paths.navigator import Navigator  # loads OMPL, which the other checks do without
+
+    config = get_preset("clutter")
+    reached = 0
+    for number, obstacles in enumerate((0, 15, 30)):
+        instance = generate(dataclasses.replace(config, obstacles=ObstaclesConfig(count=obstacles)), number)
+        reached += _PlannerCheck(name, (Navigator(instance), Navigator(instance))).run(queries, seed)
+    if not reached:
+        raise ContractError(f"path planner {name!r}", "it finds some path", f"none in {3 * queries} queries")
+
+
+class _PlannerCheck(Claims):
+    """The claims about one path planner in one room."""
+
+    def __init__(self, name: str, navigators: tuple[Navigator, Navigator]) -> None:
+        super().__init__(f"path planner {name!r}")
+        self.navigators = navigators
+        self.planner, self.collision = name, navigators[0].get_collision(True)
+
+    def run(self, queries: int, seed: int) -> int:
+        """Ask queries of two navigators in opposite order; returns how many found an exact path."""
+        places = self.draw_places(2 * queries, np.random.default_rng(seed))
+        pairs = list(zip(places[::2], places[1::2], strict=True))
+        first = [self.ask(0, *pair) for pair in pairs]
+        again = [self.ask(1, *pair) for pair in reversed(pairs)][::-1]
+        for (start, goal), one, other in zip(pairs, first, again, strict=True):
+            self.require(np.array_equal(one.path, other.path),
+                         "the same problem gives the same path, whatever was asked before", (start, goal))
+            self.require(one.status in ("exact", "approximate", "not-found", "budget-exhausted"),
+                         "the status fits the problem", one)
+            if one.status == "exact":
+                self.require(tuple(one.path[0]) == start and math.dist(one.path[-1], goal) < 1e-6,
+                             "an exact path joins start and goal", one)
+        hurried = self.ask(0, *pairs[0], time_limit=0.0)
+        self.require(hurried.status == "timeout" and hurried.seconds < PROMPT,
+                     "it lets the checker's exception through when time is up", hurried)
+        return sum(result.status == "exact" for result in first)
+
+    def ask(self, number: int, start: Place, goal: Place, time_limit: float | None = None) -> PathResult:
+        try:
+            return self.navigators[number].plan(start, np.array([goal]), self.planner, time_limit=time_limit)
+        except PathPlannerError as error:
+            raise ContractError(self.name, "it returns places that begin at the start, with free motions between "
+                                "them, or None", str(error)) from error
+
+    def draw_places(self, number: int, rng: np.random.Generator) -> list[Place]:
+        """Free places on one connected part of the floor."""
+        collision = self.collision
+        points = collision.low * (1 - 2 * rng.random((50 * number, 2)))
+        points = points[collision.are_free(points)]
+        parts = collision.get_parts(points)
+        return [(x, y) for x, y in points[parts == np.bincount(parts).argmax()][:number].tolist()]

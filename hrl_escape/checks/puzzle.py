@@ -1,0 +1,195 @@
+"""The contract of puzzles: pure updates, bounded numbers, and a symbolic model that predicts them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Hashable
+
+import numpy as np
+
+from hrl_escape.checks.claims import Claims
+from hrl_escape.env.puzzles.base import Contacts, Operator, Puzzle, SymbolicModel
+
+__all__ = ["check_puzzle"]
+
+Poses = tuple[tuple[float, float, float], ...]
+
+
+def check_puzzle(puzzle: Puzzle, steps: int = 200, seed: int = 0) -> None:
+    """Check a puzzle: its rules, its numbers, its symbolic model, and that they agree.
+
+    Args:
+        puzzle: a concrete puzzle, such as `config.make_puzzle(rng)` gives.
+        steps: primitives of random play, about half of them along the model's operators.
+        seed: of the random play.
+
+    Raises:
+        ContractError: the first claim that does not hold.
+    """
+    _PuzzleCheck(puzzle, np.random.default_rng(seed)).run(steps)
+
+
+class _PuzzleCheck(Claims):
+    """The claims about one puzzle, and the random play they are tried in."""
+
+    def __init__(self, puzzle: Puzzle, rng: np.random.Generator) -> None:
+        super().__init__(f"puzzle {puzzle.kind!r}")
+        self.puzzle, self.rng = puzzle, rng
+        self.targets = {name: i for i, name in enumerate(puzzle.target_names)}
+        self.props = {prop.name: i for i, prop in enumerate(puzzle.props)}
+        self.model: SymbolicModel = puzzle.make_symbolic_model()
+
+    def run(self, steps: int) -> None:
+        self.check_names()
+        self.check_model()
+        self.check_round_trip()
+        state = self.puzzle.make_state()
+        self.require(state == self.puzzle.make_state(), "make_state gives the same state each time", state)
+        self.check_state(state)
+        state, poses = self.begin()
+        self.check_reach(state)
+        for _ in range(steps):
+            self.check_operators(state, poses)
+            state, poses = self.play(state, poses) if self.rng.random() < 0.95 else self.begin()
+            self.check_state(state)
+        self.finish(state, poses)
+
+    # --- what does not change --------------------------------------------------------------
+
+    def check_names(self) -> None:
+        puzzle = self.puzzle
+        names = (*puzzle.target_names, *(prop.name for prop in puzzle.props))
+        self.require(all(isinstance(n, str) and n for n in names), "names of targets and props are text", names)
+        self.require(len(set(names)) == len(names), "no two targets or props have one name", names)
+        numbers = (*(end for edge in puzzle.edges for end in edge), *puzzle.goal_targets)
+        self.require(all(0 <= n < len(self.targets) for n in numbers), "edges and goal_targets name targets", numbers)
+        bounds = puzzle.bounds
+        self.require(all(math.isfinite(low) and math.isfinite(high) and low < high for low, high in bounds),
+                     "bounds are finite, low < high", bounds)
+
+    def check_model(self) -> None:
+        model, known = self.model, frozenset(self.model.propositions)
+        self.require(len(known) == len(model.propositions), "no proposition is listed twice", model.propositions)
+        self.require(model.goal <= known, "the goal is made of propositions", model.goal - known)
+        names = [operator.name for operator in model.operators]
+        self.require(len(set(names)) == len(names), "no two operators have one name", names)
+        for op in model.operators:
+            used = op.preconditions | op.forbidden | op.add | op.delete
+            self.require(used <= known, f"operator {op.name!r} is made of propositions", used - known)
+            if op.action == "press":
+                self.require(op.target in self.targets, f"operator {op.name!r} presses a target", op.target)
+            else:
+                self.require(op.action == "push" and op.target in self.props and op.destination in self.props,
+                             f"operator {op.name!r} presses a target, or pushes a prop to a prop",
+                             (op.action, op.target, op.destination))
+        again = self.puzzle.make_symbolic_model()
+        self.require(again == model, "make_symbolic_model gives the same model each time", again)
+
+    def check_round_trip(self) -> None:
+        puzzle = self.puzzle
+        again = type(puzzle).from_dict(json.loads(json.dumps(puzzle.to_dict())))
+        self.require(again == puzzle, "to_dict and from_dict through JSON give an equal puzzle", again)
+
+    # --- what holds in every state ---------------------------------------------------------
+
+    def check_state(self, state: Hashable) -> None:
+        puzzle = self.puzzle
+        self.require(_is_hashable(state), "states are hashable", state)
+        numbers, bounds = puzzle.observe(state), puzzle.bounds
+        self.require(len(numbers) == len(bounds), "observe gives one number for each of bounds", numbers)
+        inside = all(isinstance(v, float) and low <= v <= high for v, (low, high) in zip(numbers, bounds, strict=True))
+        self.require(inside, "observed numbers are floats within their bounds", numbers)
+        lit = puzzle.get_lit(state)
+        self.require(len(lit) == len(self.targets) and all(isinstance(is_on, bool) for is_on in lit),
+                     "get_lit gives a bool for each target", lit)
+        facts = puzzle.get_facts(state)
+        unknown = facts - frozenset(self.model.propositions)
+        self.require(not unknown, "facts are propositions of the symbolic model", unknown)
+        solved = puzzle.is_solved(state)
+        self.require(isinstance(solved, bool) and solved == (self.model.goal <= facts),
+                     "is_solved exactly where the symbolic goal holds", (state, solved, facts))
+
+    def check_operators(self, state: Hashable, poses: Poses) -> None:
+        facts = self.puzzle.get_facts(state)
+        for op in self.model.operators:
+            if op.is_applicable(facts):
+                after = self.puzzle.get_facts(self.perform(op, state, poses)[0])
+                expected = op.apply(facts)
+                self.require(after == expected, f"operator {op.name!r} predicts what update does",
+                             {"state": state, "predicted": sorted(expected), "really": sorted(after)})
+
+    def check_reach(self, state: Hashable) -> None:
+        """The goal must be reachable under delete relaxation."""
+        reached, grown = self.puzzle.get_facts(state), True
+        while grown:
+            useful = [op for op in self.model.operators if op.preconditions <= reached and not op.add <= reached]
+            reached, grown = reached.union(*(op.add for op in useful)), bool(useful)
+        missing = sorted(self.model.goal - reached)
+        self.require(not missing, "the symbolic goal can be reached by operators", f"no way to {missing}")
+
+    # --- play ------------------------------------------------------------------------------
+
+    def begin(self) -> tuple[Hashable, Poses]:
+        """A new episode."""
+        state, poses = self.puzzle.make_state(), self.draw_poses()
+        return (self.update(state, (), poses) if poses else state), poses
+
+    def finish(self, state: Hashable, poses: Poses) -> None:
+        """Follow operators that add something, as far as that leads, so that solved states are seen."""
+        for _ in range(2 * len(self.model.operators)):
+            facts = self.puzzle.get_facts(state)
+            useful = [op for op in self.model.operators if op.is_applicable(facts) and not op.add <= facts]
+            if not useful or self.model.goal <= facts:
+                break
+            state, poses = self.perform(useful[0], state, poses)
+            self.check_state(state)
+
+    def play(self, state: Hashable, poses: Poses) -> tuple[Hashable, Poses]:
+        """One primitive: an applicable operator, or anything."""
+        facts = self.puzzle.get_facts(state)
+        applicable = [op for op in self.model.operators if op.is_applicable(facts)]
+        if applicable and self.rng.random() < 0.5:
+            return self.perform(applicable[int(self.rng.integers(len(applicable)))], state, poses)
+        number = min(int(self.rng.integers(3)), len(self.targets))
+        chosen = sorted(self.rng.choice(len(self.targets), number, replace=False).tolist()) if number else []
+        poses = self.draw_poses()
+        after = self.update(state, tuple(chosen), poses)
+        one_by_one = state
+        for target in chosen:
+            one_by_one = self.update(one_by_one, (target,), poses)
+        if chosen:
+            self.require(after == one_by_one, "presses of one primitive count in index order",
+                         {"state": state, "pressed": chosen, "together": after, "one by one": one_by_one})
+        return after, poses
+
+    def perform(self, op: Operator, state: Hashable, poses: Poses) -> tuple[Hashable, Poses]:
+        """Do physically what an operator means."""
+        if op.action == "press":
+            return self.update(state, (self.targets[op.target],), poses), poses
+        moved = list(poses)
+        moved[self.props[op.target]] = poses[self.props[op.destination or ""]]
+        return self.update(state, (), tuple(moved)), tuple(moved)
+
+    def update(self, state: Hashable, pressed: tuple[int, ...], poses: Poses) -> Hashable:
+        before = hash(state)
+        contacts = Contacts(pressed, poses)
+        after = self.puzzle.update(state, contacts)
+        again = self.puzzle.update(state, contacts)
+        self.require(after == again and hash(state) == before,
+                     "update is pure: the same state and contacts give the same state, nothing is changed in place",
+                     {"state": state, "pressed": pressed, "first": after, "second": again})
+        return after
+
+    def draw_poses(self) -> Poses:
+        """Somewhere on a floor of 20 m, with nothing on top of anything on purpose."""
+        return tuple((float(x), float(y), float(yaw)) for x, y, yaw in
+                     self.rng.uniform((-10, -10, -math.pi), (10, 10, math.pi), (len(self.props), 3)))
+
+
+def _is_hashable(value: object) -> bool:
+    try:
+        hash(value)
+    except TypeError:
+        return False
+    return True

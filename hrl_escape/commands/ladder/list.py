@@ -1,0 +1,49 @@
+"""List the rungs of a benchmark: rooms, what each rung asks for, and the size of its sets.
+
+Examples:
+    hrl-escape ladder list
+    hrl-escape ladder list --benchmark my-ladder.json --json
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+from rich.console import Console
+from rich.table import Table
+
+from hrl_escape.env.presets import describe_schematic
+from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.ladder.manifest import ROLES
+
+
+@dataclasses.dataclass(frozen=True)
+class ListArgs:
+    """Options of `hrl-escape ladder list`."""
+
+    benchmark: str = "ladder-1"
+    """Benchmark that comes with the package, or a manifest file."""
+    json: bool = False
+    """Print JSON instead of a table."""
+
+
+def run(args: ListArgs) -> None:
+    """Print one row a rung."""
+    bench = load_benchmark(args.benchmark)
+    rows = [{
+        "rung": rung.name,
+        "isolates": rung.isolates,
+        "rooms": describe_schematic(rung.config),
+        "horizon": rung.config.horizon,
+        "sets": {role: record.count for role in ROLES if (record := rung.record.get_record(role))},
+        "task_overlap": rung.record.task_overlap,
+    } for rung in bench]
+    if args.json:
+        print(json.dumps({"benchmark": bench.name, "rungs": rows}, indent=2))
+        return
+    table = Table("rung", "rooms", "/".join(ROLES), "task overlap", box=None, pad_edge=False)
+    for row in rows:
+        counts = "/".join(str(row["sets"].get(role, "-")) for role in ROLES)
+        table.add_row(row["rung"], row["rooms"], counts, f"{row['task_overlap']:.0%}")
+    Console(width=120).print(table)

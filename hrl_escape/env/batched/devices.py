@@ -1,0 +1,41 @@
+"""Devices of the batched engine: found by name, and checked for a compiler."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+
+import torch
+
+from hrl_escape.errors import ConfigError, UnsupportedError
+
+__all__ = ["check_compiler", "find_device"]
+
+
+def find_device(device: str | torch.device) -> torch.device:
+    """Return the device of a name.
+
+    Raises:
+        ConfigError: this torch has no such device, or it lacks double precision.
+    """
+    try:
+        found = torch.empty(0, dtype=torch.float64, device=device).device
+        if found.type == "meta":
+            raise TypeError("its tensors hold no numbers")
+        return found
+    except (RuntimeError, AssertionError, TypeError) as error:  # each kind of device has its own way to be missing
+        allowed = f"a device of this torch that has double precision ({str(error).splitlines()[0]})"
+        raise ConfigError("device", str(device), allowed) from None
+
+
+def check_compiler(device: torch.device) -> None:
+    """Check that a device can be compiled for.
+
+    Raises:
+        UnsupportedError: there is no C++ compiler.
+    """
+    program = os.environ.get("CXX", "clang++" if sys.platform == "darwin" else "g++")
+    if device.type == "cpu" and shutil.which(program) is None:
+        raise UnsupportedError(f"compile=True needs a C++ compiler, and there is no {program!r}: install one, set CXX, "
+                               "or step eagerly with compile=False")

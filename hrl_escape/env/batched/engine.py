@@ -1,0 +1,390 @@
+"""The batched engine: thousands of rooms that step together, on a CPU or an accelerator.
+
+`TensorRoom` owns the tables and states of a batch and, if asked, a compiled kernel; the rules
+are in `rules.py`. Poses agree with the scalar rules' to rounding; what is touched is
+decided in single precision, so flags can differ within a micrometre of a threshold.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from typing import Any, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from hrl_escape.env.batched.devices import check_compiler, find_device
+from hrl_escape.env.batched.observations import TensorObservation, compute_bounds, load_observation, observe
+from hrl_escape.env.batched.poses import TensorState
+from hrl_escape.env.batched.puzzles import as_signed, get_tensor_puzzle, unpack_bits
+from hrl_escape.env.batched.rules import begin, restart, step
+from hrl_escape.env.batched.tables import Layout, Tables, make_layout, map_tensors, pick, stack_instances
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.env.state_checks import check_state
+from hrl_escape.errors import (
+    ActionError,
+    BatchError,
+    ConfigError,
+    ResetNeededError,
+    StateError,
+    show_value,
+)
+
+__all__ = [
+    "AUTORESETS",
+    "Autoreset",
+    "Outcome",
+    "RoomInfo",
+    "TensorRoom",
+    "compile_step",
+    "draw_seed",
+    "list_shapes",
+]
+
+Autoreset = Literal["next-step", "same-step", "disabled"]
+AUTORESETS = ("next-step", "same-step", "disabled")
+
+
+class RoomInfo(NamedTuple):
+    """The `info` of every room.
+
+    Attributes:
+        primitives: primitives of the episode so far, int32 (rooms,).
+        pressed: 1 for each target pressed by this primitive, int8 (rooms, targets).
+        buttons_on: 1 for each target that is on, int8 (rooms, targets).
+        instance: index of the instance, int64 (rooms,).
+    """
+
+    primitives: Tensor
+    pressed: Tensor
+    buttons_on: Tensor
+    instance: Tensor
+
+
+class Outcome(NamedTuple):
+    """The result of a step of the batch.
+
+    Attributes:
+        observation: float32 (rooms, numbers), after any automatic reset.
+        reward: float32 (rooms,).
+        terminated: bool (rooms,).
+        truncated: bool (rooms,).
+        info: after any automatic reset.
+        final_observation: the observation before it, if rooms are reset in the same step, else None.
+        final_info: `info` before it, if rooms are reset in the same step, else None.
+    """
+
+    observation: Tensor
+    reward: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    info: RoomInfo
+    final_observation: Tensor | None = None
+    final_info: RoomInfo | None = None
+
+
+def advance(layout: Layout, observation: TensorObservation, autoreset: Autoreset, tables: Tables, state: TensorState,
+            action: Tensor) -> tuple[TensorState, Outcome]:
+    """One step of every room with its automatic reset and observation; the function that is compiled.
+
+    With `next-step`, a room whose episode has ended ignores its action, begins anew and earns nothing;
+    with `same-step`, it begins anew as soon as its episode ends; with `disabled`, it moves on.
+    """
+    had_ended = state.has_ended != 0
+    state, reward, terminated, truncated, pressed = step(layout, tables, state, action)
+    if autoreset == "next-step":
+        state = restart(layout, tables, state, had_ended)
+        reward, pressed = torch.where(had_ended, 0.0, reward), torch.where(had_ended, 0, pressed)
+        terminated, truncated = terminated & ~had_ended, truncated & ~had_ended
+    seen, info = observe(layout, tables, state, observation), inform(layout, tables, state, pressed)
+    if autoreset != "same-step":
+        return state, Outcome(seen, reward, terminated, truncated, info)
+    ended = state.has_ended != 0
+    state = restart(layout, tables, state, ended)
+    now = inform(layout, tables, state, torch.where(ended, 0, pressed))
+    return state, Outcome(observe(layout, tables, state, observation), reward, terminated, truncated, now, seen, info)
+
+
+def inform(layout: Layout, tables: Tables, state: TensorState, pressed: Tensor) -> RoomInfo:
+    """Make the info of every room; `pressed` holds bits, int64 (rooms,)."""
+    lit = get_tensor_puzzle(layout.puzzle).get_lit(pick(layout, tables.puzzle, state.instance), state.puzzle)
+    begun, on = (unpack_bits(words, layout.targets, torch.int8).T.contiguous() for words in (pressed, lit))
+    return RoomInfo(state.primitives, begun, on, state.instance)
+
+
+# For the compiler of CPU kernels: keep loops over a few solids as loops, and read far ahead before
+# storing shared results. Both halve the time of a step (`hrl-escape bench batch`).
+_CPU_OPTIONS: dict[str, str | int | bool | Callable] = {"unroll_reductions_threshold": 1, "realize_reads_threshold": 8}
+
+Kernel = Callable[[Tables, TensorState, Tensor], tuple[TensorState, Outcome]]
+
+
+def compile_step(step: Callable[..., Any], device: str, threads: int) -> Callable[..., Any]:
+    """Compile a step of a batch for one shape of it.
+
+    Args:
+        step: a pure function of tensors. It should hand flags over as words, for the compiler would write truth
+            values byte by byte.
+        device: type of the device.
+        threads: threads that a CPU kernel divides its rooms among. They are part of its code, but the compiler's
+            cache on disk would not know unless it is told.
+    """
+    options = _CPU_OPTIONS | {"cpp.threads": threads} if device == "cpu" else None
+    # isolated, because all kernels share this code and the compiler counts recompilations by code
+    return torch.compile(  # pyright: ignore[reportCallIssue]  # its overloads do not know isolate_recompiles
+        step, fullgraph=True, dynamic=False, isolate_recompiles=True, options=options)
+
+
+@lru_cache(maxsize=256)
+def _compile(layout: Layout, observation: TensorObservation, autoreset: Autoreset, device: str, threads: int,
+             shapes: tuple) -> Kernel:
+    """Compile a step for one shape of batch; engines of the same shape share it."""
+
+    def kernel(tables: Tables, state: TensorState, action: Tensor) -> tuple[TensorState, Outcome]:
+        state, outcome = advance(layout, observation, autoreset, tables, state, action)
+        flags = outcome.terminated.to(torch.int32), outcome.truncated.to(torch.int32)
+        return state, outcome._replace(terminated=flags[0], truncated=flags[1])
+
+    compiled = compile_step(kernel, device, threads)
+
+    def run(tables: Tables, state: TensorState, action: Tensor) -> tuple[TensorState, Outcome]:
+        state, outcome = compiled(tables, state, action)
+        return state, outcome._replace(terminated=outcome.terminated != 0, truncated=outcome.truncated != 0)
+
+    return run
+
+
+class TensorRoom:
+    """A batch of rooms, each an instance of its own choosing, that step together.
+
+    Attributes:
+        instances: the instances there are; `state.instance` numbers them.
+        layout: the properties they share.
+        tables: their numbers, on the device.
+        count: number of rooms.
+        device: device of all tensors.
+        actions: number of primitives.
+        low: smallest value of each number that a room shows, in any instance, float32.
+        high: largest value of each.
+    """
+
+    def __init__(
+        self,
+        instances: Sequence[RoomInstance],
+        rooms: int,
+        *,
+        observation: str = "state",
+        autoreset: Autoreset = "next-step",
+        resample: bool = False,
+        device: str | torch.device = "cpu",
+        compile: bool = False,
+    ) -> None:
+        """Stack instances and lay out the batch; the first episodes begin with `reset`.
+
+        Args:
+            instances: at least one; they share robot, dynamics, and kind and size of puzzle.
+            rooms: number of rooms; room i begins in instance i modulo their number.
+            observation: name of a vector observation.
+            autoreset: start of the next episode after one ends: in the next step, in the same step, or by `reset` only.
+            resample: draw one of the instances anew for every episode.
+            device: device of all tensors.
+            compile: fuse a step into compiled kernels, once for each shape of batch (5 to 30 s).
+
+        Raises:
+            UnsupportedError: these rooms need the Bullet engine, or there is no compiler.
+            UnknownNameError: no such observation.
+            ConfigError: no rooms, no instances, or no such autoreset or device.
+        """
+        if not instances:
+            raise ConfigError("instances", instances, "at least one RoomInstance")
+        if isinstance(rooms, bool) or not isinstance(rooms, int) or rooms < 1:
+            raise ConfigError("rooms", rooms, "a whole number of at least 1")
+        if autoreset not in AUTORESETS:
+            raise ConfigError("autoreset", autoreset, f"one of {', '.join(AUTORESETS)}")
+        self.instances = tuple(instances)
+        self.layout = make_layout(self.instances, resample)
+        self.device = find_device(device)
+        self.tables = stack_instances(self.instances, self.layout, self.device)
+        self.count, self.actions = rooms, len(self.layout.actions)
+        self._observation, self._is_compiled = load_observation(observation), compile
+        self.low, self.high = compute_bounds(self.instances, observation)
+        self._autoreset: Autoreset = autoreset
+        self._state: TensorState | None = None
+        self._rules: dict[int, Rules] = {}
+        self._kernel = self._make_kernel()
+
+    def _make_kernel(self) -> Kernel | None:
+        if not self._is_compiled:
+            return None
+        check_compiler(self.device)
+        shapes = (self.count, *list_shapes(self.tables))
+        return _compile(self.layout, self._observation, self._autoreset, self.device.type, torch.get_num_threads(),
+                        shapes)
+
+    def to(self, device: str | torch.device) -> TensorRoom:
+        """Move the batch, its running episodes included, to another device; returns itself."""
+        self.device = find_device(device)
+        self.tables = map_tensors(lambda table: table.to(self.device), self.tables)
+        if self._state is not None:
+            self._state = map_tensors(lambda field: field.to(self.device), self._state)
+        self._kernel = self._make_kernel()
+        return self
+
+    # --- episodes ----------------------------------------------------------------------
+
+    def reset(self, seeds: Tensor | None = None, where: Tensor | None = None) -> Tensor:
+        """Begin new episodes.
+
+        Args:
+            seeds: key of each room's random numbers, int64 (rooms,); None goes on with the streams there are.
+            where: rooms to reset, bool (rooms,); None resets all.
+
+        Returns:
+            The observation of all rooms.
+
+        Raises:
+            ResetNeededError: the rooms were never seeded.
+        """
+        with torch.no_grad():
+            if where is not None:
+                self._check("where", where, torch.bool)
+            if seeds is not None:
+                self._check("seeds", seeds, torch.int64)
+                rooms = torch.arange(self.count, device=self.device)
+                fresh = begin(self.layout, self.tables, seeds, rooms % len(self.instances))
+            else:
+                old = self.state
+                everywhere = torch.ones_like(old.has_ended, dtype=torch.bool)
+                fresh = restart(self.layout, self.tables, old, everywhere if where is None else where)
+            if where is not None and seeds is not None:
+                old = self.state
+                fresh = TensorState(*(torch.where(where, new, kept) for new, kept in zip(fresh, old, strict=True)))
+            self.state = fresh
+            return self.observe()
+
+    def step(self, action: Tensor) -> Outcome:
+        """Run one primitive in every room.
+
+        Args:
+            action: integers (rooms,) on the batch's device.
+
+        Raises:
+            ActionError: an action outside the table. On an accelerator, where looking would
+                stall it, such an action does nothing instead.
+            BatchError: another shape, dtype or device.
+            ResetNeededError: no episode has begun, or an ended one is stepped without automatic reset.
+        """
+        state = self.state
+        action = self._check_action(action)
+        with torch.no_grad():
+            if self._kernel is not None:
+                self.state, outcome = self._kernel(self.tables, state, action)
+            else:
+                self.state, outcome = advance(self.layout, self._observation, self._autoreset, self.tables, state,
+                                              action)
+        return outcome
+
+    def observe(self) -> Tensor:
+        """Observations of the rooms now, float32 (rooms, numbers)."""
+        with torch.no_grad():
+            return observe(self.layout, self.tables, self.state, self._observation)
+
+    def inform(self) -> RoomInfo:
+        """The `info` of the rooms now, with nothing just pressed."""
+        with torch.no_grad():
+            state = self.state
+            return inform(self.layout, self.tables, state, torch.zeros_like(state.touching))
+
+    # --- states ------------------------------------------------------------------------
+
+    @property
+    def state(self) -> TensorState:
+        """The rooms' states; replace them to continue elsewhere.
+
+        Raises:
+            ResetNeededError: no episode has begun.
+        """
+        if self._state is None:
+            raise ResetNeededError("call reset() with seeds first: no episode has begun")
+        return self._state
+
+    @state.setter
+    def state(self, state: TensorState) -> None:
+        self._state = state
+
+    def get_room_state(self, room: int) -> RoomState:
+        """One room's state as the scalar rules know it, for planners, cameras and the Bullet engine."""
+        one = map_tensors(lambda field: field[..., room].tolist(), self.state)
+        form = get_tensor_puzzle(self.layout.puzzle)
+        offsets = tuple(one.joint_offsets)
+        return RoomState(
+            one.x, one.y, one.heading_steps, one.heading_offset, tuple(one.joint_steps),
+            offsets if any(offsets) else (), form.decode(one.puzzle % 2**64), one.touching % 2**64,
+            one.primitives, one.noise_key,
+        )
+
+    def set_room_state(self, room: int, state: RoomState) -> None:
+        """Put one room into a state that the scalar rules gave; its instance and random stream stay.
+
+        Raises:
+            StateError: the state is of another robot, or holds more than the kinematic rules know.
+        """
+        check_state(self._get_rules(int(self.state.instance[room])), state)
+        if state.physics is not None or state.z or state.pitch or state.roll:
+            raise StateError(f"the batched engine takes kinematic states, not {show_value(state)}")
+        joints = self.layout.robot.joints
+        values = {
+            "x": state.x, "y": state.y, "heading_steps": state.heading_steps, "heading_offset": state.heading_offset,
+            "joint_steps": state.joint_steps, "joint_offsets": state.joint_offsets or (0.0,) * joints,
+            "puzzle": as_signed(get_tensor_puzzle(self.layout.puzzle).encode(state.puzzle)),
+            "touching": as_signed(state.touching), "primitives": state.primitives, "noise_key": state.noise_key,
+            "has_ended": False,
+        }
+        if state.heading_offset and not self.layout.has_offsets:
+            raise StateError("headings of these rooms are whole turn steps: they have neither noise nor such starts")
+        changed = {}
+        for name, value in values.items():
+            field = getattr(self.state, name).clone()
+            field[..., room] = torch.tensor(value, dtype=field.dtype, device=self.device)
+            changed[name] = field
+        self.state = self.state._replace(**changed)
+
+    # --- checks ------------------------------------------------------------------------
+
+    def _get_rules(self, instance: int) -> Rules:
+        if instance not in self._rules:
+            self._rules[instance] = Rules(self.instances[instance])
+        return self._rules[instance]
+
+    def _check(self, name: str, value: Tensor, dtype: torch.dtype) -> None:
+        if not isinstance(value, Tensor) or value.shape != (self.count,) or value.dtype != dtype \
+                or value.device != self.device:
+            raise BatchError(name, value, f"a tensor of shape ({self.count},), {dtype}, on {self.device}")
+
+    def _check_action(self, action: Tensor) -> Tensor:
+        if isinstance(action, Tensor) and action.dtype in (torch.int32, torch.int16, torch.int8, torch.uint8):
+            action = action.to(torch.int64)
+        self._check("action", action, torch.int64)
+        if self.device.type == "cpu":
+            low, high = torch.aminmax(action)
+            for extreme in (int(low), int(high)):
+                if not 0 <= extreme < self.actions:
+                    raise ActionError(extreme, self.actions)
+            if self._autoreset == "disabled" and bool(self.state.has_ended.any()):
+                raise ResetNeededError("some rooms' episodes have ended and autoreset is disabled: reset those first")
+        return action
+
+
+def draw_seed() -> int:
+    """Draw a first seed from the system's entropy, for rooms that are given none."""
+    return secrets.randbits(62)
+
+
+def list_shapes(tree: object) -> list[tuple[int, ...]]:
+    """Shapes of all tensors in nested named tuples and dicts."""
+    shapes: list[tuple[int, ...]] = []
+    map_tensors(lambda table: shapes.append(tuple(table.shape)) or table, tree)
+    return shapes

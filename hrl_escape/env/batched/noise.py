@@ -1,0 +1,71 @@
+"""Counter-based random numbers in tensors: the same numbers as `noise.py`, for every room at once.
+
+Philox4x32-10 (Salmon et al. 2011) in 64-bit integer arithmetic, which every device has. A
+number depends on a room's own key and count alone, never on the batch the room is in.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from hrl_escape.env.noise import EPISODE_PURPOSE, ROUNDS
+
+__all__ = ["compute_noise", "draw_words", "philox", "scale_word"]
+
+_MASK = 0xFFFFFFFF
+_MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
+_WEYL = (0x9E3779B9, 0xBB67AE85)
+
+Words = tuple[Tensor, Tensor, Tensor, Tensor]
+
+
+def philox(counter: Words, key: tuple[Tensor, Tensor]) -> Words:
+    """Return four 32-bit words of Philox4x32-10.
+
+    Args:
+        counter: four int64 tensors of 32-bit words.
+        key: two int64 tensors of 32-bit words.
+    """
+    c0, c1, c2, c3 = counter
+    k0, k1 = key
+    for _ in range(ROUNDS):
+        p0, p1 = _MULTIPLIERS[0] * c0, _MULTIPLIERS[1] * c2  # modulo 2**64: both halves are right
+        c0, c1 = ((p1 >> 32) & _MASK) ^ c1 ^ k0, p1 & _MASK
+        c2, c3 = ((p0 >> 32) & _MASK) ^ c3 ^ k1, p0 & _MASK
+        k0, k1 = (k0 + _WEYL[0]) & _MASK, (k1 + _WEYL[1]) & _MASK
+    return c0, c1, c2, c3
+
+
+def _run(key: Tensor, count: Tensor, purpose: int) -> Words:
+    count = count.to(torch.int64)
+    none = torch.zeros_like(count)
+    return philox((count & _MASK, (count >> 32) & _MASK, none + purpose, none), (key & _MASK, (key >> 32) & _MASK))
+
+
+def compute_noise(key: Tensor, primitive: Tensor) -> tuple[Tensor, Tensor]:
+    """Return (standard normal, uniform in (0, 1)) for a primitive of each room's episode.
+
+    Args:
+        key: 64-bit keys of the episodes, int64 (rooms,).
+        primitive: number of the primitive within its episode, integers (rooms,).
+
+    Returns:
+        Two float64 tensors (rooms,): single precision would round the tail of the normal away.
+    """
+    a, b, c, _ = _run(key, primitive, 0)
+    scale = 1.0 / 2**32
+    first, second, third = ((word.to(torch.float64) + 0.5) * scale for word in (a, b, c))
+    return torch.sqrt(-2.0 * torch.log(first)) * torch.cos(2.0 * math.pi * second), third
+
+
+def draw_words(seed: Tensor, episode: Tensor) -> Words:
+    """Return four 32-bit words that belong to an episode of a room, int64 (rooms,) each."""
+    return _run(seed, episode, EPISODE_PURPOSE)
+
+
+def scale_word(word: Tensor, count: Tensor | int) -> Tensor:
+    """Turn a 32-bit word into a whole number from 0 to count - 1, int64 (multiply and shift)."""
+    return (word * count) >> 32

@@ -1,0 +1,101 @@
+"""The state of many rooms as tensors, and values derived from it: headings, arm, touched targets.
+
+`TensorState` is `kinematics.RoomState` with one axis more, rooms, last in every field. Poses
+are double precision, headings and joints whole steps, as in the scalar rules.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from hrl_escape.env.batched.arm import compute_hand
+from hrl_escape.env.batched.geometry import Shapes, compute_distance
+from hrl_escape.env.batched.tables import Layout, Tables, pick
+
+__all__ = ["TensorState", "compute_angles", "compute_heading", "compute_rotation", "compute_touching"]
+
+
+class TensorState(NamedTuple):
+    """Everything that decides the future of each room; all fields are (rooms,) unless said.
+
+    Attributes:
+        x: position of the body's axis, m, float64.
+        y: position of the body's axis, m, float64.
+        heading_steps: whole turn steps, int32.
+        heading_offset: heading beyond whole steps, rad, float64.
+        joint_steps: whole joint steps from home, int32 (joints, rooms).
+        joint_offsets: joint angles beyond whole steps, rad, float64 (joints, rooms).
+        puzzle: the puzzle's bits, int64.
+        touching: bit i is set while target i is touched, int64.
+        primitives: primitives since the episode began, int32.
+        noise_key: key of the episode's noise, int64.
+        instance: index of the room's instance, int64.
+        seed: key of the room's own random numbers, int64.
+        episode: number of the episode since seeding, int32.
+        has_ended: 1 if the episode is over, else 0, int32.
+    """
+
+    x: Tensor
+    y: Tensor
+    heading_steps: Tensor
+    heading_offset: Tensor
+    joint_steps: Tensor
+    joint_offsets: Tensor
+    puzzle: Tensor
+    touching: Tensor
+    primitives: Tensor
+    noise_key: Tensor
+    instance: Tensor
+    seed: Tensor
+    episode: Tensor
+    has_ended: Tensor
+
+
+def compute_heading(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
+    """Heading of the base in rad, within [-pi, pi), float64 (rooms,)."""
+    heading = tables.headings[0][state.heading_steps]
+    if not layout.has_offsets:
+        return heading
+    free = torch.remainder(heading + state.heading_offset + math.pi, math.tau) - math.pi
+    return torch.where(state.heading_offset == 0.0, heading, free)
+
+
+def compute_rotation(layout: Layout, tables: Tables, state: TensorState) -> tuple[Tensor, Tensor]:
+    """Cosine and sine of the heading, float64 (rooms,) each; exact at quarter turns."""
+    cos, sin = tables.headings[1][state.heading_steps], tables.headings[2][state.heading_steps]
+    if not layout.has_offsets:
+        return cos, sin
+    more_cos, more_sin = torch.cos(state.heading_offset), torch.sin(state.heading_offset)
+    return cos * more_cos - sin * more_sin, sin * more_cos + cos * more_sin
+
+
+def compute_angles(layout: Layout, state: TensorState) -> Tensor:
+    """Joint angles in rad, float64 (joints, rooms)."""
+    arm = layout.arm
+    home = torch.tensor(arm.home, dtype=torch.float64, device=state.x.device).unsqueeze(1)
+    return home + state.joint_steps.to(torch.float64) * arm.step + state.joint_offsets
+
+
+def compute_touching(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
+    """Bits of the targets that the presser touches, int64 (rooms,)."""
+    if not layout.targets:
+        return torch.zeros_like(state.touching)
+    targets: Shapes = pick(layout, tables.targets, state.instance).round()
+    robot, dynamics = layout.robot, layout.dynamics
+    if dynamics.press_with == "hand":
+        hand_x, hand_y, hand_z = compute_hand(layout.arm, compute_angles(layout, state).to(torch.float32))
+        cos, sin = compute_rotation(layout, tables, state)
+        away = compute_distance(state.x + cos * hand_x - sin * hand_y, state.y + sin * hand_x + cos * hand_y, targets)
+        height = pick(layout, tables.target_z, state.instance)
+        half_height = pick(layout, tables.target_half_z, state.instance)
+        above = ((hand_z - height).abs() - half_height).clamp(min=0.0)
+        touched = torch.sqrt(away * away + above * above) <= robot.hand_radius + dynamics.press_margin
+    else:
+        reach = pick(layout, tables.target_reach, state.instance)
+        touched = compute_distance(state.x, state.y, targets) <= reach
+    places = torch.arange(layout.targets, device=state.x.device).unsqueeze(1)
+    return (touched.to(torch.int64) << places).sum(0)

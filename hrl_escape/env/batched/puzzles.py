@@ -1,0 +1,168 @@
+"""Puzzles in tensors: each kind's rules over 64-bit words, one word a room.
+
+A tensor form repeats the rules of the puzzle's own file without branches; conformance tests
+hold the two together. Third parties add theirs with `register_tensor_puzzle`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_escape.env.puzzles.base import Puzzle
+from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
+from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.errors import UnsupportedError
+
+__all__ = [
+    "BitFlipTensorPuzzle",
+    "ButtonsTensorPuzzle",
+    "TensorPuzzle",
+    "as_signed",
+    "get_tensor_puzzle",
+    "register_tensor_puzzle",
+    "unpack_bits",
+]
+
+PuzzleTables = dict[str, Tensor]
+
+
+class TensorPuzzle(ABC):
+    """A puzzle's rules over tensors; its state is one int64 word a room.
+
+    The methods that are not abstract suit puzzles whose own state is an integer with bit i for target i.
+    """
+
+    @abstractmethod
+    def make_tables(self, puzzles: Sequence[Any], targets: int) -> dict[str, NDArray[Any]]:
+        """Stack the tables of the puzzles that the rules read; the last axis is the instance.
+
+        Args:
+            puzzles: of the instances.
+            targets: number of targets in the tables, that of the puzzle with most; the others are never pressed.
+        """
+
+    @abstractmethod
+    def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
+        """Apply presses in index order.
+
+        Args:
+            tables: columns of each room, (..., rooms) or (..., 1).
+            state: int64 (rooms,).
+            pressed: bits of the newly touched targets, int64 (rooms,).
+            targets: number of targets.
+        """
+
+    @abstractmethod
+    def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        """Return true where the exit is open, bool (rooms,)."""
+
+    def encode(self, state: Any) -> int:
+        """Turn the puzzle's own state into an unsigned word."""
+        return state
+
+    def decode(self, word: int) -> Any:
+        """Turn an unsigned word into the puzzle's own state."""
+        return word
+
+    def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        """Bits of the targets that are on, int64 (rooms,)."""
+        return state
+
+    def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
+        """The observation numbers, each 0 or 1, float32 (numbers, rooms)."""
+        return unpack_bits(state, targets, torch.float32)
+
+
+def unpack_bits(words: Tensor, count: int, dtype: torch.dtype) -> Tensor:
+    """Spread the lowest bits of words (rooms,) over a first axis: shape (count, rooms)."""
+    places = torch.arange(count, device=words.device).unsqueeze(1)
+    return ((words >> places) & 1).to(dtype)
+
+
+def as_signed(bits: int) -> int:
+    """The signed 64-bit integer of the same bits."""
+    return bits - 2**64 if bits >= 2**63 else bits
+
+
+class ButtonsTensorPuzzle(TensorPuzzle):
+    """`puzzles.buttons.ButtonsPuzzle`."""
+
+    def make_tables(self, puzzles: Sequence[ButtonsPuzzle], targets: int) -> dict[str, NDArray[Any]]:
+        """Parents' bits (buttons, instances), and each puzzle's goal and rules (instances,)."""
+        parents = np.zeros((len(puzzles), targets), dtype=np.uint64)
+        for row, puzzle in zip(parents, puzzles, strict=True):
+            row[: puzzle.count] = puzzle.parent_masks
+        return {
+            "parents": np.ascontiguousarray(parents.T).view(np.int64),
+            "goal": np.array([puzzle.goal for puzzle in puzzles], dtype=np.int64),
+            "resets": np.array([puzzle.on_violation == "reset" for puzzle in puzzles]),
+            "allow_off": np.array([puzzle.allow_off for puzzle in puzzles]),
+        }
+
+    def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
+        """Each press turns its button on if its parents are, one after the other."""
+        for button in range(targets):
+            bit = as_signed(1 << button)
+            is_ready = (tables["parents"][button] & ~state) == 0
+            when_off = torch.where(is_ready, state | bit, torch.where(tables["resets"], 0, state))
+            when_on = torch.where(tables["allow_off"], state & ~bit, state)
+            after = torch.where((state & bit) != 0, when_on, when_off)
+            state = torch.where((pressed & bit) != 0, after, state)
+        return state
+
+    def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        """The goal button is on."""
+        return ((state >> tables["goal"]) & 1) != 0
+
+
+class BitFlipTensorPuzzle(TensorPuzzle):
+    """`puzzles.bit_flip.BitFlipPuzzle`."""
+
+    def make_tables(self, puzzles: Sequence[BitFlipPuzzle], targets: int) -> dict[str, NDArray[Any]]:
+        """The word with all bits on (instances,)."""
+        return {"all_on": np.array([as_signed((1 << puzzle.count) - 1) for puzzle in puzzles], dtype=np.int64)}
+
+    def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
+        """Each press flips its bit if all lower ones are on, and else clears it and them."""
+        for number in range(targets):
+            bit, lower = as_signed(1 << number), (1 << number) - 1
+            after = torch.where((state & lower) == lower, state ^ bit, state & ~(lower | bit))
+            state = torch.where((pressed & bit) != 0, after, state)
+        return state
+
+    def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        """All bits are on."""
+        return state == tables["all_on"]
+
+
+_FORMS: dict[str, TensorPuzzle] = {}
+
+
+def register_tensor_puzzle(puzzle_type: type[Puzzle], form: TensorPuzzle) -> None:
+    """Give a puzzle a tensor form, so that the batched engine can step it."""
+    _FORMS[puzzle_type.kind] = form
+
+
+def get_tensor_puzzle(kind: str) -> TensorPuzzle:
+    """Look up the tensor form of a puzzle.
+
+    Raises:
+        UnsupportedError: the puzzle has none.
+    """
+    if kind not in _FORMS:
+        raise UnsupportedError(
+            f"puzzle {kind!r} has no tensor form ({', '.join(sorted(_FORMS))} have): use the Bullet engine "
+            "(gymnasium.make, or make_vec with vectorization_mode='sync'), or register_tensor_puzzle"
+        )
+    return _FORMS[kind]
+
+
+register_tensor_puzzle(ButtonsPuzzle, ButtonsTensorPuzzle())
+register_tensor_puzzle(BitFlipPuzzle, BitFlipTensorPuzzle())

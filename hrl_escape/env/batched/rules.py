@@ -1,0 +1,217 @@
+"""The kinematic Escape Room MDP as pure functions of torch tensors: one call moves every room of a batch.
+
+Nothing branches on data, so `torch.compile` fuses it, on any device. The rules are those of
+`kinematics.py`; `tests/env/test_engines_agree.py` holds the two together.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact
+from hrl_escape.env.batched.noise import compute_noise, draw_words, scale_word
+from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching
+from hrl_escape.env.batched.puzzles import get_tensor_puzzle
+from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick
+from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.primitives import BASE_ACTIONS
+
+__all__ = ["TensorTransition", "begin", "restart", "step"]
+
+
+class TensorTransition(NamedTuple):
+    """The outcome of one primitive in each room.
+
+    Attributes:
+        state: the states after it.
+        reward: float32 (rooms,).
+        terminated: bool (rooms,).
+        truncated: bool (rooms,).
+        pressed: bits of the targets pressed by it, int64 (rooms,).
+    """
+
+    state: TensorState
+    reward: Tensor
+    terminated: Tensor
+    truncated: Tensor
+    pressed: Tensor
+
+
+# --- one primitive -------------------------------------------------------------------------
+
+
+def step(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> TensorTransition:
+    """Apply one primitive in every room. Pure; an action outside the table does nothing.
+
+    Args:
+        layout: the properties that the rooms share.
+        tables: their instances.
+        state: their states.
+        action: numbers of primitives, integers (rooms,).
+    """
+    scale = None
+    if layout.is_random:
+        normal, uniform = compute_noise(state.noise_key, state.primitives)
+        scale = 1.0 + layout.dynamics.noise * normal
+        action = torch.where(uniform < layout.dynamics.slip, -1, action)
+    moved = _translate(layout, tables, state, action, scale)
+    moved = _move_joints(layout, _turn(layout, moved, action, scale), action, scale)
+    return _judge(layout, tables, state, moved)
+
+
+def _sum_effects(action: Tensor, name: str) -> Tensor:
+    """One field of the chosen base primitives (`forward`, `left` or `turn`), int32 (rooms,); 0 for joint steps."""
+    total = torch.zeros_like(action, dtype=torch.int32)
+    for number, primitive in enumerate(BASE_ACTIONS.primitives):
+        effect = getattr(primitive, name)
+        if effect:
+            total = total + effect * (action == number).to(torch.int32)
+    return total
+
+
+def _translate(layout: Layout, tables: Tables, state: TensorState, action: Tensor,
+               scale: Tensor | None) -> TensorState:
+    length = layout.robot.move_step if scale is None else layout.robot.move_step * scale
+    forward, left = (length * _sum_effects(action, name).to(torch.float64) for name in ("forward", "left"))
+    cos, sin = compute_rotation(layout, tables, state)
+    dx, dy = forward * cos - left * sin, forward * sin + left * cos
+    free = _find_free_fraction(layout, tables, state, dx, dy)
+    return state._replace(x=state.x + free * dx, y=state.y + free * dy)
+
+
+def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
+    """Share of displacements that bodies can make, float64 (rooms,).
+
+    The first solid is found in single precision; the contact with it is computed again in double, so that
+    rounding does not grow from contact to contact.
+    """
+    motion = (state.x, state.y, dx, dy, layout.robot.body_radius + CONTACT_SKIN)
+    solids: Shapes = pick(layout, tables.solids, state.instance)
+    nearly, which = compute_first_contact(*motion, solids.round()).min(0)
+    column = torch.zeros_like(which) if layout.is_shared else state.instance
+    first: Shapes = map_tensors(lambda table: table[which, column].unsqueeze(0), tables.solids)
+    nearly, exactly = nearly.clamp(min=0.0), compute_first_contact(*motion, first)[0].clamp(min=0.0)
+    free = torch.where((exactly - nearly).abs() < 1e-3, exactly, nearly)  # let by one solid, it may meet another
+    if not layout.has_door:
+        return free
+    doors: Shapes = pick(layout, tables.doors, state.instance)
+    puzzle = pick(layout, tables.puzzle, state.instance)
+    is_open = get_tensor_puzzle(layout.puzzle).is_solved(puzzle, state.puzzle)
+    is_inside = compute_distance(state.x, state.y, doors)[0] < motion[-1] - 1e-6  # it cannot close on a robot
+    door = compute_first_contact(*motion, doors)[0].clamp(min=0.0)
+    return torch.where(is_open | is_inside, free, torch.minimum(free, door))
+
+
+def _turn(layout: Layout, state: TensorState, action: Tensor, scale: Tensor | None) -> TensorState:
+    turn = _sum_effects(action, "turn")
+    steps = state.heading_steps + turn
+    steps = torch.where(steps < 0, steps + layout.headings, steps)
+    steps = torch.where(steps >= layout.headings, steps - layout.headings, steps)
+    if scale is None:
+        return state._replace(heading_steps=steps)
+    offset = state.heading_offset + (scale - 1.0) * turn * (math.tau / layout.headings)
+    offset = torch.where(turn == 0, state.heading_offset, torch.remainder(offset + math.pi, math.tau) - math.pi)
+    return state._replace(heading_steps=steps, heading_offset=offset)
+
+
+def _move_joints(layout: Layout, state: TensorState, action: Tensor, scale: Tensor | None) -> TensorState:
+    joints = layout.robot.joints
+    if not joints:
+        return state
+    arm = layout.arm
+
+    def column(values: tuple[float, ...], dtype: torch.dtype) -> Tensor:
+        return torch.tensor(values, dtype=dtype, device=action.device).unsqueeze(1)
+
+    up, down = (column(numbers, torch.int64) for numbers in zip(*layout.actions.joints, strict=True))
+    change = (action == up).to(torch.int32) - (action == down).to(torch.int32)  # (joints, rooms)
+    steps = state.joint_steps + change
+    if scale is None:
+        low, high = column(arm.step_low, torch.int32), column(arm.step_high, torch.int32)
+        return state._replace(joint_steps=torch.minimum(torch.maximum(steps, low), high))
+    offsets = state.joint_offsets + (scale - 1.0) * change * arm.step
+    angles = compute_angles(layout, state._replace(joint_steps=steps, joint_offsets=offsets))
+    low = column(tuple(low - 1e-9 for low, _ in arm.limits), torch.float64)
+    high = column(tuple(high + 1e-9 for _, high in arm.limits), torch.float64)
+    is_allowed = (angles >= low) & (angles <= high)
+    return state._replace(joint_steps=torch.where(is_allowed, steps, state.joint_steps),
+                          joint_offsets=torch.where(is_allowed, offsets, state.joint_offsets))
+
+
+def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorState) -> TensorTransition:
+    """Complete a motion: presses, puzzle, reward, exit and horizon."""
+    form = get_tensor_puzzle(layout.puzzle)
+    columns = pick(layout, tables.puzzle, before.instance)
+    touching = compute_touching(layout, tables, moved)
+    pressed = touching & ~before.touching
+    puzzle = form.update(columns, before.puzzle, pressed, layout.targets)
+    primitives = before.primitives + 1
+    x_min, x_max, y_min, y_max = pick(layout, tables.exits, before.instance)
+    is_inside = (x_min <= moved.x) & (moved.x <= x_max) & (y_min <= moved.y) & (moved.y <= y_max)
+    terminated = is_inside & form.is_solved(columns, puzzle)
+    truncated = ~terminated & (primitives >= pick(layout, tables.horizons, before.instance)[0])
+    each, final = pick(layout, tables.rewards, before.instance)
+    state = moved._replace(puzzle=puzzle, touching=touching, primitives=primitives,
+                           has_ended=(terminated | truncated).to(torch.int32))
+    return TensorTransition(state, torch.where(terminated, final, each), terminated, truncated, pressed)
+
+
+# --- episodes ------------------------------------------------------------------------------
+
+
+def restart(layout: Layout, tables: Tables, state: TensorState, where: Tensor) -> TensorState:
+    """Begin a new episode in some rooms, from their own random numbers; the others stay as they are.
+
+    Args:
+        layout: the properties that the rooms share.
+        tables: their instances.
+        state: their states.
+        where: the rooms to restart, bool (rooms,).
+    """
+    episode = state.episode + 1
+    instance, noise_key = state.instance, state.noise_key
+    chosen = torch.zeros_like(instance)
+    if layout.draws:
+        first, second, third, fourth = draw_words(state.seed, episode)
+        if layout.resample:
+            instance = scale_word(fourth, tables.total)
+        chosen = scale_word(first, pick(layout, tables.start_counts, instance)[0])
+        noise_key = ((second << 32) | third) & (2**63 - 1)
+    column = torch.zeros_like(instance) if layout.is_shared else instance
+    x, y, offset = tables.starts[:, chosen, column]
+    fresh = state._replace(
+        x=x, y=y, heading_steps=tables.start_headings[chosen, column], heading_offset=offset,
+        joint_steps=torch.zeros_like(state.joint_steps), joint_offsets=torch.zeros_like(state.joint_offsets),
+        puzzle=pick(layout, tables.puzzle_start, instance)[0].expand_as(state.puzzle),
+        touching=tables.start_touching[chosen, column], primitives=torch.zeros_like(state.primitives),
+        noise_key=noise_key, instance=instance, episode=episode, has_ended=torch.zeros_like(state.has_ended),
+    )
+    pairs = zip(fresh, state, strict=True)
+    return TensorState(*(old if new is old else torch.where(where, new, old) for new, old in pairs))
+
+
+def begin(layout: Layout, tables: Tables, seed: Tensor, instance: Tensor) -> TensorState:
+    """Seed every room and begin its first episode.
+
+    Args:
+        layout: the properties that the rooms share.
+        tables: their instances.
+        seed: key of each room's random numbers, int64 (rooms,).
+        instance: index of each room's instance, int64 (rooms,); drawn anew if the layout resamples.
+    """
+    rooms, device = len(seed), seed.device
+    numbers = torch.zeros(rooms, dtype=torch.float64, device=device)
+    steps = torch.zeros(rooms, dtype=torch.int32, device=device)
+    words = torch.zeros(rooms, dtype=torch.int64, device=device)
+    joints = (layout.robot.joints, rooms)
+    state = TensorState(
+        x=numbers, y=numbers, heading_steps=steps, heading_offset=numbers,
+        joint_steps=steps.new_zeros(joints), joint_offsets=numbers.new_zeros(joints),
+        puzzle=words, touching=words, primitives=steps, noise_key=words, instance=instance, seed=seed,
+        episode=steps - 1, has_ended=steps + 1,
+    )
+    return restart(layout, tables, state, state.has_ended != 0)

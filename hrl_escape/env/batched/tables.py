@@ -1,0 +1,260 @@
+"""Room instances as tables of tensors for the batched engine, padded to one shape.
+
+`Layout` holds the constants of a compiled kernel, `Tables` the numbers of every instance in
+the order they were given. Nothing here moves a room.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hrl_escape.env.batched.arm import Arm, make_arm
+from hrl_escape.env.batched.geometry import Shapes, stack_shapes
+from hrl_escape.env.batched.puzzles import as_signed, get_tensor_puzzle
+from hrl_escape.env.config import DynamicsConfig, RewardConfig, RobotConfig
+from hrl_escape.env.instance import RoomInstance, Start
+from hrl_escape.env.kinematics import Rules
+from hrl_escape.env.primitives import ActionTable, make_action_table
+from hrl_escape.env.robot import make_robot
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
+from hrl_escape.env.sight import list_hiders
+from hrl_escape.errors import ConfigError, UnsupportedError
+
+__all__ = [
+    "InstanceSource",
+    "Layout",
+    "Tables",
+    "collect_instances",
+    "make_layout",
+    "map_tensors",
+    "pick",
+    "stack_instances",
+]
+
+INSTEAD = "use the Bullet engine: gymnasium.make(...), or make_vec(..., vectorization_mode='sync')"
+
+
+@dataclasses.dataclass(frozen=True)
+class Layout:
+    """Properties that all rooms of a batch share; one compiled kernel serves all batches of one layout.
+
+    Attributes:
+        robot: the robot's schematic.
+        actions: its action table.
+        arm: its arm.
+        dynamics: noise, slip, and the part of the robot that presses.
+        puzzle: kind of the puzzle.
+        targets: number of targets, that of the instance with most.
+        has_door: True if any exit has a door.
+        has_offsets: True if headings can leave the lattice of turn steps (noise, or a start off it).
+        is_shared: True for a single instance, so that tables need no look-up.
+        draws: True if anything is random at the start of an episode.
+        resample: True if a new episode draws another instance.
+    """
+
+    robot: RobotConfig
+    actions: ActionTable
+    arm: Arm
+    dynamics: DynamicsConfig
+    puzzle: str
+    targets: int
+    has_door: bool
+    has_offsets: bool
+    is_shared: bool
+    draws: bool
+    resample: bool
+
+    @property
+    def headings(self) -> int:
+        """Turn steps in a full turn."""
+        return round(360 / self.robot.turn_step_deg)
+
+    @property
+    def is_random(self) -> bool:
+        """True if primitives are noisy or may slip."""
+        return bool(self.dynamics.noise or self.dynamics.slip)
+
+
+class Tables(NamedTuple):
+    """Numbers of every instance; the last axis of each table is the instance.
+
+    Attributes:
+        solids: walls and obstacles, (solids, instances).
+        hiders: those of them that can stand between two places on the floor.
+        doors: (1, instances), out of the way if there is none.
+        target_counts: targets that each instance has, int64 (1, instances); the others in its columns are out of reach.
+        targets: outlines of targets, (targets, instances).
+        target_z: height of their centres, m.
+        target_half_z: half their height, m.
+        target_reach: largest distance on the floor at which the body touches, m; -1 if never.
+        exits: x_min, x_max, y_min, y_max, (4, instances).
+        half_sizes: largest |x| and |y| of the floor in the frame of observations, (2, instances).
+        rewards: of a primitive, and of one that exits, (2, instances).
+        horizons: primitives until truncation, int32 (1, instances).
+        starts: x, y, heading offset, (3, starts, instances).
+        start_headings: turn steps, int32 (starts, instances).
+        start_touching: bits of the targets touched there, int64 (starts, instances).
+        start_counts: starts that each instance has, int64 (1, instances).
+        puzzle: tables of the puzzle's own, (..., instances).
+        puzzle_start: the puzzle's state at the start of an episode, int64 (1, instances).
+        headings: angle, cosine and sine of each turn step, (3, headings).
+        total: number of instances, int64 ().
+    """
+
+    solids: Shapes
+    hiders: Shapes
+    doors: Shapes
+    target_counts: Tensor
+    targets: Shapes
+    target_z: Tensor
+    target_half_z: Tensor
+    target_reach: Tensor
+    exits: Tensor
+    half_sizes: Tensor
+    rewards: Tensor
+    horizons: Tensor
+    starts: Tensor
+    start_headings: Tensor
+    start_touching: Tensor
+    start_counts: Tensor
+    puzzle: dict[str, Tensor]
+    puzzle_start: Tensor
+    headings: Tensor
+    total: Tensor
+
+
+InstanceSource: TypeAlias = InstanceForm | Sequence[InstanceForm]
+
+
+def collect_instances(config: SchematicForm, instance: InstanceSource | None = None,
+                      instance_seed: int = 0, num_instances: int = 1) -> list[RoomInstance]:
+    """Collect the instances that a batch is made of.
+
+    Args:
+        config: preset name, `RoomConfig`, or the dict form of one.
+        instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
+        instance_seed: instance seed of the first.
+        num_instances: number of instances of the schematic.
+    """
+    if instance is not None:
+        if isinstance(instance, Sequence) and not isinstance(instance, str):
+            return [read_instance(one) for one in instance]
+        return [read_instance(instance)]
+    for name, value, least in (("num_instances", num_instances, 1), ("instance_seed", instance_seed, 0)):
+        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+            raise ConfigError(name, value, f"a whole number of at least {least}")
+    schematic = read_schematic(config)
+    return [generate(schematic, instance_seed + i) for i in range(num_instances)]
+
+
+def map_tensors(function: Callable[[Tensor], Any], tree: Any) -> Any:
+    """Apply a function to every tensor in nested named tuples and dicts."""
+    if isinstance(tree, Tensor):
+        return function(tree)
+    if isinstance(tree, dict):
+        return {key: map_tensors(function, value) for key, value in tree.items()}
+    return type(tree)(*(map_tensors(function, value) for value in tree))
+
+
+def pick(layout: Layout, table: Any, instance: Tensor) -> Any:
+    """Each room's column of tables: (..., instances) gives (..., rooms), or (..., 1) if all rooms share one."""
+    return table if layout.is_shared else map_tensors(lambda column: column[..., instance], table)
+
+
+def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
+    """Find the properties that instances share.
+
+    Raises:
+        UnsupportedError: physics dynamics, a puzzle without a tensor form, or instances that
+            differ in robot, dynamics, or kind or size of puzzle.
+    """
+    first = instances[0]
+    if first.dynamics.kind != "kinematic":
+        raise UnsupportedError(f"the batched engine steps kinematic rooms, not dynamics.kind = "
+                               f"{first.dynamics.kind!r}: {INSTEAD}")
+    get_tensor_puzzle(first.puzzle.kind)
+    for index, other in enumerate(instances):
+        for what, mine, theirs in (("robot", first.robot, other.robot), ("dynamics", first.dynamics, other.dynamics),
+                                   ("kind of puzzle", first.puzzle.kind, other.puzzle.kind),
+                                   ("number of targets", len(first.frame.target_names),
+                                    len(other.frame.target_names))):
+            if mine != theirs:
+                raise UnsupportedError(f"instance {index} of a batch has another {what} than instance 0 ({theirs} "
+                                       f"and not {mine}): make one batch for each")
+    noise = first.dynamics.noise
+    return Layout(
+        robot=first.robot,
+        actions=make_action_table(first.robot.joints),
+        arm=make_arm(make_robot(first.robot)),
+        dynamics=first.dynamics,
+        puzzle=first.puzzle.kind,
+        targets=len(first.frame.target_names),
+        has_door=any(instance.door for instance in instances),
+        has_offsets=bool(noise) or any(start.heading_offset for instance in instances for start in instance.starts),
+        is_shared=len(instances) == 1,
+        draws=resample or bool(noise or first.dynamics.slip) or any(len(i.starts) > 1 for i in instances),
+        resample=resample,
+    )
+
+
+def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: torch.device) -> Tables:
+    """Stack instances into tables on a device."""
+
+    def floats(values: Any, dtype: torch.dtype = torch.float64) -> Tensor:
+        return torch.as_tensor(np.asarray(values, dtype=np.float64)).to(device, dtype)
+
+    def integers(values: Any, dtype: torch.dtype = torch.int64) -> Tensor:
+        return torch.tensor(values, dtype=dtype, device=device)
+
+    def shapes(rows: Sequence[Any], least: int = 1) -> Shapes:
+        return Shapes(*floats(stack_shapes(rows, least)))
+
+    def columns(rows: Sequence[Sequence[float]]) -> np.ndarray:
+        return np.array(rows, dtype=np.float64).T
+
+    rules = [Rules(instance) for instance in instances]
+    most = max(len(instance.starts) for instance in instances)
+    begins = [[rule.make_state(start) for start in (*i.starts, *(i.starts[-1],) * (most - len(i.starts)))]
+              for rule, i in zip(rules, instances, strict=True)]  # (instances, starts)
+    turns = [(rules[0].get_heading(rules[0].make_state(Start(heading_steps=n))), *rules[0].get_rotation(n, 0.0))
+             for n in range(layout.headings)]
+    form = get_tensor_puzzle(layout.puzzle)
+    puzzle = form.make_tables([i.puzzle for i in instances], layout.targets)
+
+    def pad(values: Sequence[float]) -> list[float]:
+        return [*values, *[-1.0] * (layout.targets - len(values))]
+
+    return Tables(
+        solids=shapes([[solid.footprint for solid in i.solids] for i in instances]),
+        hiders=shapes([list_hiders(i) for i in instances]),
+        doors=shapes([[i.door.footprint] if i.door else [] for i in instances]),
+        target_counts=integers([[len(i.targets) for i in instances]]),
+        targets=shapes([[target.footprint for target in i.targets] for i in instances], layout.targets),
+        target_z=floats(columns([pad([t.z for t in i.targets]) for i in instances])),
+        target_half_z=floats(columns([pad([t.half_z for t in i.targets]) for i in instances])),
+        target_reach=floats(columns([pad([i.compute_press_reach(t) for t in i.targets]) for i in instances])),
+        exits=floats(columns([(i.exit.x_min, i.exit.x_max, i.exit.y_min, i.exit.y_max) for i in instances])),
+        half_sizes=floats(columns([(i.frame.reach_x, i.frame.reach_y) for i in instances]), torch.float32),
+        rewards=floats(columns([_list_rewards(i.reward) for i in instances]), torch.float32),
+        horizons=integers([[i.horizon for i in instances]], torch.int32),
+        starts=floats([[[getattr(row[k], name) for row in begins] for k in range(most)]
+                       for name in ("x", "y", "heading_offset")]),
+        start_headings=integers([[row[k].heading_steps for row in begins] for k in range(most)], torch.int32),
+        start_touching=integers([[as_signed(row[k].touching) for row in begins] for k in range(most)]),
+        start_counts=integers([[len(i.starts) for i in instances]]),
+        puzzle={name: torch.as_tensor(values).to(device) for name, values in puzzle.items()},
+        puzzle_start=integers([[as_signed(form.encode(i.puzzle.make_state())) for i in instances]]),
+        headings=floats(columns(turns)),
+        total=integers(len(instances)),
+    )
+
+
+def _list_rewards(reward: RewardConfig) -> tuple[float, float]:
+    return reward.step, reward.exit if reward.exit_replaces_step else reward.step + reward.exit

@@ -1,0 +1,217 @@
+"""Pictures of a room through Bullet's software renderer (TinyRenderer), which needs no display or GPU.
+
+The cameras are those that `env/engine.py` names; the scenery that they see is built by `stage.py`. Metres, radians.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pybullet
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw
+
+from hrl_escape.env.bullet.engine import BulletRoom
+from hrl_escape.env.bullet.stage import SUN, Stage, Standing
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.antialiasing import soften_edges
+from hrl_escape.env.engine import check_camera, check_picture_size
+from hrl_escape.env.geometry import make_footprint
+from hrl_escape.errors import ClosedError
+
+__all__ = ["BulletRenderer"]
+
+_FINE = 3  # the trail is drawn this many times larger, for soft edges
+
+_SKY, _GROUND = "#dfe7ef", "#f7f8fa"
+
+
+class _View(NamedTuple):
+    """A camera's place and lens; distances in m, `field` is the vertical angle of view in degrees."""
+
+    eye: tuple[float, float, float]
+    target: tuple[float, float, float]
+    up: tuple[float, float, float]
+    field: float
+    near: float
+    far: float
+
+
+class BulletRenderer:
+    """Renderer of one Bullet room; its `Stage` is built for the first picture and freed with the renderer."""
+
+    def __init__(self, room: BulletRoom) -> None:
+        self._room = room
+        self._stage: Stage | None = None
+
+    def render(self, camera: str, width: int, height: int, *,
+               trail: Sequence[tuple[float, float]] = ()) -> NDArray[np.uint8]:
+        """Take a picture, as `env.engine.Renderer` describes; the room is not changed."""
+        check_camera(camera)
+        check_picture_size(width, height)
+        room = self._room
+        if room.client < 0:
+            raise ClosedError("this room is closed; make a new one")
+        if self._stage is None:
+            self._stage = Stage(room.instance, room.rules.robot)
+        stage = self._stage
+        stage.follow(room)
+        view = _VIEWS[camera](room, width / height)
+        for standing in stage.standing:
+            stage.set_cut(standing, camera == "chase" and _hides(standing, room, view.eye))
+        return _take(stage.client, view, width, height, trail, 0.2 * room.instance.robot.body_radius)
+
+
+# --- cameras -------------------------------------------------------------------------------
+
+
+def _view_chase(room: BulletRoom, aspect: float) -> _View:
+    state, heading = room.state, room.rules.get_heading(room.state)
+    size = min(max(room.instance.robot.body_radius / 0.75, 0.5), 4.0)
+    cos, sin = math.cos(heading), math.sin(heading)
+    back, ahead, lift = 6.0 * size, 1.6 * size, 4.6 * size
+    eye = (state.x - back * cos, state.y - back * sin, state.z + lift)
+    target = (state.x + ahead * cos, state.y + ahead * sin, state.z + 0.4 * size)
+    return _View(eye, target, (0.0, 0.0, 1.0), 52.0, 0.3 * size, _reach(room) + back)
+
+
+def _view_overhead(room: BulletRoom, aspect: float) -> _View:
+    instance, field = room.instance, 30.0
+    margin = 1.04
+    half = margin * max(instance.reach_y + 0.5, (instance.reach_x + 0.5) / aspect)
+    height = half / math.tan(math.radians(field / 2)) + instance.wall_height
+    return _View((0.0, 0.0, height), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), field, 0.2 * height, 1.2 * height)
+
+
+def _view_robot(room: BulletRoom, aspect: float) -> _View:
+    """Mounted above the front edge of the base, looking 12 degrees down."""
+    state, heading, robot = room.state, room.rules.get_heading(room.state), room.instance.robot
+    cos, sin = math.cos(heading), math.sin(heading)
+    forward = 0.9 * robot.body_radius
+    eye = (state.x + forward * cos, state.y + forward * sin, state.z + 1.15 * robot.body_height + 0.1)
+    drop = math.tan(math.radians(12.0))
+    target = (eye[0] + cos, eye[1] + sin, eye[2] - drop)
+    return _View(eye, target, (0.0, 0.0, 1.0), 70.0, 0.05, _reach(room))
+
+
+_VIEWS = {"chase": _view_chase, "overhead": _view_overhead, "robot": _view_robot}
+
+
+def _reach(room: BulletRoom) -> float:
+    instance = room.instance
+    return 2.2 * math.hypot(instance.reach_x + 1.0, instance.reach_y + 1.0, instance.wall_height)
+
+
+def _hides(standing: Standing, room: BulletRoom, eye: tuple[float, float, float]) -> bool:
+    """Say whether something stands between the eye and the near side of the robot."""
+    solid, radius = standing.solid, room.instance.robot.body_radius
+    shape = make_footprint(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
+    (ex, ey, ez), x, y = eye, room.state.x, room.state.y
+    near = 1.0 - 1.2 * radius / math.dist((ex, ey), (x, y))
+    dx, dy, drop = near * (x - ex), near * (y - ey), ez - room.state.z
+    enter, leave = 0.0, 1.0
+    for axis_x, axis_y, half in ((shape.cos, shape.sin, shape.half_x), (-shape.sin, shape.cos, shape.half_y)):
+        at = axis_x * (ex - shape.x) + axis_y * (ey - shape.y)
+        move = axis_x * dx + axis_y * dy
+        wide = half + 0.7 * radius
+        if abs(move) < 1e-12:
+            if abs(at) > wide:
+                return False
+            continue
+        low, high = sorted(((-wide - at) / move, (wide - at) / move))
+        enter, leave = max(enter, low), min(leave, high)
+    return enter <= leave and solid.height > ez - leave * near * drop
+
+
+# --- pixels --------------------------------------------------------------------------------
+
+
+def _take(client: int, view: _View, width: int, height: int, trail: Sequence[tuple[float, float]],
+          ribbon: float) -> NDArray[np.uint8]:
+    looking = pybullet.computeViewMatrix(view.eye, view.target, view.up)
+    lens = pybullet.computeProjectionMatrixFOV(view.field, width / height, view.near, view.far)
+    _, _, colours, depths, bodies = pybullet.getCameraImage(
+        width, height, looking, lens, shadow=0, renderer=pybullet.ER_TINY_RENDERER, lightDirection=SUN,
+        lightAmbientCoeff=0.74, lightDiffuseCoeff=0.27, lightSpecularCoeff=0.0, physicsClientId=client,
+    )
+    picture = np.reshape(colours, (height, width, 4))[..., :3].astype(np.uint8)
+    empty = np.reshape(bodies, (height, width)) < 0
+    picture[empty] = _make_backdrop(view, height)[np.nonzero(empty)[0]]
+    picture = soften_edges(picture)
+    if len(trail) > 1:
+        matrix = np.reshape(lens, (4, 4)).T @ np.reshape(looking, (4, 4)).T
+        picture = _draw_trail(picture, np.reshape(depths, (height, width)), view, matrix, trail, ribbon)
+    return picture
+
+
+def _make_backdrop(view: _View, height: int) -> NDArray[np.uint8]:
+    """One colour a row: sky above the horizon, plain ground below."""
+    down = math.atan2(view.eye[2] - view.target[2], math.dist(view.eye[:2], view.target[:2]))
+    rows = (0.5 - (np.arange(height) + 0.5) / height) * 2 * math.tan(math.radians(view.field / 2))
+    elevation = np.arctan(rows) - down
+    share = np.clip(elevation / 0.5 + 0.5, 0.0, 1.0)[:, None]
+    low, high = np.array(palette.to_rgb(_GROUND)), np.array(palette.to_rgb(_SKY))
+    return (255 * (low + share * (high - low)) + 0.5).astype(np.uint8)
+
+
+def _draw_trail(picture: NDArray[np.uint8], depths: NDArray[np.float32], view: _View, matrix: NDArray[np.float64],
+                trail: Sequence[tuple[float, float]], width: float) -> NDArray[np.uint8]:
+    """Paint a ribbon along the visible parts of the trail.
+
+    Args:
+        picture: (height, width, 3).
+        depths: Bullet's depth buffer, (height, width).
+        view: the camera.
+        matrix: projection times view, (4, 4).
+        trail: (x, y) positions, m.
+        width: of the ribbon, m.
+    """
+    corners, middles = _make_ribbon(np.array(trail, dtype=np.float64), width)
+    if not len(corners):
+        return picture
+    rows, columns = depths.shape
+    pixels, distance = _project(corners.reshape(-1, 3), matrix, columns, rows)
+    pixels, nearest = pixels.reshape(-1, 4, 2), distance.reshape(-1, 4).min(axis=1)
+    middle, distance = _project(middles, matrix, columns, rows)
+    inside = (nearest > view.near) & (middle >= 0).all(axis=1) & (middle < (columns, rows)).all(axis=1)
+    at = middle[inside].astype(int)
+    seen = view.near * view.far / (view.far - depths[at[:, 1], at[:, 0]] * (view.far - view.near))
+    clear = distance[inside] <= seen + 0.1 + 0.01 * distance[inside]
+    mask = Image.new("L", (_FINE * columns, _FINE * rows))
+    draw = ImageDraw.Draw(mask)
+    for quad in (_FINE * pixels[inside][clear]).tolist():
+        draw.polygon([tuple(corner) for corner in quad], fill=255)
+    image = Image.fromarray(picture)
+    image.paste(palette.TRAIL, mask=mask.reduce(_FINE))
+    return np.asarray(image)
+
+
+def _make_ribbon(points: NDArray[np.float64], width: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Cut a path on the floor into short quads: corners (n, 4, 3) and middles (n, 3)."""
+    moves = np.diff(points, axis=0)
+    lengths = np.hypot(*moves.T)
+    counts = np.ceil(lengths / (2 * width)).astype(int)
+    owner = np.repeat(np.arange(len(moves)), counts)
+    first = np.repeat(np.cumsum(counts) - counts, counts)
+    share = (np.arange(len(owner)) - first) / counts[owner]
+    step = moves[owner] / counts[owner, None]
+    low = points[owner] + share[:, None] * moves[owner]
+    along = step / np.maximum(np.hypot(*step.T), 1e-12)[:, None]
+    aside = 0.5 * width * np.stack([-along[:, 1], along[:, 0]], axis=1)
+    low, high = low - 0.25 * width * along, low + step + 0.25 * width * along
+    quads = np.stack([low - aside, high - aside, high + aside, low + aside], axis=1)
+    height = np.full((*quads.shape[:2], 1), 0.03)
+    corners = np.concatenate([quads, height], axis=2)
+    return corners, corners.mean(axis=1)
+
+
+def _project(points: NDArray[np.float64], matrix: NDArray[np.float64], columns: int, rows: int
+             ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Pixels (n, 2) of points (n, 3), and their distance along the line of sight (n,)."""
+    clip = np.column_stack([points, np.ones(len(points))]) @ matrix.T
+    distance = clip[:, 3]
+    ahead = np.maximum(distance, 1e-9)
+    return np.stack([(clip[:, 0] / ahead + 1) * columns / 2, (1 - clip[:, 1] / ahead) * rows / 2], axis=1), distance

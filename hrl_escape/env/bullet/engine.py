@@ -1,0 +1,276 @@
+"""The Bullet engine: one room in its own physics client, under kinematic or physics dynamics.
+
+Kinematic rooms are moved by `Kinematics`, and Bullet's world is placed accordingly when somebody looks at it: rendering
+and queries always see the state, and steps cost nothing for it. Physics rooms are moved by `physics.py`. It knows no
+Gymnasium, no observations and no cameras.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+import time
+import weakref
+
+import pybullet
+
+from hrl_escape.env.bullet.physics import PhysicsDynamics
+from hrl_escape.env.bullet.scene import Scene, build_scene, show_door, show_exit, show_lit
+from hrl_escape.env.instance import RoomInstance, Start
+from hrl_escape.env.kinematics import Kinematics, RoomState, Rules, Transition
+from hrl_escape.env.state_checks import check_state
+from hrl_escape.errors import ClosedError, UnsupportedError
+
+__all__ = ["BulletRoom"]
+
+_ARROWS = {pybullet.B3G_UP_ARROW: "up", pybullet.B3G_DOWN_ARROW: "down", pybullet.B3G_LEFT_ARROW: "left",
+           pybullet.B3G_RIGHT_ARROW: "right"}
+
+
+class BulletRoom:
+    """One room that moves. Rooms are independent; each owns a physics client until `close`.
+
+    Attributes:
+        instance: the room.
+        rules: the room's rules (`Kinematics`, or `Rules` under physics).
+        scene: pybullet's numbers of the bodies in it.
+        state: the state now. It is immutable, so to keep it is to save it.
+    """
+
+    def __init__(self, instance: RoomInstance, window: bool = False) -> None:
+        """Build the room and begin an episode at its first start.
+
+        Args:
+            instance: the room.
+            window: open Bullet's window (needs a display).
+
+        Raises:
+            UnsupportedError: a window without a display, or too many rooms open in this process.
+        """
+        self.instance = instance
+        self._client, self._is_seen, self._is_placed = _connect(window), window, True
+        self._release = weakref.finalize(self, _disconnect, self._client)
+        physics = instance.dynamics.kind == "physics"
+        self.rules: Rules = Rules(instance) if physics else Kinematics(instance)
+        self.scene: Scene = build_scene(self._client, instance, self.rules.robot)
+        if window:
+            pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_RENDERING, 1, physicsClientId=self._client)
+        dynamics = PhysicsDynamics if physics else _KinematicDynamics
+        self._dynamics = dynamics(self._client, self.scene, self.rules)
+        self._colours = _PuzzleColours(self._client, instance, self.scene)
+        self._next_frame = 0.0
+        self.state = self.reset(instance.starts[0])
+
+    # --- the episode ---------------------------------------------------------------------
+
+    def reset(self, start: Start, noise_key: int = 0) -> RoomState:
+        """Begin an episode.
+
+        Args:
+            start: pose of the robot; the arm is at home, the puzzle at its start.
+            noise_key: 64-bit key of the episode's noise and slip.
+        """
+        self._require_open()
+        self._enter(self._dynamics.make_state(start, noise_key))
+        return self.state
+
+    def set_state(self, state: RoomState) -> None:
+        """Continue from a state; stepping from it is identical to stepping from the original.
+
+        States are plain values: they may come from another room of the same instance, or another
+        process. Under physics, one without `physics` (a planner's, say) is at rest at its pose
+        with props and door at their first poses.
+
+        Raises:
+            StateError: a state that no episode in this room could be in.
+        """
+        self._require_open()
+        check_state(self.rules, state)
+        self._dynamics.check_state(state)
+        self._enter(state)
+
+    def step(self, action: int) -> Transition:
+        """Apply one primitive.
+
+        Args:
+            action: a number of `rules.actions`, not checked here.
+
+        Raises:
+            ClosedError: the room was closed, or its window.
+        """
+        if self._client < 0:
+            self._require_open()
+        try:
+            transition = self._dynamics.step(self.state, action)
+        except pybullet.error:
+            self._require_open()
+            raise
+        self._enter(transition.state)
+        return transition
+
+    def _enter(self, state: RoomState) -> None:
+        self.state, self._is_placed = state, False
+        if self._is_seen:
+            self._place()
+
+    def _place(self) -> None:
+        """Put Bullet's world into the state, if it is not yet in it."""
+        if not self._is_placed and self._client >= 0:
+            try:
+                self._dynamics.place(self.state)
+                self._colours.show(self.state)
+            except pybullet.error:
+                self._require_open()
+                raise
+            self._is_placed = True
+
+    @property
+    def client(self) -> int:
+        """Number of pybullet's physics client, -1 once closed; its world shows `state`."""
+        self._place()
+        return self._client
+
+    def show(self, rate: float) -> None:
+        """Keep Bullet's window watchable: wait until 1 / `rate` seconds after the last call."""
+        self._require_open()
+        now = time.monotonic()
+        time.sleep(min(max(self._next_frame - now, 0.0), 1.0 / rate))
+        self._next_frame = max(self._next_frame, now) + 1.0 / rate
+
+    def read_keys(self) -> list[str]:
+        """Keys pressed in the window since the last call: letters, digits, `up`, `down`, `left`, `right`."""
+        self._require_open()
+        pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_KEYBOARD_SHORTCUTS, 0, physicsClientId=self.client)
+        events = pybullet.getKeyboardEvents(physicsClientId=self.client)
+        pressed = [key for key, state in events.items() if state & pybullet.KEY_WAS_TRIGGERED]
+        return [_ARROWS.get(key) or chr(key).lower() for key in pressed if key in _ARROWS or 0 < key < 128]
+
+    # --- queries -------------------------------------------------------------------------
+
+    def compute_clearance(self) -> float:
+        """Distance in metres from the body to the nearest wall, obstacle or shut door, asked of Bullet.
+
+        Negative if they overlap. Bullet's answer is within 2e-6 m of the exact distance at
+        the contact skin; it is independent of the rules that moved the body.
+        """
+        self._require_open()
+        instance, client, best = self.instance, self.client, math.inf
+        furthest = 3.0 * (instance.reach_x + instance.reach_y)
+        bodies = [(solid, -1) for solid in self.scene.solids]
+        if self.scene.door is not None and self._dynamics.door_is_solid:
+            bodies.append((self.scene.door, 0))
+        for body, link in bodies:
+            points = pybullet.getClosestPoints(self.scene.robot, body, furthest, self.scene.base_link, link,
+                                               physicsClientId=client)
+            best = min(best, min(point[8] for point in points))
+        return best
+
+    @property
+    def is_open(self) -> bool:
+        """False once the room, or its window, was closed."""
+        return self._client >= 0 and bool(pybullet.isConnected(self._client))
+
+    # --- its end -------------------------------------------------------------------------
+
+    def close(self) -> None:
+        """Free the physics client; again is no error. Forgetting the room frees it too."""
+        self._release()
+        self._client = -1
+
+    def _require_open(self) -> None:
+        if self._client < 0:
+            raise ClosedError("this room is closed; make a new one")
+        if not pybullet.isConnected(self._client):
+            self.close()
+            raise ClosedError("this room's window was closed; make a new one")
+
+
+class _KinematicDynamics:
+    """`Kinematics` decides; Bullet's bodies are placed accordingly."""
+
+    def __init__(self, client: int, scene: Scene, rules: Rules) -> None:
+        assert isinstance(rules, Kinematics)
+        self.step = rules.step
+        self.make_state = rules.make_state
+        self._client, self._rules = client, rules
+        self._robot, self._joints, self._height = scene.robot, scene.joints, scene.base_height
+        self._turns = tuple(_make_quaternion(n * rules.turn_step) for n in range(rules.headings))
+        self._pose: tuple[float, ...] = ()
+        self._angles = [math.nan] * len(scene.joints)
+        self._arm: tuple = ()
+        self._door = scene.door
+        self.door_is_solid = True
+
+    def check_state(self, state: RoomState) -> None:
+        """Refuse nothing: these dynamics add nothing to a state."""
+
+    def place(self, state: RoomState) -> None:
+        """Move the parts of the robot that are not yet as the state says."""
+        pose = state.x, state.y, state.heading_steps, state.heading_offset
+        if pose != self._pose:
+            self._pose = pose
+            x, y, steps, offset = pose
+            turn = self._turns[steps] if offset == 0.0 else _make_quaternion(steps * self._rules.turn_step + offset)
+            pybullet.resetBasePositionAndOrientation(self._robot, (x, y, self._height), turn, self._client)
+        arm = state.joint_steps, state.joint_offsets
+        if arm != self._arm:
+            self._arm = arm
+            for i, angle in enumerate(self._rules.get_angles(state)):
+                if angle != self._angles[i]:
+                    self._angles[i] = angle
+                    pybullet.resetJointState(self._robot, self._joints[i], angle, 0.0, self._client)
+        if self._door is not None:
+            is_shut = self._rules.is_door_shut(state.x, state.y, state.puzzle)
+            if is_shut != self.door_is_solid:
+                self.door_is_solid = is_shut
+                show_door(self._client, self._rules.instance, self._door, not is_shut)
+
+
+class _PuzzleColours:
+    """Colours that show the puzzle: lit targets and the exit."""
+
+    def __init__(self, client: int, instance: RoomInstance, scene: Scene) -> None:
+        self._client, self._instance, self._scene = client, instance, scene
+        self._puzzle: object = None
+        self._lit = (False,) * len(instance.targets)
+        self._solved = False
+
+    def show(self, state: RoomState) -> None:
+        """Recolour targets and exit if they changed."""
+        if state.puzzle != self._puzzle:
+            self._puzzle = state.puzzle
+            puzzle = self._instance.puzzle
+            lit = puzzle.get_lit(state.puzzle)
+            for target, now, before in zip(self._scene.targets, lit, self._lit, strict=True):
+                if now != before:
+                    show_lit(self._client, target, now)
+            self._lit = lit
+            solved = puzzle.is_solved(state.puzzle)
+            if solved != self._solved:
+                self._solved = solved
+                show_exit(self._client, self._scene, solved)
+
+
+def _make_quaternion(heading: float) -> tuple[float, float, float, float]:
+    return 0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2)
+
+
+# --- physics clients -----------------------------------------------------------------------
+
+
+def _connect(window: bool) -> int:
+    if window and sys.platform.startswith("linux") and not os.environ.get("DISPLAY"):
+        raise UnsupportedError("Bullet's window needs a display (DISPLAY is not set); use pictures (rgb_array) instead")
+    client = pybullet.connect(pybullet.GUI if window else pybullet.DIRECT)
+    if client < 0:
+        raise UnsupportedError("Bullet gives no further physics client; close rooms that are no longer used")
+    if window:
+        for flag in (pybullet.COV_ENABLE_GUI, pybullet.COV_ENABLE_RENDERING):
+            pybullet.configureDebugVisualizer(flag, 0, physicsClientId=client)
+    return client
+
+
+def _disconnect(client: int) -> None:
+    if pybullet.isConnected(client):
+        pybullet.disconnect(client)

@@ -1,0 +1,359 @@
+"""Physics dynamics: primitives executed by Bullet's rigid bodies, in sub-steps of 1/240 s.
+
+The base stands on a planar carriage (it does not tip) whose velocities are constrained to a
+trapezoid profile; joints follow position motors; walls, panels, blocks, the door and the arm
+are solid. A primitive lasts as long as its way takes at 1 m/s or 90 degrees a second, at least
+0.25 s, and 0.1 s more to settle. A push into something solid stops or slides along it, so a
+displacement is only approximately the nominal one. A target is touched once the presser pushed
+against it with `PRESS_FORCE`, until it has left the press margin. Puzzle, reward and exit are
+those of `Rules`.
+
+Everything that Bullet carries from one primitive to the next is written out as numbers
+(`PhysicsState`) at the end of a primitive and written back, with all cached contacts
+forgotten, at the beginning of the next. A transition is therefore a pure function of
+instance, state and action: states can be kept, compared, and continued bit for bit in any
+room of the same instance, in any process.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from functools import lru_cache
+from typing import NamedTuple
+
+import pybullet
+
+from hrl_escape.env.bullet.scene import Scene
+from hrl_escape.env.instance import Start
+from hrl_escape.env.kinematics import RoomState, Rules, Transition
+from hrl_escape.env.noise import compute_noise
+from hrl_escape.env.primitives import Primitive
+from hrl_escape.errors import StateError, show_value
+
+__all__ = ["PRESS_FORCE", "RATE", "PhysicsDynamics", "PhysicsState"]
+
+RATE = 240
+"""Sub-steps a second."""
+PRESS_FORCE = 5.0
+"""A target is pressed when the presser pushes against it with this normal force, N."""
+
+_SPEED, _TURN_SPEED = 1.0, math.pi / 2  # mean speed of the base, m/s; of turns and joints, rad/s
+_SHORTEST, _SETTLE = 0.25, 0.1  # shortest motion and the time to come to rest after it, s
+_RAMP = 0.2  # share of a motion spent speeding up, and again slowing down
+_ACCELERATION = 20.0  # the carriage pushes with the robot's mass times this, m/s^2, and turns on a lever of 1 m
+_LIMIT_SLACK = 1e-3  # rad that a joint may be off its lattice at its limit
+_JOINT_EFFORT = 500.0  # N m, if the URDF states none
+_HINGE_FRICTION, _HINGE_CLOSER, _HINGE_LOCK = 2.0, 200.0, 1e4  # N m
+_CLOSING_SPEED = 0.5  # rad/s
+_LOCKED_WITHIN = math.radians(2)
+_FRICTION = 0.8  # of blocks and floor
+_POSITION_GAIN = 0.3  # share of a joint's error that its motor makes good in one sub-step
+_AT_REST = 0.01  # m/s and rad/s, below which a block that nothing touches stays where it is
+_AWAY = 1000.0  # m; out of touch with everything
+_UPRIGHT = (0.0, 0.0, 0.0, 1.0)
+
+
+class PhysicsState(NamedTuple):
+    """Bullet's part of a state besides the pose in `RoomState`; plain numbers, hashable.
+
+    Attributes:
+        drive_velocities: of the base along x and y, m/s, and about z, rad/s.
+        joint_velocities: of the joints that primitives move, rad/s.
+        door: angle of the hinge, rad, and its velocity, rad/s; empty without a door.
+        props: for each prop position (3), quaternion x y z w (4), velocity (3) and angular
+            velocity (3), in the room frame.
+    """
+
+    drive_velocities: tuple[float, float, float]
+    joint_velocities: tuple[float, ...]
+    door: tuple[float, ...]
+    props: tuple[tuple[float, ...], ...]
+
+
+class PhysicsDynamics:
+    """Moves one room by rigid-body dynamics."""
+
+    door_is_solid = True
+
+    def __init__(self, client: int, scene: Scene, rules: Rules) -> None:
+        self._client, self._scene, self._rules = client, scene, rules
+        self._instance = rules.instance
+        self._targets = {body: number for number, body in enumerate(scene.targets)}
+        self._blocks = tuple((body, number) for number, body in enumerate(scene.props)
+                             if self._instance.props[number].prop.kind == "block")
+        if scene.door is not None:
+            self._door_pose = pybullet.getBasePositionAndOrientation(scene.door, physicsClientId=client)
+        self._by_hand = self._instance.dynamics.press_with == "hand"
+        self._hand_reach = self._instance.robot.hand_radius + self._instance.dynamics.press_margin
+        self._written: RoomState | None = None
+        self._touches: set[tuple[int, int]] = set()
+        self._configure()
+
+    def _configure(self) -> None:
+        client, scene = self._client, self._scene
+        pybullet.setGravity(0.0, 0.0, -9.81, physicsClientId=client)
+        # sorted pairs make contacts independent of history; without inner iterations Bullet sweeps over the
+        # motors only once as soon as anything touches, and a loaded arm sags by degrees
+        pybullet.setPhysicsEngineParameter(fixedTimeStep=1 / RATE, deterministicOverlappingPairs=1,
+                                           numNonContactInnerIterations=5, physicsClientId=client)
+        mass = 0.0
+        for link in range(-1, pybullet.getNumJoints(scene.robot, physicsClientId=client)):
+            pybullet.changeDynamics(scene.robot, link, linearDamping=0.0, angularDamping=0.0, jointDamping=0.0,
+                                    physicsClientId=client)
+            mass += pybullet.getDynamicsInfo(scene.robot, link, physicsClientId=client)[0]
+        force = mass * _ACCELERATION
+        self._drive_forces = (force, force, force)
+        efforts = (pybullet.getJointInfo(scene.robot, joint, physicsClientId=client)[10] for joint in scene.joints)
+        self._efforts = tuple(effort or _JOINT_EFFORT for effort in efforts)
+        for body in (*(body for body, _ in self._blocks), *scene.floors):
+            pybullet.changeDynamics(body, -1, lateralFriction=_FRICTION, physicsClientId=client)
+        for joint, angle in scene.rest_joints:
+            pybullet.setJointMotorControl2(scene.robot, joint, pybullet.POSITION_CONTROL, targetPosition=angle,
+                                           force=_JOINT_EFFORT, physicsClientId=client)
+
+    # --- states ----------------------------------------------------------------------------
+
+    def make_state(self, start: Start, noise_key: int = 0) -> RoomState:
+        """State at the beginning of an episode: everything at rest in its first place."""
+        return self._rules.make_state(start, noise_key)._replace(physics=self._make_rest())
+
+    def _make_rest(self) -> PhysicsState:
+        door = (0.0, 0.0) if self._scene.door is not None else ()
+        props = tuple(
+            (p.x, p.y, p.prop.height / 2 if p.prop.kind == "block" else 0.0,
+             0.0, 0.0, math.sin(p.yaw / 2), math.cos(p.yaw / 2), *(0.0,) * 6)
+            for p in self._instance.props
+        )
+        return PhysicsState((0.0, 0.0, 0.0), (0.0,) * len(self._scene.joints), door, props)
+
+    def check_state(self, state: RoomState) -> None:
+        """Refuse a state whose `physics` is not of this room.
+
+        Raises:
+            StateError: it has other parts, or numbers that are not finite.
+        """
+        if state.physics is None:
+            return
+        rest = self._make_rest()
+        try:
+            physics = PhysicsState(*state.physics)
+            pairs = [(physics.drive_velocities, rest.drive_velocities),
+                     (physics.joint_velocities, rest.joint_velocities), (physics.door, rest.door),
+                     *zip(physics.props, rest.props, strict=True)]
+            fits = all(len(mine) == len(theirs) and all(abs(number) < _AWAY for number in mine)
+                       for mine, theirs in pairs)
+        except (TypeError, ValueError):
+            fits = False
+        if not fits:
+            raise StateError(f"physics = {show_value(state.physics)} is not possible: finite numbers for "
+                             f"{len(self._scene.joints)} joints, {len(rest.door) // 2} doors and {len(rest.props)} "
+                             "props")
+
+    def place(self, state: RoomState) -> None:
+        """Put the world into a state; one without `physics` is at rest, with props at their first poses."""
+        if state is not self._written:
+            self._write(state)
+
+    def _write(self, state: RoomState) -> None:
+        client, scene = self._client, self._scene
+        physics: PhysicsState = state.physics or self._make_rest()
+        self._forget_contacts()
+        drives = (state.x, state.y, self._rules.get_heading(state))
+        angles = self._rules.get_angles(state)
+        joints = (*zip(scene.drives, drives, physics.drive_velocities, strict=True),
+                  *zip(scene.joints, angles, physics.joint_velocities, strict=True),
+                  *((joint, angle, 0.0) for joint, angle in scene.rest_joints))
+        for joint, position, velocity in joints:
+            pybullet.resetJointState(scene.robot, joint, position, velocity, client)
+        if scene.door is not None:
+            pybullet.resetJointState(scene.door, 0, *physics.door, client)
+        for body, numbers in self._blocks:
+            pose = physics.props[numbers]
+            pybullet.resetBasePositionAndOrientation(body, pose[:3], pose[3:7], client)
+            pybullet.resetBaseVelocity(body, pose[7:10], pose[10:], client)
+        self._written = state
+
+    def _forget_contacts(self) -> None:
+        """Move all movable bodies apart and back, so that Bullet drops its cached contacts and pairs."""
+        client, scene = self._client, self._scene
+        bodies = (scene.robot, *(body for body, _ in self._blocks))
+        for number, body in enumerate(bodies):
+            pybullet.resetBasePositionAndOrientation(body, (0.0, 0.0, _AWAY * (number + 1)), _UPRIGHT, client)
+        if scene.door is not None:
+            pybullet.resetBasePositionAndOrientation(scene.door, (0.0, 0.0, -_AWAY), self._door_pose[1], client)
+        pybullet.performCollisionDetection(client)
+        pybullet.resetBasePositionAndOrientation(scene.robot, (0.0, 0.0, 0.0), _UPRIGHT, client)
+        if scene.door is not None:
+            pybullet.resetBasePositionAndOrientation(scene.door, *self._door_pose, client)
+
+    def _read(self, before: RoomState, pressed: int) -> RoomState:
+        """State after the motion; presses are not judged yet."""
+        client, scene, rules = self._client, self._scene, self._rules
+        drives = pybullet.getJointStates(scene.robot, scene.drives, client)
+        x, y, heading = (drive[0] for drive in drives)
+        turns = round(heading / rules.turn_step)
+        steps, offset = turns % rules.headings, heading - turns * rules.turn_step
+        joints = pybullet.getJointStates(scene.robot, scene.joints, client) if scene.joints else ()
+        joint_steps, joint_offsets = self._split_angles(joint[0] for joint in joints)
+        door = ()
+        if scene.door is not None:
+            door = pybullet.getJointState(scene.door, 0, client)[:2]
+        props = list((before.physics or self._make_rest()).props)
+        moved = self._find_moved(tuple(props))
+        for body, number in self._blocks:
+            if body not in moved:  # resting contacts creep by micrometres in every primitive
+                props[number] = (*props[number][:7], *(0.0,) * 6)
+                continue
+            position, turn = pybullet.getBasePositionAndOrientation(body, client)
+            velocity, spin = pybullet.getBaseVelocity(body, client)
+            props[number] = (*position, *turn, *velocity, *spin)
+        physics = PhysicsState(tuple(drive[1] for drive in drives), tuple(joint[1] for joint in joints), door,
+                               tuple(props))
+        # a panel that was pressed counts as touched until the presser has left it
+        near = rules.compute_touching(x, y, steps, offset, joint_steps, joint_offsets)
+        return before._replace(x=x, y=y, heading_steps=steps, heading_offset=offset, joint_steps=joint_steps,
+                               joint_offsets=joint_offsets, touching=pressed | before.touching & near, physics=physics)
+
+    def _split_angles(self, angles: Iterable[float]) -> tuple[tuple[int, ...], tuple[float, ...]]:
+        robot, steps, offsets = self._rules.robot, [], []
+        for angle, home, low, high in zip(angles, robot.home, robot.step_low, robot.step_high, strict=True):
+            step = min(max(round((angle - home) / robot.step), low), high)
+            steps.append(step)
+            offsets.append(angle - (home + step * robot.step))
+        return tuple(steps), tuple(offsets)
+
+    # --- motion ----------------------------------------------------------------------------
+
+    def step(self, state: RoomState, action: int) -> Transition:
+        """Run one primitive. Pure, but for leaving the world in the state it returns."""
+        primitive, scale = self._rules.actions.primitives[action], 1.0
+        dynamics = self._instance.dynamics
+        if dynamics.noise or dynamics.slip:
+            normal, uniform = compute_noise(state.noise_key, state.primitives)
+            scale = 0.0 if uniform < dynamics.slip else 1.0 + dynamics.noise * normal
+        self._write(state)
+        self._hold(state)
+        if primitive.joint >= 0:
+            pressed = self._move_joint(state, primitive, scale)
+        else:
+            pressed = self._drive(state, primitive, scale)
+        moved = self._read(state, pressed)
+        poses = tuple(_get_planar_pose(numbers) for numbers in moved.physics.props)
+        transition = self._rules.judge(state, moved, poses)
+        self._written = transition.state
+        return transition
+
+    def _hold(self, state: RoomState) -> None:
+        """Arm motors hold the joints; the door's hinge is locked, or free once solved."""
+        client, scene = self._client, self._scene
+        for joint, angle, effort in zip(scene.joints, self._rules.get_angles(state), self._efforts, strict=True):
+            pybullet.setJointMotorControl2(scene.robot, joint, pybullet.POSITION_CONTROL, angle, 0.0, effort,
+                                           _POSITION_GAIN, 1.0, physicsClientId=client)
+        if scene.door is not None:
+            angle = pybullet.getJointState(scene.door, 0, client)[0]
+            if self._instance.puzzle.is_solved(state.puzzle):
+                pybullet.setJointMotorControl2(scene.door, 0, pybullet.VELOCITY_CONTROL, targetVelocity=0.0,
+                                               force=_HINGE_FRICTION, physicsClientId=client)
+            else:
+                force = _HINGE_LOCK if abs(angle) < _LOCKED_WITHIN else _HINGE_CLOSER
+                pybullet.setJointMotorControl2(scene.door, 0, pybullet.POSITION_CONTROL, 0.0, 0.0, force,
+                                               0.1, 1.0, _CLOSING_SPEED, physicsClientId=client)
+
+    def _drive(self, state: RoomState, primitive: Primitive, scale: float) -> int:
+        cos, sin = self._rules.get_rotation(state.heading_steps, state.heading_offset)
+        length, turn = scale * self._instance.robot.move_step, scale * primitive.turn * self._rules.turn_step
+        way = (length * (primitive.forward * cos - primitive.left * sin),
+               length * (primitive.forward * sin + primitive.left * cos), turn)
+        seconds = max(math.hypot(way[0], way[1]) / _SPEED, abs(turn) / _TURN_SPEED)
+        return self._run(_make_profile(seconds), way)
+
+    def _move_joint(self, state: RoomState, primitive: Primitive, scale: float) -> int:
+        joint, rules = primitive.joint, self._rules
+        change = scale * primitive.joint_change * rules.robot.step
+        angle = rules.get_angles(state)[joint]
+        low, high = rules.robot.limits[joint]
+        if not low - _LIMIT_SLACK <= angle + change <= high + _LIMIT_SLACK:
+            change = 0.0
+        change = min(max(angle + change, low), high) - angle
+        profile = _make_profile(abs(change) / _TURN_SPEED)
+        return self._run(profile, (0.0, 0.0, 0.0), joint, angle, change)
+
+    def _run(self, profile: tuple[float, ...], way: tuple[float, float, float], joint: int = -1, angle: float = 0.0,
+             change: float = 0.0) -> int:
+        """Simulate one sub-step for each rate of a profile.
+
+        Args:
+            profile: rates in 1/s by which `way` and `change` are covered.
+            way: displacement of the base along x and y, m, and about z, rad.
+            joint: a joint that moves, or -1.
+            angle: that joint's angle, rad.
+            change: its displacement, rad.
+
+        Returns:
+            Bits of the targets that were pressed.
+        """
+        client, scene, pressed, done = self._client, self._scene, 0, 0.0
+        self._touches = set()
+        for rate in profile:
+            pybullet.setJointMotorControlArray(scene.robot, scene.drives, pybullet.VELOCITY_CONTROL,
+                                               targetVelocities=[rate * part for part in way],
+                                               forces=self._drive_forces, physicsClientId=client)
+            if joint >= 0:
+                pybullet.setJointMotorControl2(scene.robot, scene.joints[joint], pybullet.POSITION_CONTROL,
+                                               angle + done * change, rate * change, self._efforts[joint],
+                                               _POSITION_GAIN, 1.0, physicsClientId=client)
+                done += rate / RATE
+            pybullet.stepSimulation(client)
+            if self._targets:
+                pressed |= self._find_pressed()
+            for body, _ in self._blocks:
+                self._touches |= {(body, point[2]) for point in pybullet.getContactPoints(body, physicsClientId=client)
+                                  if point[9] > 0.0}
+        return pressed
+
+    def _find_moved(self, props: tuple[tuple[float, ...], ...]) -> set[int]:
+        """Bodies of the blocks that were in motion, or touched by something that moves, in the last primitive.
+
+        Args:
+            props: poses and velocities before it.
+        """
+        movers = {self._scene.robot, self._scene.door}
+        moved = {body for body, number in self._blocks if max(map(abs, props[number][7:])) > _AT_REST}
+        while True:
+            more = {body for body, other in self._touches if other in movers or other in moved} - moved
+            if not more:
+                return moved
+            moved |= more
+
+    def _find_pressed(self) -> int:
+        """Bits of the targets that the presser pushes against now."""
+        pressed, scene = 0, self._scene
+        for point in pybullet.getContactPoints(scene.robot, physicsClientId=self._client):
+            target = self._targets.get(point[2])
+            if target is not None and point[9] >= PRESS_FORCE and self._is_presser(point[3], point[5]):
+                pressed |= 1 << target
+        return pressed
+
+    def _is_presser(self, link: int, at: tuple[float, float, float]) -> bool:
+        if not self._by_hand:
+            return link == self._scene.base_link
+        hand = pybullet.getLinkState(self._scene.robot, self._scene.hand_link, computeForwardKinematics=1,
+                                     physicsClientId=self._client)[4]
+        return link != self._scene.base_link and math.dist(hand, at) <= self._hand_reach
+
+
+@lru_cache(maxsize=256)
+def _make_profile(seconds: float) -> tuple[float, ...]:
+    """Rates in 1/s, one a sub-step, that sum to RATE: a motion speeds up, cruises, slows down and settles."""
+    count = max(round(max(seconds, _SHORTEST) * RATE), 2)
+    ramp = _RAMP * count
+    rates = [min(1.0, (i + 0.5) / ramp, (count - i - 0.5) / ramp) for i in range(count)]
+    unit = RATE / math.fsum(rates)
+    return (*(rate * unit for rate in rates), *(0.0,) * round(_SETTLE * RATE))
+
+
+def _get_planar_pose(numbers: tuple[float, ...]) -> tuple[float, float, float]:
+    """(x, y, yaw) of a prop."""
+    x, y, z, w = numbers[3:7]
+    return numbers[0], numbers[1], math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -1,0 +1,312 @@
+"""Scenery for Bullet's cameras: a copy of a room made for the eye, in a physics client of its own.
+
+Looking at a copy keeps the simulated world free of decoration: walls can be cut open, buttons
+have frames and things cast shadows, and nothing of it can touch the robot or change a saved
+state. The copy follows a `BulletRoom`; it moves nothing by itself. Metres, the room frame.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+import weakref
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import pybullet
+
+from hrl_escape.env.bullet.engine import BulletRoom
+from hrl_escape.env.bullet.mesh_shapes import create_mesh_shape
+from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.meshes import (
+    Mesh,
+    compute_outline,
+    format_obj,
+    make_cylinder,
+    make_flat,
+    make_prism,
+    make_shadow,
+    make_tiles,
+    merge,
+    rotate_box,
+)
+from hrl_escape.env.geometry import Solid
+from hrl_escape.env.instance import PlacedProp, RoomInstance, Target
+from hrl_escape.env.robot import BASE_LINK, Robot
+
+__all__ = ["CURB", "SUN", "Stage", "Standing"]
+
+SUN = (-4.0, 2.6, 9.0)
+"""Direction of the light; the shadows that `meshes.py` lays on the floor agree with it."""
+CURB = 0.3
+"""What is left of a wall that is cut open, m."""
+
+_TILE, _OTHER_TILE, _SHADE = "#efebe2", "#e6e1d6", "#c9c3b6"
+_WALL, _WALL_TOP = "#c6ccd6", "#5b6475"
+_OBSTACLE = "#c2a27c"
+_FRAME = "#39404d"
+_TRIM, _TOP = "#1f2733", "#e9eef5"
+_EXIT_LOCKED, _EXIT_OPEN, _EXIT_EDGE = "#b3cfbd", "#7fd49b", "#7d9a87"
+_MAT, _MAT_LIT = "#e0ac9e", "#ffdf7e"
+_AWAY = (0.0, 0.0, 1e6)  # straight up: never in view
+_LAYER = 0.006  # between layers of paint on the floor
+_STILL = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass
+class Standing:
+    """Something upright that may hide the robot from a camera.
+
+    Attributes:
+        solid: its footprint and height; it stands on the floor for this purpose.
+        whole: bodies that show it whole.
+        cut: bodies that show its lowest part only.
+        is_cut: which of the two is shown.
+        pose: position and quaternion of the bodies.
+    """
+
+    solid: Solid
+    whole: list[int]
+    cut: list[int]
+    is_cut: bool = False
+    pose: tuple[tuple[float, float, float], tuple[float, float, float, float]] = ((0.0, 0.0, 0.0), _STILL)
+
+
+@dataclass
+class _Lamp:
+    """Parts that change colour with a target: its face, whole and cut, and a mat on the floor before it."""
+
+    faces: list[int]
+    mat: int
+    is_lit: bool | None = None
+
+
+class Stage:
+    """A copy of one room for cameras.
+
+    Attributes:
+        client: pybullet's number of the physics client.
+        standing: everything that can be cut open for a better view.
+    """
+
+    def __init__(self, instance: RoomInstance, robot: Robot) -> None:
+        self._instance = instance
+        self.client = pybullet.connect(pybullet.DIRECT)
+        weakref.finalize(self, pybullet.disconnect, self.client)
+        self.standing = [self._add_solid(solid) for solid in instance.solids]
+        self._lamps = [self._add_target(target) for target in instance.targets]
+        self._base, self._shadow = self._add_base()
+        self._arm, self._joints = self._add_arm(robot) if instance.robot.joints else (None, ())
+        self._props = [self._add_prop(placed) for placed in instance.props]
+        self._door = self._add_door(instance.door) if instance.door else None
+        self._exit, self._exit_edge, self._is_open = *self._add_exit(), None
+        self._add_floor()
+
+    # --- following the room ------------------------------------------------------------
+
+    def follow(self, room: BulletRoom) -> None:
+        """Bring everything into the state that the room is in now."""
+        state, rules = room.state, room.rules
+        turn = pybullet.getQuaternionFromEuler((state.roll, state.pitch, rules.get_heading(state)))
+        at = (state.x, state.y, state.z)
+        for body in self._base:
+            self._place(body, at, turn)
+        self._place(self._shadow, (state.x, state.y, 0.0), _STILL)
+        if self._arm is not None:
+            self._place(self._arm, at, turn)
+            for joint, angle in zip(self._joints, rules.get_angles(state), strict=True):
+                pybullet.resetJointState(self._arm, joint, angle, physicsClientId=self.client)
+        for (body, shadow), original in zip(self._props, room.scene.props, strict=True):
+            (x, y, z), turn = pybullet.getBasePositionAndOrientation(original, physicsClientId=room.client)
+            self._place(body, (x, y, 0.0 if shadow is None else z), turn)
+            if shadow is not None:
+                self._place(shadow, (x, y, 0.0), _STILL)
+        puzzle = self._instance.puzzle
+        for lamp, is_lit in zip(self._lamps, puzzle.get_lit(state.puzzle), strict=True):
+            self._light(lamp, is_lit)
+        self._open_exit(puzzle.is_solved(state.puzzle))
+        if self._door is not None and room.scene.door is not None:
+            self._swing(self._door, pybullet.getJointState(room.scene.door, 0, physicsClientId=room.client)[0])
+
+    def _light(self, lamp: _Lamp, is_lit: bool) -> None:
+        if is_lit != lamp.is_lit:
+            lamp.is_lit = is_lit
+            for face in lamp.faces:
+                self._paint(face, palette.LIT.fill if is_lit else palette.OFF.fill)
+            self._paint(lamp.mat, _MAT_LIT if is_lit else _MAT)
+
+    def _open_exit(self, is_open: bool) -> None:
+        if is_open != self._is_open:
+            self._is_open = is_open
+            self._paint(self._exit, _EXIT_OPEN if is_open else _EXIT_LOCKED)
+            self._paint(self._exit_edge, palette.EXIT_OPEN if is_open else _EXIT_EDGE)
+
+    def _swing(self, door: Standing, angle: float) -> None:
+        solid = door.solid
+        cos, sin = math.cos(solid.yaw), math.sin(solid.yaw)
+        hinge = (solid.x - cos * solid.half_x, solid.y - sin * solid.half_x, 0.0)
+        pose = (hinge, pybullet.getQuaternionFromEuler((0.0, 0.0, solid.yaw + angle)))
+        if pose != door.pose:
+            door.pose = pose
+            self._show(door)
+
+    def set_cut(self, standing: Standing, is_cut: bool) -> None:
+        """Show something whole, or only its lowest part."""
+        if is_cut != standing.is_cut:
+            standing.is_cut = is_cut
+            self._show(standing)
+
+    def _show(self, standing: Standing) -> None:
+        for body in standing.whole:
+            self._place(body, *(standing.pose if not standing.is_cut else (_AWAY, _STILL)))
+        for body in standing.cut:
+            self._place(body, *(standing.pose if standing.is_cut else (_AWAY, _STILL)))
+
+    def _place(self, body: int, at: Sequence[float], turn: Sequence[float]) -> None:
+        pybullet.resetBasePositionAndOrientation(body, at, turn, physicsClientId=self.client)
+
+    def _paint(self, body: int, colour: str) -> None:
+        pybullet.changeVisualShape(body, -1, rgbaColor=(*palette.to_rgb(colour), 1.0), physicsClientId=self.client)
+
+    # --- building ----------------------------------------------------------------------
+
+    def _add(self, mesh: Mesh, colour: str, shown: bool = True) -> int:
+        shape = create_mesh_shape(self.client, mesh, (*palette.to_rgb(colour), 1.0))
+        at = (0.0, 0.0, 0.0) if shown else _AWAY
+        return pybullet.createMultiBody(0.0, -1, shape, at, physicsClientId=self.client)
+
+    def _add_solid(self, solid: Solid) -> Standing:
+        wall, outline = solid.role == "wall", compute_outline(solid)
+        bodies: list[list[int]] = []
+        for height, shown in ((solid.height, True), (min(CURB, solid.height), False)):
+            if solid.shape == "cylinder":
+                shape = make_cylinder(solid.half_x, 0.0, height).moved(solid.x, solid.y)
+            else:
+                shape = make_prism(outline, 0.0, height)
+            parts = [self._add(shape, _WALL if wall else _OBSTACLE, shown)]
+            if wall:  # a darker top makes the floor plan readable from above
+                parts.append(self._add(make_prism(outline, height, height + 2 * _LAYER), _WALL_TOP, shown))
+            bodies.append(parts)
+        return Standing(solid, bodies[0], bodies[1])
+
+    def _add_target(self, target: Target) -> _Lamp:
+        low, high = max(0.02, target.z - target.half_z), target.z + target.half_z
+        # every face is lit as if it faced the sun: a panel shines, in whatever direction it hangs
+        rim = min(0.08, 0.2 * min(target.half_x, target.half_z))
+        face = rotate_box(target.x, target.y, target.half_x, target.half_y, target.yaw)
+        frame = rotate_box(target.x, target.y, target.half_x + rim, 0.7 * target.half_y, target.yaw)
+        bodies = [
+            [self._add(make_prism(face, low, top).facing(SUN), palette.OFF.fill, shown),
+             self._add(make_prism(frame, max(0.0, low - rim), top + rim), _FRAME, shown)]
+            for top, shown in ((high, True), (min(high, low + CURB), False))
+        ]
+        solid = Solid("box", target.x, target.y, target.half_x, target.half_y, target.yaw, high)
+        self.standing.append(Standing(solid, bodies[0], bodies[1]))
+        ahead = palette.find_front(self._instance, target)
+        deep = target.half_y + min(0.4, 0.5 * self._instance.robot.body_radius)
+        middle = (target.x + ahead[0] * deep / 2, target.y + ahead[1] * deep / 2)
+        mat = make_flat(rotate_box(*middle, target.half_x, deep / 2, target.yaw), 4 * _LAYER)
+        return _Lamp([bodies[0][0], bodies[1][0]], self._add(mat, _MAT))
+
+    def _add_base(self) -> tuple[list[int], int]:
+        """The wheeled base, with an arrow on top that shows the heading, and its shadow."""
+        radius, height = self._instance.robot.body_radius, self._instance.robot.body_height
+        skirt = make_cylinder(0.9 * radius, 0.02 * height, 0.15 * height)
+        hull = merge([make_cylinder(radius, 0.15 * height, 0.85 * height),
+                      make_cylinder(radius, 0.85 * height, height, 0.85 * radius)])
+        band = make_cylinder(1.01 * radius, 0.55 * height, 0.7 * height)
+        lift = height + _LAYER
+        arrow = merge([make_flat([(0.72 * radius, 0.0), (-0.5 * radius, 0.5 * radius), (-0.22 * radius, 0.0)], lift),
+                       make_flat([(0.72 * radius, 0.0), (-0.22 * radius, 0.0), (-0.5 * radius, -0.5 * radius)], lift)])
+        disc = compute_outline(Solid("cylinder", 0.0, 0.0, radius, radius))
+        shadow = self._add(make_shadow(disc, height, 5 * _LAYER), _SHADE)
+        parts = ((skirt, _TRIM), (hull, palette.BODY), (band, _TRIM), (arrow, _TOP))
+        return [self._add(mesh, colour) for mesh, colour in parts], shadow
+
+    def _add_arm(self, robot: Robot) -> tuple[int, tuple[int, ...]]:
+        """The robot's own URDF without its base; round parts become meshes that Bullet shades well."""
+        with tempfile.TemporaryDirectory() as folder:
+            cylinder = Path(folder, "cylinder.obj")
+            cylinder.write_text(format_obj(make_cylinder(1.0, -0.5, 0.5)))
+            urdf = Path(folder, "arm.urdf")
+            urdf.write_text(_adapt_urdf(robot, self._instance.robot, str(cylinder)))
+            body = pybullet.loadURDF(str(urdf), physicsClientId=self.client)
+        numbers = {}
+        for index in range(pybullet.getNumJoints(body, physicsClientId=self.client)):
+            numbers[pybullet.getJointInfo(body, index, physicsClientId=self.client)[1].decode()] = index
+        for name, angle in robot.rest.items():
+            pybullet.resetJointState(body, numbers[name], angle, physicsClientId=self.client)
+        return body, tuple(numbers[name] for name in robot.joint_names)
+
+    def _add_prop(self, placed: PlacedProp) -> tuple[int, int | None]:
+        """A plate, or a block and its shadow (a disc's, which suits however the block is turned)."""
+        prop = placed.prop
+        outline = rotate_box(0.0, 0.0, prop.half_size, prop.half_size, 0.0)
+        if prop.kind == "plate":
+            return self._add(make_flat(outline, 3 * _LAYER), palette.PLATE), None
+        disc = compute_outline(Solid("cylinder", 0.0, 0.0, 1.1 * prop.half_size, 1.1 * prop.half_size))
+        shadow = self._add(make_shadow(disc, prop.height, 4 * _LAYER), _SHADE)
+        return self._add(make_prism(outline, -prop.height / 2, prop.height / 2), palette.PROP), shadow
+
+    def _add_door(self, door: Solid) -> Standing:
+        """The leaf in the frame of its hinge."""
+        leaf = rotate_box(door.half_x, 0.0, door.half_x, 0.6 * door.half_y, 0.0)
+        whole = self._add(make_prism(leaf, 0.02, door.height), palette.DOOR)
+        cut = self._add(make_prism(leaf, 0.02, min(CURB, door.height)), palette.DOOR, shown=False)
+        standing = Standing(door, [whole], [cut])
+        self.standing.append(standing)
+        return standing
+
+    def _add_exit(self) -> tuple[int, int]:
+        area = self._instance.exit
+        half_x, half_y = (area.x_max - area.x_min) / 2, (area.y_max - area.y_min) / 2
+        rim = min(0.12, 0.1 * half_x, 0.1 * half_y)
+        edge = make_flat(rotate_box(*area.centre, half_x, half_y, 0.0), 2 * _LAYER)
+        inside = make_flat(rotate_box(*area.centre, half_x - rim, half_y - rim, 0.0), 3 * _LAYER)
+        return self._add(inside, _EXIT_LOCKED), self._add(edge, _EXIT_EDGE)
+
+    def _add_floor(self) -> None:
+        """Chequered floor, with the shadows of fixed things."""
+        floors = palette.compute_floors(self._instance)
+        shadows = [make_shadow(compute_outline(solid), solid.height, _LAYER, floor)
+                   for solid in self._instance.solids for floor in floors]
+        self._add(merge(shadows), _SHADE)
+        size = max(self._instance.half_width, self._instance.half_depth)
+        side = 1.0 if size <= 15 else 2.0 if size <= 30 else 5.0
+        for odd, colour in ((False, _TILE), (True, _OTHER_TILE)):
+            self._add(make_tiles(floors, side, odd), colour)
+
+
+def _adapt_urdf(robot: Robot, config: RobotConfig, cylinder: str) -> str:
+    """Leave the arm's looks only; cylinders become slimmer, so that the hand stands out."""
+    root = ElementTree.fromstring(robot.urdf)
+    for link in root.findall("link"):
+        for part in ("collision", "inertial", *(("visual",) if link.get("name") == BASE_LINK else ())):
+            for element in link.findall(part):
+                link.remove(element)
+        link.append(ElementTree.fromstring(
+            '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+        ))
+        for visual in link.findall("visual"):
+            round_part = visual.find("geometry/cylinder")
+            geometry = visual.find("geometry")
+            if geometry is not None and round_part is not None:
+                radius, length = 0.7 * float(round_part.get("radius", "0")), round_part.get("length")
+                geometry.remove(round_part)
+                ElementTree.SubElement(geometry, "mesh", filename=cylinder, scale=f"{radius} {radius} {length}")
+            if config.kind == "arm":
+                visual.append(_make_material(palette.ARM))
+        if link.get("name") == robot.hand_link:
+            ball = f'<visual><geometry><sphere radius="{config.hand_radius!r}"/></geometry></visual>'
+            hand = ElementTree.fromstring(ball)
+            hand.append(_make_material(palette.HAND))
+            link.append(hand)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _make_material(colour: str) -> ElementTree.Element:
+    red, green, blue = palette.to_rgb(colour)
+    return ElementTree.fromstring(f'<material name="{colour}"><color rgba="{red} {green} {blue} 1"/></material>')

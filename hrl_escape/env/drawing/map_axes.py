@@ -1,0 +1,279 @@
+"""A room drawn from above on matplotlib axes: floor, solids, targets and their names, robot, paths.
+
+`draw_room` draws on axes of the caller's; whole figures and files are in `maps.py`.
+Metres, the room frame, x to the right.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Circle, Patch, Polygon
+from matplotlib.patches import Rectangle as RectanglePatch
+from matplotlib.patheffects import withStroke
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import isotonic_regression
+
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.geometry import Solid
+from hrl_escape.env.instance import Rectangle, RoomInstance, Target
+from hrl_escape.env.kinematics import Kinematics, RoomState
+
+__all__ = ["Trajectory", "compute_extent", "draw_room", "get_colour"]
+
+_LABEL_POINTS = 8.0
+_HALO = (withStroke(linewidth=2.5, foreground="white"),)
+
+
+@dataclasses.dataclass(frozen=True)
+class Trajectory:
+    """A path to draw.
+
+    Attributes:
+        points: positions (n, 2) of the body's axis, m.
+        label: name in the legend; empty for none.
+        colour: any matplotlib colour; None takes the next of the palette's.
+    """
+
+    points: ArrayLike
+    label: str = ""
+    colour: str | None = None
+
+
+def draw_room(axes: Axes, instance: RoomInstance, state: RoomState, trajectories: Sequence[Trajectory] = ()) -> None:
+    """Draw a room on axes whose limits are set (wider than the room, for names to fit).
+
+    Args:
+        axes: matplotlib axes.
+        instance: the room.
+        state: robot and lit targets to draw.
+        trajectories: paths, drawn under the robot.
+    """
+    axes.set_aspect("equal")
+    _draw_ticks(axes, instance)
+    _draw_floor(axes, instance, state)
+    for solid in instance.solids:
+        wall = solid.role == "wall"
+        colour = palette.WALL if wall else palette.OBSTACLE
+        axes.add_patch(_make_outline(solid, facecolor=colour, edgecolor=palette.WALL if wall else palette.OBSTACLE_EDGE,
+                                     linewidth=0.8, zorder=3.2 if wall else 3))
+    for placed in instance.props:
+        half, prop = placed.prop.half_size, placed.prop
+        corners = _rotate_box(placed.x, placed.y, half, half, placed.yaw)
+        plate = prop.kind == "plate"
+        axes.add_patch(Polygon(corners, facecolor=palette.PLATE if plate else palette.PROP, edgecolor=palette.PROP_EDGE,
+                               linewidth=1.0, linestyle="--" if plate else "-", zorder=2 if plate else 5))
+        axes.annotate(prop.name, (placed.x, placed.y), (0, -7 - 72 * half * _get_scale(axes)), fontsize=_LABEL_POINTS,
+                      textcoords="offset points", ha="center", va="top", color=palette.PROP_EDGE, zorder=8,
+                      path_effects=_HALO)
+    _draw_targets(axes, instance, state)
+    for number, trajectory in enumerate(trajectories):
+        _draw_trajectory(axes, trajectory, get_colour(trajectory, number))
+    _draw_starts(axes, instance)
+    _draw_robot(axes, instance, state)
+
+
+def compute_extent(instance: RoomInstance) -> tuple[float, float, float, float]:
+    """x_min, x_max, y_min, y_max of everything solid, and of the exit."""
+    xs = [-instance.half_width, instance.half_width, instance.exit.x_min, instance.exit.x_max]
+    ys = [-instance.half_depth, instance.half_depth, instance.exit.y_min, instance.exit.y_max]
+    for solid in instance.solids:
+        corners = _rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
+        xs += [corners[:, 0].min(), corners[:, 0].max()]
+        ys += [corners[:, 1].min(), corners[:, 1].max()]
+    return min(xs), max(xs), min(ys), max(ys)
+
+
+def _rotate_box(x: float, y: float, half_x: float, half_y: float, yaw: float) -> NDArray[np.float64]:
+    """Corners (4, 2) of a box."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    corners = np.array([(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)])
+    return corners @ np.array([(cos, sin), (-sin, cos)]) + (x, y)
+
+
+def _make_outline(solid: Solid, **style: Any) -> Patch:
+    if solid.shape == "cylinder":
+        return Circle((solid.x, solid.y), solid.half_x, **style)
+    return Polygon(_rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw), **style)
+
+
+def _get_scale(axes: Axes) -> float:
+    """Inches a metre."""
+    figure = axes.get_figure()
+    assert figure is not None
+    wide, high = figure.get_size_inches() * axes.get_position().size  # type: ignore[union-attr]
+    (x_min, x_max), (y_min, y_max) = axes.get_xlim(), axes.get_ylim()
+    return min(wide / (x_max - x_min), high / (y_max - y_min))
+
+
+def _draw_ticks(axes: Axes, instance: RoomInstance) -> None:
+    """Metres along the lower and left edge, out of the names' way."""
+    size = 2 * max(instance.half_width, instance.half_depth)
+    step = next(step for step in (1, 2, 5, 10, 20, 50, 1e9) if size / step <= 8)
+    for set_ticks, half in ((axes.set_xticks, instance.half_width), (axes.set_yticks, instance.half_depth)):
+        most = math.floor(half / step + 1e-9)
+        ticks = [step * n for n in range(-most, most + 1)]
+        set_ticks(ticks, [f"{tick:g}".replace("-", "\N{MINUS SIGN}") for tick in ticks])
+    axes.tick_params(direction="in", pad=-11, labelsize=6.5, labelcolor=palette.MUTED, color=palette.MUTED, length=2)
+    axes.tick_params(axis="y", pad=-16)
+    for side in axes.spines.values():
+        side.set_visible(False)
+    axes.annotate("x [m]", (1, 0), (-6, 4), xycoords="axes fraction", textcoords="offset points", fontsize=6.5,
+                  color=palette.MUTED, ha="right")
+    axes.annotate("y [m]", (0, 1), (4, -10), xycoords="axes fraction", textcoords="offset points", fontsize=6.5,
+                  color=palette.MUTED)
+
+
+def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
+    for floor in palette.compute_floors(instance):
+        axes.add_patch(RectanglePatch(*_measure(floor), facecolor=palette.FLOOR, zorder=0))
+    is_open = instance.puzzle.is_solved(state.puzzle)
+    colour = palette.EXIT_OPEN if is_open else palette.EXIT_LOCKED
+    corner, wide, high = _measure(instance.exit)
+    axes.add_patch(RectanglePatch(corner, wide, high, facecolor=colour, alpha=0.35, zorder=1))
+    axes.add_patch(RectanglePatch(corner, wide, high, fill=False, edgecolor=colour, linewidth=1.4,
+                                  linestyle="-" if is_open else (0, (4, 2)), zorder=2))
+    points = max(6.0, min(10.0, 72 * _get_scale(axes) * min(wide, high) / 3.2))
+    axes.text(*instance.exit.centre, "exit", fontsize=points, color=palette.EXIT_INK, ha="center", va="center",
+              zorder=4, weight="bold", path_effects=_HALO)
+    if instance.door is not None:
+        style: dict[str, Any] = {"fill": False, "linestyle": ":"} if is_open else {"facecolor": palette.DOOR}
+        axes.add_patch(_make_outline(instance.door, edgecolor=palette.DOOR, linewidth=1.2, zorder=4, **style))
+
+
+def _measure(area: Rectangle) -> tuple[tuple[float, float], float, float]:
+    """Corner, width and height."""
+    return (area.x_min, area.y_min), area.x_max - area.x_min, area.y_max - area.y_min
+
+
+def _draw_starts(axes: Axes, instance: RoomInstance) -> None:
+    turn = math.radians(instance.robot.turn_step_deg)
+    many = len(instance.starts) > 12
+    for start in instance.starts[:500]:
+        axes.plot(start.x, start.y, "o", markersize=3 if many else 6, markerfacecolor="white", zorder=5,
+                  markeredgecolor=palette.INK, markeredgewidth=1.0, alpha=0.5 if many else 1.0)
+        if not many:
+            heading = start.heading_steps * turn + start.heading_offset
+            axes.annotate("", (start.x, start.y), (11 * math.cos(heading), 11 * math.sin(heading)), zorder=5,
+                          textcoords="offset points",
+                          arrowprops={"arrowstyle": "<-", "color": palette.INK, "shrinkA": 0, "shrinkB": 3})
+
+
+def _draw_robot(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
+    """Body with a heading mark, arm links seen from above, and the hand."""
+    rules = Kinematics(instance)
+    robot, radius, scale = rules.robot, instance.robot.body_radius, 72 * _get_scale(axes)
+    at, heading = np.array([state.x, state.y]), rules.get_heading(state)
+    if 2 * radius * scale < 9:  # a robot of few points is hard to find
+        axes.plot(*at, "o", markersize=13, fillstyle="none", color=palette.BODY, markeredgewidth=1.0, zorder=7)
+    axes.add_patch(Circle((state.x, state.y), radius, facecolor=palette.BODY, edgecolor=palette.BODY_EDGE,
+                          linewidth=1.0, zorder=7))
+    angles = heading + np.array([0.0, 2.5, math.pi, -2.5])
+    reach = radius * np.array([0.85, 0.75, 0.3, 0.75])
+    axes.add_patch(Polygon(at + reach[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1),
+                           facecolor="white", linewidth=0, zorder=8))
+    if not instance.robot.joints:
+        return
+    # the chain cut after each joint ends where the next link begins
+    chains = [dataclasses.replace(robot, chain=robot.chain[: n + 1]) for n in range(len(robot.chain))]
+    points = np.array([chain.compute_hand(rules.get_angles(state)) for chain in chains])[:, :2]
+    turned = points @ np.array([(math.cos(heading), math.sin(heading)), (-math.sin(heading), math.cos(heading))]) + at
+    axes.plot(*turned.T, color=palette.ARM, linewidth=2.6, solid_capstyle="round", marker="o", markersize=3.4,
+              markerfacecolor="white", markeredgewidth=0.8, zorder=9)
+    size = max(5.0, 2 * scale * instance.robot.hand_radius)
+    axes.plot(*turned[-1], "o", markersize=size, color=palette.HAND, markeredgecolor=palette.ARM,
+              markeredgewidth=0.8, zorder=10)
+
+
+def get_colour(trajectory: Trajectory, number: int) -> str:
+    """Colour of the trajectory that was given as number `number`."""
+    return trajectory.colour or palette.LINES[number % len(palette.LINES)]
+
+
+def _draw_trajectory(axes: Axes, trajectory: Trajectory, colour: str) -> None:
+    points = np.asarray(trajectory.points, dtype=np.float64).reshape(-1, 2)
+    if not len(points):
+        return
+    axes.plot(*points.T, color=colour, linewidth=1.7, alpha=0.95, solid_capstyle="round", solid_joinstyle="round",
+              path_effects=[withStroke(linewidth=3.2, foreground="white")], zorder=6)
+    axes.plot(*points.T, ".", color=colour, markersize=3.5, zorder=6)
+    axes.plot(*points[-1], "X", color=colour, markersize=7, markeredgecolor="white", markeredgewidth=0.8, zorder=6.5)
+
+
+# --- targets and their names ---------------------------------------------------------------
+
+
+def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
+    """Panels as coloured bars; names outside the nearest outer wall, or beside the panel inside."""
+    puzzle = instance.puzzle
+    sides: dict[str, list[int]] = {}
+    for index, target in enumerate(instance.targets):
+        fill, edge, _ = palette.get_target_look(puzzle, state.puzzle, index)
+        corners = _rotate_box(target.x, target.y, target.half_x, target.half_y, target.yaw)
+        axes.add_patch(Polygon(corners, facecolor=fill, edgecolor=edge, linewidth=4.0, joinstyle="round", zorder=3.8))
+        axes.add_patch(Polygon(corners, facecolor=fill, edgecolor=fill, linewidth=2.4, joinstyle="round", zorder=4))
+        if puzzle.get_lit(state.puzzle)[index]:
+            axes.add_patch(Polygon(corners, fill=False, edgecolor=palette.LIT.fill, linewidth=10, alpha=0.4,
+                                   zorder=3.7, joinstyle="round"))
+        sides.setdefault(_find_side(instance, target), []).append(index)
+    for side, members in sides.items():
+        _draw_names(axes, instance, state, side, members)
+
+
+def _find_side(instance: RoomInstance, target: Target) -> str:
+    """The outer wall a target belongs to, or `inside`."""
+    gaps = {"left": target.x + instance.half_width, "right": instance.half_width - target.x,
+            "bottom": target.y + instance.half_depth, "top": instance.half_depth - target.y}
+    side = min(gaps, key=gaps.__getitem__)
+    near = max(0.5, 0.06 * (instance.half_width + instance.half_depth))
+    return side if gaps[side] <= near else "inside"
+
+
+def _draw_names(axes: Axes, instance: RoomInstance, state: RoomState, side: str, members: list[int]) -> None:
+    scale = 72 * _get_scale(axes)  # points a metre
+    line, x_min, x_max, y_min, y_max = 1.75 * _LABEL_POINTS / scale, *compute_extent(instance)
+    names = [_name_target(instance, index) for index in members]
+    along = [instance.targets[i].y if side in ("left", "right") else instance.targets[i].x for i in members]
+    longest = 0.72 * _LABEL_POINTS * max(len(name) for name in names) / scale
+    upright = side in ("top", "bottom") and min(np.diff(sorted(along)), default=math.inf) < longest
+    places = _spread(along, longest if side in ("top", "bottom") and not upright else line)
+    for index, name, place in zip(members, names, places, strict=True):
+        target = instance.targets[index]
+        fill, edge, ink = palette.get_target_look(instance.puzzle, state.puzzle, index)
+        box = {"boxstyle": "round,pad=0.25", "facecolor": fill, "edgecolor": edge, "linewidth": 0.8}
+        style: dict[str, Any] = {"fontsize": _LABEL_POINTS, "color": ink, "bbox": box, "zorder": 11}
+        style["weight"] = "bold" if index in instance.puzzle.goal_targets else "normal"
+        gap = 12 / scale
+        if side == "inside":
+            behind = [-round(part) for part in palette.find_front(instance, target)]
+            axes.annotate(name, (target.x, target.y), (12 * behind[0], 12 * behind[1]), textcoords="offset points",
+                          annotation_clip=False, ha=("center", "left", "right")[behind[0]],
+                          va=("center", "bottom", "top")[behind[1]], **style)
+            continue
+        where, anchor = {
+            "left": ((x_min - gap, place), {"ha": "right", "va": "center"}),
+            "right": ((x_max + gap, place), {"ha": "left", "va": "center"}),
+            "bottom": ((place, y_min - gap), {"ha": "center", "va": "top"}),
+            "top": ((place, y_max + gap), {"ha": "center", "va": "bottom"}),
+        }[side]
+        axes.annotate(name, (target.x, target.y), where, annotation_clip=False, rotation=90 if upright else 0,
+                      arrowprops={"arrowstyle": "-", "color": edge, "linewidth": 0.7, "shrinkA": 0, "shrinkB": 0},
+                      **anchor, **style)
+
+
+def _name_target(instance: RoomInstance, index: int) -> str:
+    return instance.targets[index].name + (" \N{BLACK STAR}" if index in instance.puzzle.goal_targets else "")
+
+
+def _spread(places: Sequence[float], gap: float) -> list[float]:
+    """Move labels on a line as little as possible (least squares) so that they keep order and a gap."""
+    order = np.argsort(places, kind="stable")
+    ranks = gap * np.arange(len(places))
+    moved = np.empty(len(places))
+    moved[order] = isotonic_regression(np.asarray(places)[order] - ranks).x + ranks
+    return moved.tolist()

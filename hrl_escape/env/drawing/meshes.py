@@ -1,0 +1,196 @@
+"""Triangle meshes for Bullet's cameras: boxes, prisms, cylinders, floors and the shadows on them.
+
+Pure functions; every face has its own vertices, so that edges look like edges. Faces are
+counter-clockwise seen from outside, metres. Nothing here collides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.geometry import Solid
+from hrl_escape.env.instance import Rectangle
+
+__all__ = [
+    "Mesh",
+    "compute_outline",
+    "format_obj",
+    "make_cylinder",
+    "make_flat",
+    "make_prism",
+    "make_shadow",
+    "make_tiles",
+    "merge",
+    "rotate_box",
+]
+
+Point = tuple[float, float]
+
+FACETS = 32
+SHADOW = (0.34, -0.22)
+"""Where the shadow of a point falls, per metre of its height, m."""
+_LONGEST_SHADOW = 1.3
+
+
+class Mesh(NamedTuple):
+    """Triangles.
+
+    Attributes:
+        vertices: (n, 3), float64, m.
+        normals: (n, 3), float64, unit.
+        triangles: (m, 3), int64, numbers of vertices.
+    """
+
+    vertices: NDArray[np.float64]
+    normals: NDArray[np.float64]
+    triangles: NDArray[np.int64]
+
+    def moved(self, x: float, y: float) -> Mesh:
+        """The same mesh elsewhere on the floor."""
+        return self._replace(vertices=self.vertices + (x, y, 0.0))
+
+    def facing(self, direction: tuple[float, float, float]) -> Mesh:
+        """The same mesh, shaded as if all of it faced one direction."""
+        unit = np.array(direction) / math.hypot(*direction)
+        return self._replace(normals=np.tile(unit, (len(self.vertices), 1)))
+
+
+def merge(meshes: Sequence[Mesh]) -> Mesh:
+    """Put meshes together as one."""
+    if not meshes:
+        return make_flat((), 0.0)
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate([mesh.normals for mesh in meshes]),
+        np.concatenate([mesh.triangles + start for mesh, start in zip(meshes, starts, strict=True)]),
+    )
+
+
+def make_flat(outline: Sequence[Point], z: float, up: bool = True) -> Mesh:
+    """A horizontal convex polygon, given counter-clockwise; seen from above, or from below."""
+    n = len(outline)
+    if n < 3:
+        return Mesh(np.zeros((0, 3)), np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
+    vertices = np.column_stack([np.array(outline, dtype=np.float64), np.full(n, z)])
+    fan = np.array([(0, i, i + 1) for i in range(1, n - 1)], dtype=np.int64).reshape(-1, 3)
+    return Mesh(vertices, np.tile((0.0, 0.0, 1.0 if up else -1.0), (n, 1)), fan if up else fan[:, ::-1])
+
+
+def make_prism(outline: Sequence[Point], low: float, high: float) -> Mesh:
+    """An upright prism over a convex counter-clockwise polygon, from height `low` to `high`, with flat sides."""
+    sides = []
+    for (x0, y0), (x1, y1) in zip(outline, [*outline[1:], outline[0]], strict=True):
+        length = math.hypot(x1 - x0, y1 - y0) or 1.0
+        normal = ((y1 - y0) / length, (x0 - x1) / length, 0.0)
+        corners = np.array([(x0, y0, low), (x1, y1, low), (x1, y1, high), (x0, y0, high)])
+        sides.append(Mesh(corners, np.tile(normal, (4, 1)), np.array([(0, 1, 2), (0, 2, 3)])))
+    return merge([*sides, make_flat(outline, high), make_flat(outline, low, up=False)])
+
+
+def make_cylinder(radius: float, low: float, high: float, top_radius: float | None = None) -> Mesh:
+    """An upright cylinder (or cone frustum) about the z axis, round sides shaded smoothly."""
+    top = radius if top_radius is None else top_radius
+    angles = np.arange(FACETS) * (math.tau / FACETS)
+    around = np.column_stack([np.cos(angles), np.sin(angles)])
+    slope = (radius - top) / math.hypot(high - low, radius - top)
+    normals = np.column_stack([around * math.sqrt(1 - slope**2), np.full(FACETS, slope)])
+    ring = [np.column_stack([around * r, np.full(FACETS, z)]) for r, z in ((radius, low), (top, high))]
+    i = np.arange(FACETS)
+    j = (i + 1) % FACETS
+    triangles = np.concatenate([np.column_stack([i, j, j + FACETS]), np.column_stack([i, j + FACETS, i + FACETS])])
+    side = Mesh(np.concatenate(ring), np.tile(normals, (2, 1)), triangles)
+    outline = [(x, y) for x, y in around.tolist()]
+    lid = make_flat([(top * x, top * y) for x, y in outline], high)
+    bottom = make_flat([(radius * x, radius * y) for x, y in outline], low, up=False)
+    return merge([side, lid, bottom])
+
+
+def compute_outline(solid: Solid) -> list[Point]:
+    """Corners of a solid's footprint, counter-clockwise, in the room frame."""
+    if solid.shape == "cylinder":
+        angles = [n * math.tau / FACETS for n in range(FACETS)]
+        return [(solid.x + solid.half_x * math.cos(a), solid.y + solid.half_x * math.sin(a)) for a in angles]
+    return rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
+
+
+def rotate_box(x: float, y: float, half_x: float, half_y: float, yaw: float) -> list[Point]:
+    """Corners of a turned rectangle, counter-clockwise."""
+    cos, sin = math.cos(yaw), math.sin(yaw)
+    corners = ((-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y))
+    return [(x + cos * a - sin * b, y + sin * a + cos * b) for a, b in corners]
+
+
+def make_shadow(outline: Sequence[Point], height: float, z: float, floor: Rectangle | None = None) -> Mesh:
+    """The shadow that an upright prism casts on the floor, as a flat polygon at height `z`.
+
+    With `floor`, only the part on that rectangle, which may be empty (no triangles).
+    """
+    reach = min(height, _LONGEST_SHADOW / math.hypot(*SHADOW))
+    shape = _compute_hull([*outline, *((x + SHADOW[0] * reach, y + SHADOW[1] * reach) for x, y in outline)])
+    if floor is not None:
+        for axis, sign, limit in ((0, 1, floor.x_min), (0, -1, floor.x_max), (1, 1, floor.y_min), (1, -1, floor.y_max)):
+            shape = _clip(shape, axis, sign, limit)
+    return make_flat(shape, z)
+
+
+def _clip(shape: Sequence[Point], axis: int, sign: int, limit: float) -> list[Point]:
+    """Keep the part of a convex polygon on one side of a line (Sutherland and Hodgman, 1974)."""
+    kept: list[Point] = []
+    for before, point in zip([*shape[-1:], *shape[:-1]], shape, strict=True):
+        was, now = sign * (before[axis] - limit), sign * (point[axis] - limit)
+        if (was < 0.0) != (now < 0.0):
+            share = was / (was - now)
+            kept.append((before[0] + share * (point[0] - before[0]), before[1] + share * (point[1] - before[1])))
+        if now >= 0.0:
+            kept.append(point)
+    return kept
+
+
+def _compute_hull(points: Sequence[Point]) -> list[Point]:
+    """Convex hull, counter-clockwise (Andrew's monotone chain, 1979)."""
+
+    def climb(ordered: Sequence[Point]) -> list[Point]:
+        chain: list[Point] = []
+        for point in ordered:
+            while len(chain) > 1 and _turn(chain[-2], chain[-1], point) <= 0.0:
+                chain.pop()
+            chain.append(point)
+        return chain[:-1]
+
+    ordered = sorted(points)
+    return climb(ordered) + climb(ordered[::-1])
+
+
+def _turn(a: Point, b: Point, c: Point) -> float:
+    return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+
+
+def make_tiles(areas: Sequence[Rectangle], side: float, odd: bool) -> Mesh:
+    """The odd or the even squares of a chequered floor; squares are anchored at the origin."""
+    tiles = []
+    for area in areas:
+        xs, ys = _cut(area.x_min, area.x_max, side), _cut(area.y_min, area.y_max, side)
+        for x0, x1 in zip(xs, xs[1:], strict=False):
+            for y0, y1 in zip(ys, ys[1:], strict=False):
+                if (math.floor((x0 + x1) / 2 / side) + math.floor((y0 + y1) / 2 / side)) % 2 == odd:
+                    tiles.append(make_flat([(x0, y0), (x1, y0), (x1, y1), (x0, y1)], 0.0))
+    return merge(tiles)
+
+
+def _cut(low: float, high: float, side: float) -> list[float]:
+    inner = [n * side for n in range(math.floor(low / side) + 1, math.ceil(high / side))]
+    return [low, *inner, high]
+
+
+def format_obj(mesh: Mesh) -> str:
+    """The mesh as a Wavefront OBJ file, for URDFs."""
+    lines = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.vertices.tolist()]
+    lines += [f"vn {x:.6f} {y:.6f} {z:.6f}" for x, y, z in mesh.normals.tolist()]
+    lines += [f"f {a + 1}//{a + 1} {b + 1}//{b + 1} {c + 1}//{c + 1}" for a, b, c in mesh.triangles.tolist()]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,91 @@
+"""Colours of a room in every picture, of a target in each of its states, and of paint on the floor.
+
+Colours are hexadecimal sRGB text, shared by maps, Bullet's cameras and reports; nothing here
+draws. The line colours are those of Okabe and Ito (2008), which people with any colour
+vision can tell apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable
+from typing import NamedTuple
+
+from hrl_escape.env.geometry import compute_distance, make_footprint
+from hrl_escape.env.instance import Rectangle, RoomInstance, Target
+from hrl_escape.env.puzzles.base import Puzzle
+
+__all__ = ["TargetLook", "compute_floors", "find_front", "get_target_look", "to_rgb"]
+
+BACKGROUND = "#ffffff"
+FLOOR = "#f4f1ea"
+WALL = "#444c5c"
+OBSTACLE, OBSTACLE_EDGE = "#b3a694", "#8d8172"
+EXIT_LOCKED, EXIT_OPEN, EXIT_INK = "#9fb8a8", "#3fae6a", "#1d5c3a"
+DOOR = "#8a5a3c"
+BODY, BODY_EDGE = "#2f6db5", "#1d4474"
+ARM, HAND = "#1c3f6b", "#f08c2e"
+PROP, PROP_EDGE, PLATE = "#8e6bb0", "#5d4380", "#cdbfe0"
+INK, MUTED = "#22262e", "#7b818c"
+TRAIL = "#0072b2"
+LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
+
+
+class TargetLook(NamedTuple):
+    """Colours of a target: its face, its edge, and text on it."""
+
+    fill: str
+    edge: str
+    ink: str
+
+
+LIT = TargetLook("#ffc52e", "#b07d00", INK)
+OFF = TargetLook("#c8553d", "#8c3424", "#ffffff")
+WAITING = TargetLook("#edcabf", "#c8553d", INK)
+
+
+def get_target_look(puzzle: Puzzle, state: Hashable, target: int) -> TargetLook:
+    """Choose the look of a target: on, off, or off while no operator on it is applicable yet."""
+    if puzzle.get_lit(state)[target]:
+        return LIT
+    name, facts = puzzle.target_names[target], puzzle.get_facts(state)
+    operators = [o for o in puzzle.make_symbolic_model().operators if o.target == name]
+    return OFF if not operators or any(operator.is_applicable(facts) for operator in operators) else WAITING
+
+
+def compute_floors(instance: RoomInstance) -> tuple[Rectangle, ...]:
+    """Floor rectangles: the room's, and that of the alcove behind an exit door."""
+    half_x, half_y = instance.half_width, instance.half_depth
+    room = Rectangle(-half_x, half_x, -half_y, half_y)
+    if instance.door is None:
+        return (room,)
+    # the alcove is a body radius deeper than the exit in it, and reaches back through the doorway
+    area, deep = instance.exit, instance.robot.body_radius
+    low_x, high_x = area.x_min < -half_x, area.x_max > half_x
+    low_y, high_y = area.y_min < -half_y, area.y_max > half_y
+    alcove = Rectangle(
+        area.x_min - deep if low_x else half_x if high_x else area.x_min,
+        area.x_max + deep if high_x else -half_x if low_x else area.x_max,
+        area.y_min - deep if low_y else half_y if high_y else area.y_min,
+        area.y_max + deep if high_y else -half_y if low_y else area.y_max,
+    )
+    return room, alcove
+
+
+def find_front(instance: RoomInstance, target: Target) -> tuple[float, float]:
+    """Unit vector from a target towards the side it is pressed from: the one further from walls."""
+    normal = (-math.sin(target.yaw), math.cos(target.yaw))
+    walls = [make_footprint(s.x, s.y, s.half_x, s.half_y, s.yaw) for s in instance.solids if s.role == "wall"]
+
+    def compute_room(sign: int) -> float:
+        x, y = target.x + 0.5 * sign * normal[0], target.y + 0.5 * sign * normal[1]
+        inside = abs(x) <= instance.half_width and abs(y) <= instance.half_depth
+        return inside * min((compute_distance(x, y, wall) for wall in walls), default=1.0)
+
+    sign = 1 if compute_room(1) >= compute_room(-1) else -1
+    return sign * normal[0], sign * normal[1]
+
+
+def to_rgb(colour: str) -> tuple[float, float, float]:
+    """Turn `#rrggbb` into red, green and blue within [0, 1]."""
+    return tuple(int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))  # type: ignore[return-value]

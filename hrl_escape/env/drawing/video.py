@@ -1,0 +1,131 @@
+"""Frames as files: PNG pictures, filmstrips, GIF animations (always) and MP4 videos (extra `video`).
+
+A frame is an array (height, width, 3), uint8, RGB, from whichever camera or map. Files are
+written atomically. Nothing here renders.
+"""
+
+from __future__ import annotations
+
+import io
+import itertools
+import tempfile
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from hrl_escape.env.drawing import palette
+from hrl_escape.errors import FileWriteError, MissingExtraError, UnsupportedError
+from hrl_escape.files import write_bytes
+
+__all__ = ["VIDEO_FORMATS", "Frame", "make_filmstrip", "save_picture", "save_video"]
+
+Frame = NDArray[np.uint8]
+
+VIDEO_FORMATS = ("gif", "mp4")
+
+
+def save_picture(path: str | Path, frame: Frame) -> None:
+    """Write one frame as PNG.
+
+    Raises:
+        UnsupportedError: `path` does not end in `.png`.
+        FileWriteError: the file could not be written.
+    """
+    if Path(path).suffix.lower() != ".png":
+        raise UnsupportedError(f"{path}: a frame's name must end in .png")
+    content = io.BytesIO()
+    Image.fromarray(frame).save(content, "PNG")
+    write_bytes(path, content.getvalue())
+
+
+def save_video(path: str | Path, frames: Iterable[Frame], frames_per_second: float = 10.0) -> None:
+    """Write an animation, as GIF or MP4 by the ending of `path`.
+
+    Args:
+        path: ends in `.gif` or `.mp4`.
+        frames: at least one, all of one size; taken one at a time.
+        frames_per_second: playing speed; GIF rounds frames to hundredths of a second.
+
+    Raises:
+        UnsupportedError: another ending, or no frames.
+        MissingExtraError: MP4 without the extra `video`.
+        FileWriteError: the file could not be written.
+    """
+    kind = Path(path).suffix.lower().lstrip(".")
+    if kind not in VIDEO_FORMATS:
+        raise UnsupportedError(f"{path}: a video's name must end in {' or '.join('.' + f for f in VIDEO_FORMATS)}")
+    stream = iter(frames)
+    first = next(stream, None)
+    if first is None:
+        raise UnsupportedError(f"{path}: there are no frames to write")
+    make = _make_gif if kind == "gif" else _make_mp4
+    write_bytes(path, make(first, stream, frames_per_second))
+
+
+def _make_gif(first: Frame, rest: Iterable[Frame], rate: float) -> bytes:
+    content = io.BytesIO()
+    # flat colours without dithering: small files, and edges that stay where they are
+    images = (Image.fromarray(frame).quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+              for frame in itertools.chain([first], rest))
+    next(images).save(content, "GIF", save_all=True, append_images=images, duration=round(1000 / rate), loop=0)
+    return content.getvalue()
+
+
+def _make_mp4(first: Frame, rest: Iterable[Frame], rate: float) -> bytes:
+    try:
+        import imageio_ffmpeg  # optional
+    except ImportError:
+        raise MissingExtraError("imageio-ffmpeg", "video", "Writing MP4 (a name in .gif needs nothing)") from None
+    even = np.s_[: first.shape[0] // 2 * 2, : first.shape[1] // 2 * 2]  # H.264 needs even sizes
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "video.mp4")
+        settings: dict[str, Any] = {"fps": rate, "macro_block_size": 2, "quality": 8, "ffmpeg_log_level": "error"}
+        writer = imageio_ffmpeg.write_frames(str(path), first[even].shape[1::-1], **settings)
+        writer.send(None)
+        try:
+            for frame in itertools.chain([first], rest):
+                writer.send(np.ascontiguousarray(frame[even]))
+        except OSError as error:
+            raise FileWriteError(f"FFmpeg could not write the video: {error}") from error
+        finally:
+            writer.close()
+        return path.read_bytes()
+
+
+def make_filmstrip(frames: Sequence[Frame], captions: Sequence[str] = (), *, count: int = 6, columns: int = 3) -> Frame:
+    """Lay out frames of an episode, evenly chosen, first and last included, in reading order.
+
+    Args:
+        frames: all of one size; at least one.
+        captions: one text a frame, written into its corner; empty for none.
+        count: frames to show, at most.
+        columns: frames a row.
+
+    Returns:
+        One picture, (rows, columns, 3), uint8.
+
+    Raises:
+        UnsupportedError: no frames, or captions of another number.
+    """
+    if not frames or (captions and len(captions) != len(frames)):
+        raise UnsupportedError(f"a filmstrip needs frames and a caption for each, or none; "
+                               f"it got {len(frames)} frames and {len(captions)} captions")
+    chosen = np.unique(np.linspace(0, len(frames) - 1, min(count, len(frames))).round().astype(int))
+    height, width = frames[0].shape[:2]
+    gap, columns = max(2, width // 80), min(columns, len(chosen))
+    rows = -(-len(chosen) // columns)
+    sheet = Image.new("RGB", (columns * (width + gap) - gap, rows * (height + gap) - gap), palette.BACKGROUND)
+    draw, font = ImageDraw.Draw(sheet), ImageFont.load_default(max(10, height // 22))
+    for place, number in enumerate(int(n) for n in chosen):
+        x, y = place % columns * (width + gap), place // columns * (height + gap)
+        sheet.paste(Image.fromarray(frames[number]), (x, y))
+        if captions:
+            corner = (x + 2 * gap, y + height - 2 * gap)
+            box = draw.textbbox(corner, captions[number], font=font, anchor="ls")
+            draw.rounded_rectangle((box[0] - gap, box[1] - gap, box[2] + gap, box[3] + gap), gap, palette.BACKGROUND)
+            draw.text(corner, captions[number], palette.INK, font=font, anchor="ls")
+    return np.asarray(sheet)

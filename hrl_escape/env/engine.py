@@ -1,0 +1,181 @@
+"""The door to the engines: the protocols that an engine and its renderer fulfil, and the factory that makes them.
+
+An engine makes one room move; `EscapeRoomEnv` runs on one. To add one, put its folder beside `bullet/` and its
+entry into `ENGINES`; the modules named there are imported when first used. Many rooms at once are the business of
+`vector_env.py` and `torchrl_env.py`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from pkgutil import resolve_name
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.instance import RoomInstance, Start
+from hrl_escape.env.kinematics import RoomState, Rules, Transition
+from hrl_escape.errors import ConfigError, UnknownNameError
+
+__all__ = ["CAMERAS", "ENGINES", "LARGEST_SIDE", "Engine", "EngineEntry", "Renderer", "check_camera",
+           "check_picture_size", "film", "make_engine", "make_renderer"]
+
+CAMERAS: dict[str, str] = {
+    "chase": "follows the robot from behind and above; walls in the way are cut open",
+    "overhead": "the whole floor from straight above, y upwards",
+    "robot": "ahead from the front of the robot; the view of the pixels observation",
+}
+
+
+LARGEST_SIDE = 2048
+"""Most pixels along a side of a picture."""
+
+
+class Engine(Protocol):
+    """One room that moves.
+
+    Attributes:
+        instance: the room.
+        rules: its rules; `rules.actions` is the action table.
+        state: the state now; it is immutable, so to keep it is to save it.
+    """
+
+    instance: RoomInstance
+    rules: Rules
+    state: RoomState
+
+    @property
+    def is_open(self) -> bool:
+        """False once the engine, or its window, was closed."""
+        ...
+
+    def reset(self, start: Start, noise_key: int = 0) -> RoomState:
+        """Begin an episode at a start, with the 64-bit key of its noise."""
+        ...
+
+    def set_state(self, state: RoomState) -> None:
+        """Continue from a state; stepping from it is identical to stepping from the original."""
+        ...
+
+    def step(self, action: int) -> Transition:
+        """Apply one primitive, a number of `rules.actions` that is not checked here."""
+        ...
+
+    def show(self, rate: float) -> None:
+        """Keep the window watchable: wait until 1 / `rate` seconds after the last call."""
+        ...
+
+    def read_keys(self) -> list[str]:
+        """Keys pressed in the window since the last call: letters, digits, `up`, `down`, `left`, `right`."""
+        ...
+
+    def close(self) -> None:
+        """Free everything; safe to call twice."""
+        ...
+
+
+class Renderer(Protocol):
+    """A source of pictures of one engine's room."""
+
+    def render(self, camera: str, width: int, height: int, *,
+               trail: Sequence[tuple[float, float]] = ()) -> NDArray[np.uint8]:
+        """Take a picture of the engine's state.
+
+        Args:
+            camera: a name in `CAMERAS`.
+            width: pixels, from 8 to 2048.
+            height: pixels, from 8 to 2048.
+            trail: positions (x, y) of the robot so far, drawn as a ribbon on the floor.
+
+        Returns:
+            Shape (height, width, 3), uint8, RGB.
+
+        Raises:
+            UnknownNameError: no camera of that name.
+            ConfigError: an impossible size.
+            ClosedError: the room was closed.
+        """
+        ...
+
+
+class EngineEntry(NamedTuple):
+    """Import paths `module:name` of an engine.
+
+    Attributes:
+        engine: called with the instance, and `window=True` to open a window.
+        renderer: called with the engine.
+    """
+
+    engine: str
+    renderer: str
+
+
+ENGINES: dict[str, EngineEntry] = {
+    "bullet": EngineEntry("hrl_escape.env.bullet.engine:BulletRoom", "hrl_escape.env.bullet.cameras:BulletRenderer"),
+}
+
+
+def make_engine(instance: RoomInstance, engine: str = "bullet", *, window: bool = False) -> Engine:
+    """Make a room that moves; it begins an episode at the instance's first start.
+
+    Args:
+        instance: the room.
+        engine: a name in `ENGINES`.
+        window: open a window of the engine's own (needs a display).
+
+    Raises:
+        UnknownNameError: no engine of that name.
+        UnsupportedError: a window without a display, or too many rooms open in this process.
+    """
+    return resolve_name(_find(engine).engine)(instance, window=window)
+
+
+def make_renderer(room: Engine, engine: str = "bullet") -> Renderer:
+    """Make the renderer of a room that `make_engine` made under the same name; it costs nothing until it renders."""
+    return resolve_name(_find(engine).renderer)(room)
+
+
+def _find(engine: str) -> EngineEntry:
+    if not isinstance(engine, str) or engine not in ENGINES:
+        raise UnknownNameError("engine", engine, ENGINES)
+    return ENGINES[engine]
+
+
+def check_camera(camera: str) -> None:
+    """Raise `UnknownNameError` unless there is a camera of that name."""
+    if not isinstance(camera, str) or camera not in CAMERAS:
+        raise UnknownNameError("camera", camera, CAMERAS)
+
+
+def check_picture_size(width: int, height: int) -> None:
+    """Raise `ConfigError` unless pictures can be that large."""
+    for name, pixels in (("width", width), ("height", height)):
+        if isinstance(pixels, bool) or not isinstance(pixels, (int, np.integer)) or not 8 <= pixels <= LARGEST_SIDE:
+            raise ConfigError(f"render_size.{name}", pixels, f"a whole number from 8 to {LARGEST_SIDE} pixels")
+
+
+def film(instance: RoomInstance, states: Iterable[RoomState], camera: str = "chase", width: int = 480,
+         height: int = 360, *, trail: bool = True) -> Iterator[NDArray[np.uint8]]:
+    """Take a picture of each of an episode's states, for `save_video` and `make_filmstrip`.
+
+    Args:
+        instance: the room.
+        states: as an environment's `get_state` gave them.
+        camera: a name in `CAMERAS`.
+        width: pixels.
+        height: pixels.
+        trail: draw the path so far.
+
+    Yields:
+        Frames (height, width, 3), uint8.
+    """
+    room = make_engine(instance)
+    renderer, points = make_renderer(room), []
+    try:
+        for state in states:
+            room.set_state(state)
+            points.append((state.x, state.y))
+            yield renderer.render(camera, width, height, trail=points if trail else ())
+    finally:
+        room.close()

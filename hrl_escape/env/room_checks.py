@@ -1,0 +1,166 @@
+"""Check of rooms that come from outside: the floor is walled in and every start stands free on it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.config import CONTACT_SKIN, RobotConfig
+from hrl_escape.env.geometry import Solid, compute_distance_many, stack_footprints
+from hrl_escape.errors import ConfigError
+
+__all__ = ["Room", "check_room"]
+
+_OVERLAP = 1e-6
+"""Length in metres by which the alcove behind a door is taken to reach into the floor."""
+
+
+class Place(Protocol):
+    """A point of the floor."""
+
+    @property
+    def x(self) -> float:
+        """Position along x, m."""
+        ...
+
+    @property
+    def y(self) -> float:
+        """Position along y, m."""
+        ...
+
+
+class Area(Protocol):
+    """A rectangle of the floor."""
+
+    @property
+    def x_min(self) -> float:
+        """Lower edge along x, m."""
+        ...
+
+    @property
+    def x_max(self) -> float:
+        """Upper edge along x, m."""
+        ...
+
+    @property
+    def y_min(self) -> float:
+        """Lower edge along y, m."""
+        ...
+
+    @property
+    def y_max(self) -> float:
+        """Upper edge along y, m."""
+        ...
+
+
+class Room(Protocol):
+    """The parts of a `RoomInstance` that are checked here."""
+
+    @property
+    def half_width(self) -> float:
+        """Half of the floor's extent along x, m."""
+        ...
+
+    @property
+    def half_depth(self) -> float:
+        """Half of the floor's extent along y, m."""
+        ...
+
+    @property
+    def solids(self) -> Sequence[Solid]:
+        """Walls and obstacles."""
+        ...
+
+    @property
+    def door(self) -> Solid | None:
+        """The exit's door."""
+        ...
+
+    @property
+    def robot(self) -> RobotConfig:
+        """The robot's part of the schematic."""
+        ...
+
+    @property
+    def exit(self) -> Area:
+        """The exit's rectangle."""
+        ...
+
+    @property
+    def starts(self) -> Sequence[Place]:
+        """Start poses."""
+        ...
+
+    @property
+    def reach_x(self) -> float:
+        """Largest |x| of the body's axis, m."""
+        ...
+
+    @property
+    def reach_y(self) -> float:
+        """Largest |y| of the body's axis, m."""
+        ...
+
+
+def check_room(instance: Room) -> None:
+    """Refuse a room that the body could leave through a gap, or whose starts are not free.
+
+    Interior walls, obstacles and targets are not looked at: that a room can be solved is for its certificate to say.
+
+    Raises:
+        ConfigError: the message names the gap or the start.
+    """
+    solids = [solid.footprint for solid in (*instance.solids, *((instance.door,) if instance.door else ()))]
+    shapes = stack_footprints(solids)
+    radius = instance.robot.body_radius
+    rims = _trace_rim(instance, radius)
+    away = compute_distance_many(rims, shapes)
+    if (away > radius / 2).any():
+        x, y = rims[int(away.argmax())].tolist()
+        raise ConfigError("instance.solids", f"{len(instance.solids)} solids",
+                          f"walls all round the floor (there is a gap at x = {x:.4g}, y = {y:.4g})")
+    starts = np.array([(start.x, start.y) for start in instance.starts])
+    free = compute_distance_many(starts, shapes) >= radius + CONTACT_SKIN - 1e-6
+    free &= (np.abs(starts) <= (instance.reach_x, instance.reach_y)).all(axis=1)
+    if not free.all():
+        number = int(free.argmin())
+        raise ConfigError(f"instance.starts[{number}]", starts[number].tolist(),
+                          f"a place on the floor where a body of radius {radius:g} m is clear of every solid")
+
+
+def _trace_rim(instance: Room, spacing: float) -> NDArray[np.float64]:
+    """Points (n, 2) along the rim of the floor, at most `spacing` apart; behind a door it leads round the alcove."""
+    half_x, half_y = instance.half_width, instance.half_depth
+    areas = [(-half_x, half_x, -half_y, half_y)]
+    if instance.door is not None:
+        beyond = instance.robot.body_radius + CONTACT_SKIN  # the body's axis stands in the exit
+        area = instance.exit
+        areas.append((*_stretch(area.x_min, area.x_max, half_x, beyond),
+                      *_stretch(area.y_min, area.y_max, half_y, beyond)))
+    points = []
+    for number, area in enumerate(areas):
+        rim = _trace_rectangle(*area, spacing)
+        for other in areas[:number] + areas[number + 1 :]:
+            x_min, x_max, y_min, y_max = other
+            inside = (rim[:, 0] > x_min) & (rim[:, 0] < x_max) & (rim[:, 1] > y_min) & (rim[:, 1] < y_max)
+            rim = rim[~inside]
+        points.append(rim)
+    return np.concatenate(points)
+
+
+def _stretch(low: float, high: float, half: float, beyond: float) -> tuple[float, float]:
+    """Extent of an alcove along one axis: from inside the floor to the wall behind the exit."""
+    low, high = min(low, half - _OVERLAP), max(high, _OVERLAP - half)
+    return low - beyond * (low < -half), high + beyond * (high > half)
+
+
+def _trace_rectangle(x_min: float, x_max: float, y_min: float, y_max: float, spacing: float) -> NDArray[np.float64]:
+    xs = np.linspace(x_min, x_max, 1 + math.ceil((x_max - x_min) / spacing))
+    ys = np.linspace(y_min, y_max, 1 + math.ceil((y_max - y_min) / spacing))
+    sides = [np.stack([xs, np.full_like(xs, y)], axis=1) for y in (y_min, y_max)]
+    sides += [np.stack([np.full_like(ys, x), ys], axis=1) for x in (x_min, x_max)]
+    return np.concatenate(sides)

@@ -1,0 +1,174 @@
+"""Certificate of a room's geometry: start, places of touching and exit lie on one connected floor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.geometry import Solid, compute_distance_many, stack_footprints
+from hrl_escape.env.instance import Rectangle, RoomInstance, Start, Target
+from hrl_escape.env.robot import make_robot, sample_hand_positions
+from hrl_escape.env.sampling.floorplan import Rejected
+from hrl_escape.env.sampling.free_space import FreeSpace
+from hrl_escape.env.sampling.work import Work
+
+__all__ = ["Floors", "find_unmet", "has_arm_free", "make_floors"]
+
+_ARM_THICKNESS = 0.1  # m, from the line through an arm's joints
+_ENOUGH = 3  # neighbouring places from which a target is touched
+
+
+class Link(NamedTuple):
+    """A place from which a target is touched, and the free cell that a straight move leads to."""
+
+    x: float
+    y: float
+    cell: tuple[int, int]
+
+
+class Floors(NamedTuple):
+    """Free space with the exit door shut, and with it open (the same where there is no door).
+
+    Attributes:
+        shut: with the door shut.
+        opened: with it open.
+        touches: places found so far from which each target is touched, those that obstacles spoil left out.
+    """
+
+    shut: FreeSpace
+    opened: FreeSpace
+    touches: dict[int, list[Link]]
+
+    def extend(self, solids: Sequence[Solid]) -> Floors:
+        """The same floors with more solids on them."""
+        shut = self.shut.extend(solids)
+        touches = {target: [link for link in links if shut.keeps_link(*link, solids)]
+                   for target, links in self.touches.items()}
+        return Floors(shut, shut if self.opened is self.shut else self.opened.extend(solids), touches)
+
+
+def make_floors(instance: RoomInstance, work: Work | None = None) -> Floors:
+    """Free space of a room."""
+    opened = FreeSpace(instance.reach_x, instance.reach_y, instance.robot.body_radius, instance.solids, work)
+    return Floors(opened.extend((instance.door,)) if instance.door else opened, opened, {})
+
+
+def find_unmet(instance: RoomInstance, floors: Floors) -> str | None:
+    """Say which part of the geometric certificate a room breaks; None if it holds.
+
+    It is about connected floor for start, touching and exit, and under physics an arm that is not stuck in a wall.
+    """
+    shut, opened, touches = floors
+    labels = set(shut.find_labels(np.array([(start.x, start.y) for start in instance.starts])).tolist())
+    if 0 in labels or len(labels) != 1:
+        return "every start must be free and on one connected floor"
+    if not all(has_arm_free(instance, start) for start in instance.starts):
+        return "the arm must be clear of walls and obstacles at every start"
+    label = labels.pop()
+    for index, target in enumerate(instance.targets):
+        if not _can_touch(instance, index, shut, label, touches.setdefault(index, [])):
+            return f"{target.name} must be touchable from floor connected with the start"
+    start = instance.starts[0]
+    label = opened.find_label(start.x, start.y)
+    if not any(opened.find_label(x, y) == label for x, y in _points_in(instance.exit)):
+        return "the exit must be connected with the start"
+    return None
+
+
+def _points_in(area: Rectangle) -> list[tuple[float, float]]:
+    x, y = area.centre
+    shares = (0.0, -0.5, 0.5, -0.95, 0.95)
+    half_x, half_y = (area.x_max - area.x_min) / 2, (area.y_max - area.y_min) / 2
+    return [(x + a * half_x, y + b * half_y) for a in shares for b in shares]
+
+
+def has_arm_free(instance: RoomInstance, start: Start) -> bool:
+    """Say whether the arm at home is clear of everything; without physics, arms pass through everything."""
+    if instance.dynamics.kind != "physics" or not instance.robot.joints:
+        return True
+    robot = make_robot(instance.robot)
+    elbows, thick = robot.compute_elbows(robot.home), max(instance.robot.hand_radius, _ARM_THICKNESS)
+    solids = (*instance.solids, *((instance.door,) if instance.door else ()))
+    standing = [solid.footprint for solid in solids if solid.height > elbows[:, 2].min() - thick]
+    heading = start.heading_steps * math.radians(instance.robot.turn_step_deg) + start.heading_offset
+    cos, sin = math.cos(heading), math.sin(heading)
+    longest = np.linalg.norm(np.diff(elbows, axis=0), axis=1).max()
+    along = np.linspace(0.0, 1.0, math.ceil(longest / thick) + 1)[:, None]
+    points = np.concatenate([a + along * (b - a) for a, b in zip(elbows[:-1], elbows[1:], strict=True)])[:, :2]
+    points = (start.x, start.y) + points @ np.array([[cos, sin], [-sin, cos]])
+    return not standing or bool((compute_distance_many(points, stack_footprints(standing)) > thick).all())
+
+
+# --- touching ------------------------------------------------------------------------------
+
+
+def _can_touch(instance: RoomInstance, index: int, space: FreeSpace, label: int, known: list[Link]) -> bool:
+    if instance.dynamics.press_with == "hand":
+        return _can_touch_by_hand(instance, instance.targets[index], space, label)
+    return _can_touch_by_body(instance, instance.targets[index], space, label, known)
+
+
+def _can_touch_by_body(instance: RoomInstance, target: Target, space: FreeSpace, label: int,
+                       known: list[Link]) -> bool:
+    """Look for a touching stretch round the target, a few neighbouring places long; `known` are tried first."""
+    if sum(int(space.labels[link.cell]) == label for link in known) >= _ENOUGH:
+        return True
+    reach = instance.compute_press_reach(target)
+    if reach < 0.0:
+        raise Rejected(f"{target.name} must hang low enough for the body to touch it")
+    known.clear()
+    for share in (0.999, 0.9, 0.5, 0.0):
+        points = _outline(target, reach * share if share else 1e-6)
+        for x, y in points[space.is_clear(points)].tolist():
+            cell = space.find_link(x, y)
+            if cell is not None and space.labels[cell] == label:
+                known.append(Link(x, y, cell))
+            if len(known) >= _ENOUGH:
+                return True
+    return False
+
+
+def _outline(target: Target, distance: float) -> NDArray[np.float64]:
+    """Points at a distance round a target's footprint, at most 0.1 m (or 1/200 of it) apart."""
+    spacing = max(0.1, 4 * (target.half_x + target.half_y + distance) / 200)
+    points = []
+    for sign_x, sign_y, along_x in ((1, 1, True), (1, -1, True), (1, 1, False), (-1, 1, False)):
+        half, away = (target.half_x, target.half_y) if along_x else (target.half_y, target.half_x)
+        steps = np.linspace(-half, half, max(3, math.ceil(2 * half / spacing) + 1))
+        side = np.full_like(steps, (sign_y if along_x else sign_x) * (away + distance))
+        points.append(np.stack([steps, side] if along_x else [side, steps], axis=1))
+    angles = np.linspace(0, math.tau, 32, endpoint=False)
+    round_corner = distance * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    points.append(round_corner + np.sign(round_corner) * (target.half_x, target.half_y))
+    cos, sin = math.cos(target.yaw), math.sin(target.yaw)
+    return np.concatenate(points) @ np.array([[cos, sin], [-sin, cos]]) + (target.x, target.y)
+
+
+def _can_touch_by_hand(instance: RoomInstance, target: Target, space: FreeSpace, label: int) -> bool:
+    """Look for a free cell, a heading on the lattice and a joint configuration that touch."""
+    robot = make_robot(instance.robot)
+    hands = sample_hand_positions(robot, 4000)
+    limit = 0.9 * (instance.robot.hand_radius + instance.dynamics.press_margin)
+    hands = hands[np.abs(hands[:, 2] - target.z) <= target.half_z]
+    if not len(hands):
+        return False
+    lengths, bearings = np.hypot(hands[:, 0], hands[:, 1]), np.arctan2(hands[:, 1], hands[:, 0])
+    reach = float(lengths.max()) + limit
+    cells = space.get_cells_near(label, target.x, target.y, reach + math.hypot(target.half_x, target.half_y))
+    centres = space.get_centres(cells)
+    shape = stack_footprints([target.footprint])
+    away = compute_distance_many(centres, shape)
+    near = centres[away <= reach]
+    turn = math.radians(instance.robot.turn_step_deg)
+    for x, y in near[:: max(1, len(near) // 60)]:
+        space.work.spend(60 + len(hands) / 10)
+        aim = math.atan2(target.y - y, target.x - x)
+        headings = np.round((aim - bearings) / turn) * turn
+        points = np.stack([x + lengths * np.cos(headings + bearings), y + lengths * np.sin(headings + bearings)], 1)
+        if (compute_distance_many(points, shape) <= limit).any():
+            return True
+    return False

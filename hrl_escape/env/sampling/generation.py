@@ -1,0 +1,208 @@
+"""Sampling: `generate(config, seed)` is a pure function from a schematic to a solvable instance.
+
+A sample is kept only if its certificate holds: the start, a place from which each target is touched, and the exit are
+connected for the robot's body, with the exit door shut until the end, and primitives solve the room
+(`primitive_proof.py`). If no sample passes within a bounded number of tries and a bounded amount of work,
+`GenerationError` says what failed.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.geometry import compute_distance, compute_distance_many, make_footprint, stack_footprints
+from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target
+from hrl_escape.env.puzzles.base import Panels, Place, Puzzle
+from hrl_escape.env.sampling.certificate import find_unmet, has_arm_free, make_floors
+from hrl_escape.env.sampling.floorplan import Face, Floorplan, Rejected, sample_floorplan
+from hrl_escape.env.sampling.free_space import FreeSpace
+from hrl_escape.env.sampling.obstacles import place_obstacles
+from hrl_escape.env.sampling.primitive_proof import find_unproven
+from hrl_escape.env.sampling.ranges import make_frame, sample_puzzle
+from hrl_escape.env.sampling.work import OutOfWork, Work
+from hrl_escape.errors import ConfigError, GenerationError
+
+__all__ = ["LARGEST_WORK", "generate"]
+
+TRIES = 30
+LARGEST_WORK = 1_600_000
+"""Work that a room may cost, in units of about a microsecond."""
+_START_TRIES = 100
+_ADVICE = "Make the room larger, or ask for fewer or smaller things in it."
+
+
+def generate(config: RoomConfig, seed: int) -> RoomInstance:
+    """Sample a solvable room instance.
+
+    Args:
+        config: the schematic.
+        seed: instance seed, >= 0. The same config and seed give the same instance.
+
+    Raises:
+        GenerationError: no solvable room within a bounded number of tries.
+    """
+    if not isinstance(config, RoomConfig):
+        raise ConfigError("config", config, "a RoomConfig")
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or not 0 <= seed < 2**63:
+        raise ConfigError("seed", seed, "a whole number from 0 to 2**63 - 1")
+    frame = make_frame(config)
+    config, puzzle = sample_puzzle(config, int(seed))
+    constraint, work = "a room must be found with a bounded amount of work", Work(LARGEST_WORK)
+    for attempt in range(TRIES):
+        try:
+            room = _sample(config, int(seed), puzzle, np.random.default_rng([int(seed), 1, attempt]), work)
+            return dataclasses.replace(room, shared=frame) if frame else room
+        except Rejected as rejected:
+            constraint = str(rejected)
+        except OutOfWork:
+            raise GenerationError(constraint, attempt + 1, _ADVICE) from None
+    raise GenerationError(constraint, TRIES, _ADVICE)
+
+
+# --- sampling ------------------------------------------------------------------------------
+
+
+def _sample(config: RoomConfig, seed: int, puzzle: Puzzle, rng: np.random.Generator, work: Work) -> RoomInstance:
+    plan = sample_floorplan(config, rng)
+    targets = _place_targets(config, puzzle, plan, rng)
+    instance = RoomInstance(
+        name=config.name, seed=seed, half_width=config.room.width / 2, half_depth=config.room.depth / 2,
+        wall_height=config.room.wall_height, solids=plan.solids, door=plan.door, targets=targets,
+        props=tuple(PlacedProp(prop) for prop in puzzle.props), exit=plan.exit, starts=(_fixed_start(config),),
+        robot=config.robot, puzzle=puzzle, reward=config.reward, dynamics=config.dynamics, horizon=config.horizon,
+    )
+    floors = make_floors(instance, work)
+    instance = _place_start(config, instance, floors.shut, rng)
+    instance = _place_props(instance, rng)
+    unmet = find_unmet(instance, floors)
+    if unmet:
+        raise Rejected(unmet)
+    instance, floors = place_obstacles(config, instance, floors, rng)
+    unproven = find_unproven(instance, floors)
+    if unproven:
+        raise Rejected(unproven)
+    return instance
+
+
+def _fixed_start(config: RoomConfig) -> Start:
+    turns = round(360 / config.robot.turn_step_deg)
+    heading = config.start.heading_deg / config.robot.turn_step_deg
+    offset = math.radians((heading - round(heading)) * config.robot.turn_step_deg)
+    return Start(config.start.x, config.start.y, round(heading) % turns, offset if abs(offset) > 1e-12 else 0.0)
+
+
+def _place_targets(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, rng: np.random.Generator) -> tuple[Target, ...]:
+    panels = config.puzzle.panels
+    if panels is None:
+        return ()
+    if not isinstance(panels.places, str):
+        places = panels.places
+    elif panels.places == "paper":
+        places = _paper_places(config, panels)
+    else:
+        targets: list[Target] = []
+        for name in puzzle.target_names:
+            targets.append(_hang_anywhere(config, panels, name, plan, targets, rng))
+        return tuple(targets)
+    names = puzzle.target_names
+    return tuple(_make_target(name, panels, p.x, p.y, p.z if p.z is not None else panels.centre_height,
+                              math.radians(p.yaw_deg)) for name, p in zip(names, places, strict=False))
+
+
+def _make_target(name: str, panels: Panels, x: float, y: float, z: float, yaw: float) -> Target:
+    return Target(name, x, y, z, panels.width / 2, panels.thickness / 2, panels.height / 2, yaw)
+
+
+def _paper_places(config: RoomConfig, panels: Panels) -> tuple[Place, ...]:
+    """Left wall centre, back wall centre, front wall at a quarter, right wall centre (paper, figure 1)."""
+    inset = panels.thickness / 2 if panels.inset is None else panels.inset
+    x, y = config.room.width / 2 - inset, config.room.depth / 2 - inset
+    return (Place(0.0, y, 0.0), Place(-x, 0.0, 90.0), Place(x, -config.room.depth / 4, 90.0), Place(0.0, -y, 0.0))
+
+
+def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorplan, others: list[Target],
+                   rng: np.random.Generator) -> Target:
+    """Hang a panel on a random wall: no overlap with others, not in the exit."""
+    faces = [f for f in plan.faces if f.length >= panels.width]
+    if not faces:
+        raise Rejected(f"{name} must fit onto a wall")
+    room = np.array([f.length - panels.width + 1e-3 for f in faces])
+    inset = panels.thickness / 2 if panels.inset is None else panels.inset
+    for _ in range(200):
+        face: Face = faces[int(rng.choice(len(faces), p=room / room.sum()))]
+        along = panels.width / 2 + float(rng.uniform(0.0, face.length - panels.width))
+        z = panels.centre_height + float(rng.uniform(-panels.height_spread, panels.height_spread))
+        cos, sin = round(math.cos(face.yaw), 15), round(math.sin(face.yaw), 15)
+        target = _make_target(name, panels, face.x + cos * along - sin * inset, face.y + sin * along + cos * inset,
+                              max(z, panels.height / 2), face.yaw)
+        radius = math.hypot(target.half_x, target.half_y)
+        crowded = any(math.hypot(target.x - o.x, target.y - o.y) < radius + math.hypot(o.half_x, o.half_y)
+                      for o in others)
+        exit_x, exit_y = plan.exit.centre
+        area = make_footprint(exit_x, exit_y, plan.exit.x_max - exit_x, plan.exit.y_max - exit_y)
+        if not crowded and compute_distance(target.x, target.y, area) > radius:
+            return target
+    raise Rejected(f"{len(others) + 1} buttons must fit onto the walls without overlap, outside the exit")
+
+
+def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace,
+                 rng: np.random.Generator) -> RoomInstance:
+    if config.start.place == "fixed":
+        return instance
+    labels, counts = np.unique(space.labels[space.labels > 0], return_counts=True)
+    if not len(labels):
+        raise Rejected("the body must fit somewhere")
+    centres = space.get_centres(space.get_cells(int(labels[counts.argmax()])))
+    area = instance.exit
+    outside = ~((centres[:, 0] >= area.x_min) & (centres[:, 0] <= area.x_max)
+                & (centres[:, 1] >= area.y_min) & (centres[:, 1] <= area.y_max))
+    away, apart = np.ones(len(centres), dtype=bool), instance.robot.body_radius + instance.dynamics.press_margin
+    for target in instance.targets:
+        around = math.hypot(target.half_x, target.half_y) + apart
+        near = np.flatnonzero((np.abs(centres - (target.x, target.y)) <= around).all(axis=1))
+        away[near] &= compute_distance_many(centres[near], stack_footprints([target.footprint])) > apart
+    space.work.spend(len(centres) / 30 * (1 + len(instance.targets) / 4))
+    for allowed in (outside & away, away, np.ones_like(away)):
+        if allowed.any():
+            centres = centres[allowed]
+            break
+    turns = round(360 / instance.robot.turn_step_deg)
+    space.work.spend(15 * config.start.choices)
+    starts = [
+        Start(float(x), float(y), int(rng.integers(turns)))
+        for x, y in centres[rng.integers(len(centres), size=config.start.choices)]
+    ]
+    for number in range(len(starts)):
+        for _ in range(_START_TRIES):
+            if has_arm_free(instance, starts[number]):
+                break
+            x, y = centres[rng.integers(len(centres))].tolist()
+            starts[number] = Start(x, y, int(rng.integers(turns)))
+    return dataclasses.replace(instance, starts=tuple(starts))
+
+
+def _place_props(instance: RoomInstance, rng: np.random.Generator) -> RoomInstance:
+    """Put props on the floor, blocks with room to get behind them."""
+    if not instance.props:
+        return instance
+    taken = [(s.x, s.y, instance.robot.body_radius) for s in instance.starts[:1]]
+    walls = stack_footprints([solid.footprint for solid in instance.solids])
+    placed = []
+    for entry in instance.props:
+        size = entry.prop.half_size * math.sqrt(2)
+        need = size + (2.2 * instance.robot.body_radius + 0.3 if entry.prop.kind == "block" else 0.3)
+        for _ in range(300):
+            x = float(rng.uniform(-instance.half_width, instance.half_width))
+            y = float(rng.uniform(-instance.half_depth, instance.half_depth))
+            free = compute_distance_many(np.array([[x, y]]), walls)[0] >= need
+            if free and all(math.hypot(x - a, y - b) >= size + r + 0.3 for a, b, r in taken):
+                taken.append((x, y, size))
+                placed.append(PlacedProp(entry.prop, x, y, 0.0))
+                break
+        else:
+            raise Rejected(f"{entry.prop.name} must fit onto the floor")
+    return dataclasses.replace(instance, props=tuple(placed))

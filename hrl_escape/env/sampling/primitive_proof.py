@@ -1,0 +1,369 @@
+"""Proof that a room can be solved by its primitives: a sufficient condition, and a search where it does not hold.
+
+**The condition.** The floor is one rectangle with nothing on it, presses never undo anything, turns are of at most 15
+degrees, and a step s is no longer than half the way that the body's axis has along x and along y. A step in one
+direction and back in the next one then shifts the robot by e = 2 s sin(t / 2) for a turn step t, to and fro, and from
+any place in directions that span the plane: it comes within e of every place. A button that the body touches all along
+a stretch of 3 e of the wall is therefore touched by driving at that wall, and an exit of 3 e by 3 e is entered.
+
+**The search.** Best-first over the kinematics without noise, from every start, button by button in an order that the
+puzzle's symbolic model gives, and then to the exit. Its path is the proof. Rooms under physics have neither: there the
+certificate is the geometric one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+import itertools
+import math
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.config import CONTACT_SKIN, PASSAGE_SLACK
+from hrl_escape.env.geometry import compute_distance, compute_distance_many, stack_footprints
+from hrl_escape.env.instance import RoomInstance, Target
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.robot import sample_joint_steps
+from hrl_escape.env.sampling.certificate import Floors, find_unmet, make_floors
+from hrl_escape.env.sight import list_hiders
+
+__all__ = ["find_unmet_constraint", "find_unproven", "meets_condition"]
+
+_FINEST_TURN_DEG = 15.0
+_SHIFTS = 3
+"""Shifts e that a button's stretch and the exit's sides measure."""
+_MOST_CELLS = 40_000
+"""Cells over which waves spread; they only guide the search, so that a coarse grid will do."""
+_EXPANSIONS = 4000
+"""States that the search for one button or the exit may expand each time, besides 20 a step of the way."""
+_FINENESS = (0.05, 0.3, 1e-4)
+"""Share of a step within which two places count as one: the search is made again where it failed."""
+_HANDS = 4000
+
+
+def find_unmet_constraint(instance: RoomInstance) -> str | None:
+    """Say which part of the certificate an instance breaks; None if it holds.
+
+    First that start, places of touching and exit lie on one connected floor, under physics that no arm begins in a
+    wall, then that the room can be solved by primitives.
+    """
+    floors = make_floors(instance)
+    return find_unmet(instance, floors) or find_unproven(instance, floors)
+
+
+def find_unproven(instance: RoomInstance, floors: Floors) -> str | None:
+    """Say what no sequence of primitives was found for; None if the room is proven to be solvable.
+
+    Args:
+        instance: a room whose geometric certificate holds.
+        floors: its free space; its budget pays for the search.
+
+    Raises:
+        OutOfWork: the budget is spent.
+    """
+    if instance.dynamics.kind == "physics" or meets_condition(instance):
+        return None
+    dynamics = dataclasses.replace(instance.dynamics, noise=0.0, slip=0.0)
+    return _Search(dataclasses.replace(instance, dynamics=dynamics), floors).find_unproven()
+
+
+# --- the condition -------------------------------------------------------------------------
+
+
+def meets_condition(instance: RoomInstance) -> bool:
+    """Say whether the sufficient condition holds."""
+    robot, puzzle = instance.robot, instance.puzzle
+    radius = robot.body_radius + CONTACT_SKIN
+    free_x, free_y = instance.half_width - radius, instance.half_depth - radius
+    needed = _SHIFTS * 2 * robot.move_step * math.sin(math.radians(robot.turn_step_deg) / 2)
+    area = instance.exit
+    exit_x = min(area.x_max, free_x) - max(area.x_min, -free_x)
+    exit_y = min(area.y_max, free_y) - max(area.y_min, -free_y)
+    return (
+        instance.dynamics.press_with == "body" and instance.door is None and not list_hiders(instance)
+        and isinstance(puzzle, ButtonsPuzzle) and puzzle.on_violation == "ignore" and not puzzle.allow_off
+        and robot.turn_step_deg <= _FINEST_TURN_DEG and robot.move_step <= min(free_x, free_y)
+        and min(exit_x, exit_y) >= needed
+        and all(_measure_stretch(instance, target, free_x, free_y) >= needed for target in instance.targets)
+    )
+
+
+def _measure_stretch(instance: RoomInstance, target: Target, free_x: float, free_y: float) -> float:
+    """Length along the wall behind a target on which the body, against the wall, touches it."""
+    reach, shape = instance.compute_press_reach(target), target.footprint
+    if abs(shape.sin) < 1e-12:
+        along, across, half, half_across, free_along, free = (target.x, target.y, target.half_x, target.half_y, free_x,
+                                                              free_y)
+    elif abs(shape.cos) < 1e-12:
+        along, across, half, half_across, free_along, free = (target.y, target.x, target.half_x, target.half_y, free_y,
+                                                              free_x)
+    else:
+        return 0.0
+    away = max(abs(abs(across) - free) - half_across, 0.0)
+    if away > reach:
+        return 0.0
+    half += math.sqrt(reach**2 - away**2)
+    return min(along + half, free_along) - max(along - half, -free_along)
+
+
+# --- the search ----------------------------------------------------------------------------
+
+
+class _Goal(NamedTuple):
+    """A leg's end.
+
+    Attributes:
+        distances: waves from the goal for each cell of the grid.
+        is_reached: test of a state, which may run joint steps; the state at the end, or None.
+        measure: distance on the floor that certainly remains, m.
+        count_turns: turns until the arm points at it.
+        is_allowed: test of a puzzle state on the way.
+    """
+
+    distances: NDArray[np.float64]
+    is_reached: Callable[[RoomState], RoomState | None]
+    measure: Callable[[float, float], float]
+    count_turns: Callable[[RoomState], float]
+    is_allowed: Callable[[Hashable], bool]
+
+
+class _Search:
+    """Search for primitives that solve a room."""
+
+    def __init__(self, instance: RoomInstance, floors: Floors) -> None:
+        self._instance, self._floors = instance, floors
+        self._work = floors.shut.work
+        self._rules = Kinematics(instance)
+        self._step = instance.robot.move_step
+        quarter = self._rules.headings // 4 if self._rules.headings % 4 == 0 else self._rules.headings
+        self._alike = quarter if instance.dynamics.press_with == "body" else self._rules.headings
+        self._stride = math.ceil(math.sqrt(max(1.0, floors.shut.free.size / _MOST_CELLS)))
+        self._distances: dict[int, NDArray[np.float64]] = {}
+        self._graphs: dict[bool, Any] = {}
+        self._base_actions = range(len(self._rules.actions) - 2 * instance.robot.joints)
+        self._hands: NDArray[np.float64] | None = None
+        self._joint_steps = np.zeros((0, 0), dtype=np.int64)
+        if instance.dynamics.press_with == "hand":
+            self._joint_steps = sample_joint_steps(self._rules.robot, _HANDS)
+            angles = np.array(self._rules.robot.home) + self._rules.robot.step * self._joint_steps
+            self._hands = self._rules.robot.compute_hand(angles)
+
+    def find_unproven(self) -> str | None:
+        """See `find_unproven`."""
+        for start in self._instance.starts:
+            state = self._rules.make_state(start)
+            for _ in range(4 * len(self._instance.targets) + 1):
+                if self._instance.puzzle.is_solved(state.puzzle):
+                    break
+                wanted = self._choose_target(state.puzzle)
+                if wanted is None:
+                    return None  # a puzzle that is not solved by presses: its geometry is all that is certified
+                found = self._reach(state, self._make_press(wanted, state))
+                if found is None:
+                    return f"{self._instance.targets[wanted].name} must be pressed by a sequence of primitives"
+                state = found
+            if self._reach(state, self._make_exit()) is None:
+                return "the exit must be reached by a sequence of primitives"
+        return None
+
+    def _choose_target(self, puzzle_state: Hashable) -> int | None:
+        """Next target to press on the way to the puzzle's goal, deletions left out of account."""
+        puzzle = self._instance.puzzle
+        model, names = puzzle.make_symbolic_model(), puzzle.target_names
+        first = {fact: None for fact in puzzle.get_facts(puzzle_state)}
+        layer = True
+        while layer and not model.goal <= first.keys():
+            layer = [op for op in model.operators if op.preconditions <= first.keys() and op.add - first.keys()]
+            for operator in layer:
+                for fact in operator.add - first.keys():
+                    first[fact] = operator  # type: ignore[assignment]  # the first that adds it
+        if not model.goal <= first.keys():
+            return None
+        needed, open_facts = [], list(model.goal)
+        while open_facts:
+            operator = first[open_facts.pop()]
+            if operator is not None and operator not in needed:
+                needed.append(operator)
+                open_facts += operator.preconditions
+        facts = puzzle.get_facts(puzzle_state)
+        for operator in model.operators:
+            if operator in needed and operator.is_applicable(facts) and operator.action == "press":
+                return names.index(operator.target)
+        return None
+
+    # --- goals -------------------------------------------------------------------------
+
+    def _make_press(self, index: int, before: RoomState) -> _Goal:
+        instance, target = self._instance, self._instance.targets[index]
+        puzzle, footprint = instance.puzzle, target.footprint
+        expected, facts = puzzle.update(before.puzzle, Contacts((index,))), puzzle.get_facts(before.puzzle)
+
+        def is_better(now: Hashable) -> bool:
+            """Pressing another button on the way is no harm where nothing is undone."""
+            return now == expected or puzzle.get_facts(now) > facts
+
+        reach, fan = instance.compute_press_reach(target), math.pi
+        if self._hands is not None:
+            flat = self._hands[np.abs(self._hands[:, 2] - target.z) <= target.half_z]
+            reach = float(np.hypot(*flat[:, :2].T).max(initial=0.0)) + instance.robot.hand_radius
+            fan = float(np.abs(np.arctan2(flat[:, 1], flat[:, 0])).max(initial=0.0))
+        return _Goal(
+            self._spread_from(index, reach),
+            lambda state: (state if state.puzzle != before.puzzle and is_better(state.puzzle)
+                           else self._press_by_hand(state, index, expected)),
+            lambda x, y: max(compute_distance(x, y, footprint) - reach, 0.0),
+            lambda state: self._count_turns(state, target, fan),
+            lambda now: now == before.puzzle or is_better(now),
+        )
+
+    def _count_turns(self, state: RoomState, target: Target, fan: float) -> float:
+        """Turns until a target is within the angle that the arm covers either side."""
+        if fan >= math.pi:
+            return 0.0
+        bearing = math.atan2(target.y - state.y, target.x - state.x) - self._rules.get_heading(state)
+        return max(abs(math.remainder(bearing, math.tau)) - fan, 0.0) / self._rules.turn_step
+
+    def _press_by_hand(self, state: RoomState, index: int, expected: Hashable) -> RoomState | None:
+        """State after joint steps that press a target from where the base stands; None if none do."""
+        target = self._instance.targets[index]
+        if self._hands is None or state.touching >> index & 1:
+            return None
+        self._work.spend(30)
+        if compute_distance(state.x, state.y, target.footprint) > np.hypot(*self._hands[:, :2].T).max() + 1.0:
+            return None
+        self._work.spend(len(self._hands) / 10)
+        cos, sin = self._rules.get_rotation(state.heading_steps, state.heading_offset)
+        x, y, z = self._hands.T
+        points = np.stack([state.x + cos * x - sin * y, state.y + sin * x + cos * y], axis=1)
+        above = np.maximum(np.abs(z - target.z) - target.half_z, 0.0)
+        limit = self._instance.robot.hand_radius + self._instance.dynamics.press_margin - 1e-6
+        away = np.hypot(compute_distance_many(points, stack_footprints([target.footprint])), above)
+        for number in np.flatnonzero(away <= limit)[:20].tolist():
+            found = self._move_joints(state, self._joint_steps[number].tolist(), expected)
+            if found is not None:
+                return found
+        return None
+
+    def _move_joints(self, state: RoomState, wanted: list[int], expected: Hashable) -> RoomState | None:
+        before = state.puzzle
+        for joint, to in enumerate(wanted):
+            while state.joint_steps[joint] != to and state.puzzle == before:
+                up, down = self._rules.actions.joints[joint]
+                state = self._rules.step(state, up if to > state.joint_steps[joint] else down).state
+                self._work.spend(10)
+        return state if state.puzzle == expected else None
+
+    def _make_exit(self) -> _Goal:
+        area = self._instance.exit
+        x, y = area.centre
+        half_x, half_y = area.x_max - x, area.y_max - y
+        is_solved = self._instance.puzzle.is_solved
+        return _Goal(
+            self._spread_from(-1, 0.0),
+            lambda state: state if area.contains(state.x, state.y) and is_solved(state.puzzle) else None,
+            lambda at_x, at_y: max(abs(at_x - x) - half_x, abs(at_y - y) - half_y, 0.0),
+            lambda state: 0.0, is_solved,
+        )
+
+    def _spread_from(self, index: int, reach: float) -> NDArray[np.float64]:
+        """Waves from a target (or the exit, -1) over the coarse grid; remembered."""
+        if index not in self._distances:
+            space = self._floors.opened if index < 0 else self._floors.shut
+            free = _coarsen(space.free, self._stride)
+            cells = np.argwhere(np.ones_like(free)) * self._stride + self._stride // 2
+            centres = space.get_centres(cells)
+            links = self._floors.touches.get(index)
+            if links:
+                near = np.zeros(len(cells), dtype=bool)
+                near[[i // self._stride * free.shape[1] + j // self._stride for i, j in (a.cell for a in links)]] = True
+            elif index < 0:
+                area = self._instance.exit
+                near = ((centres >= (area.x_min, area.y_min)) & (centres <= (area.x_max, area.y_max))).all(axis=1)
+            else:
+                shape = stack_footprints([self._instance.targets[index].footprint])
+                near = compute_distance_many(centres, shape) <= reach + PASSAGE_SLACK + 2 * space.resolution
+            is_open = index < 0
+            if is_open not in self._graphs:
+                self._graphs[is_open] = _join(free)
+            self._work.spend(len(cells) / 2)
+            self._distances[index] = _spread(self._graphs[is_open], free, near.reshape(free.shape))
+        return self._distances[index]
+
+    # --- one leg -----------------------------------------------------------------------
+
+    def _reach(self, start: RoomState, goal: _Goal) -> RoomState | None:
+        """Best-first search; the state that reaches the goal, or None."""
+        for fineness in _FINENESS:
+            found = self._search(start, goal, fineness * self._step)
+            if found is not None:
+                return found
+        return None
+
+    def _search(self, start: RoomState, goal: _Goal, width: float) -> RoomState | None:
+        numbers, seen = itertools.count(), {self._identify(start, width)}
+        queue = [(0.0, next(numbers), 0, start)]
+        for _ in range(_EXPANSIONS + round(20 * self._estimate(start.x, start.y, goal) / self._step)):
+            if not queue:
+                return None
+            _, _, steps, state = heapq.heappop(queue)
+            self._work.spend(60)
+            found = goal.is_reached(state)
+            if found is not None:
+                return found
+            for action in self._base_actions:
+                after = self._rules.step(state, action).state
+                if not goal.is_allowed(after.puzzle):
+                    continue
+                name = self._identify(after, width)
+                if name not in seen:
+                    seen.add(name)
+                    left = 2.0 * (self._estimate(after.x, after.y, goal) / self._step + goal.count_turns(after))
+                    heapq.heappush(queue, (steps + 1 + left, next(numbers), steps + 1, after))
+        return None
+
+    def _identify(self, state: RoomState, width: float) -> tuple[Hashable, ...]:
+        return (round(state.x / width), round(state.y / width), state.heading_steps % self._alike, state.touching,
+                state.puzzle)
+
+    def _estimate(self, x: float, y: float, goal: _Goal) -> float:
+        space, stride = self._floors.shut, self._stride
+        i, j = space.find_cell(x, y)
+        waves = float(goal.distances[i // stride, j // stride])
+        return max(waves * stride * space.resolution, goal.measure(x, y))
+
+
+def _coarsen(free: NDArray[np.bool_], stride: int) -> NDArray[np.bool_]:
+    """Blocks of cells that have a free one among them."""
+    columns, rows = (-(-side // stride) * stride for side in free.shape)
+    whole = np.zeros((columns, rows), dtype=bool)
+    whole[: free.shape[0], : free.shape[1]] = free
+    return whole.reshape(columns // stride, stride, rows // stride, stride).any(axis=(1, 3))
+
+
+def _join(free: NDArray[np.bool_]) -> Any:
+    """Graph of free cells and their neighbours, a sparse matrix."""
+    from scipy import sparse  # only rooms that are searched pay for this import
+
+    numbers = np.arange(free.size).reshape(free.shape)
+    across, along = free[1:] & free[:-1], free[:, 1:] & free[:, :-1]
+    one = np.concatenate([numbers[1:][across], numbers[:, 1:][along]])
+    other = np.concatenate([numbers[:-1][across], numbers[:, :-1][along]])
+    return sparse.csr_matrix((np.ones(len(one)), (one, other)), shape=(free.size, free.size))
+
+
+def _spread(graph: Any, free: NDArray[np.bool_], near: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Waves from cells `near` a goal over free cells; the others have those of the nearest cell that was reached."""
+    from scipy import ndimage
+    from scipy.sparse import csgraph
+
+    seeds = near & free
+    begun = np.flatnonzero(seeds if seeds.any() else near)
+    waves = csgraph.dijkstra(graph, directed=False, indices=begun, unweighted=True, min_only=True).reshape(free.shape)
+    nearest = ndimage.distance_transform_edt(np.isinf(waves), return_distances=False, return_indices=True)
+    return waves[tuple(nearest)]

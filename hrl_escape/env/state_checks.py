@@ -1,0 +1,84 @@
+"""Check of states that come from outside: every number is one that this room's episodes could hold."""
+
+from __future__ import annotations
+
+import math
+import numbers
+from typing import Any
+
+from hrl_escape.env.geometry import compute_distance
+from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.errors import StateError, show_value
+
+__all__ = ["check_state"]
+
+_LARGEST_COUNT = 2**31
+_SOFT_CONTACT = 0.1
+"""Share of its radius by which physics lets the body press into a solid."""
+_SOFT_LIMIT = 0.1
+"""Angle in rad by which physics lets a joint pass its limit."""
+
+
+def check_state(rules: Rules, state: Any) -> None:
+    """Refuse a state that no episode in this room could be in.
+
+    The engine's own part of a state, `physics`, is left to the engine.
+
+    Args:
+        rules: the room's rules.
+        state: what should be a `RoomState`.
+
+    Raises:
+        StateError: it is none, or one of its numbers is impossible; the message names the field.
+    """
+    if not isinstance(state, RoomState):
+        raise StateError(f"a state is a RoomState, as get_state() returns it, not {show_value(state)}")
+    instance, soft = rules.instance, rules.instance.dynamics.kind == "physics"
+    top = instance.wall_height + instance.robot.body_height
+    _check_number("x", state.x, -instance.reach_x, instance.reach_x)
+    _check_number("y", state.y, -instance.reach_y, instance.reach_y)
+    _check_whole("heading_steps", state.heading_steps, rules.headings)
+    _check_number("heading_offset", state.heading_offset, -math.pi, math.pi)
+    _check_joints(rules, state, _SOFT_LIMIT if soft else 1e-6)
+    _check_whole("touching", state.touching, 1 << len(instance.targets))
+    _check_whole("primitives", state.primitives, _LARGEST_COUNT)
+    _check_whole("noise_key", state.noise_key, 2**64)
+    _check_number("z", state.z, -1.0, top)
+    _check_number("pitch", state.pitch, -math.pi, math.pi)
+    _check_number("roll", state.roll, -math.pi, math.pi)
+    if not instance.puzzle.is_state(state.puzzle):
+        raise StateError(f"puzzle = {show_value(state.puzzle)} is not possible: a state of this room's "
+                         f"{instance.puzzle.kind} puzzle")
+    least = instance.robot.body_radius * (1.0 - _SOFT_CONTACT if soft else 1.0)
+    for solid in instance.solids:
+        if compute_distance(state.x, state.y, solid.footprint) < least:
+            raise StateError(f"x = {state.x:g}, y = {state.y:g} is not possible: the body stands in the {solid.role} "
+                             f"at ({solid.x:g}, {solid.y:g})")
+
+
+def _check_number(name: str, value: Any, low: float, high: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= float(value) <= high:
+        raise StateError(f"{name} = {show_value(value)} is not possible: a number from {low:g} to {high:g}")
+
+
+def _check_whole(name: str, value: Any, count: int) -> None:
+    if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not 0 <= int(value) < count:
+        raise StateError(f"{name} = {show_value(value)} is not possible: a whole number from 0 to {count - 1}")
+
+
+def _check_joints(rules: Rules, state: RoomState, slack: float) -> None:
+    joints, robot = rules.instance.robot.joints, rules.robot
+    for name, values, lengths in (("joint_steps", state.joint_steps, (joints,)),
+                                  ("joint_offsets", state.joint_offsets, (0, joints))):
+        if not isinstance(values, tuple) or len(values) not in lengths:
+            raise StateError(f"{name} = {show_value(values)} is not possible: {joints} numbers, one a joint")
+    for offset in state.joint_offsets:
+        _check_number("joint_offsets", offset, -math.pi, math.pi)
+    for joint, steps in enumerate(state.joint_steps):
+        if isinstance(steps, bool) or not isinstance(steps, numbers.Integral) or abs(steps) > _LARGEST_COUNT:
+            raise StateError(f"joint_steps = {show_value(state.joint_steps)} is not possible: whole numbers")
+        offset = state.joint_offsets[joint] if state.joint_offsets else 0.0
+        angle, (low, high) = robot.home[joint] + steps * robot.step + offset, robot.limits[joint]
+        if not low - slack <= angle <= high + slack:
+            raise StateError(f"joint_steps = {show_value(state.joint_steps)} is not possible: joint {joint + 1} would "
+                             f"be at {angle:.3g} rad, beyond its limits {low:.3g} and {high:.3g}")

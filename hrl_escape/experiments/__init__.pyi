@@ -1,0 +1,13 @@
+from .comparison import run_grid
+from .grid import AgentSpec, Grid, RoomSpec
+from .reporting.report import write_report
+from .verdict import write_verdict
+
+__all__ = [
+    "AgentSpec",
+    "Grid",
+    "RoomSpec",
+    "run_grid",
+    "write_report",
+    "write_verdict",
+]

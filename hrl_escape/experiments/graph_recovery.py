@@ -1,0 +1,51 @@
+"""Recovery of a puzzle's dependency graph: edges that matter, and precision and recall of a believed graph."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+__all__ = ["Edges", "compare_graphs", "find_ancestors", "find_edges_that_matter"]
+
+Edges = frozenset[tuple[int, int]]
+
+
+def find_ancestors(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> set[int]:
+    """Targets that must have been lit for the goals, the goals included; edges are (parent, child) pairs."""
+    every, ancestors, before = set(edges), set(goals), 0
+    while len(ancestors) > before:
+        before = len(ancestors)
+        ancestors |= {parent for parent, child in every if child in ancestors}
+    return ancestors
+
+
+def find_edges_that_matter(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> Edges:
+    """Edges that some order of presses towards the goals can tell from none.
+
+    Those are the edges among the ancestors of the goals that no longer way implies: with a before b and b before c,
+    an edge from a to c changes nothing, so no agent can find it.
+
+    Args:
+        edges: (parent, child) pairs; a believed graph may have cycles.
+        goals: targets that solve the puzzle.
+    """
+    every = set(edges)
+    ancestors = find_ancestors(every, goals)
+    kept = {(parent, child) for parent, child in every if child in ancestors}
+
+    def is_implied(edge: tuple[int, int]) -> bool:
+        reached, frontier = {edge[0]}, [edge[0]]
+        while frontier:
+            node = frontier.pop()
+            for following in (other for other in kept if other[0] == node and other != edge):
+                if following[1] not in reached:
+                    reached.add(following[1])
+                    frontier.append(following[1])
+        return edge[1] in reached
+
+    return frozenset(edge for edge in kept if not is_implied(edge))
+
+
+def compare_graphs(found: Edges, true: Edges) -> tuple[float, float]:
+    """Precision (1 where nothing was found and nothing is there, else 0) and recall of edges."""
+    hits = len(found & true)
+    return hits / len(found) if found else float(not true), hits / len(true) if true else 1.0

@@ -1,0 +1,184 @@
+"""Inference over few runs: intervals that hold for bounded scores, paired tests, and Holm's correction.
+
+Intervals draw weights of the runs instead of runs: a flat Dirichlet law over them and one more value, the lowest
+possible for the lower end and the highest for the upper end (Gaffke 2005). For the mean of zeros and ones this is the
+interval of Clopper and Pearson, so it holds where a bootstrap of eight equal runs has no width at all. Comparisons are
+paired by room and training seed. `benchmarks/calibration.py` measures how often both are wrong.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import special  # pyright: ignore[reportMissingTypeStubs]
+
+from hrl_escape.experiments.statistics import Floats, Scores
+
+__all__ = [
+    "Estimate",
+    "PairedTest",
+    "Statistic",
+    "compare_pairs",
+    "compute_interval",
+    "compute_restricted_mean",
+    "compute_wilson_interval",
+    "correct_by_benjamini_hochberg",
+    "correct_by_holm",
+    "draw_ends",
+]
+
+LEVEL = 0.95
+RESAMPLES = 2_000
+
+
+class Statistic(Protocol):
+    """Statistic of scores, (..., runs) a room, and of their weights, which add up to 1 in each room."""
+
+    def __call__(self, scores: Scores, weights: Scores | None = None, /) -> Floats:
+        """Compute it; without weights all scores of a room weigh the same."""
+        ...
+
+
+class Estimate(NamedTuple):
+    """A number and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def compute_interval(statistic: Statistic, scores: Scores, bounds: tuple[float, float], rng: np.random.Generator,
+                     resamples: int = RESAMPLES, level: float = LEVEL) -> tuple[Floats, Floats]:
+    """Interval of a statistic of bounded scores that grows with them, such as their mean or interquartile mean.
+
+    Args:
+        statistic: of values and weights.
+        scores: (..., runs) a room.
+        bounds: lowest and highest possible score.
+        rng: source of the draws.
+        resamples: number of draws.
+        level: confidence.
+
+    Returns:
+        Lower and upper end, each of the statistic's own shape.
+    """
+    lower, upper = draw_ends(statistic, scores, bounds, rng, resamples)
+    return np.quantile(lower, (1 - level) / 2, axis=0), np.quantile(upper, (1 + level) / 2, axis=0)
+
+
+def draw_ends(statistic: Statistic, scores: Scores, bounds: tuple[float, float], rng: np.random.Generator,
+              resamples: int = RESAMPLES) -> tuple[Floats, Floats]:
+    """Draws (resamples, ...) of a statistic with the lowest possible score added, and with the highest.
+
+    The share of the first at or below a level is the p-value of a statistic above that level, the share of the second
+    at or above it that of a statistic below.
+    """
+    weights = [_draw_weights(room, resamples, rng) for room in scores]
+    lower, upper = (statistic([_append(room, bound) for room in scores], weights) for bound in bounds)
+    return lower, upper
+
+
+def _draw_weights(room: Floats, resamples: int, rng: np.random.Generator) -> Floats:
+    """Weights (resamples, 1, ..., runs + 1)."""
+    drawn = rng.standard_exponential((resamples, room.shape[-1] + 1))
+    drawn /= drawn.sum(axis=-1, keepdims=True)
+    return drawn.reshape(resamples, *[1] * (room.ndim - 1), -1)
+
+
+def _append(room: Floats, bound: float) -> Floats:
+    return np.concatenate([room, np.full((*room.shape[:-1], 1), bound)], axis=-1)
+
+
+def compute_wilson_interval(share: float, tries: int, level: float = LEVEL) -> tuple[float, float]:
+    """Wilson's interval of a share (Wilson 1927).
+
+    Args:
+        share: observed; where a try is itself a share of episodes, the mean of these.
+        tries: independent ones. Episodes of one run are not independent, runs are.
+        level: confidence.
+    """
+    z2 = float(special.ndtri((1 + level) / 2)) ** 2
+    middle = (share + z2 / (2 * tries)) / (1 + z2 / tries)
+    reach = math.sqrt(z2 * share * (1 - share) / tries + z2**2 / (4 * tries**2)) / (1 + z2 / tries)
+    return max(0.0, middle - reach), min(1.0, middle + reach)
+
+
+def compute_restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float) -> float:
+    """Mean time to an event up to a horizon: the area under the Kaplan-Meier curve.
+
+    Args:
+        times: (n,) of the event, or until which it was waited for.
+        observed: (n,) the event came.
+        horizon: where to stop; after the last time the curve stays as it is.
+    """
+    at, seen = np.asarray(times, dtype=np.float64), np.asarray(observed, dtype=bool)
+    ends = np.unique(np.minimum(at, horizon))
+    alive, area, before = 1.0, 0.0, 0.0
+    for end in ends:
+        area += alive * (end - before)
+        alive *= 1 - np.sum(seen & (at == end)) / np.sum(at >= end)
+        before = end
+    return float(area + alive * (horizon - before))
+
+
+class PairedTest(NamedTuple):
+    """Difference between two agents over the runs they share.
+
+    Attributes:
+        difference: mean over rooms of the mean difference.
+        low: lower end of its 95 % interval.
+        high: upper end.
+        p: two-sided.
+        pairs: (room, seed) pairs.
+    """
+
+    difference: float
+    low: float
+    high: float
+    p: float
+    pairs: int
+
+
+def compare_pairs(differences: Sequence[NDArray[np.float64]]) -> PairedTest:
+    """Student's t test of paired differences, rooms as strata of equal weight (Satterthwaite's degrees of freedom).
+
+    Args:
+        differences: (seeds,) a room, first agent less second in the same room with the same seed.
+    """
+    count = sum(map(len, differences))
+    rooms = [room for room in differences if len(room)]
+    mean = float(np.mean([room.mean() for room in rooms])) if rooms else 0.0
+    if min(map(len, rooms), default=0) < 2:
+        return PairedTest(mean, -math.inf, math.inf, 1.0, count)
+    variances = np.array([room.var(ddof=1) / len(room) for room in rooms])
+    error = math.sqrt(variances.sum()) / len(rooms)
+    if error <= 1e-12:
+        return PairedTest(mean, mean, mean, 1.0 if abs(mean) <= 1e-12 else 0.0, count)
+    freedom = variances.sum() ** 2 / np.sum(variances**2 / [len(room) - 1 for room in rooms])
+    reach = float(special.stdtrit(freedom, (1 + LEVEL) / 2)) * error
+    return PairedTest(mean, mean - reach, mean + reach, float(2 * special.stdtr(freedom, -abs(mean) / error)), count)
+
+
+def correct_by_benjamini_hochberg(p: Sequence[float]) -> list[float]:
+    """Adjust p-values so that of the answers below 0.05, 5 % are wrong at most on average (Benjamini, Hochberg)."""
+    adjusted, least = [0.0] * len(p), 1.0
+    for rank, index in reversed(list(enumerate(sorted(range(len(p)), key=lambda index: p[index]), start=1))):
+        least = min(least, p[index] * len(p) / rank)
+        adjusted[index] = least
+    return adjusted
+
+
+def correct_by_holm(p: Sequence[float]) -> list[float]:
+    """Adjust the p-values of a family of comparisons, so that one below 0.05 is wrong in 5 % of families at most.
+
+    Holm (1979): the k-th smallest of n is multiplied by n - k + 1, and none falls below a smaller one's.
+    """
+    adjusted, largest = [0.0] * len(p), 0.0
+    for rank, index in enumerate(sorted(range(len(p)), key=lambda index: p[index])):
+        largest = max(largest, min(1.0, (len(p) - rank) * p[index]))
+        adjusted[index] = largest
+    return adjusted

@@ -1,0 +1,109 @@
+"""The numbers of a comparison as files for other programs, and its Markdown summary.
+
+`results.csv` and `curves.csv` hold only what learning decides, so two comparisons of the same grid write
+the same bytes; wall-clock times stand apart in `timings.csv`.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hrl_escape.experiments.runs import RunResult
+from hrl_escape.experiments.statistics import compute_score
+from hrl_escape.experiments.summary import AgentSummary, Summary
+from hrl_escape.experiments.verdict import Sentence
+from hrl_escape.files import write_text
+
+__all__ = ["format_first_escape", "write_markdown", "write_tables"]
+
+MEASURES = ("efficiency", "mean_progress", "success_rate", "mean_length")
+HEADINGS = ("efficiency", "progress", "success", "length")
+
+
+def write_tables(summary: Summary, folder: Path) -> None:
+    """Write `results.csv` (a row a run), `curves.csv` (a row an evaluation) and `timings.csv`.
+
+    Raises:
+        FileWriteError: a file cannot be written.
+    """
+    results, curves, timings = [], [], []
+    for run, result in summary.runs:
+        head = (run.agent.label, run.room, run.instance_id, run.seed)
+        worst, top = result.score_range.worst, float(np.mean(result.score_range.best))
+        final = result.get_final("mean_return")
+        results.append((*head, *map(result.get_final, MEASURES), float(compute_score(final, worst, top)), final,
+                        "" if result.first_escape is None else result.first_escape, int(result.is_stuck), worst, top,
+                        *_describe_reach(result), result.primitives, result.decisions, result.episodes,
+                        result.planner_calls, run.key))
+        lines = [result.get_curve(measure) for measure in MEASURES]
+        for evaluation, seconds, *values in zip(result.evaluations, result.seconds, *lines, strict=True):
+            at = (*head, evaluation.primitives, evaluation.decisions)
+            curves.append((*at, *values, float(compute_score(evaluation.mean_return, worst, top)),
+                           evaluation.mean_return))
+            timings.append((*head, evaluation.primitives, seconds, evaluation.seconds))
+    names = ("agent", "room", "instance", "seed")
+    _write(folder / "results.csv", (*names, *HEADINGS, "return_score", "return", "first_escape", "stuck", "worst",
+                                    "best", "reachable", "fewest", "fewest_reachable", "primitives", "decisions",
+                                    "episodes", "planner_calls", "key"), results)
+    _write(folder / "curves.csv", (*names, "primitives", "decisions", *HEADINGS, "return_score", "return"), curves)
+    _write(folder / "timings.csv", (*names, "primitives", "training_seconds", "evaluation_seconds"), timings)
+
+
+def _describe_reach(result: RunResult) -> tuple[float, float, float | str]:
+    """Best return within reach, fewest primitives known, and fewest within reach; empty where nothing is."""
+    ends = result.score_range
+    reach = [fewest for fewest in ends.fewest_reachable if fewest is not None]
+    complete = len(reach) == len(ends.fewest_reachable)
+    return float(np.mean(ends.reachable)), float(np.mean(ends.fewest)), float(np.mean(reach)) if complete else ""
+
+
+def _write(path: Path, head: Sequence[str], rows: Iterable[Sequence[object]]) -> None:
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows(rows)
+    write_text(path, text.getvalue())
+
+
+def write_markdown(summary: Summary, verdict: Sequence[Sentence], command: str, path: Path) -> None:
+    """Write the verdict and the table of results, ready for a README or an issue.
+
+    Raises:
+        FileWriteError: the file cannot be written.
+    """
+    grid = summary.grid
+    lines = [f"# {grid.name}", "", f"**{verdict[0].text}**", ""]
+    lines += [f"- {sentence.text}" for sentence in verdict[1:] if sentence.kind == "finding"]
+    rooms = f"each of {len(grid.rooms)} rooms" if len(grid.rooms) > 1 else "one room"
+    lines += ["", f"After {grid.primitives:,} primitives, {grid.runs} runs in {rooms}. Efficiency is "
+              "0 without escape, else the fewest primitives known over those taken.", ""]
+    lines += ["| agent | efficiency (IQM, 95 % interval) | progress | escapes (Wilson) | primitives an episode "
+              "| first escape | return score | stuck runs | missing: options + learning |",
+              "|---|---|---|---|---|---|---|---|---|"]
+    lines += [_make_row(agent) for agent in summary.agents]
+    cautions = [f"- {sentence.text}" for sentence in verdict if sentence.kind == "caution"]
+    lines += ["", *(["Read with care:", "", *cautions, ""] if cautions else []), "Rooms: " + "; ".join(
+        f"{room.name}, instance `{room.instance.id}`, best known escape {room.fewest:g} primitives, return "
+        f"{room.best:g}" for room in summary.rooms) + ".",
+        "", "```console", command, "```", ""]
+    write_text(path, "\n".join(lines))
+
+
+def _make_row(agent: AgentSummary) -> str:
+    return (f"| {agent.label} | {agent.efficiency.value:.3f} ({agent.efficiency.low:.3f} to "
+            f"{agent.efficiency.high:.3f}) | {agent.progress.value:.2f} | {agent.success.value:.0%} "
+            f"({agent.success.low:.0%} to {agent.success.high:.0%}) | {agent.length.value:.0f} "
+            f"| {format_first_escape(agent)} | {agent.score.value:.3f} | {agent.stuck:.0%} "
+            f"| {agent.gap.options:.3f} + {agent.gap.learning:.3f} |")
+
+
+def format_first_escape(agent: AgentSummary) -> str:
+    """`1,234 (8 of 8 runs)`: restricted mean of the primitives to the first escape; none for references."""
+    if agent.spec.is_reference:
+        return "no training"
+    return f"{agent.first_escape.value:,.0f} ({agent.escaped_runs} of {agent.runs})"

@@ -1,0 +1,219 @@
+"""One run of a comparison: make the room, train the agent, keep its numbers and its last episodes.
+
+`execute_run` leaves `run_result.json` once everything else is on disk, so a folder that has it is finished.
+Which runs there are is `grid.py`; starting and watching them is `local.py`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
+from hrl_escape.agents.training.results import TrainResult, find_first_escape
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import EscapeError, FileReadError, describe_damage
+from hrl_escape.experiments.episodes import StateRecorder, record_episode
+from hrl_escape.experiments.grid import AgentSpec, GridRun
+from hrl_escape.experiments.references import make_reference
+from hrl_escape.experiments.score_range import ScoreRange, compute_score_range
+from hrl_escape.experiments.solved_probe import Solution, SolvedProbe
+from hrl_escape.experiments.statistics import compute_efficiency, compute_final
+from hrl_escape.files import read_json, write_json
+from hrl_escape.settings import read_record
+from hrl_escape.version import __version__, find_versions
+
+__all__ = ["RunResult", "execute_run", "get_room_file", "get_run_folder", "get_training_folder", "make_env",
+           "read_episodes", "read_run"]
+
+@dataclass(frozen=True)
+class RunResult:
+    """Result of one run; its `GridRun` says which.
+
+    Attributes:
+        budget: primitives it was to train for; those it did train for where it ended early.
+        primitives: trained for; a last option may carry it beyond the budget.
+        decisions: trained for.
+        episodes: trained for.
+        planner_calls: behind options, in training.
+        first_escape: primitives at the end of the first training episode that escaped; None if none did. A
+            reference's are counted from its first evaluation episode.
+        evaluations: the first before training, the last after it; of a reference, one.
+        solution: course towards the solution, in grids with `until_solved`.
+        seconds: of training when each evaluation was made; left out of comparisons.
+        score_range: best known and worst results, by which its scores are measured.
+        planner_seconds: of training, in planners; left out of comparisons.
+        versions: of the packages that made it; left out of comparisons.
+    """
+
+    budget: int
+    primitives: int
+    decisions: int
+    episodes: int
+    planner_calls: int
+    first_escape: int | None
+    evaluations: tuple[Evaluation, ...]
+    score_range: ScoreRange
+    solution: Solution | None
+    seconds: tuple[float, ...] = dataclasses.field(compare=False)
+    planner_seconds: float = dataclasses.field(compare=False)
+    versions: Mapping[str, str] = dataclasses.field(compare=False)
+
+    @classmethod
+    def make(cls, budget: int, result: TrainResult, score_range: ScoreRange, solution: Solution | None) -> RunResult:
+        """Sum up a finished training run."""
+        return cls(
+            budget, result.primitives, result.decisions, len(result.episodes), result.planner_calls,
+            find_first_escape(result.episodes), result.evaluations, score_range, solution,
+            tuple(result.curve(against="seconds")[0].tolist()), result.planner_seconds, list_versions(),
+        )
+
+    @classmethod
+    def make_reference(cls, budget: int, evaluation: Evaluation, score_range: ScoreRange) -> RunResult:
+        """Sum up the evaluation of a reference."""
+        waited = np.cumsum(evaluation.lengths)
+        escapes = [int(at) for at, success in zip(waited, evaluation.successes, strict=True) if success]
+        return cls(budget, 0, 0, 0, 0, escapes[0] if escapes else None, (evaluation,), score_range, None, (0.0,), 0.0,
+                   list_versions())
+
+    def get_curve(self, metric: str) -> NDArray[np.float64]:
+        """`primitives`, `decisions`, `seconds`, `efficiency` or a mean of `Evaluation`, at every evaluation."""
+        if metric == "seconds":
+            return np.array(self.seconds)
+        if metric == "efficiency":
+            return np.array([compute_efficiency(found.successes, found.lengths, self.score_range.fewest).mean()
+                             for found in self.evaluations])
+        return np.array([getattr(evaluation, metric) for evaluation in self.evaluations], dtype=np.float64)
+
+    def get_final(self, metric: str) -> float:
+        """Mean of a curve over the last fifth of the budget; see `compute_final`."""
+        return compute_final(self.get_curve("primitives"), self.get_curve(metric), self.budget)
+
+    @property
+    def is_stuck(self) -> bool:
+        """No evaluation episode succeeded in the last fifth of the budget."""
+        return self.get_final("success_rate") == 0.0
+
+
+def make_env(agent: AgentSpec, instance: RoomInstance, observation: str) -> tuple[gymnasium.Env, StateRecorder]:
+    """The environment an agent acts in, and the recorder inside it."""
+    import hrl_escape  # noqa: F401  # registers the environment
+
+    flat = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=instance, observation=observation,
+                          disable_env_checker=True)
+    recorder = StateRecorder(flat)
+    if not agent.chooses_options:
+        return recorder, recorder
+    from hrl_escape.options.options_env import OptionsEnv  # brings the planners in
+
+    return OptionsEnv(recorder, trace=agent.needs_trace, **agent.options.to_dict()), recorder
+
+
+def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
+    """Bring a run to its end, from where it was last stopped.
+
+    Args:
+        run: the run.
+        out: the comparison's folder; it holds the room.
+        checkpoint_seconds: between checkpoints of the training run.
+    """
+    folder = get_run_folder(out, run)
+    instance = RoomInstance.load(get_room_file(out, run.instance_id))
+    env, recorder = make_env(run.agent, instance, run.grid.observation)
+    seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(run.grid.eval_episodes)]
+    try:
+        score_range = compute_score_range(instance, run.agent, [_find_start(env, recorder, seed) for seed in seeds])
+        if run.agent.is_reference:
+            agent: Agent = make_reference(run.agent.name, env, recorder)
+            evaluation = evaluate(agent, env, len(seeds), run.eval_seed, run.grid.primitives)
+            value = RunResult.make_reference(run.grid.primitives, evaluation, score_range)
+        else:
+            agent, value = _train(run, out, env, instance, score_range, checkpoint_seconds)
+        episodes = [record_episode(agent, env, recorder, seed) for seed in seeds]
+    finally:
+        env.close()
+    write_json(folder / "episodes.json", episodes, indent=None)
+    write_json(folder / "run_result.json", {"identity": run.identity, "result": dataclasses.asdict(value)}, indent=None)
+
+
+def _train(run: GridRun, out: Path, env: gymnasium.Env, instance: RoomInstance, score_range: ScoreRange,
+           checkpoint_seconds: float) -> tuple[Agent, RunResult]:
+    from hrl_escape.agents.training.train import train
+
+    rule = run.grid.until_solved
+    probe = None if rule is None else SolvedProbe(rule, env, instance, run.agent, score_range)
+    result = train(
+        run.agent.name, env, primitives=run.grid.primitives, decisions=run.grid.decisions, seed=run.seed,
+        settings=run.settings, eval_every=run.grid.evaluation_step, eval_episodes=run.grid.eval_episodes,
+        eval_seed=run.eval_seed, out=get_training_folder(out, run), checkpoint_seconds=checkpoint_seconds,
+        progress=False, probe=probe,
+    )
+    assert result.agent is not None, "a run that this process finished or loaded has its agent"
+    solution = None if probe is None else probe.solution
+    budget = min(run.grid.primitives, result.primitives)
+    return result.agent, RunResult.make(budget, result, score_range, solution)
+
+
+def _find_start(env: gymnasium.Env, recorder: StateRecorder, seed: int) -> RoomState:
+    """State in which an episode begins."""
+    env.reset(seed=seed)
+    return recorder.states[0]
+
+
+def read_run(out: Path, run: GridRun) -> RunResult | None:
+    """The result of a finished run, or None if it is not finished.
+
+    Raises:
+        FileReadError: the file is damaged or belongs to another run.
+    """
+    path = get_run_folder(out, run) / "run_result.json"
+    if not path.exists():
+        return None
+    value = read_json(path, "result of a run")
+    try:
+        if value["identity"] != run.identity:
+            raise FileReadError(f"{path}: this result belongs to another run than its folder's name says")
+        return read_record(RunResult, value["result"])
+    except FileReadError:
+        raise
+    except (EscapeError, KeyError, TypeError, AttributeError) as error:
+        raise FileReadError(f"{path}: this result of a run is damaged ({describe_damage(error)})") from error
+
+
+def read_episodes(out: Path, run: GridRun) -> list[dict[str, Any]]:
+    """The recorded episodes of a finished run; see `record_episode`.
+
+    Raises:
+        FileReadError: the file is missing or damaged.
+    """
+    return read_json(get_run_folder(out, run) / "episodes.json", "record of episodes")
+
+
+def list_versions() -> dict[str, str]:
+    """Versions of what decides the numbers."""
+    return {"python": platform.python_version(), "hrl-escape": __version__, **find_versions()}
+
+
+def get_run_folder(out: Path, run: GridRun) -> Path:
+    """Folder of a run's files."""
+    return out / "runs" / run.folder
+
+
+def get_training_folder(out: Path, run: GridRun) -> Path:
+    """Folder of a run's training: log, checkpoint and result."""
+    return get_run_folder(out, run) / "training"
+
+
+def get_room_file(out: Path, instance_id: str) -> Path:
+    """File of a room."""
+    return out / "rooms" / f"{instance_id}.json"

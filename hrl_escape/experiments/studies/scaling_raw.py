@@ -1,0 +1,147 @@
+"""Raw results of the scaling study: one line of CSV a run, from which its page is written."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hrl_escape.agents.training.results import find_first_escape, load_result
+from hrl_escape.errors import FileReadError
+from hrl_escape.experiments.comparison import Comparison
+from hrl_escape.experiments.runs import get_training_folder
+from hrl_escape.files import read_text, write_text
+
+__all__ = ["ScalingRun", "Task", "collect_scaling_runs", "load_scaling_runs", "save_scaling_runs"]
+
+
+class Task(NamedTuple):
+    """Kind of room.
+
+    Attributes:
+        graph: family of the dependency graph.
+        buttons: number of buttons.
+        rule: effect of a press with unmet parents, `ignore` or `reset`.
+    """
+
+    graph: str
+    buttons: int
+    rule: str
+
+
+@dataclass(frozen=True)
+class ScalingRun:
+    """Result of a run.
+
+    Attributes:
+        graph: see `Task`; so the next two.
+        agent: name.
+        run: seed of room, agent and episodes.
+        room: content hash of the instance.
+        best: best return known for these options.
+        worst: return without escape.
+        primitives: trained for.
+        decisions: trained for.
+        seconds: of training.
+        first_escape: primitives at the end of the first training episode that escaped; None if none did.
+        near_best: primitives at the first of two checks in a row near the best; None without such a pair.
+        edges: number of edges that matter.
+        structure: (primitives, precision, recall) at every change; empty for agents without a graph.
+    """
+
+    graph: str
+    buttons: int
+    rule: str
+    agent: str
+    run: int
+    room: str
+    best: float
+    worst: float
+    primitives: int
+    decisions: int
+    seconds: float
+    first_escape: int | None
+    near_best: int | None
+    edges: int
+    structure: tuple[tuple[int, float, float], ...]
+
+    @property
+    def task(self) -> Task:
+        """Kind of its room."""
+        return Task(self.graph, self.buttons, self.rule)
+
+
+def collect_scaling_runs(comparison: Comparison, tasks: Sequence[Task]) -> list[ScalingRun]:
+    """Read the finished runs of a round.
+
+    Args:
+        comparison: a round's.
+        tasks: one a room, in the grid's order.
+
+    Raises:
+        FileReadError: a run's log is missing or damaged.
+    """
+    of_room = {instance.id: task for instance, task in zip(comparison.instances, tasks, strict=True)}
+    found = []
+    for run, result in comparison.runs:
+        training = load_result(get_training_folder(comparison.out, run))
+        assert result.solution is not None, "these grids have a rule for what is solved"
+        found.append(ScalingRun(
+            *of_room[run.instance_id], agent=run.agent.name, run=run.seed, room=run.instance_id,
+            best=float(np.mean(result.score_range.reachable)), worst=result.score_range.worst,
+            primitives=result.primitives, decisions=result.decisions, seconds=round(training.seconds, 1),
+            first_escape=find_first_escape(training.episodes), **vars(result.solution),
+        ))  # fmt: skip
+    return found
+
+
+def save_scaling_runs(path: Path, runs: Sequence[ScalingRun]) -> None:
+    """Write runs as CSV, a line each; `structure` is `primitives:precision:recall;...`.
+
+    Raises:
+        FileWriteError: the file cannot be written.
+    """
+    table = io.StringIO()
+    writer = csv.writer(table, lineterminator="\n")
+    names = [field.name for field in fields(ScalingRun)]
+    writer.writerow(names)
+    for run in sorted(runs, key=lambda run: (*run.task, run.agent, run.run)):
+        values = asdict(run)
+        values["structure"] = ";".join(f"{n}:{p:g}:{r:g}" for n, p, r in run.structure)
+        writer.writerow(["" if values[name] is None else values[name] for name in names])
+    write_text(path, table.getvalue())
+
+
+def load_scaling_runs(path: Path, agents: Collection[str]) -> list[ScalingRun]:
+    """Read what `save_scaling_runs` wrote.
+
+    Args:
+        path: the file.
+        agents: those of the study; others are refused.
+
+    Raises:
+        FileReadError: the file is missing or damaged, or holds no run.
+    """
+    found = []
+    for number, row in enumerate(csv.DictReader(io.StringIO(read_text(path, "file of raw results"))), 2):
+        try:
+            steps = [step.split(":") for step in row["structure"].split(";") if step]
+            if row["agent"] not in agents:
+                raise ValueError(f"no agent of this study is called {row['agent']!r}")
+            found.append(ScalingRun(
+                row["graph"], int(row["buttons"]), row["rule"], row["agent"], int(row["run"]), row["room"],
+                float(row["best"]), float(row["worst"]), int(row["primitives"]), int(row["decisions"]),
+                float(row["seconds"]), int(row["first_escape"]) if row["first_escape"] else None,
+                int(row["near_best"]) if row["near_best"] else None,
+                edges=int(row["edges"]), structure=tuple((int(n), float(p), float(r)) for n, p, r in steps),
+            ))  # fmt: skip
+        except (KeyError, ValueError, TypeError, AttributeError) as error:
+            raise FileReadError(f"{path}, line {number}: this is no run of the scaling study ({error!r})") from error
+    if not found:
+        raise FileReadError(f"{path}: this file of raw results holds no run")
+    return found

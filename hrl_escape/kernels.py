@@ -1,0 +1,133 @@
+"""Compiled kernels: one decorator, one cache on disk, one clock that leaves compilation out.
+
+The cache is keyed by the package's version and by the sources of all kernels, so that an upgrade
+never meets what an older version compiled. Compilation is announced on stderr. `read_clock` stands
+still while numba compiles or loads a kernel: no measured or limited time contains that. Importing this
+module imports numba.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numba
+from numba.core import event
+
+from hrl_escape.version import __version__
+
+__all__ = ["SOURCES", "find_cache_folder", "kernel", "kernel_part", "read_clock"]
+
+SOURCES = ("agents/factored/search.py", "env/geometry.py", "env/primitives.py", "options/batched/value_iteration.py",
+           "planning/arm/search.py", "planning/arm/tables.py", "planning/lattice/a_star.py",
+           "planning/lattice/dijkstra_kernels.py", "planning/lattice/reference.py",
+           "planning/lattice/sweep_kernels.py")
+"""Files, relative to the package, that compiled code is made of."""
+
+
+def kernel(function: Callable[..., Any]) -> Any:
+    """Compile a function on first use and keep it on disk."""
+    before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    try:
+        numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]  # read by the decorator only
+        compiled = numba.njit(cache=True)(function)
+    finally:
+        numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+    _NAMES.add(function.__qualname__)
+    return compiled
+
+
+def kernel_part(function: Callable[..., Any]) -> Any:
+    """Compile a function as part of the kernels that call it."""
+    return numba.njit(function)
+
+
+def find_cache_folder() -> Path:
+    """Folder of this version's compiled kernels; the variable NUMBA_CACHE_DIR moves it."""
+    package = Path(__file__).parent
+    sources = hashlib.sha256()
+    for name in SOURCES:
+        sources.update((package / name).read_bytes())
+    folder = f"{__version__}-{sources.hexdigest()[:12]}"
+    chosen = numba.config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or "~/.cache"  # type: ignore[attr-defined]
+    for base in (Path(chosen).expanduser(), Path(tempfile.gettempdir()) / f"cache-{os.getuid()}"):
+        try:
+            (base / "hrl_escape" / folder).mkdir(parents=True, exist_ok=True)
+        except OSError:
+            continue
+        if os.access(base / "hrl_escape" / folder, os.W_OK):
+            return base / "hrl_escape" / folder
+    return Path(tempfile.mkdtemp(prefix="hrl_escape-"))
+
+
+def read_clock() -> float:
+    """Seconds of a clock that stands still while this thread compiles or loads kernels."""
+    return time.perf_counter() - _STOPWATCH.read()
+
+
+class _Stopwatch(event.Listener):
+    """Time that each thread has spent compiling and loading."""
+
+    def __init__(self) -> None:
+        self._thread = threading.local()
+
+    def read(self) -> float:
+        """Seconds of the present thread so far."""
+        spent = getattr(self._thread, "spent", 0.0)
+        return spent + (time.perf_counter() - self._thread.began if getattr(self._thread, "depth", 0) else 0.0)
+
+    def on_start(self, event: Any) -> None:
+        """Note the beginning of the outermost event."""
+        depth = getattr(self._thread, "depth", 0)
+        if depth == 0:
+            self._thread.began = time.perf_counter()
+        self._thread.depth = depth + 1
+
+    def on_end(self, event: Any) -> None:
+        """Add up at the end of the outermost event."""
+        self._thread.depth -= 1
+        if self._thread.depth == 0:
+            self._thread.spent = getattr(self._thread, "spent", 0.0) + time.perf_counter() - self._thread.began
+
+
+class _Announcer(event.Listener):
+    """Says on stderr that kernels are compiled, and which."""
+
+    def __init__(self) -> None:
+        self._count = 0
+
+    def on_start(self, event: Any) -> None:
+        """Announce the first kernel; on a terminal, name each."""
+        name = _get_name(event)
+        if name not in _NAMES:
+            return
+        if self._count == 0:
+            print("hrl_escape: compiling kernels, once for this version; this takes some seconds each",
+                  file=sys.stderr, flush=True)
+        self._count += 1
+        if sys.stderr.isatty():
+            print(f"\r\033[K  {self._count}: {name}", end="", file=sys.stderr, flush=True)
+
+    def on_end(self, event: Any) -> None:
+        """Clear the line again."""
+        if _get_name(event) in _NAMES and sys.stderr.isatty():
+            print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
+def _get_name(happened: event.Event) -> str:
+    dispatcher = (happened.data or {}).get("dispatcher")
+    return dispatcher.py_func.__qualname__ if dispatcher is not None else ""
+
+
+_NAMES: set[str] = set()
+_FOLDER = find_cache_folder()
+_STOPWATCH = _Stopwatch()
+event.register("numba:compiler_lock", _STOPWATCH)
+event.register("numba:compile", _Announcer())

@@ -1,0 +1,26 @@
+from .benchmark import Benchmark, list_benchmarks, load_benchmark
+from .certificate import RungCertificate, certify_rung, find_overlaps
+from .hidden import compute_commitment, derive_hidden_seed
+from .instance_set import InstanceSet, InstanceSetEnv
+from .keys import RoomKeys, compute_keys
+from .manifest import Manifest, RungRecord, SetRecord
+from .rung import Rung
+
+__all__ = [
+    "Benchmark",
+    "InstanceSet",
+    "InstanceSetEnv",
+    "Manifest",
+    "RoomKeys",
+    "Rung",
+    "RungCertificate",
+    "RungRecord",
+    "SetRecord",
+    "certify_rung",
+    "compute_commitment",
+    "compute_keys",
+    "derive_hidden_seed",
+    "find_overlaps",
+    "list_benchmarks",
+    "load_benchmark",
+]

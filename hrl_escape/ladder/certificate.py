@@ -1,0 +1,106 @@
+"""Certificates: proof that a rung's sets are what the manifest says and that training rooms do not occur in tests.
+
+No room of one set has the content or the layout of a room of another. The tasks of `test_task` occur in no other set.
+The share of `test` whose tasks occur in training is reported, since small rungs have few tasks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Mapping, Sequence
+
+from hrl_escape.errors import VerificationError
+from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.ladder.keys import RoomKeys, compute_keys
+from hrl_escape.ladder.manifest import ROLES, Manifest, RungRecord
+from hrl_escape.ladder.merkle import compute_root
+from hrl_escape.ladder.rung import Rung, choose_seeds
+
+__all__ = ["RungCertificate", "certify_rung", "compute_task_overlap", "find_overlaps", "freeze_manifest"]
+
+
+@dataclasses.dataclass(frozen=True)
+class RungCertificate:
+    """Facts about a rung that were computed from its rooms.
+
+    Attributes:
+        rung: name of the rung.
+        rooms: number of rooms of each set.
+        roots: Merkle root of each set.
+        task_overlap: share of the test's rooms whose task some training room has.
+    """
+
+    rung: str
+    rooms: Mapping[str, int]
+    roots: Mapping[str, str]
+    task_overlap: float
+
+    def __str__(self) -> str:
+        rooms = ", ".join(f"{role} {count}" for role, count in self.rooms.items())
+        return f"{self.rung}: {rooms}; disjoint in content and layout; task overlap {self.task_overlap:.0%}"
+
+
+def find_overlaps(sets: Mapping[str, Sequence[RoomKeys]]) -> list[str]:
+    """Rooms that two sets share, in words: by content or layout for any two, by task for `test_task` and another."""
+    found = []
+    for (first, those), (second, these) in itertools.combinations(sets.items(), 2):
+        for key in ("content", "layout", "task"):
+            if key == "task" and "test_task" not in (first, second):
+                continue
+            seen = {getattr(keys, key): index for index, keys in enumerate(those)}
+            found += [f"room {index} of {second} has the {key} of room {seen[getattr(keys, key)]} of {first}"
+                      for index, keys in enumerate(these) if getattr(keys, key) in seen]
+    return found
+
+
+def compute_task_overlap(train: Sequence[RoomKeys], test: Sequence[RoomKeys]) -> float:
+    """Share of test rooms whose task some training room has."""
+    known = {keys.task for keys in train}
+    return sum(keys.task in known for keys in test) / len(test)
+
+
+def certify_rung(rung: Rung) -> RungCertificate:
+    """Generate a rung's rooms and check them against the manifest and each other.
+
+    Raises:
+        VerificationError: a root differs, or two sets share a room.
+    """
+    keys = {role: [compute_keys(room) for room in rooms] for role, rooms in rung.sets.items()}
+    roots = {role: compute_root([each.content for each in keys[role]]) for role in keys}
+    overlap = compute_task_overlap(keys["train"], keys["test"])
+    problems = [f"the root of {role} is {root[:16]}..., not {stated[:16]}..." for role, root in roots.items()
+                if root != (stated := getattr(rung.record, role).root)]
+    problems += find_overlaps(keys)
+    if abs(overlap - rung.record.task_overlap) > 1e-9:
+        problems.append(f"the task overlap is {overlap:g}, not {rung.record.task_overlap:g}")
+    if problems:
+        raise VerificationError(f"{rung.benchmark}/{rung.name}: {'; '.join(problems[:5])}"
+                                + (f"; and {len(problems) - 5} more" if len(problems) > 5 else ""))
+    return RungCertificate(rung.name, {role: len(each) for role, each in keys.items()}, roots, overlap)
+
+
+def freeze_rung(benchmark: str, record: RungRecord) -> RungRecord:
+    """Fill in what a rung's rooms decide: indices to skip, roots, task overlap."""
+    rung = Rung(benchmark, record)
+    seen: set[str] = set()
+    keys: dict[str, list[RoomKeys]] = {}
+    for role in ROLES:
+        stated = record.get_record(role)
+        if stated is None:
+            continue
+        skipped: list[int] = []
+        seeds = list(stated.seeds)
+        if not seeds:
+            skipped, seeds = choose_seeds(rung.config, rung.iterate_seeds(role), stated.count, seen)
+        keys[role] = [compute_keys(room) for room in InstanceSet("", rung.config, seeds)]
+        seen |= {each.layout for each in keys[role]}
+        root = compute_root([each.content for each in keys[role]])
+        record = dataclasses.replace(record, **{role: dataclasses.replace(stated, root=root, skipped=tuple(skipped))})
+    return dataclasses.replace(record, task_overlap=compute_task_overlap(keys["train"], keys["test"]))
+
+
+def freeze_manifest(manifest: Manifest, version: str) -> Manifest:
+    """Fill in what the rooms of all rungs decide, for this version of the package."""
+    rungs = tuple(freeze_rung(manifest.name, record) for record in manifest.rungs)
+    return dataclasses.replace(manifest, package=version, rungs=rungs)

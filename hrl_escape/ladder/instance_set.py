@@ -1,0 +1,194 @@
+"""Sets of rooms: sequences that generate their rooms on demand, and the environment over one."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, overload
+
+import gymnasium
+from gymnasium.utils import EzPickle
+
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import ConfigError
+
+if TYPE_CHECKING:
+    from hrl_escape.env.vector_env import EscapeRoomVectorEnv
+    from hrl_escape.options.batched.env import BatchedOptionsEnv
+
+__all__ = ["InstanceSet", "InstanceSetEnv", "LazySeeds"]
+
+
+class LazySeeds(Sequence[int]):
+    """Instance seeds, drawn from an iterator as far as they are asked for.
+
+    Args:
+        seeds: iterator over at least `count` seeds.
+        count: number of seeds.
+    """
+
+    def __init__(self, seeds: Iterator[int], count: int) -> None:
+        self._seeds, self._count = seeds, count
+        self._known: list[int] = []
+
+    def __len__(self) -> int:
+        return self._count
+
+    @overload
+    def __getitem__(self, index: int) -> int: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[int]: ...
+    def __getitem__(self, index: int | slice) -> int | Sequence[int]:
+        if isinstance(index, slice):
+            return [self[i] for i in range(*index.indices(self._count))]
+        if not -self._count <= index < self._count:
+            raise IndexError(f"seed {index} of {self._count}")
+        index %= self._count
+        while len(self._known) <= index:
+            self._known.append(next(self._seeds))
+        return self._known[index]
+
+
+class InstanceSet(Sequence[RoomInstance]):
+    """Rooms of one schematic, generated on demand and kept.
+
+        rooms = load_benchmark("ladder-1")["lattice"].train
+        few, rest = rooms.split(0.1, key=0)
+        env = few.make_env(options=True)
+
+    Args:
+        name: such as `ladder-1/lattice/train`.
+        config: the schematic.
+        seeds: instance seeds, in order.
+    """
+
+    def __init__(self, name: str, config: RoomConfig, seeds: Sequence[int]) -> None:
+        self.name, self.config, self.seeds = name, config, seeds
+        self._rooms: dict[int, RoomInstance] = {}
+
+    def __len__(self) -> int:
+        return len(self.seeds)
+
+    @overload
+    def __getitem__(self, index: int) -> RoomInstance: ...
+    @overload
+    def __getitem__(self, index: slice) -> InstanceSet: ...
+    def __getitem__(self, index: int | slice) -> RoomInstance | InstanceSet:
+        if isinstance(index, slice):
+            return self._choose(f"{self.name}[{index.start}:{index.stop}:{index.step}]",
+                                range(*index.indices(len(self))))
+        seed = self.seeds[index]
+        if seed not in self._rooms:
+            self._rooms[seed] = generate(self.config, seed)
+        return self._rooms[seed]
+
+    def __repr__(self) -> str:
+        return f"<InstanceSet {self.name}: {len(self)} rooms>"
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {"name": self.name, "config": self.config, "seeds": list(self.seeds), "_rooms": {}}
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        """Content hashes of all rooms, 64 hexadecimal digits each; generates them."""
+        return tuple(room.digest for room in self)
+
+    # --- parts -------------------------------------------------------------------------
+
+    def split(self, fraction: float, key: int = 0) -> tuple[InstanceSet, InstanceSet]:
+        """Split the set in two, at random but in the same way everywhere.
+
+        Which rooms go first depends on key and seeds alone: with the same key, the first part of a smaller fraction is
+        within that of a larger one.
+
+        Args:
+            fraction: share of the first part, from 0 to 1.
+            key: any whole number.
+        """
+        if not 0.0 <= fraction <= 1.0:
+            raise ConfigError("split.fraction", fraction, "a number from 0 to 1")
+        order = sorted(range(len(self)),
+                       key=lambda index: hashlib.sha256(f"{key}/{self.seeds[index]}".encode()).digest())
+        cut = round(fraction * len(self))
+        return (self._choose(f"{self.name}.split({fraction:g}, {key})[0]", sorted(order[:cut])),
+                self._choose(f"{self.name}.split({fraction:g}, {key})[1]", sorted(order[cut:])))
+
+    def filter(self, keep: Callable[[RoomInstance], bool]) -> InstanceSet:
+        """Rooms for which a function says yes; generates all."""
+        return self._choose(f"{self.name}.filter", [index for index, room in enumerate(self) if keep(room)])
+
+    def _choose(self, name: str, indices: Iterable[int]) -> InstanceSet:
+        chosen = InstanceSet(name, self.config, [self.seeds[index] for index in indices])
+        chosen._rooms = self._rooms  # one cache, by seed
+        return chosen
+
+    # --- environments ------------------------------------------------------------------
+
+    def make_env(self, options: bool | Mapping[str, Any] = False, **arguments: Any) -> gymnasium.Env:
+        """Make an environment whose resets draw a room of the set from the episode's stream.
+
+        `reset(options={"instance_index": i})` chooses room i.
+
+        Args:
+            options: wrap it in an `OptionsEnv`; a table gives its arguments.
+            arguments: all other arguments of `EscapeRoomEnv`, such as `observation="features"`.
+        """
+        env = InstanceSetEnv(self, **arguments)
+        if not isinstance(options, Mapping) and not options:
+            return env
+        from hrl_escape.options.options_env import OptionsEnv
+
+        return OptionsEnv(env, **(options if isinstance(options, Mapping) else {}))
+
+    def make_vec(self, num_envs: int, options: bool | Mapping[str, Any] = False, **arguments: Any
+                 ) -> EscapeRoomVectorEnv | BatchedOptionsEnv:
+        """Make a batch of rooms over one table of all instances; every episode draws one.
+
+        Args:
+            num_envs: rooms that step together.
+            options: make a `BatchedOptionsEnv`; a table gives its arguments.
+            arguments: all other arguments of the batch, such as `device="cuda"`.
+        """
+        arguments = {"instance": list(self), "resample_instance": True} | arguments
+        if isinstance(options, Mapping) or options:
+            from hrl_escape.options.batched.env import BatchedOptionsEnv  # loads torch
+
+            return BatchedOptionsEnv(num_envs, **(arguments | dict(options if isinstance(options, Mapping) else {})))
+        from hrl_escape.env.vector_env import EscapeRoomVectorEnv  # loads torch
+
+        return EscapeRoomVectorEnv(num_envs, **arguments)
+
+    # --- JSON --------------------------------------------------------------------------
+
+    def describe(self) -> dict[str, Any]:
+        """Return the set as JSON values, `{"id": hash, "content": ...}`; `from_description` makes it again."""
+        content = {"name": self.name, "config": self.config.to_dict(), "seeds": list(self.seeds)}
+        text = json.dumps({**content, "name": ""}, sort_keys=True)
+        return {"id": hashlib.sha256(text.encode()).hexdigest()[:16], "content": content}
+
+    @classmethod
+    def from_description(cls, content: Mapping[str, Any]) -> InstanceSet:
+        """Make a set from the content of its description."""
+        return cls(content["name"], RoomConfig.from_dict(content["config"]), [int(seed) for seed in content["seeds"]])
+
+
+class InstanceSetEnv(EscapeRoomEnv):
+    """`EscapeRoomEnv` whose every reset draws a room of a set from the episode's stream.
+
+    Args:
+        rooms: the set, or the content of its description.
+        arguments: arguments of `EscapeRoomEnv` beside the room.
+    """
+
+    def __init__(self, rooms: InstanceSet | Mapping[str, Any], **arguments: Any) -> None:
+        self.rooms = rooms if isinstance(rooms, InstanceSet) else InstanceSet.from_description(rooms)
+        super().__init__(instances=self.rooms, **arguments)
+        EzPickle.__init__(self, self.rooms, **arguments)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the arguments that decide this environment's numbers, as JSON values."""
+        return {"rooms": self.rooms.describe(), "observation": self._kind, "engine": self._engine}

@@ -1,0 +1,123 @@
+"""Manifests: a few kB from which a benchmark's sets of rooms are generated and by which they are verified.
+
+A manifest holds schematics, counts, the indices skipped, and one Merkle root a set. Rooms are not stored: the seed of
+room i of a set follows from the names of benchmark, rung and role and from i.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from importlib.resources import files
+from pathlib import Path
+from typing import Annotated, Any
+
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.errors import UnknownNameError
+from hrl_escape.files import parse_json, read_json, write_json
+from hrl_escape.settings import Range, Settings
+
+__all__ = ["ROLES", "Manifest", "RungRecord", "SetRecord", "list_manifests", "load_manifest"]
+
+ROLES = ("train", "valid", "test", "test_task")
+"""Sets of a rung: to learn on, to choose by, unseen layouts, and unseen layouts with unseen tasks."""
+
+_DATA = files("hrl_escape.ladder") / "data"
+
+
+@dataclasses.dataclass(frozen=True)
+class SetRecord(Settings):
+    """Record of one set of rooms."""
+
+    _section = "set"
+    count: Annotated[int, Range(1, 1_000_000)] = 64
+    """Number of rooms."""
+    root: str = ""
+    """Merkle root over the rooms' content hashes, in order."""
+    skipped: tuple[int, ...] = ()
+    """Indices whose rooms look like one of an earlier set, or cannot be generated."""
+    seeds: tuple[int, ...] = ()
+    """Explicit instance seeds, in place of those that follow from the names (a revealed hidden test)."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RungRecord(Settings):
+    """Record of one rung: its schematic and its sets."""
+
+    _section = "rung"
+    name: str = "rung"
+    """Name of the rung."""
+    isolates: str = ""
+    """Ability that the rung asks for beyond the one before."""
+    config: RoomConfig = RoomConfig()
+    """Schematic of its rooms."""
+    train: SetRecord = SetRecord(count=256)
+    """Rooms to learn on."""
+    valid: SetRecord = SetRecord()
+    """Rooms to choose settings by."""
+    test: SetRecord = SetRecord()
+    """Rooms with unseen layouts."""
+    test_task: SetRecord | None = None
+    """Rooms with unseen layouts and tasks (None: the rung has too few tasks to hold some out)."""
+    task_overlap: Annotated[float, Range(0, 1)] = 0.0
+    """Share of the test's rooms whose task some training room has."""
+
+    def get_record(self, role: str) -> SetRecord | None:
+        """Record of a set by its role."""
+        return getattr(self, role)
+
+
+@dataclasses.dataclass(frozen=True)
+class Manifest(Settings):
+    """A benchmark: its name, the version that its roots belong to, and its rungs in order."""
+
+    _section = "manifest"
+    name: str = "benchmark"
+    """Name of the benchmark; a season of its own wherever dynamics or generation change."""
+    package: str = ""
+    """Version of hrl_escape that the roots were computed with."""
+    schema: Annotated[int, Range(1, 1000)] = 1
+    """Schema version of the instances."""
+    rungs: tuple[RungRecord, ...] = ()
+    """Rungs from easy to hard."""
+
+    def save(self, path: str | Path) -> None:
+        """Write the manifest as JSON; fields at their defaults are left out."""
+        write_json(path, list_changes(self), indent=1)
+
+
+def list_changes(settings: Settings) -> dict[str, Any]:
+    """Fields of settings that are not at their defaults, as plain values."""
+    found: dict[str, Any] = {}
+    plain = settings.to_dict()
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        if value == field.default:
+            continue
+        if isinstance(value, Settings):
+            kind = {"kind": plain[field.name]["kind"]} if hasattr(type(value), "kind") else {}
+            found[field.name] = kind | list_changes(value)
+        elif isinstance(value, tuple) and value and isinstance(value[0], Settings):
+            found[field.name] = [list_changes(item) for item in value]
+        else:
+            found[field.name] = plain[field.name]
+    return found
+
+
+def list_manifests() -> tuple[str, ...]:
+    """Names of the manifests that come with the package."""
+    return tuple(sorted(entry.name.removesuffix(".json") for entry in _DATA.iterdir() if entry.name.endswith(".json")))
+
+
+def load_manifest(name: str | Path) -> Manifest:
+    """Load a manifest that comes with the package, or one from a JSON file.
+
+    Raises:
+        UnknownNameError: there is none of that name.
+        EscapeError: the file is damaged.
+    """
+    if isinstance(name, Path) or name.endswith(".json"):
+        return Manifest.from_dict(read_json(name, "manifest"))
+    if name not in list_manifests():
+        raise UnknownNameError("benchmark", name, list_manifests())
+    entry = _DATA / f"{name}.json"
+    return Manifest.from_dict(parse_json(entry.read_text(encoding="utf-8"), str(entry), "manifest"))

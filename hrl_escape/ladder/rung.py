@@ -1,0 +1,146 @@
+"""Rungs: a schematic, and sets of rooms to train and test on whose seeds follow from names.
+
+Room i of a set is generated from `derive_seed(benchmark, rung, role, i)`. Where a rung holds out tasks, a tenth of all
+tasks, chosen by their hash, occurs in `test_task` only.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Collection, Iterable, Iterator
+from functools import cached_property
+
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.sampling.ranges import sample_puzzle
+from hrl_escape.errors import EscapeError, GenerationError
+from hrl_escape.ladder.hidden import derive_hidden_seed, derive_seed
+from hrl_escape.ladder.instance_set import InstanceSet, LazySeeds
+from hrl_escape.ladder.keys import compute_layout_key, compute_task_key
+from hrl_escape.ladder.manifest import ROLES, RungRecord
+
+__all__ = ["Rung", "choose_seeds", "is_held_out"]
+
+HELD_OUT = 10
+"""One task in so many is kept for `test_task`."""
+
+
+def is_held_out(task: str) -> bool:
+    """Return whether a task, by its key, is kept for `test_task`."""
+    return int(task[:8], 16) % HELD_OUT == 0
+
+
+class Rung:
+    """One rung: a schematic, and the sets of rooms to train and test on.
+
+    Args:
+        benchmark: name of the benchmark.
+        record: the rung in the manifest.
+
+    Attributes:
+        name: of the rung.
+        isolates: ability that it asks for beyond the rung before.
+        config: schematic of its rooms.
+    """
+
+    def __init__(self, benchmark: str, record: RungRecord) -> None:
+        self.benchmark, self.record = benchmark, record
+        self.name, self.isolates, self.config = record.name, record.isolates, record.config
+
+    def __repr__(self) -> str:
+        return f"<Rung {self.benchmark}/{self.name}: {self.isolates}>"
+
+    @cached_property
+    def train(self) -> InstanceSet:
+        """Rooms to learn on."""
+        return self._make("train")
+
+    @cached_property
+    def valid(self) -> InstanceSet:
+        """Rooms to choose settings by."""
+        return self._make("valid")
+
+    @cached_property
+    def test(self) -> InstanceSet:
+        """Rooms with unseen layouts; their tasks may occur in training, see `record.task_overlap`."""
+        return self._make("test")
+
+    @cached_property
+    def test_task(self) -> InstanceSet | None:
+        """Rooms with unseen layouts and unseen tasks; None where the rung has too few tasks to hold some out."""
+        return None if self.record.test_task is None else self._make("test_task")
+
+    @property
+    def sets(self) -> dict[str, InstanceSet]:
+        """Sets by role."""
+        every = {role: getattr(self, role) for role in ROLES}
+        return {role: rooms for role, rooms in every.items() if rooms is not None}
+
+    def _make(self, role: str) -> InstanceSet:
+        record = self.record.get_record(role)
+        assert record is not None
+        skipped = set(record.skipped)
+        seeds = record.seeds or LazySeeds(
+            (seed for index, seed in self.iterate_seeds(role) if index not in skipped), record.count)
+        return InstanceSet(f"{self.benchmark}/{self.name}/{role}", self.config, seeds)
+
+    def iterate_seeds(self, role: str) -> Iterator[tuple[int, int]]:
+        """Yield (index, seed) of the candidates for a set: all but those whose task belongs elsewhere."""
+        return self._keep_tasks(role == "test_task",
+                                ((i, derive_seed(self.benchmark, self.name, role, i)) for i in itertools.count()))
+
+    def _keep_tasks(self, held_out: bool, seeds: Iterable[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+        for index, seed in seeds:
+            if self.record.test_task is None or is_held_out(self._get_task(seed)) == held_out:
+                yield index, seed
+
+    def _get_task(self, seed: int) -> str:
+        return compute_task_key(sample_puzzle(self.config, seed)[1])
+
+    def make_hidden_test(self, randomness: str, count: int = 100) -> InstanceSet:
+        """Make the hidden test that public randomness decides; no agent may be changed after it was published.
+
+        Rooms that look like one of the rung's published sets are skipped. This generates all these sets.
+
+        Args:
+            randomness: public random text, such as a drand round, published after all agents were frozen.
+            count: number of rooms.
+        """
+        seeds = ((i, derive_hidden_seed(randomness, self.benchmark, self.name, i)) for i in itertools.count())
+        seen = {compute_layout_key(room) for rooms in self.sets.values() for room in rooms}
+        _, kept = choose_seeds(self.config, self._keep_tasks(False, seeds), count, seen)
+        return InstanceSet(f"{self.benchmark}/{self.name}/hidden/{randomness}", self.config, kept)
+
+
+def choose_seeds(config: RoomConfig, candidates: Iterator[tuple[int, int]], count: int, seen: Collection[str]
+                 ) -> tuple[list[int], list[int]]:
+    """Choose the first seeds whose rooms can be generated and look like none that was seen.
+
+    Args:
+        config: the schematic.
+        candidates: (index, seed) pairs.
+        count: number of seeds.
+        seen: layout keys of other sets.
+
+    Returns:
+        Indices skipped, and the seeds chosen.
+
+    Raises:
+        EscapeError: almost every candidate must be skipped.
+    """
+    skipped: list[int] = []
+    kept: list[int] = []
+    for index, seed in candidates:
+        try:
+            is_new = compute_layout_key(InstanceSet("", config, [seed])[0]) not in seen
+        except GenerationError:
+            is_new = False
+        if is_new:
+            kept.append(seed)
+        else:
+            skipped.append(index)
+        if len(kept) == count:
+            return skipped, kept
+        if len(skipped) > 10 * (count + len(kept)):
+            break
+    raise EscapeError(f"of the first {len(kept) + len(skipped)} rooms, {len(skipped)} look like known ones or cannot "
+                      "be generated: give the schematic more room to vary")

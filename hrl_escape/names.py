@@ -1,0 +1,39 @@
+"""Names from rooms, grids and agents, made safe where a file or a line of a console is made of them.
+
+Such names come from files that others may have written: `../x`, a line break, 300 letters or a
+terminal's escape codes are all possible.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+
+from rich import markup
+
+__all__ = ["make_console_text", "make_file_name"]
+
+LONGEST_FILE_NAME = 120
+"""Bytes of a file name that is made from a name; file systems take 255, endings included."""
+LONGEST_CONSOLE_TEXT = 100
+"""Characters of a name on a console."""
+
+
+def make_file_name(name: str) -> str:
+    """Make one name of a file or folder: no separators, no leading dot, at most `LONGEST_FILE_NAME` bytes.
+
+    A name that is changed ends in a hash of the whole, so that different names stay different.
+    """
+    safe = re.sub(r"[^\w.@#+-]+", "_", name).lstrip(".")
+    if safe == name and name and len(name.encode()) <= LONGEST_FILE_NAME:
+        return name
+    key = hashlib.sha256(name.encode(errors="surrogatepass")).hexdigest()[:8]
+    short = safe.encode()[: LONGEST_FILE_NAME - 1 - len(key)].decode(errors="ignore")
+    return f"{short}-{key}" if short else key
+
+
+def make_console_text(name: str, longest: int = LONGEST_CONSOLE_TEXT) -> str:
+    """Make a piece of a line that rich prints as it stands: no markup, no control characters, not long."""
+    shown = name if len(name) <= longest else f"{name[: longest - 3]}..."
+    plain = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in shown)
+    return markup.escape(plain)

@@ -1,0 +1,104 @@
+"""Plans for rooms of a batch, made by the rooms' planners on the host.
+
+Presses by hand are always planned, by the planners and the closed loop of `OptionsEnv`'s
+meta-actions; presses by the body only where their fields lead nowhere. `stepping.py` runs the plans.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.errors import PlanningFailed
+from hrl_escape.options.batched.decisions import PLAN_LENGTH, OpenDecisions
+from hrl_escape.options.meta_actions import PlannedOption
+from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
+from hrl_escape.planning.room_planner import RoomPlanner, get_planner
+
+__all__ = ["HostPlanner"]
+
+
+class HostPlanner:
+    """Planners of a batch of rooms, with the open plan or option of each room.
+
+    Args:
+        room: the batch.
+    """
+
+    def __init__(self, room: TensorRoom) -> None:
+        self._room = room
+        self._planners: dict[int, RoomPlanner] = {}
+        self._options: dict[int, PlannedOption] = {}
+        self._remaining: dict[int, tuple[int, ...]] = {}
+
+    def plan(self, running: OpenDecisions, where: Tensor, goals: Tensor) -> tuple[OpenDecisions, Tensor]:
+        """Plan from the present state of some rooms; each keeps the beginning of its plan.
+
+        Args:
+            running: their decisions.
+            where: the rooms to plan in, bool (rooms,).
+            goals: target, or the number of targets for the exit, int64 (rooms,).
+
+        Returns:
+            The decisions with plans, and the rooms in which planning failed, bool (rooms,).
+        """
+        rooms = where.nonzero().squeeze(1).tolist()
+        return self._store_plans(running, rooms,
+                                 [self._find_plan(room, int(goals[room]))[:PLAN_LENGTH] for room in rooms])
+
+    def follow(self, running: OpenDecisions, where: Tensor, goals: Tensor) -> tuple[OpenDecisions, Tensor]:
+        """Continue the plans that began with the rooms' decisions; arguments and results are those of `plan`.
+
+        Under noise or slip the continuation is one primitive, chosen by the closed loop of `PlannedOption`.
+        """
+        rooms = where.nonzero().squeeze(1).tolist()
+        find = self._choose_primitive if self._room.layout.is_random else self._continue_plan
+        return self._store_plans(running, rooms, [find(room, int(goals[room]), int(running.duration[room]) == 0)
+                                                  for room in rooms])
+
+    def _get_planner(self, room: int) -> RoomPlanner:
+        number = int(self._room.state.instance[room])
+        if number not in self._planners:
+            self._planners[number] = get_planner(self._room.instances[number])
+        return self._planners[number]
+
+    def _make_goal(self, number: int) -> Goal:
+        return PressGoal(number) if number < self._room.layout.targets else ExitGoal()
+
+    def _find_plan(self, room: int, goal: int) -> tuple[int, ...]:
+        try:
+            route = self._get_planner(room).find_route(self._room.get_room_state(room), self._make_goal(goal))
+        except PlanningFailed:
+            return ()
+        return route.primitives
+
+    def _continue_plan(self, room: int, goal: int, is_new: bool) -> tuple[int, ...]:
+        plan = (not is_new and self._remaining[room]) or self._find_plan(room, goal)
+        self._remaining[room] = plan[PLAN_LENGTH:]
+        return plan[:PLAN_LENGTH]
+
+    def _choose_primitive(self, room: int, goal: int, is_new: bool) -> tuple[int, ...]:
+        state = self._room.get_room_state(room)
+        try:
+            if is_new:
+                self._options[room] = PlannedOption("planned", self._get_planner(room), self._make_goal(goal))
+                self._options[room].start(state)
+            return (int(self._options[room].policy(state)),)
+        except PlanningFailed:
+            return ()
+
+    def _store_plans(self, running: OpenDecisions, rooms: list[int], plans: list[tuple[int, ...]]
+                     ) -> tuple[OpenDecisions, Tensor]:
+        has_failed = torch.zeros_like(running.plan_left, dtype=torch.bool)
+        if not rooms:
+            return running, has_failed
+        plan, planned = running.plan.clone(), running.plan_left.clone()
+        table = torch.zeros((PLAN_LENGTH, len(rooms)), dtype=plan.dtype)
+        for column, found in enumerate(plans):
+            if found:
+                table[PLAN_LENGTH - len(found) :, column] = torch.tensor(found, dtype=plan.dtype)
+        where = torch.tensor(rooms, device=plan.device)
+        lengths = torch.tensor([len(found) for found in plans], dtype=planned.dtype, device=planned.device)
+        plan[:, where], planned[where], has_failed[where] = table.to(plan.device), lengths, lengths == 0
+        return running._replace(plan=plan, plan_left=planned), has_failed

@@ -1,0 +1,116 @@
+"""Best return within reach of given options alone, without noise, slip and physics.
+
+A search over sequences of options, each run to its end by the room's kinematics. The difference
+from `hrl_escape.planning.best_known` is the option gap.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.errors import ConfigError, PlanningFailed
+from hrl_escape.options.execution import OptionExecution
+from hrl_escape.options.flavours import FLAVOURS
+from hrl_escape.options.meta_actions import AncestorsOption, PlannedOption, make_meta_options
+from hrl_escape.options.option import Option
+from hrl_escape.planning.best_known import (
+    BestKnown,
+    compute_escape_return,
+    compute_worst_return,
+    find_by_plan,
+    improve_best_known,
+    list_start_states,
+)
+from hrl_escape.planning.room_planner import RoomPlanner, get_planner
+from hrl_escape.planning.route_finder import get_pose
+
+__all__ = ["best_return_with_options", "find_best_with_options", "simulate"]
+
+MOST_RUNS = 20_000
+
+
+def best_return_with_options(instance: RoomInstance, options: str | Sequence[Option]) -> float:
+    """Best undiscounted return with options alone, averaged over the instance's starts."""
+    return float(np.mean([find_best_with_options(instance, s, options).value for s in list_start_states(instance)]))
+
+
+def find_best_with_options(instance: RoomInstance, state: RoomState, options: str | Sequence[Option]) -> BestKnown:
+    """Find the best return from one state with options alone; one that beats the best known is taken over there.
+
+    Args:
+        instance: the room.
+        state: first state of the episode.
+        options: the options, or a flavour of meta-actions.
+
+    Raises:
+        ConfigError: no such flavour.
+    """
+    planner = get_planner(instance)
+    if options == "press":
+        return find_by_plan(planner, state, multi_goal=False)
+    if isinstance(options, str) and options not in FLAVOURS:
+        raise ConfigError("options", options, f"options, or one of {FLAVOURS}")
+    made = make_meta_options(instance, options, planner) if isinstance(options, str) else tuple(options)
+    found = _search_options(planner, state, made)
+    improve_best_known(instance, state, found)
+    return found
+
+
+def _search_options(planner: RoomPlanner, state: RoomState, options: Sequence[Option]) -> BestKnown:
+    """Search over sequences of options, each run to its end by the room's kinematics.
+
+    After an option that reaches one goal by plan, states are told apart by (puzzle, option), and the
+    cheapest is kept, as in task planning; after any other option the pose counts too.
+    """
+    instance, rules = planner.instance, planner.rules
+    tie = itertools.count()
+    heap: list[tuple[int, int, RoomState, bool]] = [(0, next(tie), state, False)]
+    best: dict[tuple, int] = {}
+    runs = 0
+    while heap and runs < MOST_RUNS:
+        spent, _, here, escaped = heapq.heappop(heap)
+        if escaped:
+            return BestKnown(compute_escape_return(instance, spent), "options", math.inf, spent)
+        for index, option in enumerate(options):
+            if not option.initiation(here):
+                continue
+            runs += 1
+            after, duration, escapes = simulate(option, here, rules, instance.horizon - spent)
+            planned = isinstance(option, (PlannedOption, AncestorsOption))
+            if duration == 0 or (planned and not escapes and after.puzzle == here.puzzle):
+                continue
+            key = (after.puzzle, index if planned else get_pose(after))
+            if escapes or spent + duration < best.get(key, instance.horizon):
+                best[key] = spent + duration
+                heapq.heappush(heap, (spent + duration, next(tie), after, escapes))
+    return BestKnown(compute_worst_return(instance), "nothing", math.inf)
+
+
+def simulate(option: Option, state: RoomState, rules: Kinematics, most: int) -> tuple[RoomState, int, bool]:
+    """Run an option without noise; return the state reached, the primitives, and whether it escaped.
+
+    Probabilistic terminations are drawn from a fixed seed. An option stops where its planning
+    fails.
+    """
+    rng = np.random.default_rng(0)
+    here = state
+    count = 0
+    try:
+        run = OptionExecution(0, option, here)
+        while count < most:
+            step = rules.step(here, run.choose(here))
+            here, count = step.state, count + 1
+            if step.terminated:
+                return here, count, True
+            if run.ends_at(here, rng):
+                break
+    except PlanningFailed:
+        pass
+    return here, count, False

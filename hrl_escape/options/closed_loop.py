@@ -1,0 +1,82 @@
+"""Closed-loop execution: meta-actions towards a goal, chosen anew after each from the state reached.
+
+A `Plan` is a fixed sequence. Closed-loop execution also works under noise, slip and physics, and
+for puzzles that take pushes.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import gymnasium
+
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.options.meta_actions import list_goals, make_meta_options, make_option
+from hrl_escape.options.option import Option
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.goals import ExitGoal, Goal, parse_goal
+from hrl_escape.planning.room_planner import RoomPlanner, get_planner
+
+__all__ = ["ClosedLoopExecution", "pursue"]
+
+MOST_FAILURES = 5
+"""Failures in a row after which execution stops."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ClosedLoopExecution:
+    """Record of a closed-loop execution.
+
+    Attributes:
+        decisions: `info["option"]` of each meta-action, with its `duration`.
+        states: states, the first one included.
+        rewards: one a primitive.
+        is_reached: the goal was reached.
+        terminated: the robot escaped.
+        truncated: the episode was cut off.
+    """
+
+    decisions: tuple[dict[str, Any], ...]
+    states: tuple[RoomState, ...]
+    rewards: tuple[float, ...]
+    is_reached: bool
+    terminated: bool
+    truncated: bool
+
+
+def pursue(env: gymnasium.Env, goal: Goal | str | None = None, planner: RoomPlanner | None = None
+           ) -> ClosedLoopExecution:
+    """Step an environment from its present state until a goal is reached.
+
+    Args:
+        env: a flat environment, wrapped or not, within an episode.
+        goal: the goal; None to escape.
+        planner: the room's planner; None for the one that this process shares.
+
+    Raises:
+        PlanningFailed: there is no way out.
+    """
+    room: Any = env.unwrapped
+    planner = planner or get_planner(room.instance)
+    goal = parse_goal(goal, room.instance) if isinstance(goal, str) else goal
+    options: tuple[Option, ...]
+    if goal is None:
+        goals = (*list_goals(room.instance), ExitGoal())
+        options = make_meta_options(room.instance, "press", planner)
+    else:
+        goals, options = (goal,), (make_option("pursue", planner, goal),)
+    wrapped = OptionsEnv(env, options, include_primitives=False, trace=True)
+    wrapped.resume()
+    decisions: list[dict[str, Any]] = []
+    states, rewards = [room.get_state()], []
+    failures, is_reached, terminated, truncated = 0, False, False, False
+    while not (is_reached or terminated or truncated) and failures < MOST_FAILURES:
+        following = planner.order_goals(states[-1])[0] if goal is None else goal
+        _, _, terminated, truncated, info = wrapped.step(goals.index(following))
+        decisions.append(info["option"] | {"duration": info["duration"]})
+        states += [step.next_state for step in info["trace"]]
+        rewards += info["rewards"]
+        failures = 0 if info["option"]["ended"] == "reached" else failures + 1
+        is_reached = terminated if goal is None else info["option"]["ended"] == "reached"
+    return ClosedLoopExecution(tuple(decisions), tuple(states), tuple(rewards), is_reached, terminated, truncated)

@@ -1,0 +1,116 @@
+"""Options degraded by known amounts, for curves of learning against option quality.
+
+`OptionDegradation` makes the meta-actions of a room and degrades each: it fails, stops early,
+wastes time, plans slowly, or is missing. All draws are functions of its seed and of the state
+(episode key and primitive count), so a resumed run repeats them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+import zlib
+from typing import Annotated, Literal
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.noise import philox
+from hrl_escape.env.primitives import BASE_ACTIONS
+from hrl_escape.errors import PlanningFailed, PlanningReason
+from hrl_escape.options.option import Option, OptionAction
+from hrl_escape.settings import Range, Settings
+
+__all__ = ["DegradedOption", "OptionDegradation"]
+
+_TO, _FRO = BASE_ACTIONS.turns
+_FAILURE, _STOP, _MISSING = range(3)
+
+
+@dataclasses.dataclass(frozen=True)
+class OptionDegradation(Settings):
+    """Amounts of degradation; makes a room's options, as in `OptionsEnv(env, OptionDegradation(failure=0.2))`."""
+
+    _section = "degradation"
+    failure: Annotated[float, Range(0, 1)] = 0.0
+    """Probability that an option fails at its start; it then costs one primitive."""
+    early_stop: Annotated[float, Range(0, 1)] = 0.0
+    """Probability of ending after each primitive."""
+    detour: Annotated[int, Range(0, 1000)] = 0
+    """Primitives wasted at the start of an option, turning left and right."""
+    latency: Annotated[float, Range(0, 60, "s")] = 0.0
+    """Sleep at the start of an option, as if planning took longer."""
+    missing: Annotated[float, Range(0, 1)] = 0.0
+    """Probability that an option is masked for ever."""
+    seed: Annotated[int, Range(0, 2**31 - 1)] = 0
+    """Seed of all draws."""
+    flavour: Literal["press", "press-with-ancestors"] = "press"
+    """Flavour of the meta-actions."""
+
+    def __call__(self, instance: RoomInstance) -> tuple[Option, ...]:
+        """Make the room's meta-actions and degrade each."""
+        from hrl_escape.options.meta_actions import make_meta_options  # loads the planners
+
+        return tuple(self.degrade(option) for option in make_meta_options(instance, self.flavour))
+
+    def degrade(self, option: Option) -> Option:
+        """Degrade one option of any kind."""
+        return DegradedOption(option, self)
+
+
+class DegradedOption(Option):
+    """Another option, degraded."""
+
+    def __init__(self, inner: Option, degradation: OptionDegradation) -> None:
+        super().__init__(inner.name)
+        self.inner, self.degradation = inner, degradation
+        self.instance, self.targets = inner.instance, inner.targets
+        self.is_markov = inner.is_markov and not (degradation.failure or degradation.detour)
+        self._key = (degradation.seed, zlib.crc32(inner.name.encode()))
+        self._is_missing = self._draw(_MISSING, 0, 0) < degradation.missing
+        self._wasted, self._inner_runs = 0, False
+
+    def _draw(self, purpose: int, episode: int, primitive: int) -> float:
+        """Uniform number in (0, 1) for a purpose at a primitive of an episode."""
+        mask = 0xFFFFFFFF
+        word, *_ = philox((primitive & mask, purpose, episode & mask, episode >> 32 & mask), self._key)
+        return (word + 0.5) / 2**32
+
+    def initiation(self, state: RoomState) -> bool:
+        """Possible wherever the other option may start; nowhere if it is missing."""
+        return not self._is_missing and self.inner.initiation(state)
+
+    def start(self, state: RoomState) -> None:
+        """Sleep, then fail or begin. Raises `PlanningFailed`."""
+        super().start(state)
+        if self.degradation.latency:
+            time.sleep(self.degradation.latency)
+        self.report.planner_seconds += self.degradation.latency
+        self._wasted, self._inner_runs = 0, False
+        if self._draw(_FAILURE, state.noise_key, state.primitives) < self.degradation.failure:
+            pose = (state.x, state.y, 0.0)
+            raise PlanningFailed(PlanningReason.TIMEOUT, self.name, pose, advice="The degradation made it fail")
+        if not self.degradation.detour:
+            self._begin(state)
+
+    def _begin(self, state: RoomState) -> None:
+        self._inner_runs = True
+        try:
+            self.inner.start(state)
+        finally:
+            self.report.add(self.inner.report)
+            self.inner.report = self.report  # from now on it reports to this one
+
+    def policy(self, state: RoomState) -> OptionAction:
+        """Waste the detour first, then follow the other option."""
+        if self._wasted < self.degradation.detour:
+            self._wasted += 1
+            return _TO if self._wasted % 2 else _FRO
+        if not self._inner_runs and not self.is_markov:
+            self._begin(state)
+        return self.inner.policy(state)
+
+    def termination(self, state: RoomState) -> float:
+        """1 if it stops early, else the other option's probability."""
+        if self._draw(_STOP, state.noise_key, state.primitives) < self.degradation.early_stop:
+            return 1.0
+        return self.inner.termination(state) if self._inner_runs or self.is_markov else 0.0

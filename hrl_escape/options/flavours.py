@@ -1,0 +1,6 @@
+"""Flavours of meta-actions by name; a module of its own, so that reading the names loads no planner."""
+
+__all__ = ["FLAVOURS"]
+
+FLAVOURS = ("press", "press-with-ancestors")
+"""Kinds of meta-actions: press one target only, or first whatever must be pressed before it."""

@@ -1,0 +1,235 @@
+"""Meta-actions made by a room's planner: `meta-01` to `meta-NN`, `meta-exit`, and their parts.
+
+Each follows its plan in closed loop. When noise, slip or physics lead off the plan, the rest of
+it is replayed from the new state, and a new plan is made if the rest no longer reaches the goal.
+The puzzle's symbolic model defines the meta-actions (Menashe and Stone 2019, section 5.3).
+"""
+
+from __future__ import annotations
+
+import math
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.noise import philox
+from hrl_escape.errors import OptionError, PlanningReason, UnknownNameError
+from hrl_escape.options.flavours import FLAVOURS
+from hrl_escape.options.option import Option, OptionAction
+from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, PushGoal, is_reached, make_goal
+from hrl_escape.planning.room_planner import RoomPlanner, get_planner
+from hrl_escape.planning.route_finder import get_pose
+
+__all__ = ["AncestorsOption", "PlannedOption", "list_goals", "make_meta_options", "make_option"]
+
+PATIENCE = 40
+"""Primitives without progress after which an option fails; more where primitives slip."""
+JAM, SHAKE = 8, 3
+"""Under physics: primitives without progress that count as a jam, and random primitives of the first shake."""
+
+
+class PlannedOption(Option):
+    """Reach one goal by plan, and replan when off the plan.
+
+    Args:
+        name: stable name.
+        planner: the room's planner.
+        goal: goal of the option.
+        max_replans: most plans after the first one in a run.
+    """
+
+    def __init__(self, name: str, planner: RoomPlanner, goal: Goal, max_replans: int = 100) -> None:
+        super().__init__(name)
+        self.instance = planner.instance
+        self.goal = goal
+        self.targets = (goal.target,) if isinstance(goal, PressGoal) else ()
+        self.max_replans = max_replans
+        self._planner = planner
+        slip = planner.instance.dynamics.slip
+        self._patience = math.ceil(PATIENCE / (1.0 - slip))
+        is_rigid = planner.instance.dynamics.kind == "physics"
+        self._jam = math.ceil(JAM / (1.0 - slip)) if is_rigid else self._patience + 2  # never jams
+
+    def initiation(self, state: RoomState) -> bool:
+        """Possible unless the goal is reached already or planning from here is known to fail."""
+        return self._planner.can_start(state, self.goal)
+
+    def start(self, state: RoomState) -> None:
+        """Plan from here. Raises `PlanningFailed`."""
+        super().start(state)
+        self._first = self._last = state
+        self._plan(state)
+        self._left, self._waited, self._shake = math.inf, 0, 0
+
+    def policy(self, state: RoomState) -> int:
+        """Next primitive of the plan, chosen by the state that the last one really led to."""
+        if self._planner.has_undone(self._first, state):
+            raise self._planner.make_failure(PlanningReason.PRECONDITION_UNMET, state, self.goal,
+                                             advice="A prop was moved from its place on the way")
+        poses, here = self._route.poses, get_pose(state)
+        if self._at + 1 < len(poses) and here == poses[self._at + 1]:
+            self._at += 1
+        elif here != poses[self._at]:
+            self._recover(state)
+        left = len(self._route.primitives) - self._at
+        if left == 0:  # at the end of the plan, but not at the goal
+            self._replan(state)
+            left = len(self._route.primitives)
+        self._waited = 0 if left < self._left else self._waited + 1
+        self._left = min(left, self._left)
+        if self._waited % self._jam == self._jam - 1:
+            self._shake = SHAKE * (self._waited // self._jam + 1)
+        if self._waited > self._patience:
+            raise self._planner.make_failure(
+                PlanningReason.BUDGET_EXHAUSTED, state, self.goal,
+                nearest=f"{self._left:g} primitives short, no progress for {self._patience} primitives",
+            )
+        self._last = state
+        return self._route.primitives[self._at] if self._shake == 0 else self._draw_shake(state)
+
+    def _draw_shake(self, state: RoomState) -> int:
+        """Random primitive that presses nothing, to come free of a jam between rigid bodies."""
+        self._shake -= 1
+        rules = self._planner.rules
+        for attempt in range(2 * len(rules.actions)):
+            word, *_ = philox((state.primitives, attempt, 0, 0), (len(self.name), 0))
+            primitive = word % len(rules.actions)
+            if not rules.step(state, primitive).pressed:
+                return primitive
+        return self._route.primitives[self._at]
+
+    def termination(self, state: RoomState) -> float:
+        """1 once the goal is reached; a press counts at the primitive that begins the touch."""
+        is_undone = self._planner.has_undone(self._first, state)
+        return float(not is_undone and is_reached(self.goal, self._last, state, self._planner.rules))
+
+    def _plan(self, state: RoomState) -> None:
+        self._route, self._at = self._planner.find_route(state, self.goal, self.report), 0
+        self.report.unavoidable = tuple(
+            dict.fromkeys((*self.report.unavoidable, *(self._name(i) for i in self._route.also_pressed)))
+        )
+
+    def _name(self, target: int) -> str:
+        return self._planner.instance.targets[target].name
+
+    def _recover(self, state: RoomState) -> None:
+        """Go on with the rest of the plan if it still reaches the goal from here, else replan."""
+        rest = self._route.primitives[self._at + 1 :]
+        route = self._planner.replay(state, rest, self.goal) if rest else None
+        if route is not None and set(route.also_pressed) <= set(self._route.also_pressed):
+            self._route, self._at = route, 0
+        else:
+            self._replan(state)
+
+    def _replan(self, state: RoomState) -> None:
+        if self.report.replans >= self.max_replans:
+            raise self._planner.make_failure(
+                PlanningReason.BUDGET_EXHAUSTED, state, self.goal, nearest=f"{self.report.replans} plans made",
+                advice="Raise max_replans, or lower noise",
+            )
+        self._plan(state)
+        self.report.replans += 1
+
+
+class AncestorsOption(Option):
+    """Carry out an operator's missing preconditions in the cheapest order, then the operator itself.
+
+    Operators already done are not repeated, except that the last one always runs (as in the
+    meta-actions of the published 2019 code).
+
+    Args:
+        name: stable name.
+        planner: the room's planner.
+        goal: goal of the operator.
+        parts: the plain option for each goal of an operator.
+    """
+
+    def __init__(self, name: str, planner: RoomPlanner, goal: Goal, parts: dict[Goal, Option]) -> None:
+        super().__init__(name)
+        self.instance = planner.instance
+        self.goal = goal
+        self._planner, self._parts = planner, parts
+        self.targets = tuple(i for i in range(len(planner.instance.targets)) if PressGoal(i) in parts)
+        self._order: list[Goal] = []
+        self._part = parts[goal]
+
+    def initiation(self, state: RoomState) -> bool:
+        """Possible wherever the goal's own option may start; its preconditions are worked out at the start."""
+        return self._parts[self.goal].initiation(state)
+
+    def start(self, state: RoomState) -> None:
+        """Find the cheapest order of the remaining operators. Raises `PlanningFailed`."""
+        super().start(state)
+        self._order = self._planner.find_ancestors(state, self.goal, self.report)
+
+    def policy(self, state: RoomState) -> OptionAction:
+        """Next part."""
+        goal = self._order.pop(0)
+        self._part = self._parts[goal]
+        return self._part
+
+    def termination(self, state: RoomState) -> float:
+        """1 after the last part."""
+        return float(not self._order)
+
+
+class AbsentOption(Option):
+    """The option of a target that other instances of the schematic have and this one has not: always masked."""
+
+    def initiation(self, state: RoomState) -> bool:
+        """Never possible."""
+        return False
+
+    def policy(self, state: RoomState) -> OptionAction:
+        """Refuse: nothing starts this option."""
+        raise OptionError(f"option {self.name!r} belongs to a target that this room does not have")
+
+    def termination(self, state: RoomState) -> float:
+        """At once."""
+        return 1.0
+
+
+def list_goals(instance: RoomInstance) -> list[Goal]:
+    """Goals of a room: every target of its frame, then every push, in the order of the symbolic model."""
+    goals: list[Goal] = [PressGoal(i) for i in range(len(instance.frame.target_names))]
+    for op in instance.puzzle.make_symbolic_model().operators:
+        goal = make_goal(op, instance)
+        if goal not in goals:
+            goals.append(goal)
+    return goals
+
+
+def make_option(name: str, planner: RoomPlanner, goal: Goal) -> Option:
+    """Make the option that reaches one goal of any kind."""
+    if isinstance(goal, PushGoal):
+        from hrl_escape.options.pushing import PushOption  # loads scipy, which presses do not need
+
+        return PushOption(name, planner, goal)
+    if isinstance(goal, PressGoal) and goal.target >= len(planner.instance.targets):
+        return AbsentOption(name)
+    return PlannedOption(name, planner, goal)
+
+
+def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: RoomPlanner | None = None
+                      ) -> tuple[Option, ...]:
+    """Make `meta-01` to `meta-NN`, one a target (or push), and `meta-exit`.
+
+    All instances of a schematic have the same names; the options of targets that this room lacks are masked.
+
+    Args:
+        instance: the room.
+        flavour: `press` reaches that goal only; `press-with-ancestors` first carries out what the puzzle's
+            symbolic model requires before it.
+        planner: the room's planner; None for the one that this process shares.
+
+    Raises:
+        UnknownNameError: no such flavour.
+    """
+    if flavour not in FLAVOURS:
+        raise UnknownNameError("flavour", flavour, FLAVOURS)
+    planner = planner or get_planner(instance)
+    goals = list_goals(instance)
+    parts = {goal: make_option(f"meta-{n:02d}", planner, goal) for n, goal in enumerate(goals, 1)}
+    options: list[Option] = list(parts.values())
+    if flavour == "press-with-ancestors":
+        options = [AncestorsOption(option.name, planner, goal, parts) for goal, option in parts.items()]
+    return (*options, PlannedOption("meta-exit", planner, ExitGoal()))

@@ -1,0 +1,55 @@
+"""Options of a room, made from a list, a function of the instance, or a flavour of meta-actions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.errors import ConfigError, OptionError
+from hrl_escape.options.flavours import FLAVOURS
+from hrl_escape.options.option import Option
+
+__all__ = ["OptionsSource", "make_meta_source", "make_options"]
+
+OptionsSource: TypeAlias = Sequence[Option] | Callable[[RoomInstance], Sequence[Option]]
+
+
+def make_options(source: OptionsSource, instance: RoomInstance) -> tuple[Option, ...]:
+    """Make the options of a room and check that they belong to it.
+
+    Raises:
+        OptionError: two options share a name, or one was made for another room.
+    """
+    made = tuple(source(instance) if callable(source) else source)
+    names = [option.name for option in made]
+    if len(set(names)) < len(names):
+        raise OptionError(f"option names must differ: {', '.join(names)}")
+    for option in made:
+        if option.instance is not None and option.instance.id != instance.id:
+            raise OptionError(f"option {option.name!r} was made for room {option.instance.id}, this one is "
+                              f"{instance.id}: give OptionsEnv a function that makes options for an instance")
+    return made
+
+
+def make_meta_source(flavour: str, planner: str = "auto") -> OptionsSource:
+    """Make the function that synthesises the meta-actions of any room.
+
+    Args:
+        flavour: `press`, or `press-with-ancestors`.
+        planner: method of their plans, as in `RoomPlanner`.
+
+    Raises:
+        ConfigError: no such flavour.
+        UnknownNameError: no such method; only when the options are made, as path planners load OMPL.
+    """
+    if flavour not in FLAVOURS:
+        raise ConfigError("OptionsEnv.flavour", flavour, " or ".join(map(repr, FLAVOURS)))
+
+    def make(instance: RoomInstance) -> Sequence[Option]:
+        from hrl_escape.options.meta_actions import make_meta_options  # loads the planners
+        from hrl_escape.planning.room_planner import get_planner
+
+        return make_meta_options(instance, flavour, get_planner(instance, planner))
+
+    return make

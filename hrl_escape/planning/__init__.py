@@ -1,0 +1,5 @@
+"""Planners over one room instance: navigation, reaching, primitive search, task planning. Knows no option."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

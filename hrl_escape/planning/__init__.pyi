@@ -1,0 +1,41 @@
+from .arm.reacher import Reacher, ReachTable
+from .best_known import BestKnown, best_known_return, find_best_known, record_return
+from .goals import ExitGoal, Goal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached, parse_goal
+from .paths.navigator import Navigator
+from .paths.problem import PathProblem, PathResult
+from .paths.registry import list_planners, register_planner
+from .plan import Execution, Plan, PlanPart
+from .report import PlanningReport
+from .room_planner import RoomPlanner, get_planner
+from .symbolic.pddl import export_pddl, save_pddl, solve_pddl
+
+__all__ = [
+    "BestKnown",
+    "Execution",
+    "ExitGoal",
+    "Goal",
+    "Navigator",
+    "PathProblem",
+    "PathResult",
+    "Plan",
+    "PlanPart",
+    "PlanningReport",
+    "PoseGoal",
+    "PressGoal",
+    "PushGoal",
+    "ReachTable",
+    "Reacher",
+    "RegionGoal",
+    "RoomPlanner",
+    "best_known_return",
+    "export_pddl",
+    "find_best_known",
+    "get_planner",
+    "is_reached",
+    "list_planners",
+    "parse_goal",
+    "record_return",
+    "register_planner",
+    "save_pddl",
+    "solve_pddl",
+]

@@ -1,0 +1,359 @@
+"""Joint steps that bring the hand to a target from a given place of the base.
+
+Inverse kinematics rounded to whole joint steps misses many targets, so configurations are
+found on the joint lattice itself (`arm/joint_lattice.py`), whose placements come from Pinocchio,
+and each is checked with the environment's own `touching` rule. A `ReachTable` gives the fewest
+joint steps for every place of the base at once, for a search that moves base and arm together;
+driving is not planned here. A `Reacher` may be pickled, but not shared between threads.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+import math
+from collections.abc import Sequence
+from functools import cached_property, lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.planning.arm.joint_lattice import NEVER, UNLIMITED, ArmLattice, Halves, make_halves, make_lattice
+from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
+from hrl_escape.planning.arm.search import find_heights, find_touching, measure_gap
+from hrl_escape.planning.arm.tables import bound_costs, map_hands
+
+__all__ = ["UNLIMITED", "NEVER", "QUICK", "ReachTable", "Reacher"]
+
+QUICK = 5_000_000
+"""Default budget of a table, pairs of half configurations: all of them up to six joints."""
+
+HAND_CELL = 0.02
+"""Side of the cells of hand positions in a table, m."""
+BASE_CELL = 0.05
+"""Side of a table's cells, m."""
+
+_MOST_HALVES = 60_000
+_CANDIDATES = 64  # configurations with equally many joint steps that are tried for collisions
+_SKIN = 1e-9  # rounding margin of a touch, m
+_PUSH = 0.01  # depth of a touch that presses by force, m
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ReachTable:
+    """Fewest joint steps that bring the hand to a target, by where the base stands: a lower bound.
+
+    A cell's cost is that of the best place in it: `get_configuration` finds nothing cheaper at any place
+    in the cell, and nothing where the cost is -1 (as far as `complete_to`).
+
+    Attributes:
+        target: index of the target.
+        joint_steps: the configuration from which steps are counted.
+        costs: shape (columns, rows, headings), int16, columns along x; -1 where out of reach.
+        low: corner of the grid in the room frame, shape (2,), m.
+        cell: side of its square cells, m.
+        complete_to: cost up to which the table is complete; `NEVER` if the whole lattice was searched. Otherwise
+            costlier configurations may be missing, and a larger budget may find more.
+    """
+
+    target: int
+    joint_steps: tuple[int, ...]
+    costs: NDArray[np.int16]
+    low: NDArray[np.float64]
+    cell: float
+    complete_to: int
+
+    def get_cost(self, x: float, y: float, heading_steps: int) -> int:
+        """Cost of the cell that holds a place; -1 outside the grid."""
+        i, j = math.floor((x - self.low[0]) / self.cell), math.floor((y - self.low[1]) / self.cell)
+        inside = 0 <= i < self.costs.shape[0] and 0 <= j < self.costs.shape[1]
+        return int(self.costs[i, j, heading_steps]) if inside else -1
+
+    def get_centres(self) -> NDArray[np.float64]:
+        """Centres of the cells in the room frame, shape (columns, rows, 2), m."""
+        return self.low + (np.moveaxis(np.indices(self.costs.shape[:2]), 0, -1) + 0.5) * self.cell
+
+
+class _Ordered(NamedTuple):
+    lattice: ArmLattice
+    first_steps: NDArray[np.int64]  # (first halves, joints), in the lattice's order
+    last_steps: NDArray[np.int64]
+    complete_to: int
+
+
+class Reacher:
+    """Arm of one room's robot, with the configurations that press its targets by hand.
+
+    Attributes:
+        instance: the room.
+        kinematics: its exact kinematics, without noise and slip.
+        collide: whether configurations must be clear of walls, obstacles and the robot itself.
+        limit: largest distance from the hand's centre to a target that counts, m: a touch, or, where a press
+            takes force, a push into the target.
+    """
+
+    def __init__(self, instance: RoomInstance, *, collide: bool | None = None) -> None:
+        """Prepare nothing yet; everything is computed on first use.
+
+        Args:
+            instance: the room.
+            collide: whether configurations must be clear of walls, obstacles and the robot itself; by
+                default in physics dynamics only, as kinematic arms pass through everything.
+
+        Raises:
+            UnsupportedError: targets of this room are pressed with the body.
+        """
+        if instance.dynamics.press_with != "hand":
+            raise UnsupportedError("targets of this room are pressed with the body, so no arm has to reach them: "
+                                   "a Reacher is for dynamics.press_with = 'hand'")
+        self.instance = instance
+        self.collide = instance.dynamics.kind == "physics" if collide is None else collide
+        exact = dataclasses.replace(instance.dynamics, noise=0.0, slip=0.0)
+        self.kinematics = Kinematics(dataclasses.replace(instance, dynamics=exact))
+        hand = instance.robot.hand_radius
+        self.limit = (max(hand - _PUSH, hand / 2) if self.collide else hand + instance.dynamics.press_margin) - _SKIN
+        self._boxes = np.array([
+            (t.x, t.y, t.z, t.footprint.cos, t.footprint.sin, t.half_x, t.half_y, t.half_z) for t in instance.targets
+        ]).reshape(-1, 8)
+        kept = 64 if instance.robot.joints <= 4 else 8  # redundant arms take megabytes for each configuration
+        self._get_halves = lru_cache(2)(self._make_halves)
+        self._get_ordered = lru_cache(kept)(self._make_ordered)
+        self._get_hands = lru_cache(kept)(self._map_hands)
+        self._get_costs = lru_cache(kept)(self._compute_costs)
+
+    def __reduce__(self) -> tuple:
+        return _remake, (self.instance, self.collide)
+
+    @cached_property
+    def arm(self) -> ArmKinematics:
+        """Kinematics of the arm."""
+        return ArmKinematics(self.kinematics.robot)
+
+    # --- the lattice -------------------------------------------------------------------
+
+    def _make_halves(self, joint_offsets: tuple[float, ...], around: tuple[int, ...]) -> Halves:
+        tables, hand = self.arm.compute_placements(joint_offsets)
+        return make_halves(tables, hand, self.arm.get_ranges(joint_offsets)[0], around, _MOST_HALVES)
+
+    def _make_ordered(self, joint_steps: tuple[int, ...], joint_offsets: tuple[float, ...]) -> _Ordered:
+        halves = self._get_halves(joint_offsets, (0,) * len(joint_steps))
+        if halves.complete_to != NEVER:
+            halves = self._make_halves(joint_offsets, joint_steps)
+        lattice, firsts, lasts = make_lattice(halves, joint_steps)
+        return _Ordered(lattice, halves.first_steps[firsts], halves.last_steps[lasts], halves.complete_to)
+
+    def get_lattice(self, joint_steps: tuple[int, ...] | None = None) -> ArmLattice:
+        """Configurations of the arm, ordered by joint steps from one of them (by default home)."""
+        return self._get_ordered(joint_steps or (0,) * self.instance.robot.joints, ()).lattice
+
+    @cached_property
+    def is_whole(self) -> bool:
+        """Lattices hold every configuration; joint steps may be too fine for that."""
+        return self._get_ordered((0,) * self.instance.robot.joints, ()).complete_to == NEVER
+
+    @cached_property
+    def reach(self) -> float:
+        """Upper bound of the hand's distance from the base's axis, m."""
+        return _bound_reach(self.get_lattice())
+
+    @cached_property
+    def heights(self) -> tuple[float, float]:
+        """Lowest and highest position of the hand, m."""
+        return find_heights(self.get_lattice())
+
+    def _map_hands(self, z: float, half_z: float, joint_steps: tuple[int, ...], joint_offsets: tuple[float, ...],
+                   budget: int) -> tuple[NDArray[np.int16], int]:
+        lattice, _, _, complete_to = self._get_ordered(joint_steps, joint_offsets)
+        low, high = z - half_z - self.limit, z + half_z + self.limit
+        half_cells = math.ceil(_bound_reach(lattice) / HAND_CELL) + 1
+        hands, gone_to = map_hands(lattice, low, high, HAND_CELL, half_cells, budget)
+        if gone_to != NEVER and (hands == NEVER).all():
+            hands, gone_to = map_hands(lattice, low, high, HAND_CELL, half_cells, UNLIMITED)
+        return hands, min(gone_to, complete_to)
+
+    def _compute_costs(self, z: float, sizes: tuple[float, float, float], yaw: float, joint_steps: tuple[int, ...],
+                       joint_offsets: tuple[float, ...], heading_offset: float, budget: int
+                       ) -> tuple[NDArray[np.int16], int]:
+        """Costs of a table; targets of the same height, shape and direction share them."""
+        hands, complete_to = self._get_hands(z, sizes[2], joint_steps, joint_offsets, budget)
+        headings = np.arange(self.kinematics.headings, dtype=np.float64) * self.kinematics.turn_step + heading_offset
+        return bound_costs(hands, HAND_CELL, headings, yaw, sizes[0] + self.limit, sizes[1] + self.limit,
+                           BASE_CELL), complete_to
+
+    def make_table(self, target: int, joint_steps: tuple[int, ...], *, joint_offsets: tuple[float, ...] = (),
+                   heading_offset: float = 0.0, budget: int = QUICK) -> ReachTable:
+        """Tabulate the fewest joint steps to touch a target, for every place and heading of the base.
+
+        Args:
+            target: index of the target.
+            joint_steps: present configuration of the arm.
+            joint_offsets: offsets of its joints from the lattice, rad; empty for none.
+            heading_offset: offset of the base's heading from its lattice, rad.
+            budget: pairs of half configurations to examine, exceeded only while none reaches the target's
+                height; `UNLIMITED` takes up to seconds with seven joints.
+        """
+        t = self.instance.targets[target]
+        costs, complete_to = self._get_costs(t.z, (t.half_x, t.half_y, t.half_z), t.yaw, joint_steps, joint_offsets,
+                                             heading_offset, budget)
+        low = np.array([t.x, t.y]) - np.array(costs.shape[:2]) // 2 * BASE_CELL
+        return ReachTable(target, joint_steps, costs, low, BASE_CELL, complete_to)
+
+    # --- one configuration -------------------------------------------------------------
+
+    def get_configuration(self, x: float, y: float, heading_steps: int, joint_steps: tuple[int, ...], target: int, *,
+                          joint_offsets: tuple[float, ...] = (), heading_offset: float = 0.0
+                          ) -> tuple[int, ...] | None:
+        """Find the configuration with the fewest joint steps that touches a target from an exact place.
+
+        Configurations that touch no other target come first.
+
+        Args:
+            x: the base's axis, m.
+            y: the base's axis, m.
+            heading_steps: the base's heading.
+            joint_steps: present configuration of the arm.
+            target: index of the target.
+            joint_offsets: offsets of its joints from the lattice, rad; empty for none.
+            heading_offset: offset of the base's heading from its lattice, rad.
+
+        Returns:
+            Joint steps from home, as in `RoomState.joint_steps`; None where the hand cannot touch the target.
+        """
+        ordered = self._get_ordered(joint_steps, joint_offsets)
+        pose = (x, y, *self.kinematics.get_rotation(heading_steps, heading_offset))
+        here = RoomState(x, y, heading_steps, heading_offset, joint_steps, joint_offsets, None, 0, 0, 0)
+        for avoid in (True, False) if len(self._boxes) > 1 else (False,):
+            least = 0
+            while least < NEVER:
+                found, least = find_touching(ordered.lattice, pose, self._boxes, target, self.limit, avoid, least,
+                                             _CANDIDATES if self.collide else 1)
+                for i, j in found.tolist():
+                    steps = (*ordered.first_steps[i].tolist(), *ordered.last_steps[j].tolist())
+                    steps += joint_steps[len(steps) :]
+                    if self._is_good(here, steps, target):
+                        return steps
+                least += 1
+        return None
+
+    def _is_good(self, here: RoomState, joint_steps: tuple[int, ...], target: int) -> bool:
+        there = here._replace(joint_steps=joint_steps)
+        touching = self.kinematics.compute_touching(*there.pose)
+        return bool(touching >> target & 1) and not (self.collide and self._collides(there))
+
+    # --- joint steps in order ----------------------------------------------------------
+
+    def order_steps(self, state: RoomState, moves: Sequence[int], joint_steps: tuple[int, ...], target: int,
+                    most: int | None = None) -> tuple[int, ...] | None:
+        """Interleave joint steps with given moves of the base so that no other target is pressed on the way.
+
+        Args:
+            state: first state.
+            moves: primitives of the base, kept in their order.
+            joint_steps: last configuration.
+            target: index of the target to touch; the primitives end with the touch.
+            most: most states to try; by default 1000, or 250 where each is tested for collisions.
+
+        Returns:
+            Primitives, verified by the room's kinematics: as many as moves and joint steps if possible, else
+            with the fewest more that take the arm round; None if no order was found.
+        """
+        most = most or (250 if self.collide else 1_000)
+        for detours in (False, True):
+            actions = self._search_order(state, moves, joint_steps, target, detours, most)
+            if actions is not None:
+                return actions
+        return None
+
+    def _search_order(self, begin: RoomState, moves: Sequence[int], joint_steps: tuple[int, ...], target: int,
+                      detours: bool, most: int) -> tuple[int, ...] | None:
+        """A* over (moves made, joint steps); a primitive is simulated when it is taken from the queue, moves first."""
+        others, table = ~(1 << target), self.kinematics.actions
+        known: set[tuple[int, tuple[int, ...]]] = set()
+        queue: list[tuple] = [(0, 0, 0, begin, None, 0, (), False, self.collide and self._collides(begin))]
+        queued = tried = 0
+        while queue and tried <= most:
+            _, _, _, state, action, made, actions, is_pressed, is_stuck = heapq.heappop(queue)
+            if action is not None:
+                before, state = state, self.kinematics.step(state, action).state
+                tried += 1
+                begun = state.touching & ~before.touching
+                at_limit = action not in table.base and state.joint_steps == before.joint_steps
+                collides = self.collide and self._collides(state)
+                if at_limit or begun & others or (collides and not is_stuck):
+                    continue
+                is_stuck = collides  # an arm pushed into something may take several steps to come out
+                made, actions, is_pressed = made + (action in table.base), (*actions, action), bool(is_pressed or begun)
+            wanted = [b - a for a, b in zip(state.joint_steps, joint_steps, strict=True)]
+            left = len(moves) - made + sum(map(abs, wanted))
+            if is_pressed and (left == 0 or not self.collide):  # pushing by force goes on to the end
+                return actions
+            if (made, state.joint_steps) in known:
+                continue
+            known.add((made, state.joint_steps))
+            choices = [(moves[made], -1)] if made < len(moves) else []
+            for joint, steps in enumerate(wanted):
+                pair = table.joints[joint]
+                for action, nearer in ((pair.increment, steps > 0), (pair.decrement, steps < 0)):
+                    if nearer or detours:
+                        choices.append((action, -1 if nearer else 1))
+            for choice, change in choices:
+                queued += 1
+                estimate = len(actions) + 1 + left + change
+                heapq.heappush(queue, (estimate, -len(actions), queued, state, choice, made, actions, is_pressed,
+                                       is_stuck))
+        return None
+
+    def is_push(self, state: RoomState, moves: Sequence[int], target: int) -> bool:
+        """Return whether moves of the base alone press a target by force, the arm clear of walls and obstacles.
+
+        Args:
+            state: first state; an arm in collision there may take several moves to come out.
+            moves: primitives, the last of which ends with the hand at the target.
+            target: index of the target.
+        """
+        is_stuck = self._collides(state)
+        for move in moves:
+            state = self.kinematics.step(state, move).state
+            collides = self._collides(state)
+            if collides and not is_stuck:
+                return False
+            is_stuck = collides
+        pose = (state.x, state.y, *self.kinematics.get_rotation(state.heading_steps, state.heading_offset))
+        hand = self.kinematics.get_hand_in_base(state.joint_steps, state.joint_offsets)
+        return measure_gap(pose, hand, self._boxes[target]) <= self.limit
+
+    # --- collisions --------------------------------------------------------------------
+
+    @cached_property
+    def _collisions(self) -> ArmCollisions:
+        door = (self.instance.door,) if self.instance.door else ()
+        return ArmCollisions(self.kinematics.robot, self.instance.robot.hand_radius, (*self.instance.solids, *door))
+
+    def _collides(self, state: RoomState) -> bool:
+        heading = self.kinematics.get_heading(state)
+        return not self.is_collision_free(state.x, state.y, heading, self.kinematics.get_angles(state))
+
+    def is_collision_free(self, x: float, y: float, heading: float, joints: Sequence[float]) -> bool:
+        """Return whether the arm is clear of walls, obstacles, the shut exit door and the robot itself.
+
+        Targets do not count: they are meant to be touched.
+
+        Args:
+            x: the base's axis, m.
+            y: the base's axis, m.
+            heading: rad.
+            joints: joint angles, rad.
+        """
+        return self._collisions.is_free(x, y, heading, joints)
+
+
+def _bound_reach(lattice: ArmLattice) -> float:
+    return float(np.hypot(lattice.first[:, 3], lattice.first[:, 7]).max()) + lattice.longest
+
+
+def _remake(instance: RoomInstance, collide: bool) -> Reacher:
+    return Reacher(instance, collide=collide)

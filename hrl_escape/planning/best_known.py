@@ -1,0 +1,239 @@
+"""Best known return of a room, the reference by which scores are normalised.
+
+It is the return of the best plan of primitives that the planners find. The best return of given
+options is computed in `hrl_escape.options.best_with_options`, so that a result's distance from the
+best splits into an option gap and a learning gap. `record_return` replaces a known return that an
+agent has beaten.
+"""
+
+from __future__ import annotations
+
+import threading
+import warnings
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import FileReadError, PlanningFailed
+from hrl_escape.files import read_json, write_json
+from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
+from hrl_escape.planning.lower_bounds import LegBounds
+from hrl_escape.planning.multi_goal_search import find_multi_goal_plan
+from hrl_escape.planning.plan import Plan
+from hrl_escape.planning.room_planner import RoomPlanner, get_planner
+from hrl_escape.planning.route_finder import Pose, get_pose
+from hrl_escape.planning.symbolic.operator_order import Leg, TaskSearch
+
+__all__ = ["BestKnown", "best_known_return", "compute_escape_return", "compute_worst_return", "find_best_known",
+           "find_by_plan", "improve_best_known", "list_start_states", "record_return"]
+
+MOST_STARTS = 32
+"""Starts used of an instance that has more."""
+BOUND_LEGS = 20_000
+ORDERS = 3
+"""Orders of the puzzle's operators that are planned in detail."""
+_PLAIN = (PressGoal, ExitGoal)
+
+
+class BestKnown(NamedTuple):
+    """The best return known from one state.
+
+    Attributes:
+        value: undiscounted return.
+        source: its origin: `planner`, `options`, or the source given to `record_return`.
+        upper_bound: bound by geometry alone that no return exceeds.
+        primitives: length of the episode with this return; None if no escape is known.
+        plan: the plan with this return; None if no escape is known, or an agent reached the return.
+    """
+
+    value: float
+    source: str
+    upper_bound: float
+    primitives: int | None = None
+    plan: Plan | None = None
+
+
+def best_known_return(instance: RoomInstance, *, state: RoomState | None = None,
+                      records: str | Path | None = None) -> float:
+    """Return the best known return of a room, without noise, slip and physics.
+
+    Args:
+        instance: the room.
+        state: first state of the episode; None for the mean over the instance's starts.
+        records: JSON file of returns reached by agents (see `record_return`), read if it exists.
+
+    Returns:
+        Undiscounted return; `horizon` times the step's reward if no escape is known.
+    """
+    if state is not None:
+        return find_best_known(instance, state, records=records).value
+    return float(np.mean([find_best_known(instance, s, records=records).value for s in list_start_states(instance)]))
+
+
+def list_start_states(instance: RoomInstance) -> list[RoomState]:
+    """The instance's start states, at most the first `MOST_STARTS`."""
+    rules = get_planner(instance).rules
+    return [rules.make_state(start) for start in instance.starts[:MOST_STARTS]]
+
+
+def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | Path | None = None
+                    ) -> BestKnown:
+    """Find the best known return from one state, with its source, its plan and an upper bound.
+
+    It is the best over all ways known: legs one by one in several orders (that of `RoomPlanner.solve`, and that of
+    a press with its ancestors, among them), the same orders with legs planned together, returns that agents or
+    given options have reached.
+
+    Args:
+        instance: the room.
+        state: first state of the episode.
+        records: see `best_known_return`.
+    """
+    key = (instance.id, get_pose(state))
+    with _LOCK:
+        found = _KNOWN.get(key)
+    if found is None:
+        found = find_by_plan(get_planner(instance), state, multi_goal=True)
+        with _LOCK:
+            found = _KNOWN.setdefault(key, found)
+    if records is not None:
+        recorded = _read_records(records).get(_name_record(instance, state))
+        if recorded is not None and recorded["return"] > found.value:
+            found = _make_record(found, instance, recorded["return"], recorded["source"])
+    return found
+
+
+def improve_best_known(instance: RoomInstance, state: RoomState, found: BestKnown) -> None:
+    """Take over a return that is better than the best known one, as found by a search over given options."""
+    known = find_best_known(instance, state)
+    if found.value > known.value:
+        with _LOCK:
+            _KNOWN[instance.id, get_pose(state)] = found._replace(upper_bound=known.upper_bound)
+
+
+def record_return(instance: RoomInstance, state: RoomState, value: float, source: str,
+                  records: str | Path | None = None) -> bool:
+    """Record a return that beats the best known one, and warn.
+
+    Rooms with noise, slip or physics keep theirs: a lucky episode is no reference.
+
+    Args:
+        instance: the room.
+        state: first state of the episode.
+        value: its undiscounted return.
+        source: its origin, such as `dqn, seed 3`.
+        records: JSON file that keeps better returns; None keeps them for this process.
+
+    Returns:
+        True if it was better.
+    """
+    dynamics = instance.dynamics
+    if dynamics.noise or dynamics.slip or dynamics.kind == "physics":
+        return False
+    known = find_best_known(instance, state, records=records)
+    if value <= known.value + 1e-9:
+        return False
+    with _LOCK:
+        _KNOWN[instance.id, get_pose(state)] = _make_record(known, instance, value, source)
+        if records is not None:
+            content = _read_records(records)
+            content[_name_record(instance, state)] = {"return": value, "source": source}
+            write_json(records, content)
+    warnings.warn(
+        f"{source} reached a return of {value:g} in room {instance.id} from ({state.x:.2f}, {state.y:.2f}), where "
+        f"{known.value:g} was the best known (by {known.source}). Scores of this room are normalised anew",
+        stacklevel=2,
+    )
+    return True
+
+
+_KNOWN: dict[tuple[str, Pose], BestKnown] = {}
+_LOCK = threading.RLock()
+
+
+def _name_record(instance: RoomInstance, state: RoomState) -> str:
+    arm = "".join(f" {n}" for n in state.joint_steps)
+    return f"{instance.id} {state.x!r} {state.y!r} {state.heading_steps} {state.heading_offset!r}{arm}"
+
+
+def _make_record(known: BestKnown, instance: RoomInstance, value: float, source: str) -> BestKnown:
+    """Best known return that an agent reached; without noise its length follows from it."""
+    step = instance.reward.step
+    primitives = 1 + round((value - compute_escape_return(instance, 1)) / step) if step else None
+    return BestKnown(value, source, known.upper_bound, primitives)
+
+
+def _read_records(records: str | Path) -> dict:
+    try:
+        content = read_json(records, "file of best known returns")
+    except FileReadError:
+        if Path(records).exists():
+            raise
+        return {}
+    if not isinstance(content, dict):
+        raise FileReadError(f"{records}: this is no file of best known returns")
+    return content
+
+
+def compute_worst_return(instance: RoomInstance) -> float:
+    """Return of an episode that never escapes."""
+    return instance.horizon * instance.reward.step
+
+
+def compute_escape_return(instance: RoomInstance, primitives: float) -> float:
+    """Return of an escape after a number of primitives; that of never escaping if the horizon comes first."""
+    if primitives > instance.horizon:
+        return compute_worst_return(instance)
+    reward = instance.reward
+    bonus = reward.exit if reward.exit_replaces_step else reward.step + reward.exit
+    return reward.step * (primitives - 1) + bonus
+
+
+def find_by_plan(planner: RoomPlanner, state: RoomState, multi_goal: bool) -> BestKnown:
+    """Best return by plans.
+
+    Args:
+        planner: the room's planner.
+        state: first state of the episode.
+        multi_goal: plan legs together too, in each of the cheapest orders; else only one by one, as options do.
+    """
+    instance = planner.instance
+    bound = _compute_upper_bound(instance, state)
+    try:
+        plans = planner.list_escapes(state, ORDERS)
+    except PlanningFailed:
+        return BestKnown(compute_worst_return(instance), "nothing", bound)
+    best = plans[0]
+    if multi_goal and instance.dynamics.press_with == "body":
+        for plan in plans:
+            if all(isinstance(part.goal, _PLAIN) for part in plan.parts):
+                best = _plan_together(planner, state, plan, best)
+    return BestKnown(compute_escape_return(instance, best.cost), "planner" if multi_goal else "options", bound,
+                     best.cost, best)
+
+
+def _plan_together(planner: RoomPlanner, state: RoomState, plan: Plan, best: Plan) -> Plan:
+    """The escape in the order of a plan with legs planned together, if it is shorter than the best one."""
+    goals: list[Goal] = [part.goal for part in plan.parts if isinstance(part.goal, PressGoal)]
+    goals.append(ExitGoal())
+    found = find_multi_goal_plan(planner.rules, state, goals, planner.get_field_maker(True),
+                                 planner.get_field_maker(False), best.cost)
+    return planner.make_plan(state, found, goals, "multi-goal search") if found else best
+
+
+def _compute_upper_bound(instance: RoomInstance, state: RoomState) -> float:
+    """Return of the fewest primitives that straight lines allow, over all orders of operators."""
+    bounds = LegBounds(instance)
+    search = TaskSearch(instance.puzzle.make_symbolic_model(), lower_bound=bounds.bound_leg)
+
+    def extend(last, then):
+        cost = bounds.bound_start(state, then) if last is None else bounds.bound_leg(last, then)
+        return Leg(cost, then)
+
+    tasks = search.find_order(instance.puzzle.get_facts(state.puzzle), None, extend, BOUND_LEGS)
+    if tasks is None:
+        return compute_worst_return(instance)
+    return compute_escape_return(instance, max(1.0, tasks.lower_bound))

@@ -1,0 +1,187 @@
+"""Collision test of the body: a grid of clearances that bounds the exact distance, and the exact test.
+
+A `CollisionMap` answers from the grid where its bounds decide and by `geometry.py` near surfaces,
+so most exact answers cost one lookup. By optimistic connectivity it also proves that two places
+cannot be connected. It plans nothing.
+"""
+
+from __future__ import annotations
+
+import array
+import math
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.geometry import (
+    Footprint,
+    compute_distance,
+    compute_distance_many,
+    compute_first_contact,
+    stack_footprints,
+)
+from hrl_escape.env.instance import RoomInstance
+
+__all__ = ["CollisionMap", "list_cells"]
+
+FINEST = 0.02
+MOST_CELLS = 1_000_000
+TOUCH = 1e-9
+
+
+def list_cells(low: Any, high: Any) -> NDArray[np.int64]:
+    """List the cells (n, 2) from a corner (i, j) up to, and without, another one, row-major."""
+    sides = np.maximum(np.subtract(high, low), 0)
+    return np.indices(tuple(sides)).reshape(2, -1).T + np.asarray(low)
+
+
+class CollisionMap:
+    """Clearances of one room with its exit door either shut or gone; immutable and picklable.
+
+    The floor's bounding box (the alcove behind a door included) is a grid of square cells. Each
+    cell keeps the distance from its centre to the nearest solid, capped at `horizon`; the distance
+    anywhere in the cell differs by at most `slack`.
+
+    Attributes:
+        radius: body radius plus contact skin, m.
+        low: corner of the grid with the smallest coordinates, shape (2,), m.
+        resolution: side of a cell, m: a sixth of the body's radius, at most 0.125, coarser in
+            rooms of more than a million such cells.
+        slack: half a cell's diagonal, m.
+        distance: shape (columns, rows), float32, m.
+        horizon: cap of the distances, m.
+        solids: rows of `stack_footprints`, shape (n, 7); a shut door comes last.
+    """
+
+    def __init__(self, instance: RoomInstance, *, door_shut: bool, reach: float = 0.0) -> None:
+        """Build the map.
+
+        Args:
+            instance: the room.
+            door_shut: True to shut the exit door, if there is one.
+            reach: distances up to the body's radius plus this are stored, m.
+        """
+        solids = (*instance.solids, instance.door) if instance.door and door_shut else instance.solids
+        self.radius = instance.robot.body_radius + CONTACT_SKIN
+        self.footprints: tuple[Footprint, ...] = tuple(solid.footprint for solid in solids)
+        self.solids = stack_footprints(self.footprints)
+        self._around = np.where(self.solids[:, 0] > 0.5, self.solids[:, 5], np.hypot(*self.solids[:, 5:].T))
+        width, depth = 2 * instance.reach_x, 2 * instance.reach_y
+        finest = max(FINEST, min(0.125, instance.robot.body_radius / 6))
+        self.resolution = max(finest, math.sqrt(width * depth / MOST_CELLS))
+        self.slack = self.resolution * math.sqrt(0.5) + 1e-5  # and the rounding of float32
+        self.horizon = self.radius + max(reach, self.resolution) + 2 * self.slack
+        self.low = np.array([-instance.reach_x, -instance.reach_y])
+        self._low_x, self._low_y, self._per_metre = -instance.reach_x, -instance.reach_y, 1.0 / self.resolution
+        shape = tuple(max(1, math.ceil(side / self.resolution)) for side in (width, depth))
+        self.distance = np.full(shape, self.horizon, dtype=np.float32)
+        for footprint, around in zip(self.footprints, self._around.tolist(), strict=True):
+            self._lower(footprint, around)
+        self._distances = array.array("f", self.distance.tobytes())  # scalar look-ups are ten times as fast as numpy's
+        self._near: dict[int, tuple[Footprint, ...]] = {}
+
+    def _lower(self, footprint: Footprint, around: float) -> None:
+        middle, extent = np.array([footprint.x, footprint.y]), around + self.horizon
+        i0, j0 = np.maximum(np.floor((middle - extent - self.low) / self.resolution).astype(int), 0)
+        i1, j1 = np.minimum(np.ceil((middle + extent - self.low) / self.resolution).astype(int), self.distance.shape)
+        if i0 >= i1 or j0 >= j1:
+            return
+        part = self.distance[i0:i1, j0:j1]
+        points = self.get_centres(list_cells((i0, j0), (i1, j1)))
+        away = compute_distance_many(points, stack_footprints([footprint])).reshape(part.shape)
+        np.minimum(part, away, out=part, casting="same_kind")
+
+    def get_centres(self, cells: NDArray[np.int_]) -> NDArray[np.float64]:
+        """Centres (n, 2) of cells (n, 2), m."""
+        return np.add(self.low, (cells + 0.5) * self.resolution, dtype=np.float64)
+
+    def _find_cell(self, x: float, y: float) -> int:
+        """Index of the cell that holds a place; -1 off the floor."""
+        i = (x - self._low_x) * self._per_metre
+        j = (y - self._low_y) * self._per_metre
+        columns, rows = self.distance.shape
+        return int(i) * rows + int(j) if 0.0 <= i < columns and 0.0 <= j < rows else -1
+
+    # --- exact answers -----------------------------------------------------------------
+
+    def is_clear(self, x: float, y: float, need: float) -> bool:
+        """Return whether a place on the floor is at least `need` metres (at most `horizon`) from every solid. Exact."""
+        cell = self._find_cell(x, y)
+        if cell < 0:
+            return False
+        middle = self._distances[cell]
+        if middle - self.slack >= need:
+            return True
+        if middle + self.slack < need:
+            return False
+        near = self._near.get(cell)
+        if near is None:
+            i, j = divmod(cell, self.distance.shape[1])
+            at_x, at_y = self._low_x + (i + 0.5) * self.resolution, self._low_y + (j + 0.5) * self.resolution
+            limit = self.horizon + self.slack
+            near = tuple(f for f in self.footprints if compute_distance(at_x, at_y, f) <= limit)
+            self._near[cell] = near
+        return all(compute_distance(x, y, f) >= need for f in near)
+
+    def is_free(self, x: float, y: float) -> bool:
+        """Return whether the body, with its clearance, fits at a place on the floor. Exact."""
+        return self.is_clear(x, y, self.radius - TOUCH)
+
+    def are_free(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return `is_free` of each of the points (n, 2)."""
+        return np.array([self.is_free(x, y) for x, y in points.tolist()], dtype=bool)
+
+    def is_move_free(self, x: float, y: float, to_x: float, to_y: float) -> bool:
+        """Return whether the body can go straight from one free place to another. Exact."""
+        if not (self.is_free(x, y) and self.is_free(to_x, to_y)):
+            return False
+        dx, dy = to_x - x, to_y - y
+        reach = self._around + (math.hypot(dx, dy) / 2 + self.radius)
+        away = np.hypot(self.solids[:, 1] - (x + dx / 2), self.solids[:, 2] - (y + dy / 2))
+        need = self.radius - TOUCH
+        return not any(compute_first_contact(x, y, dx, dy, need, self.footprints[k]) < 1.0
+                       for k in np.flatnonzero(away <= reach).tolist())
+
+    # --- connectivity ------------------------------------------------------------------
+
+    @cached_property
+    def _labels(self) -> NDArray[np.int32]:
+        """Connected parts of the cells that may hold a free place; no path leads from one part to another."""
+        from scipy import ndimage  # takes 0.1 s, and only tests of reachability need it
+
+        labels = np.zeros(self.distance.shape, dtype=np.int32)
+        ndimage.label(self.distance >= self.radius - self.slack, structure=np.ones((3, 3)), output=labels)
+        return labels
+
+    def get_parts(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
+        """Part of the floor of each of the points (n, 2); 0 where the body does not fit.
+
+        No path connects different parts; within a part one usually exists.
+        """
+        cells = np.floor((points.reshape(-1, 2) - self.low) / self.resolution).astype(int)
+        inside = ((cells >= 0) & (cells < self.distance.shape)).all(axis=1)
+        cells[~inside] = 0
+        return np.where(inside, self._labels[cells[:, 0], cells[:, 1]], 0)
+
+    def find_proof(self, x: float, y: float, goal: Footprint, reach: float) -> Literal["solid", "apart"] | None:
+        """Prove that the body cannot get from a place to within `reach` of a footprint, if the grid can.
+
+        Returns:
+            `"solid"` if the body fits nowhere there, `"apart"` if no path leads there, None without a proof.
+        """
+        around = (goal.half_x if goal.is_disc else math.hypot(goal.half_x, goal.half_y)) + reach + self.slack
+        middle = np.array([goal.x, goal.y])
+        low = np.maximum(np.floor((middle - around - self.low) / self.resolution).astype(int), 0)
+        high = np.minimum(np.ceil((middle + around - self.low) / self.resolution).astype(int), self.distance.shape)
+        if reach < 0.0 or (low >= high).any():
+            return "solid"
+        points = self.get_centres(list_cells(low, high))
+        near = compute_distance_many(points, stack_footprints([goal])) <= reach + self.slack
+        there = self._labels[low[0] : high[0], low[1] : high[1]].ravel()[near]
+        if not there.any():
+            return "solid"
+        here = int(self.get_parts(np.array([x, y]))[0])
+        return None if here == 0 or (there == here).any() else "apart"

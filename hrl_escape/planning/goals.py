@@ -1,0 +1,195 @@
+"""Goals of planners: plain frozen values, hashable, so that plans can be cached by goal.
+
+A goal does not say how it is reached. Positions are those of the body's axis in the room frame,
+metres; headings are radians, counter-clockwise from +x.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from typing import TypeAlias
+
+from hrl_escape.env.instance import Rectangle, RoomInstance
+from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.env.puzzles.base import Operator
+from hrl_escape.errors import GoalError, UnknownNameError
+
+__all__ = [
+    "ExitGoal",
+    "Goal",
+    "PoseGoal",
+    "PressGoal",
+    "PushGoal",
+    "RegionGoal",
+    "describe_goal",
+    "find_push",
+    "get_region",
+    "is_reached",
+    "make_goal",
+    "parse_goal",
+]
+
+
+@dataclasses.dataclass(frozen=True)
+class PressGoal:
+    """Begin to touch a target; one that is touched already must be left first.
+
+    Attributes:
+        target: index of the target.
+    """
+
+    target: int
+
+
+@dataclasses.dataclass(frozen=True)
+class ExitGoal:
+    """Bring the body's axis into the exit's rectangle, with the puzzle solved or not."""
+
+
+@dataclasses.dataclass(frozen=True)
+class PoseGoal:
+    """Stand at a place, with a heading if one is given.
+
+    Attributes:
+        x: position, m.
+        y: position, m.
+        heading: direction, rad; None for any.
+        tolerance: largest distance from (x, y), m. Primitives are long: a small tolerance may be unreachable.
+        heading_tolerance: largest angle from `heading`, rad.
+    """
+
+    x: float
+    y: float
+    heading: float | None = None
+    tolerance: float = 0.5
+    heading_tolerance: float = math.radians(5.0)
+
+
+@dataclasses.dataclass(frozen=True)
+class RegionGoal:
+    """Bring the body's axis into a closed rectangle; metres."""
+
+    x_min: float
+    x_max: float
+    y_min: float
+    y_max: float
+
+
+@dataclasses.dataclass(frozen=True)
+class PushGoal:
+    """Push a prop onto another one (physics dynamics).
+
+    Attributes:
+        prop: index of the prop that is pushed.
+        destination: index of the prop that it is pushed onto.
+    """
+
+    prop: int
+    destination: int
+
+
+Goal: TypeAlias = PressGoal | ExitGoal | PoseGoal | RegionGoal | PushGoal
+
+
+def parse_goal(text: str, instance: RoomInstance) -> Goal:
+    """Read a goal from text.
+
+    Args:
+        text: a target's name (`button-2`), `exit`, a place `x,y`, a pose `x,y,heading_deg`, or
+            `block->plate` to push one prop onto another.
+        instance: the room with the targets and props.
+
+    Raises:
+        UnknownNameError: no such target or prop; the message lists the valid names.
+        GoalError: the numbers are no pose.
+    """
+    word = text.strip()
+    if word == "exit":
+        return ExitGoal()
+    targets = [target.name for target in instance.targets]
+    if word in targets:
+        return PressGoal(targets.index(word))
+    if "->" in word:
+        props = [placed.prop.name for placed in instance.props]
+        pair = [part.strip() for part in word.split("->", 1)]
+        for name in pair:
+            if name not in props:
+                raise UnknownNameError("prop", name, props)
+        return PushGoal(props.index(pair[0]), props.index(pair[1]))
+    if "," in word:
+        return _parse_pose(word)
+    raise UnknownNameError("goal", text, [*targets, "exit"])
+
+
+def _parse_pose(word: str) -> PoseGoal:
+    try:
+        numbers = [float(part) for part in word.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3) or not all(map(math.isfinite, numbers)):
+        raise GoalError(f"{word!r} is no pose: write x,y in metres, or x,y,heading with the heading in deg")
+    heading = math.radians(numbers[2]) if len(numbers) == 3 else None
+    return PoseGoal(numbers[0], numbers[1], heading)
+
+
+def describe_goal(goal: Goal, instance: RoomInstance) -> str:
+    """Describe a goal in the text that `parse_goal` reads (regions have none)."""
+    if isinstance(goal, PressGoal):
+        return instance.targets[goal.target].name
+    if isinstance(goal, ExitGoal):
+        return "exit"
+    if isinstance(goal, PushGoal):
+        return f"{instance.props[goal.prop].prop.name}->{instance.props[goal.destination].prop.name}"
+    if isinstance(goal, RegionGoal):
+        return f"region x {goal.x_min:g} to {goal.x_max:g}, y {goal.y_min:g} to {goal.y_max:g}"
+    place = f"{goal.x:g},{goal.y:g}"
+    return place if goal.heading is None else f"{place},{math.degrees(goal.heading):g}"
+
+
+def get_region(goal: ExitGoal | RegionGoal, instance: RoomInstance) -> Rectangle | RegionGoal:
+    """Rectangle of a goal on the floor: x_min, x_max, y_min, y_max."""
+    return instance.exit if isinstance(goal, ExitGoal) else goal
+
+
+def is_reached(goal: Goal, before: RoomState, after: RoomState, rules: Rules) -> bool:
+    """Return whether the primitive that led from `before` to `after` reached the goal.
+
+    A press is an event and needs both states. For a state without a primitive before it, pass it
+    twice: a press is then never reached. A push is reached when the facts that its operator adds hold.
+    """
+    if isinstance(goal, PressGoal):
+        return bool(after.touching & ~before.touching & 1 << goal.target)
+    if isinstance(goal, PoseGoal):
+        if math.hypot(after.x - goal.x, after.y - goal.y) > goal.tolerance:
+            return False
+        if goal.heading is None:
+            return True
+        turn = (rules.get_heading(after) - goal.heading + math.pi) % math.tau - math.pi
+        return abs(turn) <= goal.heading_tolerance + 1e-12
+    if isinstance(goal, (ExitGoal, RegionGoal)):
+        region = get_region(goal, rules.instance)
+        return region.x_min <= after.x <= region.x_max and region.y_min <= after.y <= region.y_max
+    puzzle = rules.instance.puzzle
+    return find_push(goal, rules.instance).add <= puzzle.get_facts(after.puzzle)
+
+
+def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
+    """Goal in the room of an operator of the puzzle's symbolic model."""
+    if operator.action == "push":
+        props = [placed.prop.name for placed in instance.props]
+        return PushGoal(props.index(operator.target), props.index(operator.destination or ""))
+    return PressGoal(instance.puzzle.target_names.index(operator.target))
+
+
+def find_push(goal: PushGoal, instance: RoomInstance) -> Operator:
+    """Operator of the puzzle that pushes this prop there.
+
+    Raises:
+        GoalError: the puzzle has no such push.
+    """
+    prop, destination = (instance.props[i].prop.name for i in (goal.prop, goal.destination))
+    for operator in instance.puzzle.make_symbolic_model().operators:
+        if operator.action == "push" and (operator.target, operator.destination) == (prop, destination):
+            return operator
+    raise GoalError(f"the puzzle {instance.puzzle.kind!r} does not ask to push {prop!r} onto {destination!r}")

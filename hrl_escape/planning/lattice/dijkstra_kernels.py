@@ -1,0 +1,292 @@
+"""Kernels of cost-to-go fields: representative places, links between cells, Dijkstra's search over the links.
+
+Arrays in, arrays out; `cost_to_go.py` gives them their meaning and keeps them. Kernels are
+compiled on first use and kept on disk.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hrl_escape.kernels import kernel, kernel_part
+from hrl_escape.planning.lattice.sweep_kernels import get_shape, measure_clearance, measure_distance, sweep
+
+__all__ = ["UNREACHED", "choose_points", "fill_gaps", "find_landings", "find_last_moves", "link_cells", "run_dijkstra"]
+
+UNREACHED = 32_000
+
+
+@kernel_part
+def _find_cell(points, standing, columns, rows, i, j, x, y):
+    """The cell (i, j) if the body fits there, else its neighbour whose place is nearest; -1 if none."""
+    if 0 <= i < columns and 0 <= j < rows and standing[i * rows + j]:
+        return i * rows + j
+    best, nearest = -1, 1e18
+    for near_i in range(max(i - 1, 0), min(i + 2, columns)):
+        for near_j in range(max(j - 1, 0), min(j + 2, rows)):
+            other = near_i * rows + near_j
+            if standing[other]:
+                away = (points[other, 0] - x) ** 2 + (points[other, 1] - y) ** 2
+                if away < nearest:
+                    best, nearest = other, away
+    return best
+
+
+@kernel
+def choose_points(scene, low, size, rows, first, last, within, points, standing):
+    """Choose a representative place in each cell of some columns of a grid, and test whether the body fits there.
+
+    The place is the cell's centre if the body fits there, else the one of 5 x 5 with the most clearance.
+
+    Args:
+        scene: the room.
+        low: corner of the grid, shape (2,).
+        size: side of a cell, m.
+        rows: cells along y.
+        first: first column.
+        last: column to stop before.
+        within: cells to look at, shape (columns * rows,); the others count as blocked.
+        points: places, shape (columns * rows, 2), m; filled in.
+        standing: True where the body fits, shape (columns * rows,); filled in.
+    """
+    for i in range(first, last):
+        for j in range(rows):
+            x, y = low[0] + (i + 0.5) * size, low[1] + (j + 0.5) * size
+            if not within[i * rows + j]:
+                points[i * rows + j, 0], points[i * rows + j, 1] = x, y
+                continue
+            best_x, best_y, widest = x, y, measure_clearance(scene, x, y)
+            if widest < scene.radius and widest + size > scene.radius:
+                for k in range(25):
+                    try_x, try_y = x + (k // 5 - 2) * size / 5, y + (k % 5 - 2) * size / 5
+                    clearance = measure_clearance(scene, try_x, try_y)
+                    if clearance > widest:
+                        best_x, best_y, widest = try_x, try_y, clearance
+            cell = i * rows + j
+            points[cell, 0], points[cell, 1] = best_x, best_y
+            standing[cell] = widest >= scene.radius
+
+
+@kernel
+def find_landings(scene, points, standing, cells_a_row, low, size, moves, steps, first, last, landing, link_cost,
+                  starts):
+    """Find the cells to which moves lead from some cells.
+
+    Args:
+        scene: the room.
+        points: a representative place in each cell, shape (cells, 2).
+        standing: True where the body fits there, shape (cells,).
+        cells_a_row: cells along y; a cell's index is i * cells_a_row + j.
+        low: corner of the grid, shape (2,).
+        size: side of a cell, m.
+        moves: displacements, shape (classes, translations, 2), m.
+        steps: primitives of a whole displacement.
+        first: first cell.
+        last: cell to stop before.
+        landing: cell at the end of each (cell, class, translation); filled in, -1 for none.
+        link_cost: primitives of each; filled in.
+        starts: moves that end in each (cell, class), one place up, shape (cells * classes + 1,); added to.
+    """
+    classes, translations = moves.shape[0], moves.shape[1]
+    columns = points.shape[0] // cells_a_row
+    length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
+    for cell in range(first, last):
+        if not standing[cell]:
+            continue
+        x, y = points[cell, 0], points[cell, 1]
+        for c in range(classes):
+            for m in range(translations):
+                dx, dy = moves[c, m, 0], moves[c, m, 1]
+                fraction = sweep(scene, x, y, dx, dy, length)
+                ex, ey = x + fraction * dx, y + fraction * dy
+                i, j = int(math.floor((ex - low[0]) / size)), int(math.floor((ey - low[1]) / size))
+                best = _find_cell(points, standing, columns, cells_a_row, i, j, ex, ey)
+                if best >= 0 and best != cell:
+                    at = (cell * classes + c) * translations + m
+                    landing[at] = best
+                    link_cost[at] = max(1, int(math.ceil(fraction * steps - 1e-9)))
+                    starts[best * classes + c + 1] += 1
+
+
+@kernel
+def link_cells(landing, link_cost, starts, classes, translations):
+    """Reverse the moves: for each state, list the states that lead to it.
+
+    Args:
+        landing: from `find_landings`.
+        link_cost: from `find_landings`.
+        starts: from `find_landings`; made into running sums.
+        classes: heading classes.
+        translations: moves of each class.
+
+    Returns:
+        sources (links,), costs (links,): state (cell, class) is entered from
+        `sources[starts[s]:starts[s + 1]]` (cells, same class) at those costs.
+    """
+    cells = (starts.shape[0] - 1) // classes
+    for s in range(cells * classes):
+        starts[s + 1] += starts[s]
+    sources = np.empty(starts[-1], dtype=np.int32)
+    costs = np.empty(starts[-1], dtype=np.int16)
+    fill = starts[:-1].copy()
+    for cell in range(cells):
+        for c in range(classes):
+            for m in range(translations):
+                at = (cell * classes + c) * translations + m
+                if landing[at] >= 0:
+                    state = landing[at] * classes + c
+                    sources[fill[state]] = cell
+                    costs[fill[state]] = link_cost[at]
+                    fill[state] += 1
+    return sources, costs
+
+
+@kernel
+def find_last_moves(scene, points, candidates, moves, steps, goal, reach):
+    """Cost of the displacement from each cell that ends in the goal, 0 if none does; shape (candidates, classes)."""
+    classes, translations = moves.shape[0], moves.shape[1]
+    link_cost = np.zeros((candidates.shape[0], classes), dtype=np.int32)
+    length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
+    shape = get_shape(goal)
+    for n in range(candidates.shape[0]):
+        x, y = points[candidates[n], 0], points[candidates[n], 1]
+        for c in range(classes):
+            for m in range(translations):
+                dx, dy = moves[c, m, 0], moves[c, m, 1]
+                fraction = sweep(scene, x, y, dx, dy, length)
+                if measure_distance(x + fraction * dx, y + fraction * dy, shape) <= reach:
+                    cost = max(1, int(math.ceil(fraction * steps - 1e-9)))
+                    if link_cost[n, c] == 0 or cost < link_cost[n, c]:
+                        link_cost[n, c] = cost
+    return link_cost
+
+
+@kernel
+def run_dijkstra(starts, sources, costs, classes, headings, allowed, seeds, seed_costs, best, buckets, filled, counts,
+                 most):
+    """Fewest primitives from every (cell, heading) to the nearest seed, by Dijkstra's search with buckets (Dial 1969).
+
+    Each call continues the search; it is over when `counts[0]` is negative.
+
+    Args:
+        starts: from `link_cells`.
+        sources: from `link_cells`.
+        costs: from `link_cells`.
+        classes: heading classes of the links.
+        headings: headings of the field, a multiple of `classes` or equal to it.
+        allowed: cells that may be used, shape (cells,), bool.
+        seeds: states cell * headings + heading, in the order of their costs, shape (seeds,).
+        seed_costs: their cost-to-go, shape (seeds,).
+        best: cost-to-go of each state, shape (cells * headings,); `UNREACHED` at first, -1 in the end where no seed
+            can be reached.
+        buckets: states of the next levels, shape (levels, any), empty at first.
+        filled: states in each bucket, shape (levels,).
+        counts: level, seeds used, states in the fullest bucket, most links of a state; shape (4,).
+        most: states to take up in this call; a level is always finished.
+
+    Returns:
+        The buckets.
+    """
+    wide = filled.shape[0]
+    level, used, fullest, most_links = counts[0], counts[1], counts[2], counts[3]
+    taken = 0
+    while level < UNREACHED - wide:
+        if taken >= most:
+            counts[0], counts[1], counts[2] = level, used, fullest
+            return buckets
+        slot = level % wide
+        while used < seeds.shape[0] and seed_costs[used] <= level:
+            if fullest == buckets.shape[1]:
+                buckets = _widen(buckets, filled)
+            state = seeds[used]
+            if allowed[state // headings] and level < best[state]:
+                best[state] = level
+                buckets[slot, filled[slot]] = state
+                filled[slot] += 1
+                fullest = max(fullest, filled[slot])
+            used += 1
+        if filled[slot] == 0:
+            waiting = 0
+            for k in range(wide):
+                waiting += filled[k]
+            if waiting > 0:
+                level += 1
+            elif used < seeds.shape[0]:
+                level = seed_costs[used]
+            else:
+                break
+            continue
+        at = 0
+        while at < filled[slot]:
+            if fullest + 2 + most_links > buckets.shape[1]:
+                buckets = _widen(buckets, filled)
+            state = buckets[slot, at]
+            at += 1
+            taken += 1
+            if best[state] != level:
+                continue
+            cell = state // headings
+            heading = state - cell * headings
+            cost = level + 1
+            to = cost % wide
+            first = filled[to]
+            for turn in range(2):
+                if turn == 0:
+                    before = state + 1 if heading + 1 < headings else state + 1 - headings
+                else:
+                    before = state - 1 if heading > 0 else state - 1 + headings
+                if cost < best[before]:
+                    best[before] = cost
+                    buckets[to, first] = before
+                    first += 1
+            filled[to] = first
+            fullest = max(fullest, first)
+            known = cell * classes + (heading if headings == classes else heading % classes)
+            for k in range(starts[known], starts[known + 1]):
+                before, cost = sources[k] * headings + heading, level + costs[k]
+                if cost < best[before] and allowed[sources[k]]:
+                    best[before] = cost
+                    to = cost % wide
+                    buckets[to, filled[to]] = before
+                    filled[to] += 1
+                    fullest = max(fullest, filled[to])
+        filled[slot] = 0
+        level += 1
+    for state in range(best.shape[0]):
+        if best[state] == UNREACHED:
+            best[state] = -1
+    counts[0] = -1
+    return buckets
+
+
+@kernel_part
+def _widen(buckets, filled):
+    """Copy the buckets into ones for twice as many states."""
+    wider = np.empty((buckets.shape[0], 2 * buckets.shape[1]), dtype=np.int32)
+    for row in range(buckets.shape[0]):  # slices of two dimensions take numba seconds to compile
+        for k in range(filled[row]):
+            wider[row, k] = buckets[row, k]
+    return wider
+
+
+@kernel
+def fill_gaps(field, known, headings, rows):
+    """Give cells that are not `known` the least cost-to-go of their neighbours; changes `field`."""
+    columns = known.shape[0] // rows
+    for i in range(columns):
+        for j in range(rows):
+            cell = i * rows + j
+            if known[cell]:
+                continue
+            for heading in range(headings):
+                least = -1
+                for near_i in range(max(i - 1, 0), min(i + 2, columns)):
+                    for near_j in range(max(j - 1, 0), min(j + 2, rows)):
+                        other = near_i * rows + near_j
+                        cost = field[other * headings + heading]
+                        if known[other] and cost >= 0 and (least < 0 or cost < least):
+                            least = cost
+                field[cell * headings + heading] = least
+    return field

@@ -1,0 +1,203 @@
+"""Collision-free paths for the base in the plane; headings come later, as the robot strafes.
+
+The `Navigator` states the problem, asks a planner of `registry.py`, and checks its answer
+exactly before returning it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.errors import EscapeError, GoalError, PathPlannerError
+from hrl_escape.kernels import read_clock
+from hrl_escape.planning.clock import Clock, OutOfTime
+from hrl_escape.planning.collision_map import CollisionMap
+from hrl_escape.planning.goals import Goal, PressGoal
+from hrl_escape.planning.lattice.areas import compute_goal_area, sample_places
+from hrl_escape.planning.paths.problem import (
+    CHECKER_CALLS,
+    DEFAULT_PLANNER,
+    PathPlanner,
+    PathProblem,
+    PathResult,
+    PlannerFactory,
+    Spent,
+    Status,
+    compute_spacing,
+)
+from hrl_escape.planning.paths.registry import get_factory
+
+__all__ = ["Navigator"]
+
+MOST_GOALS = 24
+
+
+class Navigator:
+    """Plans paths in one room, with any registered planner. Not thread-safe; pickling keeps the room only.
+
+    Attributes:
+        instance: the room.
+    """
+
+    def __init__(self, instance: RoomInstance, get_collision: Callable[[bool], CollisionMap] | None = None) -> None:
+        """Prepare nothing yet.
+
+        Args:
+            instance: the room.
+            get_collision: gives its clearances with the door shut or open; None to compute them.
+        """
+        self.instance = instance
+        self._get_collision = get_collision
+        self._maps: dict[bool, CollisionMap] = {}
+        self._planners: dict[tuple[str, bool], PathPlanner] = {}
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (self.instance,)
+
+    def get_collision(self, door_shut: bool) -> CollisionMap:
+        """The room's clearances with its exit door shut or open."""
+        shut = door_shut and self.instance.door is not None
+        if shut not in self._maps:
+            self._maps[shut] = (self._get_collision(shut) if self._get_collision
+                                else CollisionMap(self.instance, door_shut=shut))
+        return self._maps[shut]
+
+    def plan(self, start: tuple[float, float], goal: Goal | NDArray[np.float64], planner: str = DEFAULT_PLANNER, *,
+             seed: int = 0, optimise: bool = False, budget: int = CHECKER_CALLS, clock: Clock | None = None,
+             time_limit: float | None = None, door_shut: bool = True) -> PathResult:
+        """Plan a path for the body's axis.
+
+        Args:
+            start: first place, m.
+            goal: the goal (for a press, any place from which the body touches the target), or places (n, 2) of
+                which any will do.
+            planner: one of `list_planners()`.
+            seed: the same seed gives the same path, in any process.
+            optimise: search until the budget is spent and return the shortest path found, for planners that keep
+                improving (`ANYTIME`); by default the first path will do.
+            budget: checker calls, the reproducible limit.
+            time_limit: limit of the whole call, s; it stops any planner from inside its checker. By default only
+                the budget decides.
+            clock: time limit of a call that this one is part of, instead of `time_limit`.
+            door_shut: whether the exit door, if there is one, stands.
+
+        Raises:
+            UnknownNameError: no planner of that name.
+            GoalError: a press by hand, or no such target.
+            UnsupportedError: the goal is a push.
+            PathPlannerError: the planner failed, or returned no path.
+        """
+        factory = get_factory(planner)
+        began, clock = read_clock(), clock or Clock(time_limit)
+        calls, path, bound = 0, np.zeros((0, 2)), 0.0
+        try:
+            collision = self.get_collision(door_shut)
+            status, places = self._find_goals(collision, start, goal, clock)
+            if len(places):
+                bound = float(np.hypot(*(places - start).T).min())
+            if status is None:
+                problem = partial(PathProblem, seed=seed, optimise=optimise, clock=clock, budget=budget)
+                status, path, calls = self._solve(collision, start, places, planner, factory, problem)
+            if status == "budget-exhausted" and clock.has_stopped:
+                status = "timeout"
+        except OutOfTime:
+            status = "timeout"
+        cost = float(np.hypot(*np.diff(path, axis=0).T).sum()) if len(path) else math.inf
+        return PathResult(status, path, cost, bound, planner, read_clock() - began, calls)
+
+    def _find_goals(self, collision: CollisionMap, start: tuple[float, float],
+                    goal: Goal | NDArray[np.float64], clock: Clock) -> tuple[Status | None, NDArray[np.float64]]:
+        """Free places of the goal that may be connected with the start, or the status if there are none."""
+        none = np.zeros((0, 2))
+        proof = None
+        if isinstance(goal, np.ndarray):
+            places = goal.reshape(-1, 2).astype(np.float64)
+            places = places[collision.are_free(places)]
+        else:
+            if isinstance(goal, PressGoal) and self.instance.dynamics.press_with == "hand":
+                raise GoalError("for a press by hand give places of the base; Reacher.make_table finds them")
+            area = compute_goal_area(goal, self.instance)
+            proof = collision.find_proof(*start, *area)
+            places = sample_places(area, collision, clock=clock) if proof != "solid" else none
+        if not collision.is_free(*start):
+            return "invalid-start", none
+        if not len(places):
+            return "invalid-goal", none
+        here = collision.get_parts(np.array(start))[0]
+        places = places[collision.get_parts(places) == here]
+        return (None, _choose_goals(places, start)) if len(places) and proof is None else ("no-path", none)
+
+    def _solve(
+        self, collision: CollisionMap, start: tuple[float, float], places: NDArray[np.float64], name: str,
+        factory: PlannerFactory, make_problem: Callable[..., PathProblem],
+    ) -> tuple[Status, NDArray[np.float64], int]:
+        none = np.zeros((0, 2))
+        begin = _step_aside(collision, np.array(start))
+        ends = [(place, aside) for place in places if (aside := _step_aside(collision, place)) is not None]
+        if begin is None or not ends:
+            return "not-found", none, 0
+        problem = make_problem(collision, begin, np.array([aside for _, aside in ends]))
+        key = (name, collision is self._maps.get(True))
+        try:
+            if key not in self._planners:
+                self._planners[key] = factory(collision)
+            answer = self._planners[key](problem)
+        except Spent:
+            return "budget-exhausted", none, problem.calls
+        except EscapeError:
+            raise
+        except Exception as error:
+            raise PathPlannerError(f"path planner {name!r} failed: {type(error).__name__}: {error}") from error
+        if answer is None or not len(answer):
+            return "not-found", none, problem.calls
+        path = _read_path(answer, name, begin)
+        away = np.hypot(*(problem.goals - path[-1]).T)
+        reached = int(away.argmin())
+        is_exact = bool(away[reached] <= 1e-6)
+        path = np.concatenate([[start], path, [ends[reached][0]]] if is_exact else [[start], path])
+        path = path[np.concatenate([[True], np.hypot(*np.diff(path, axis=0).T) > 1e-12])]
+        for a, b in zip(path[:-1].tolist(), path[1:].tolist(), strict=True):
+            if not collision.is_move_free(*a, *b):
+                raise PathPlannerError(f"path planner {name!r} returned a path that collides between {a} and {b}")
+        return "exact" if is_exact else "approximate", path, problem.calls
+
+
+def _step_aside(collision: CollisionMap, place: NDArray[np.float64]) -> NDArray[np.float64] | None:
+    """Nearest place with the clearance that motion tests need, straight from a place that may touch a wall."""
+    spacing, need = compute_spacing(collision)
+    x, y = place.tolist()
+    if collision.is_clear(x, y, need):
+        return place
+    for distance in (need - collision.radius + 1e-6, 0.01, spacing / 2, spacing, 2 * spacing):
+        for k in range(16):
+            aside_x = x + distance * math.cos(k * math.pi / 8)
+            aside_y = y + distance * math.sin(k * math.pi / 8)
+            if collision.is_clear(aside_x, aside_y, need) and collision.is_move_free(x, y, aside_x, aside_y):
+                return np.array([aside_x, aside_y])
+    return None
+
+
+def _choose_goals(places: NDArray[np.float64], start: tuple[float, float]) -> NDArray[np.float64]:
+    """At most `MOST_GOALS` places, nearest first: a third of them the nearest, the rest spread over all."""
+    places = places[np.argsort(np.hypot(*(places - start).T), kind="stable")]
+    if len(places) <= MOST_GOALS:
+        return places
+    spread = np.linspace(MOST_GOALS // 3, len(places) - 1, MOST_GOALS - MOST_GOALS // 3).astype(int)
+    return places[[*range(MOST_GOALS // 3), *spread]]
+
+
+def _read_path(answer: Any, name: str, start: NDArray[np.float64]) -> NDArray[np.float64]:
+    try:
+        path = np.array(answer, dtype=np.float64).reshape(len(answer), 2)
+    except (TypeError, ValueError):
+        raise PathPlannerError(f"path planner {name!r} must return places (n, 2), not {answer!r}") from None
+    if not np.isfinite(path).all() or np.hypot(*(path[0] - start)) > 1e-6:
+        raise PathPlannerError(f"path planner {name!r} must return finite places that begin at the start {start}")
+    return path

@@ -1,0 +1,122 @@
+"""Path problems and their results: the interface of every path planner.
+
+A path planner is a function from a `PathProblem` to places to go through; a factory makes one
+for a room. `registry.py` knows the planners by name, `navigator.py` checks every answer.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Literal, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.planning.clock import NO_LIMIT, Clock
+from hrl_escape.planning.collision_map import CollisionMap
+
+__all__ = ["CHECKER_CALLS", "DEFAULT_PLANNER", "PathPlanner", "PathProblem", "PathResult", "PlannerFactory", "Spent",
+           "Status", "compute_spacing"]
+
+CHECKER_CALLS = 200_000
+"""Default budget of a query: the limit that is the same on any machine."""
+DEFAULT_PLANNER = "RRTConnect"
+"""Path planner unless another is named."""
+SPACING = 0.1
+
+Status: TypeAlias = Literal["exact", "approximate", "not-found", "budget-exhausted", "timeout", "no-path",
+                            "invalid-start", "invalid-goal"]
+
+
+@dataclasses.dataclass(frozen=True)
+class PathResult:
+    """A path for the body's axis, or why there is none.
+
+    Attributes:
+        status: `exact`: collision-free from start to goal; `approximate`: collision-free, ends short of the
+            goal; `not-found`: the planner gave up; `budget-exhausted`: the checker calls were used up;
+            `timeout`: the clock ran out; `no-path`: there is proof that none exists; `invalid-start` or
+            `invalid-goal`: the body does not fit there.
+        path: places gone through in straight lines, start first, shape (n, 2), m; empty without a path.
+        cost: its length, m; infinity without a path.
+        bound: lower bound of any path's length, m: straight to the nearest place that reaches the goal.
+        planner: who planned it.
+        seconds: wall time without compilation.
+        checker_calls: places tested; a motion tested exactly counts as ten, a round of a planner's own loop
+            as one.
+    """
+
+    status: Status
+    path: NDArray[np.float64]
+    cost: float
+    bound: float
+    planner: str
+    seconds: float
+    checker_calls: int
+
+
+class Spent(Exception):
+    """Checker calls or time are used up; goes through OMPL and stops it."""
+
+
+class PathProblem:
+    """Query of a path planner, with the tests of places that it may use.
+
+    Attributes:
+        start: first place, shape (2,), m.
+        goals: places of which any will do, shape (n, 2), m; the nearest to the start comes first.
+        low: corner of the floor, shape (2,), m.
+        high: opposite corner, shape (2,), m.
+        spacing: a motion is free if places on it at most this far apart are free, m.
+        seed: for all randomness.
+        optimise: search for a shorter path until the budget is spent, instead of stopping at the first.
+        calls: places tested so far.
+    """
+
+    def __init__(self, collision: CollisionMap, start: NDArray[np.float64], goals: NDArray[np.float64], *,
+                 seed: int = 0, optimise: bool = False, budget: int = CHECKER_CALLS, clock: Clock = NO_LIMIT) -> None:
+        """State a problem; see the attributes and `Navigator.plan`."""
+        self.start, self.goals, self.seed, self.optimise, self.calls = start, goals, seed, optimise, 0
+        self.low = collision.low
+        self.high = collision.low + collision.resolution * np.array(collision.distance.shape)
+        self.spacing, self._need = compute_spacing(collision)
+        self._collision, self._budget = collision, budget
+        self._clock = clock
+
+    def is_free(self, x: float, y: float) -> bool:
+        """Return whether the body fits at a place, with the clearance that tests of motions at `spacing` need.
+
+        Once calls or time are used up it raises an exception, which a planner must let through.
+        """
+        self.spend(1)
+        return self._collision.is_clear(x, y, self._need)
+
+    def is_move_free(self, x: float, y: float, to_x: float, to_y: float) -> bool:
+        """Return exactly whether the body can go straight between two places."""
+        self.spend(10)
+        return self._collision.is_move_free(x, y, to_x, to_y)
+
+    def spend(self, calls: int) -> None:
+        """Count checker calls."""
+        self.calls += calls
+        if self.calls > self._budget or self._clock.is_up():
+            raise Spent
+
+
+def compute_spacing(collision: CollisionMap) -> tuple[float, float]:
+    """Spacing of tests on a motion, and the clearance they need so that everything between is free.
+
+    Of two places `s` apart that are both `d` from a point, the middle is at least
+    sqrt(d^2 - s^2 / 4) from it (parallelogram law).
+    """
+    spacing = min(SPACING, collision.radius / 5)
+    return spacing, math.sqrt(collision.radius**2 + spacing**2 / 4)
+
+
+PathPlanner: TypeAlias = Callable[[PathProblem], "Sequence[Sequence[float]] | NDArray[np.float64] | None"]
+"""Returns places to go through, start first, or None. A path that ends short of every goal is approximate."""
+
+PlannerFactory: TypeAlias = Callable[[CollisionMap], PathPlanner]
+"""Makes a planner for one room, which may keep what it works out for later queries."""

@@ -1,0 +1,216 @@
+"""`Plan`: primitives with the states they lead to, in named parts; a value that can be executed and drawn.
+
+Made by `room_planner.py`. The states are those of the room's own kinematics without noise and
+slip; in a room without these an executed plan meets them exactly.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.primitives import make_action_table
+from hrl_escape.errors import EscapeError
+from hrl_escape.planning.goals import Goal, describe_goal
+
+__all__ = ["Execution", "Plan", "PlanPart"]
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanPart:
+    """One leg of a plan.
+
+    Attributes:
+        name: such as `press-button-2` or `exit`.
+        goal: its goal.
+        start: index of its first primitive.
+        stop: index after its last primitive.
+        also_pressed: names of other targets that it presses on the way because they cannot be avoided.
+    """
+
+    name: str
+    goal: Goal
+    start: int
+    stop: int
+    also_pressed: tuple[str, ...] = ()
+
+
+class Execution(NamedTuple):
+    """Record of an executed plan.
+
+    Attributes:
+        states: states, the first one included.
+        rewards: one a primitive that ran.
+        terminated: the robot escaped.
+        truncated: the episode was cut off.
+        as_predicted: every state was the predicted one.
+    """
+
+    states: tuple[RoomState, ...]
+    rewards: tuple[float, ...]
+    terminated: bool
+    truncated: bool
+    as_predicted: bool
+
+
+@dataclasses.dataclass(frozen=True)
+class Plan:
+    """A sequence of primitives that reaches a goal.
+
+    Attributes:
+        instance: the room.
+        name: its goal, in words.
+        primitives: actions, in order.
+        states: predicted states, one more than primitives; the first is the start.
+        parts: its legs, in order; they cover all primitives.
+        planner: names of the searches that found its legs: `fields`, or a path planner.
+        expansions: search nodes expanded for it.
+        seconds: wall time of planning it, without compilation.
+        timed_out: the planner's time limit cut the search short; without it the plan may be shorter.
+    """
+
+    instance: RoomInstance
+    name: str
+    primitives: tuple[int, ...]
+    states: tuple[RoomState, ...]
+    parts: tuple[PlanPart, ...]
+    planner: str
+    expansions: int = 0
+    seconds: float = 0.0
+    timed_out: bool = False
+
+    @property
+    def cost(self) -> int:
+        """Number of primitives."""
+        return len(self.primitives)
+
+    @property
+    def path(self) -> NDArray[np.float64]:
+        """Positions of the body's axis, shape (primitives + 1, 2), m."""
+        return np.array([(state.x, state.y) for state in self.states], dtype=np.float64).reshape(-1, 2)
+
+    @property
+    def also_pressed(self) -> tuple[str, ...]:
+        """Names of targets that are pressed on the way because they cannot be avoided."""
+        return tuple(name for part in self.parts for name in part.also_pressed)
+
+    def compute_return(self) -> float:
+        """Compute the undiscounted return of the plan as predicted, regardless of the horizon."""
+        reward, last = self.instance.reward, self.states[-1]
+        escapes = self.instance.exit.contains(last.x, last.y) and self.instance.puzzle.is_solved(last.puzzle)
+        if not escapes:
+            return reward.step * self.cost
+        bonus = reward.exit if reward.exit_replaces_step else reward.step + reward.exit
+        return reward.step * (self.cost - 1) + bonus
+
+    def execute(self, env: gymnasium.Env) -> Execution:
+        """Step an environment through the primitives, open loop, until the plan or the episode ends.
+
+        Under noise, slip or physics use an option, which replans from the state reached.
+
+        Args:
+            env: a flat environment of this room, wrapped or not, in the state where the plan starts.
+
+        Raises:
+            EscapeError: the environment has another room, or is in another state.
+        """
+        room: Any = env.unwrapped
+        if room.instance.id != self.instance.id:
+            raise EscapeError(f"this plan is for room {self.instance.id}, the environment has {room.instance.id}")
+        states, rewards = [room.get_state()], []
+        if strip(states[0]) != strip(self.states[0]):
+            raise EscapeError(f"this plan starts at {_describe_pose(self.states[0])}, the environment is at "
+                              f"{_describe_pose(states[0])}: plan from env.unwrapped.get_state()")
+        terminated = truncated = False
+        for primitive in self.primitives:
+            _, reward, terminated, truncated, _ = env.step(primitive)
+            states.append(room.get_state())
+            rewards.append(float(reward))
+            if terminated or truncated:
+                break
+        exact = len(states) == len(self.states) and all(map(_is_same, states, self.states))
+        return Execution(tuple(states), tuple(rewards), terminated, truncated, exact)
+
+    def draw(self, path: str | Path | None = None) -> Any:
+        """Draw the plan on the room's map.
+
+        Args:
+            path: PNG, SVG or PDF to write; None only returns the figure.
+
+        Returns:
+            The matplotlib figure.
+        """
+        from hrl_escape.env.drawing.maps import Trajectory, make_map, save_figure  # loads matplotlib
+
+        points = self.path
+        legs = [Trajectory(points[part.start : part.stop + 1], f"{part.name} ({part.stop - part.start})")
+                for part in self.parts]
+        figure = make_map(self.instance, self.states[0], legs)
+        if path is not None:
+            save_figure(path, figure)
+        return figure
+
+    def make_rows(self) -> list[tuple[str, str, str, str]]:
+        """Format the plan as rows of text: a header, one row a part, and the total."""
+        names = make_action_table(self.instance.robot.joints).names
+        rows = [("part", "primitives", "ends at", "actions")]
+        for part in self.parts:
+            actions = self.primitives[part.start : part.stop]
+            counts = ", ".join(f"{count} {names[a]}" for a, count in Counter(actions).items())
+            note = f"; also presses {', '.join(part.also_pressed)}" if part.also_pressed else ""
+            rows.append((part.name, str(len(actions)), _describe_pose(self.states[part.stop]), counts + note))
+        return [*rows, ("total", str(self.cost), "", f"return {self.compute_return():g}")]
+
+    def __str__(self) -> str:
+        rows = self.make_rows()
+        widths = [max(len(row[i]) for row in rows) for i in range(3)]
+        return "\n".join("  ".join((*(cell.ljust(wide) for cell, wide in zip(row[:3], widths, strict=True)), row[3]))
+                         for row in rows)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON: primitives, poses, parts, cost and planner."""
+        return {
+            "instance": self.instance.id,
+            "name": self.name,
+            "cost": self.cost,
+            "return": self.compute_return(),
+            "primitives": list(self.primitives),
+            "poses": [[s.x, s.y, s.heading_steps, *s.joint_steps] for s in self.states],
+            "parts": [{"name": part.name, "goal": describe_goal(part.goal, self.instance), "start": part.start,
+                       "stop": part.stop, "also_pressed": list(part.also_pressed)} for part in self.parts],
+            "planner": self.planner,
+            "expansions": self.expansions,
+            "seconds": self.seconds,
+            "timed_out": self.timed_out,
+        }
+
+
+def strip(state: RoomState) -> RoomState:
+    """Strip a state of everything that the future of a room without noise does not depend on."""
+    return state._replace(primitives=0, noise_key=0, physics=None)
+
+
+def _is_same(met: RoomState, predicted: RoomState) -> bool:
+    return strip(met) == strip(predicted)
+
+
+def _describe_pose(state: RoomState) -> str:
+    return f"({state.x:.2f}, {state.y:.2f}) heading step {state.heading_steps}"
+
+
+def join_parts(legs: Sequence[Plan]) -> tuple[PlanPart, ...]:
+    """Join the parts of consecutive plans into those of one plan."""
+    parts, offset = [], 0
+    for leg in legs:
+        parts += [dataclasses.replace(p, start=p.start + offset, stop=p.stop + offset) for p in leg.parts]
+        offset += leg.cost
+    return tuple(parts)

@@ -1,0 +1,304 @@
+"""Routes: primitives from a state to one goal, found once, remembered, and checked by replay.
+
+Options follow routes, and plans are made of them. A route is a function of state and goal alone,
+so remembering it saves time and changes nothing. `primitive_search.py` finds a single route,
+`room_planner.py` puts several goals in order.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.geometry import Footprint
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError
+from hrl_escape.kernels import read_clock
+from hrl_escape.planning.clock import Clock
+from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, describe_goal, is_reached
+from hrl_escape.planning.lattice.cost_to_go import FieldMaker
+from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
+from hrl_escape.planning.primitive_search import METHODS, PrimitiveSearch
+from hrl_escape.planning.props import get_prop_poses, list_obstacles, meets
+from hrl_escape.planning.report import PlanningReport
+
+if TYPE_CHECKING:
+    from hrl_escape.planning.arm.reacher import Reacher
+
+__all__ = ["Pose", "Route", "RouteFinder", "check_method", "get_pose"]
+
+MOST_ROUTES = 10_000
+"""Routes that are kept; the least recently used are dropped first."""
+
+CAREFUL = 20_000
+"""Search nodes of a route that keeps away from all blocks, before one that may move some."""
+
+Pose: TypeAlias = tuple[Any, ...]
+
+
+def get_pose(state: RoomState) -> Pose:
+    """Pose that a route depends on: base, arm, and touched targets; hashable."""
+    return (*state.pose, state.touching)
+
+
+class Route(NamedTuple):
+    """Primitives to one goal, with the poses they lead through.
+
+    Attributes:
+        primitives: actions, in order.
+        poses: the pose before each primitive and the last one.
+        also_pressed: other targets that are pressed on the way because they cannot be avoided.
+        expansions: search nodes expanded for it.
+        method: search that found it: `fields`, or a path planner; `given` if none did.
+        timed_out: the clock cut its search short; without it there may be a shorter one.
+    """
+
+    primitives: tuple[int, ...]
+    poses: tuple[Pose, ...]
+    also_pressed: tuple[int, ...]
+    expansions: int
+    method: str = "given"
+    timed_out: bool = False
+
+
+class RouteFinder:
+    """Routes of one room; thread-safe by a lock, and picklable.
+
+    Attributes:
+        instance: the room as given.
+        rules: its kinematics without noise and slip, by which routes are checked.
+    """
+
+    def __init__(self, instance: RoomInstance, method: str = "auto", budget: int = 300_000,
+                 time_limit: float | None = None) -> None:
+        check_method(method)
+        Clock(time_limit)  # refuses what is no limit
+        self.instance = instance
+        self.method, self.budget, self.time_limit = method, budget, time_limit
+        # pressing under physics takes force: being within the margin is not enough
+        margin = 0.0 if instance.dynamics.kind == "physics" else instance.dynamics.press_margin
+        quiet = dataclasses.replace(instance.dynamics, noise=0.0, slip=0.0, press_margin=margin)
+        self._quiet = dataclasses.replace(instance, dynamics=quiet)
+        self.rules = Kinematics(self._quiet)
+        self._radius = instance.robot.body_radius + CONTACT_SKIN
+        self._open()
+
+    def _open(self) -> None:
+        self._search = PrimitiveSearch(self._quiet, self.rules)
+        self._routes: OrderedDict[tuple[Goal, str, bool, Pose], Route | PlanningFailed] = OrderedDict()
+        self._reasons: dict[int, str] = {}
+        self._lock = threading.RLock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in self.__dict__.items() if k not in ("_search", "_routes", "_reasons", "_lock")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._open()
+
+    def prepare(self) -> None:
+        """Compute now the fields that routes share, so that the first routes are as quick as later ones."""
+        with self._lock:
+            self._search.prepare()
+
+    def get_field_maker(self, door_shut: bool) -> FieldMaker:
+        """Grid of the cost-to-go fields, with the exit door shut or open."""
+        with self._lock:
+            return self._search.get_maker(door_shut)
+
+    def get_reacher(self) -> Reacher:
+        """Arm of this room's robot, which finds its postures."""
+        with self._lock:
+            return self._search.reacher
+
+    def can_start(self, state: RoomState, goal: Goal) -> bool:
+        """Return cheaply whether planning to a goal makes sense: it is not reached yet, and no shut door blocks it."""
+        if isinstance(goal, ExitGoal) and self.instance.door and not self.is_solved(state):
+            return False
+        return isinstance(goal, PressGoal) or not is_reached(goal, state, state, self.rules)
+
+    def find_route(self, state: RoomState, goal: Goal, report: PlanningReport | None = None,
+                   clock: Clock | None = None, method: str | None = None) -> Route:
+        """Find the route from a state to a goal, or recall it.
+
+        Args:
+            state: first state.
+            goal: the goal.
+            report: counts calls, cache hits and seconds.
+            clock: time limit of a call that this one is part of; None for the planner's own.
+            method: as in `RoomPlanner`; None for the planner's own.
+
+        Raises:
+            PlanningFailed: no route; a failure is remembered like a route.
+        """
+        began = read_clock()
+        clock = clock or Clock(self.time_limit)
+        method = method or self.method
+        key = self._make_key(state, goal, method)
+        with self._lock:
+            found = self._routes.get(key)
+            if report is not None:
+                report.planner_calls += 1
+                report.cache_hits += found is not None
+            if found is None:
+                found = self._search_round_props(state, goal, clock, method)
+                if not clock.has_stopped:  # what a clock cut short depends on the machine, not on the room alone
+                    self._routes[key] = found
+                    if len(self._routes) > MOST_ROUTES:
+                        self._routes.popitem(last=False)
+            else:
+                self._routes.move_to_end(key)
+        if report is not None:
+            report.planner_seconds += read_clock() - began
+        if isinstance(found, PlanningFailed):
+            raise found.with_traceback(None)
+        return found
+
+    def find_route_around(self, state: RoomState, goal: Goal, keep_out: Sequence[Footprint], budget: int,
+                       report: PlanningReport, *, refine: bool = True) -> Route:
+        """Find the route to a goal round movable things such as blocks; it is not remembered.
+
+        Args:
+            state: first state.
+            goal: the goal.
+            keep_out: footprints that the body must not meet.
+            budget: search nodes that may be expanded.
+            report: counts calls and seconds.
+            refine: search finer grids, too, before giving up.
+
+        Raises:
+            PlanningFailed: no route within the budget.
+        """
+        began = read_clock()
+        report.planner_calls += 1
+        with self._lock:
+            found = self._search_route(state, goal, Clock(self.time_limit), self.method, keep_out, budget, refine)
+        report.planner_seconds += read_clock() - began
+        if isinstance(found, PlanningFailed):
+            raise found
+        return found
+
+    def remember(self, state: RoomState, goal: Goal, primitives: Sequence[int]) -> bool:
+        """Make given primitives the route to a goal from here; False if they do not reach it or press a target."""
+        route = self.replay(state, primitives, goal)
+        if route is None or len(route.primitives) < len(primitives) or route.also_pressed:
+            return False
+        with self._lock:
+            self._routes.setdefault(self._make_key(state, goal, self.method), route)
+        return True
+
+    def _make_key(self, state: RoomState, goal: Goal, method: str) -> tuple[Goal, str, bool, Pose]:
+        """All that a route depends on."""
+        props = tuple(get_prop_poses(state, self.instance)) if self.instance.props else ()
+        return goal, method, self.is_solved(state), (*get_pose(state), props)
+
+    def replay(self, state: RoomState, primitives: Sequence[int], goal: Goal,
+               keep_out: Sequence[Footprint] | None = None) -> Route | None:
+        """Route of given primitives from here, cut where the goal is reached; None if it never is.
+
+        Args:
+            state: first state.
+            primitives: the primitives.
+            goal: the goal.
+            keep_out: footprints that the body must not meet; None for blocks that it must not move.
+        """
+        poses, pressed = [get_pose(state)], 0
+        here = state
+        if keep_out is None:
+            keep_out = list_obstacles(state, self.instance)[-1]
+        for count, primitive in enumerate(primitives, 1):
+            after = self.rules.step(here, primitive).state
+            if keep_out and meets(here.x, here.y, after.x, after.y, keep_out, self._radius):
+                return None
+            poses.append(get_pose(after))
+            pressed |= after.touching & ~here.touching
+            if is_reached(goal, here, after, self.rules):
+                others = pressed & ~(1 << goal.target) if isinstance(goal, PressGoal) else pressed
+                also = tuple(i for i in range(others.bit_length()) if others >> i & 1)
+                return Route(tuple(primitives[:count]), tuple(poses), also, 0)
+            here = after
+        return None
+
+    def make_failure(self, reason: PlanningReason, state: RoomState, goal: Goal | None, **details: Any
+                     ) -> PlanningFailed:
+        """Build the error for a goal (None: the escape) that could not be planned from a state."""
+        pose = (state.x, state.y, self.rules.get_heading(state))
+        name = "escape" if goal is None else describe_goal(goal, self.instance)
+        return PlanningFailed(reason, name, pose, **details)
+
+    def _search_round_props(self, state: RoomState, goal: Goal, clock: Clock, method: str) -> Route | PlanningFailed:
+        """Route that keeps away from all blocks if it can, and in any case from those that must not be moved."""
+        *careful, least = list_obstacles(state, self.instance)
+        for keep_out in careful:
+            found = self._search_route(state, goal, clock, method, keep_out, CAREFUL, False)
+            if isinstance(found, Route):
+                return found
+        return self._search_route(state, goal, clock, method, least)
+
+    def _search_route(self, state: RoomState, goal: Goal, clock: Clock, method: str, keep_out: Sequence[Footprint] = (),
+                      budget: int | None = None, refine: bool = True) -> Route | PlanningFailed:
+        begin = state._replace(primitives=0, noise_key=0, z=0.0, pitch=0.0, roll=0.0, physics=None)
+        began = read_clock()
+        way, planner = (method, DEFAULT_PLANNER) if method in METHODS else ("corridor", method)
+        way = self._search.choose_method(goal, keep_out) if way == "auto" else way
+        result = self._search.search(begin, goal, method=way, planner=planner, refine=refine, keep_out=keep_out,
+                                     budget_expansions=budget or self.budget, clock=clock)
+        if not result.is_reached:
+            return self.make_failure(
+                PlanningReason(result.status), state, goal, seconds=read_clock() - began,
+                planners=(planner, "fields") if way == "corridor" else (way,),
+                nearest=_describe_place(result.nearest),
+                advice="" if clock.has_stopped else self._explain(goal),
+            )
+        if not result.primitives:  # already at the goal
+            return Route((), (get_pose(begin),), (), 0, result.method)
+        route = self.replay(begin, result.primitives, goal, keep_out)
+        assert route is not None, "a search must return what its own replay reaches"
+        return route._replace(expansions=result.expansions, method=result.method, timed_out=result.timed_out)
+
+    def _explain(self, goal: Goal) -> str:
+        """Reason why the hand never touches a target, empty if it can; computed once a target, for it takes seconds."""
+        if not isinstance(goal, PressGoal) or self.instance.dynamics.press_with != "hand":
+            return ""
+        if goal.target not in self._reasons:
+            from hrl_escape.planning.arm.unreachable import explain_unreachable  # loads Pinocchio
+
+            self._reasons[goal.target] = explain_unreachable(self._search.reacher, goal.target) or ""
+        return self._reasons[goal.target]
+
+    def follow(self, state: RoomState, route: Route) -> RoomState:
+        """State at the end of a route from here."""
+        for primitive in route.primitives:
+            state = self.rules.step(state, primitive).state
+        return state
+
+    def has_undone(self, before: RoomState, now: RoomState) -> bool:
+        """A prop has been moved away from where it opened the exit."""
+        return bool(self.instance.props) and self.is_solved(before) and not self.is_solved(now)
+
+    def is_solved(self, state: RoomState) -> bool:
+        """The exit is open."""
+        return self.instance.puzzle.is_solved(state.puzzle)
+
+    def has_escaped(self, state: RoomState) -> bool:
+        """The exit is open and the robot stands in it."""
+        return self.is_solved(state) and self.instance.exit.contains(state.x, state.y)
+
+
+def check_method(method: str) -> None:
+    """Check that a method is known. Raises `UnknownNameError`."""
+    if method in METHODS:
+        return
+    from hrl_escape.planning.paths.registry import list_planners  # loads OMPL, which fields do without
+
+    if method not in list_planners():
+        raise UnknownNameError("planner", method, (*METHODS, *list_planners()))
+
+
+def _describe_place(place: tuple[float, float] | None) -> str:
+    return "" if place is None else f"({place[0]:.2f}, {place[1]:.2f})"

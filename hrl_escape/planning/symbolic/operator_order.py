@@ -1,0 +1,281 @@
+"""Task planning: the order of a puzzle's operators with the fewest primitives.
+
+A best-first search over (facts that hold, last operator) with the planner's cost of each leg. For a
+puzzle that is a set of targets it is Held and Karp's dynamic programme, pruned by the symbolic
+model. It knows operators and costs, no geometry; `room_planner.py` plans the legs. `pddl.py`
+exports the same model for other planners.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import heapq
+import itertools
+import math
+from collections.abc import Callable, Iterable
+from typing import Any, NamedTuple, TypeAlias
+
+from hrl_escape.env.puzzles.base import Operator, SymbolicModel
+
+__all__ = ["ExtendLeg", "Leg", "TaskPlan", "TaskSearch", "find_relevant_operators"]
+
+LARGEST_SEARCH = 200_000
+"""Most legs of an exact search: 12 targets in any order have 135,000."""
+
+
+class Leg(NamedTuple):
+    """Leg of a task: one operator, carried out from some place.
+
+    Attributes:
+        cost: primitives.
+        place: its end, as the planner of legs needs it to plan the next leg.
+        facts: facts that hold at its end; None for those that the operator's effects imply.
+    """
+
+    cost: float
+    place: Any
+    facts: frozenset[str] | None = None
+
+
+ExtendLeg: TypeAlias = Callable[[Any, Operator | None], Leg | None]
+"""(place, operator) -> the leg, or None if it is impossible; operator None is the last leg, to the exit."""
+
+
+@dataclasses.dataclass(frozen=True)
+class TaskPlan:
+    """An order of operators.
+
+    Attributes:
+        operators: in order; the last leg (to the exit) follows.
+        legs: one an operator, and the last leg.
+        cost: primitives of all legs together.
+        lower_bound: no order costs less, by these legs.
+        searched: legs examined.
+    """
+
+    operators: tuple[Operator, ...]
+    legs: tuple[Leg, ...]
+    cost: float
+    lower_bound: float
+    searched: int
+
+    @property
+    def is_optimal(self) -> bool:
+        """No order of these legs is cheaper."""
+        return self.cost <= self.lower_bound
+
+
+def find_relevant_operators(model: SymbolicModel, goal: Iterable[str] | None = None) -> tuple[Operator, ...]:
+    """Operators relevant to a goal: those that change a fact that it, or another relevant operator, needs."""
+    needed = set(model.goal if goal is None else goal)
+    found: list[Operator] = []
+    left = list(model.operators)
+    while True:
+        useful = [op for op in left if (op.add | op.delete) & needed]
+        if not useful:
+            return tuple(op for op in model.operators if op in found)
+        for op in useful:
+            left.remove(op)
+            needed |= op.preconditions | op.forbidden
+        found += useful
+
+
+class _Coded(NamedTuple):
+    """Operator as bits of facts."""
+
+    needs: int
+    forbids: int
+    adds: int
+    deletes: int
+
+
+class TaskSearch:
+    """Search over the orders of a symbolic model's operators.
+
+    Args:
+        model: propositions and operators.
+        goal: facts to make true; None for the model's own goal.
+        lower_bound: (operator done last or None, operator to do or None for the last leg) -> primitives
+            that this leg costs at least, from any place. A tighter bound is faster.
+        relevant_only: leave out operators that the goal does not need. Legs planned one by one may end better after
+            one of these.
+    """
+
+    def __init__(
+        self,
+        model: SymbolicModel,
+        goal: frozenset[str] | None = None,
+        lower_bound: Callable[[Operator | None, Operator | None], float] = lambda last, then: 0.0,
+        relevant_only: bool = True,
+    ) -> None:
+        goal = model.goal if goal is None else goal
+        self.operators = find_relevant_operators(model, goal) if relevant_only else tuple(model.operators)
+        self._bits = {fact: 1 << i for i, fact in enumerate(model.propositions)}
+        self._goal = self._encode(goal)
+        self._coded = [
+            _Coded(*map(self._encode, (op.preconditions, op.forbidden, op.add, op.delete))) for op in self.operators
+        ]
+        numbers = range(len(self.operators))
+        froms: list[Operator | None] = [*self.operators, None]
+        self._least_to = [min((lower_bound(last, op) for last in froms if last is not op), default=0.0)
+                          for op in self.operators]
+        self._least_exit = min((lower_bound(last, None) for last in froms), default=0.0)
+        makers = {bit: [n for n in numbers if self._coded[n].adds & bit] for bit in self._bits.values()}
+        self._sole_maker = {bit: made_by[0] for bit, made_by in makers.items() if len(made_by) == 1}
+        self._estimates: dict[int, float] = {}
+
+    def _encode(self, facts: Iterable[str]) -> int:
+        code = 0
+        for fact in facts:
+            code |= self._bits[fact]
+        return code
+
+    def _list_next(self, facts: int) -> list[int]:
+        return [n for n, op in enumerate(self._coded) if op.needs & ~facts == 0 and not op.forbids & facts]
+
+    def _estimate(self, facts: int) -> float:
+        """Lower bound of the primitives still to come, from operators that nothing can replace."""
+        known = self._estimates.get(facts)
+        if known is None:
+            pending: set[int] = set()
+            wanted = self._goal & ~facts
+            while wanted:
+                bit = wanted & -wanted
+                wanted &= ~bit
+                maker = self._sole_maker.get(bit)
+                if maker is not None and maker not in pending:
+                    pending.add(maker)
+                    wanted |= self._coded[maker].needs & ~facts
+            known = self._estimates[facts] = sum(self._least_to[n] for n in pending) + self._least_exit
+        return known
+
+    def count_legs(self, facts: frozenset[str], most: int) -> int:
+        """Count the legs of an exhaustive search, up to `most`; `RoomPlanner` chooses the way to cost legs by it."""
+        queue: list[tuple[int, int]] = [(self._encode(facts), -1)]
+        seen = set(queue)
+        legs = 0
+        while queue and legs < most:
+            at, _ = queue.pop()
+            if at & self._goal == self._goal:
+                legs += 1
+                continue
+            for n in self._list_next(at):
+                legs += 1
+                op = self._coded[n]
+                then = (at & ~op.deletes | op.adds, n)
+                if then not in seen:
+                    seen.add(then)
+                    queue.append(then)
+        return min(legs, most)
+
+    def find_order(
+        self, facts: frozenset[str], place: Any, extend: ExtendLeg, largest: int = LARGEST_SEARCH
+    ) -> TaskPlan | None:
+        """Find the order of fewest primitives from here; None if there is none.
+
+        Exact over orders unless more than `largest` legs would have to be examined; then the best of a
+        beam search (over at most as many again), with the bound that the exact search had reached. Each
+        (facts, last operator) keeps its cheapest place.
+        """
+        begin = self._encode(facts)
+        tie = itertools.count()
+        best: dict[tuple[int, int], float] = {(begin, -1): 0.0}
+        heap: list[tuple[float, int, float, int, int, Any, Any]] = [
+            (self._estimate(begin), next(tie), 0.0, begin, -1, place, None)
+        ]
+        searched = 0
+        while heap:
+            bound, _, cost, at, last, here, trail = heapq.heappop(heap)
+            if last == -2:
+                return self._report(trail, cost, cost, searched)
+            if cost > best.get((at, last), math.inf):
+                continue
+            if searched >= largest:
+                width = max(4, largest // (4 * len(self.operators) ** 2))
+                return self._search_beam(begin, place, extend, bound, searched, width)
+            for n, leg, then in self._expand(at, here, extend):
+                searched += 1
+                total = cost + leg.cost
+                if n == -2:
+                    heapq.heappush(heap, (total, next(tie), total, then, n, leg.place, (trail, n, leg)))
+                elif total < best.get((then, n), math.inf):
+                    best[then, n] = total
+                    least = max(bound, total + self._estimate(then))  # no cheaper than what led here
+                    heapq.heappush(heap, (least, next(tie), total, then, n, leg.place, (trail, n, leg)))
+        return None
+
+    def find_orders(self, facts: frozenset[str], place: Any, extend: ExtendLeg, count: int, most: int
+                    ) -> list[TaskPlan]:
+        """Find several cheap orders, cheapest first, by a beam search.
+
+        Unlike `find_order`, each (facts, last operator) keeps its `count` cheapest places, as the next leg may be
+        shorter from a place that took longer to reach.
+
+        Args:
+            facts: facts that hold.
+            place: the place, as `extend` needs it.
+            extend: costs a leg.
+            count: orders to find.
+            most: legs to examine, roughly: the beam is as wide as that allows.
+        """
+        width = max(1, 2 * most // max(len(self.operators), 1) ** 2)
+        layer: list[tuple[float, float, int, int, Any, Any]] = [(0.0, 0.0, self._encode(facts), -1, place, None)]
+        finished: list[TaskPlan] = []
+        searched = 0
+        for _ in range(2 * len(self.operators) + 1):
+            found: dict[tuple[int, int], list[tuple[float, float, int, int, Any, Any]]] = {}
+            for _, cost, at, _, here, trail in layer:
+                for n, leg, then in self._expand(at, here, extend):
+                    searched += 1
+                    total = cost + leg.cost
+                    if n == -2:
+                        finished.append(self._report((trail, n, leg), total, 0.0, searched))
+                    else:
+                        found.setdefault((then, n), []).append(
+                            (total + self._estimate(then), total, then, n, leg.place, (trail, n, leg)))
+            kept = (sorted(entries, key=lambda entry: entry[:2])[:count] for entries in found.values())
+            layer = sorted(itertools.chain(*kept), key=lambda entry: entry[:4])[:width]
+        return sorted(finished, key=lambda plan: plan.cost)[:count]
+
+    def _expand(self, at: int, here: Any, extend: ExtendLeg) -> Iterable[tuple[int, Leg, int]]:
+        """Legs that can follow, as (operator, leg, facts after it); only the exit once the goal holds."""
+        if at & self._goal == self._goal:
+            leg = extend(here, None)
+            if leg is not None:
+                yield -2, leg, at
+            return
+        for n in self._list_next(at):
+            leg = extend(here, self.operators[n])
+            if leg is not None:
+                op = self._coded[n]
+                yield n, leg, at & ~op.deletes | op.adds if leg.facts is None else self._encode(leg.facts)
+
+    def _search_beam(self, begin: int, place: Any, extend: ExtendLeg, bound: float, searched: int,
+                     width: int) -> TaskPlan | None:
+        """Keep the most promising `width` after every operator; the best complete order wins."""
+        layer: list[tuple[float, float, int, int, Any, Any]] = [(0.0, 0.0, begin, -1, place, None)]
+        finished: tuple[float, Any] | None = None
+        for _ in range(4 * len(self.operators) + 1):
+            found: dict[tuple[int, int], tuple[float, float, int, int, Any, Any]] = {}
+            for _, cost, at, _, here, trail in layer:
+                for n, leg, then in self._expand(at, here, extend):
+                    searched += 1
+                    total = cost + leg.cost
+                    if n == -2:
+                        if finished is None or total < finished[0]:
+                            finished = (total, (trail, n, leg))
+                    elif (then, n) not in found or total < found[then, n][1]:
+                        found[then, n] = (total + self._estimate(then), total, then, n, leg.place, (trail, n, leg))
+            layer = sorted(found.values(), key=lambda entry: entry[:4])[:width]
+            if not layer:
+                break
+        return finished and self._report(finished[1], finished[0], min(bound, finished[0]), searched)
+
+    def _report(self, trail: Any, cost: float, bound: float, searched: int) -> TaskPlan:
+        steps = []
+        while trail is not None:
+            trail, n, leg = trail
+            steps.append((n, leg))
+        steps.reverse()
+        operators = tuple(self.operators[n] for n, _ in steps if n >= 0)
+        return TaskPlan(operators, tuple(leg for _, leg in steps), cost, bound, searched)

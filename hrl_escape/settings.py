@@ -1,0 +1,398 @@
+"""Frozen dataclass settings: ranges in the annotations, a sentence under each field, checks at construction.
+
+Schematics, puzzles, agents and grids are all written in this form:
+
+    @dataclasses.dataclass(frozen=True)
+    class ShapeConfig(Settings):
+        width: Annotated[float, Range(5, 200, "m")] = 20.0
+        '''Inner size along x.'''
+
+Fields hold numbers, text, `Literal` names, booleans, tuples, None and other settings. Construction refuses
+impossible values; `to_dict` and `from_dict` turn settings into plain JSON values and back. Where a class says so, its
+numbers may be ranges to draw from, `Between(3, 5)`.
+"""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+import functools
+import inspect
+import itertools
+import math
+import textwrap
+import types
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+from typing_extensions import Self
+
+from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.ranges import Between, fill_ranges, list_ranges
+
+__all__ = ["FieldDescription", "Range", "Settings", "describe_fields", "read_field_documents", "read_record",
+           "replace_settings"]
+
+MOST_RANGES = 8
+"""Most ranges in settings and their sections, for every combination of their ends is checked."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Range:
+    """Numbers that a field may take, as in `Annotated[float, Range(0, 1)]`.
+
+    Attributes:
+        low: smallest number allowed.
+        high: largest number allowed.
+        unit: unit of the number, empty for counts and shares.
+        open_low: exclude `low` itself.
+        open_high: exclude `high` itself.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    unit: str = ""
+    _: dataclasses.KW_ONLY
+    open_low: bool = False
+    open_high: bool = False
+
+    def __contains__(self, value: float) -> bool:
+        above = self.low < value if self.open_low else self.low <= value
+        return above and (value < self.high if self.open_high else value <= self.high)
+
+    def __str__(self) -> str:
+        if self.low == -math.inf and self.high == math.inf:
+            words = ""
+        elif self.high == math.inf:
+            words = f"above {self.low:g}" if self.open_low else f"of at least {self.low:g}"
+        elif self.low == -math.inf:
+            words = f"below {self.high:g}" if self.open_high else f"of at most {self.high:g}"
+        else:
+            low = f"above {self.low:g}" if self.open_low else f"from {self.low:g}"
+            words = f"{low} to below {self.high:g}" if self.open_high else f"{low} to {self.high:g}"
+        return f"{words} {self.unit}" if self.unit else words
+
+
+@dataclasses.dataclass(frozen=True)
+class Settings:
+    """Base of all settings: every field is checked against its annotation at construction."""
+
+    _section: ClassVar[str] = ""
+    """Name of the section in messages and paths; the class's own name where it is empty."""
+    _error: ClassVar[type[ConfigError]] = ConfigError
+    """Exception for impossible values in this family of settings."""
+    _takes_ranges: ClassVar[bool] = False
+    """Numbers may be ranges to draw from."""
+
+    def __post_init__(self) -> None:
+        section = self._section or type(self).__name__
+        for name, reader in _make_readers(type(self)).items():
+            given = getattr(self, name)
+            try:
+                value = reader.read(f"{section}.{name}", given)
+            except _Refusal as refusal:
+                raise self._error(*refusal.args) from None
+            if value is not given:
+                object.__setattr__(self, name, value)
+        ranges = list_ranges(self)
+        if not ranges:
+            self.check()
+        elif len(ranges) > MOST_RANGES:
+            raise self._error(section, ", ".join(ranges), f"at most {MOST_RANGES} ranges")
+        else:
+            for ends in itertools.product(*((between.low, between.high) for between in ranges.values())):
+                fill_ranges(self, dict(zip(ranges, ends, strict=True)))  # these check themselves
+
+    def check(self) -> None:
+        """Refuse combinations of fields that do not go together; subclasses extend it."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """Nested plain dicts, lists, numbers and text, ready for JSON."""
+        return {field.name: _make_plain(getattr(self, field.name)) for field in dataclasses.fields(self)}
+
+    @classmethod
+    def from_dict(cls, data: Any) -> Self:
+        """Settings from what `to_dict` gave; missing fields take their defaults.
+
+        Raises:
+            UnknownNameError: there is no such field; the message names the closest.
+            ConfigError: a value is not possible.
+        """
+        section = cls._section or cls.__name__
+        if not isinstance(data, Mapping):
+            raise cls._error(section, data, "a table of fields")
+        fields = {field.name: field for field in dataclasses.fields(cls)}
+        for name, value in data.items():
+            if name not in fields:
+                what = "section" if isinstance(value, Mapping) else "field"
+                raise UnknownNameError(f"{section} {what}", name, fields)
+        missing = [name for name, field in fields.items() if name not in data and _is_required(field)]
+        if missing:
+            raise cls._error(section, dict(data), f"a table with the field {missing[0]!r}")
+        return cls(**data)
+
+
+SettingsType = TypeVar("SettingsType")
+
+
+def replace_settings(settings: SettingsType, changes: Mapping[str, Any]) -> SettingsType:
+    """Copy of settings with some fields changed.
+
+    Raises:
+        UnknownNameError: there is no such field; the message names the closest.
+        ConfigError: a value is not possible.
+    """
+    known = [field.name for field in dataclasses.fields(settings)]  # type: ignore[arg-type]  # a frozen dataclass
+    for name in changes:
+        if name not in known:
+            raise UnknownNameError(f"setting of {type(settings).__name__}", name, known)
+    return dataclasses.replace(settings, **changes)  # type: ignore[type-var]  # a frozen dataclass
+
+
+RecordType = TypeVar("RecordType")
+
+
+def read_record(kind: type[RecordType], data: Any, path: str = "") -> RecordType:
+    """Make a dataclass from a JSON table, with every field checked against its annotation.
+
+    Args:
+        kind: the dataclass.
+        data: the table.
+        path: dotted path of the table in messages; the class's name by default.
+
+    Raises:
+        UnknownNameError: there is no such field; the message names the closest.
+        ConfigError: a field is missing, or its value is not possible.
+    """
+    path = path or kind.__name__
+    if not isinstance(data, Mapping):
+        raise ConfigError(path, data, "a table of fields")
+    readers = _make_readers(kind)
+    for name in data:
+        if name not in readers:
+            raise UnknownNameError(f"field of {path}", name, readers)
+    for field in dataclasses.fields(kind):  # type: ignore[arg-type]  # a dataclass
+        if field.name not in data and _is_required(field):
+            raise ConfigError(path, list(data), f"a table with the field {field.name!r}")
+    try:
+        return kind(**{name: readers[name].read(f"{path}.{name}", value) for name, value in data.items()})
+    except _Refusal as refusal:
+        raise ConfigError(*refusal.args) from None
+
+
+# --- descriptions ----------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class FieldDescription:
+    """Description of one field for tables and `--help`.
+
+    Attributes:
+        name: of the field.
+        default: its value where none is given.
+        allowed: possible values, in words.
+        document: the sentence under the field.
+        is_section: the field holds settings itself.
+    """
+
+    name: str
+    default: Any
+    allowed: str
+    document: str
+    is_section: bool
+
+
+def describe_fields(settings: type[Settings]) -> tuple[FieldDescription, ...]:
+    """Descriptions of the fields of a settings class, in order."""
+    documents = read_field_documents(settings)
+    readers = _make_readers(settings)
+    return tuple(
+        FieldDescription(field.name, field.default if field.default_factory is dataclasses.MISSING
+                         else field.default_factory(), readers[field.name].allowed, documents.get(field.name, ""),
+                         readers[field.name].is_section)
+        for field in dataclasses.fields(settings))
+
+
+def read_field_documents(settings: Any) -> dict[str, str]:
+    """Sentences under the fields of a settings dataclass and its bases, by the field's name.
+
+    They are read from the source code; a class without source code has none.
+    """
+    documents: dict[str, str] = {}
+    for owner in reversed(settings.__mro__):
+        if "__dataclass_fields__" not in owner.__dict__:
+            continue
+        try:
+            source = inspect.getsource(owner)
+        except (OSError, TypeError):
+            continue
+        (definition,) = ast.parse(textwrap.dedent(source)).body
+        body = definition.body if isinstance(definition, ast.ClassDef) else []
+        for field, below in zip(body, body[1:], strict=False):
+            if isinstance(field, ast.AnnAssign) and isinstance(field.target, ast.Name) and isinstance(below, ast.Expr):
+                documents[field.target.id] = " ".join(str(ast.literal_eval(below.value)).split())
+    return {field.name: documents[field.name] for field in dataclasses.fields(settings) if field.name in documents}
+
+
+# --- values ----------------------------------------------------------------------------
+
+
+class _Refusal(Exception):  # noqa: N818  # becomes the error of the settings' family
+    """An impossible value: its path, itself, and the possible ones in words."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _Reader:
+    """Possible values of a field in words, and the function that checks and converts one (path, value)."""
+
+    allowed: str
+    read: Callable[[str, Any], Any]
+    is_section: bool = False
+    is_number: bool = False
+
+
+@functools.cache
+def _make_readers(settings: type) -> dict[str, _Reader]:
+    hints = get_type_hints(settings, include_extras=True)
+    readers = {field.name: _make_reader(hints[field.name]) for field in dataclasses.fields(settings)}
+    if getattr(settings, "_takes_ranges", False):
+        return {name: _take_ranges(reader) if reader.is_number else reader for name, reader in readers.items()}
+    return readers
+
+
+def _make_reader(hint: Any, limits: Range | None = None) -> _Reader:
+    origin, arguments = get_origin(hint), get_args(hint)
+    if origin is Annotated:
+        return _make_reader(arguments[0], next((mark for mark in arguments[1:] if isinstance(mark, Range)), None))
+    if origin is Union or origin is types.UnionType:
+        return _make_union_reader(arguments)
+    if origin is tuple:
+        return _make_tuple_reader(arguments)
+    if origin is Literal:
+        return _make_test_reader("one of " + ", ".join(map(repr, arguments)),
+                                 lambda value: isinstance(value, type(arguments[0])) and value in arguments)
+    if hint is Any:
+        return _make_test_reader("anything", lambda value: True)
+    if hint is bool:
+        return _make_test_reader("true or false", lambda value: isinstance(value, bool))
+    if hint is int or hint is float:
+        return _make_number_reader(hint, limits)
+    kind = origin or hint
+    if issubclass(kind, Settings):
+        return _make_section_reader(kind)
+    words = {str: "text", dict: "a table"}.get(kind, f"a {kind.__name__}")
+    if dataclasses.is_dataclass(kind):
+        return _make_record_reader(kind)
+    return _make_test_reader(words, lambda value: isinstance(value, kind))
+
+
+def _make_test_reader(allowed: str, is_possible: Callable[[Any], bool]) -> _Reader:
+    def read(path: str, value: Any) -> Any:
+        if not is_possible(value):
+            raise _Refusal(path, value, allowed)
+        return value
+
+    return _Reader(allowed, read)
+
+
+def _make_number_reader(kind: type, limits: Range | None) -> _Reader:
+    allowed = f"{'a whole number' if kind is int else 'a number'} {limits or ''}".rstrip()
+
+    def read(path: str, given: Any) -> Any:
+        value = float(given) if kind is float and type(given) is int and abs(given) < 2**53 else given
+        if not isinstance(value, kind) or isinstance(value, bool) or (kind is float and not math.isfinite(value)):
+            raise _Refusal(path, given, allowed)
+        if limits is not None and value not in limits:
+            raise _Refusal(path, given, allowed)
+        return value
+
+    return _Reader(allowed, read, is_number=True)
+
+
+def _take_ranges(reader: _Reader) -> _Reader:
+    """Reader of what `reader` takes, and of ranges of such numbers."""
+
+    def read(path: str, value: Any) -> Any:
+        given = value
+        if isinstance(value, str):
+            try:
+                given = Between.parse(value)
+            except ValueError:
+                pass
+        if not isinstance(given, Between):
+            return reader.read(path, value)
+        low, high = reader.read(path, given.low), reader.read(path, given.high)
+        if low is None or high is None or low > high:
+            raise _Refusal(path, str(given), "a range from a number to one that is at least as large")
+        return Between(low, high)
+
+    return dataclasses.replace(reader, read=read)
+
+
+def _make_section_reader(kind: type[Settings]) -> _Reader:
+    allowed = "a table of fields"
+
+    def read(path: str, value: Any) -> Any:
+        if isinstance(value, kind):
+            return value
+        if isinstance(value, Mapping):
+            return kind.from_dict(value)
+        raise _Refusal(path, value, allowed)
+
+    return _Reader(allowed, read, is_section=True)
+
+
+def _make_record_reader(kind: Any) -> _Reader:
+    def read(path: str, value: Any) -> Any:
+        return value if isinstance(value, kind) else read_record(kind, value, path)
+
+    return _Reader("a table of fields", read)
+
+
+def _make_tuple_reader(hints: tuple[Any, ...]) -> _Reader:
+    any_length = hints[-1] is Ellipsis
+    items = [_make_reader(hint) for hint in hints if hint is not Ellipsis]
+    of_any_length = "a list of tables" if items[0].is_section else f"a list, each {items[0].allowed}"
+    allowed = of_any_length if any_length else f"a list of {len(items)} values"
+
+    def read(path: str, value: Any) -> Any:
+        if not isinstance(value, (tuple, list)) or not (any_length or len(value) == len(items)):
+            raise _Refusal(path, value, allowed)
+        readers = items * len(value) if any_length else items
+        made = tuple(reader.read(f"{path}[{i}]", item)
+                     for i, (reader, item) in enumerate(zip(readers, value, strict=True)))
+        is_same = isinstance(value, tuple) and all(new is old for new, old in zip(made, value, strict=True))
+        return value if is_same else made
+
+    return _Reader(allowed, read)
+
+
+def _make_union_reader(hints: tuple[Any, ...]) -> _Reader:
+    readers = [_make_reader(hint) for hint in hints if hint is not types.NoneType]
+    takes_none = types.NoneType in hints
+    allowed = ", or ".join([reader.allowed for reader in readers] + ["nothing (None)"] * takes_none)
+
+    def read(path: str, value: Any) -> Any:
+        if value is None and takes_none:
+            return None
+        for reader in readers:
+            try:
+                return reader.read(path, value)
+            except _Refusal:
+                continue
+        raise _Refusal(path, value, allowed)
+
+    return _Reader(allowed, read, is_section=any(reader.is_section for reader in readers),
+                   is_number=any(reader.is_number for reader in readers))
+
+
+def _is_required(field: dataclasses.Field[Any]) -> bool:
+    return field.default is dataclasses.MISSING and field.default_factory is dataclasses.MISSING
+
+
+def _make_plain(value: Any) -> Any:
+    if isinstance(value, Settings):
+        return value.to_dict()
+    if isinstance(value, (tuple, list)):
+        return [_make_plain(item) for item in value]
+    return str(value) if isinstance(value, Between) else value

@@ -1,0 +1,28 @@
+"""The version of hrl_escape, and those of what else decides its numbers."""
+
+from __future__ import annotations
+
+import functools
+import importlib.metadata
+
+__all__ = ["__version__", "find_versions"]
+
+__version__ = "0.2.0"
+
+LIBRARIES = ("gymnasium", "numpy", "scipy", "numba", "torch", "torchrl", "pybullet", "ompl", "pin")
+
+
+@functools.cache
+def find_versions() -> dict[str, str]:
+    """Versions of the libraries that decide numbers, and of installed packages with agents, puzzles or observations."""
+    points = importlib.metadata.entry_points()
+    groups = [group for group in points.groups if group.startswith("hrl_escape.")]
+    plugins = {point.dist.name for group in groups for point in points.select(group=group) if point.dist is not None}
+    return {name: _find_version(name) for name in (*LIBRARIES, *sorted(plugins))}
+
+
+def _find_version(name: str) -> str:
+    try:
+        return importlib.metadata.version(name)
+    except importlib.metadata.PackageNotFoundError:
+        return "not installed as a package"

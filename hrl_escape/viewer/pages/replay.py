@@ -1,0 +1,93 @@
+"""A recorded episode as one HTML page that plays offline: 3D scene, player and the puzzle's graph.
+
+viser's own serialiser records the scene; playing it needs no server and no network. The box of
+numbers follows the player's slider. If a later viser client hides the slider, the scene still
+plays. Animations (GIF, MP4) are made elsewhere, by the engine's cameras.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from markupsafe import escape
+
+from hrl_escape.files import write_text
+from hrl_escape.templates import embed_json, render_template
+from hrl_escape.viewer.pages.panels import make_graph
+from hrl_escape.viewer.recording import Recording
+from hrl_escape.viewer.scene.poses import blend, make_pose
+from hrl_escape.viewer.scene.room_scene import RoomScene
+from hrl_escape.viewer.server import open_server
+
+__all__ = ["make_replay", "save_replay"]
+
+REPLAY_STRIDE = 0.2
+"""Duration of one primitive, s."""
+FRAMES = 5
+"""Frames of one primitive."""
+HOLD = 2.0
+"""Pause at the end before the page plays again, s."""
+LONGEST = 2_000
+"""Number of primitives above which each gets one frame only, so that pages stay small."""
+
+
+def save_replay(path: str | Path, recording: Recording) -> None:
+    """Write the page of a recording, atomically.
+
+    Raises:
+        FileWriteError: the file could not be written.
+    """
+    write_text(path, make_replay(recording))
+
+
+def make_replay(recording: Recording) -> str:
+    """One HTML document that plays a recording without a network."""
+    server = open_server(port=0)
+    try:
+        scene = RoomScene(server, recording.instance)
+        scene.show(recording.states[0])
+        scene.draw_trail([])
+        serializer = server.get_scene_serializer()
+        frames = FRAMES if len(recording.rewards) <= LONGEST else 1
+        poses = [make_pose(scene.rules, state) for state in recording.states]
+        for number, (before, after) in enumerate(zip(poses, poses[1:], strict=False), 1):
+            for frame in range(1, frames):
+                serializer.insert_sleep(REPLAY_STRIDE / frames)
+                scene.pose(blend(before, after, frame / frames))
+            serializer.insert_sleep(REPLAY_STRIDE / frames)
+            scene.show(recording.states[number])
+            scene.draw_trail(recording.states[: number + 1])
+        serializer.insert_sleep(HOLD)
+        page = serializer.as_html()
+    finally:
+        server.stop()
+    title = _make_title(recording)
+    page = page.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
+    data = embed_json(_collect(recording))
+    overlay = render_template("hrl_escape.viewer.pages", "replay.html", title=title, data=data)
+    return page.replace("</body>", overlay + "</body>", 1)
+
+
+def _make_title(recording: Recording) -> str:
+    instance = recording.instance
+    room = instance.name if instance.seed is None else f"{instance.name}, room {instance.seed}"
+    return f"{room}: {recording.driver}".encode("utf-8", "replace").decode()  # JSON has half characters too
+
+
+def _collect(recording: Recording) -> dict[str, Any]:
+    """The numbers and graphs that the page's box shows."""
+    instance = recording.instance
+    graphs: dict[str, int] = {}
+    chosen = [graphs.setdefault(make_graph(instance.puzzle, state.puzzle, 242), len(graphs))
+              for state in recording.states]
+    returns = [0.0]
+    for reward in recording.rewards:
+        returns.append(returns[-1] + reward)
+    decisions: list[tuple[str, int]] = []
+    for name, count in recording.decisions:
+        decisions.append((name, count + (decisions[-1][1] if decisions else 0)))
+    return {
+        "stride": REPLAY_STRIDE, "returns": [f"{value:g}" for value in returns], "decisions": decisions,
+        "graphs": list(graphs), "graph": chosen, "end": recording.end,
+    }

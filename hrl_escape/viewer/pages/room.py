@@ -1,0 +1,168 @@
+"""The page that all modes share: the room in smooth 3D, its puzzle's graph, and cameras.
+
+`RoomPage` shows states and lets each client choose a camera. `play.py` and `watch.py` decide
+which states.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import Callable
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.viewer.extra import viser
+from hrl_escape.viewer.pages.panels import make_graph
+from hrl_escape.viewer.scene.poses import RoomPose, blend, make_pose
+from hrl_escape.viewer.scene.room_scene import OVERVIEW_FIELD, RoomScene, compute_overview
+from hrl_escape.viewer.server import Server
+
+__all__ = ["VIEWS", "RoomPage"]
+
+VIEWS = ("orbit", "follow", "robot's eye")
+FRAME_SECONDS = 1 / 30
+_Point = tuple[float, float, float]
+_OWN_KEYS = ("<img alt='' style='display:none' src='data:,' onerror=\"if(!window.hrlKeys){window.hrlKeys=1;"
+             "document.documentElement.addEventListener('keydown',e=>e.stopPropagation())}\">")
+"""Keeps keys that drive the robot from moving viser's camera, which listens one element further out."""
+
+
+class RoomPage:
+    """Page that shows a room to any number of clients.
+
+    Args:
+        server: server of the page.
+        instance: the room.
+        state: the state to show first.
+        owns_keys: keys drive something here, so viser's camera must ignore them.
+
+    Attributes:
+        scene: the room shown now.
+    """
+
+    def __init__(self, server: Server, instance: RoomInstance, state: RoomState, owns_keys: bool = False) -> None:
+        self.server = server
+        self._lock, self._panel = threading.Lock(), threading.Lock()
+        self._cameras: dict[int, str] = {}
+        self.scene = RoomScene(server, instance)
+        server.set_title(instance.name)
+        gui = server.gui
+        if owns_keys:
+            gui.add_html(_OWN_KEYS)
+        self.view_folder = gui.add_folder("View", order=50.0)
+        self._graph = gui.add_html("", order=20.0)
+        self._shown: tuple[str, object] | None = None
+        self._pose = make_pose(self.scene.rules, state)
+        self.show(state)
+        server.on_client_connect(self._welcome)
+        server.on_client_disconnect(self._forget)
+
+    def enter(self, instance: RoomInstance, state: RoomState) -> None:
+        """Replace the room by another one."""
+        self.scene.remove()
+        self.scene = RoomScene(self.server, instance)
+        self.show(state)
+        for client in self.server.get_clients().values():
+            self._choose(client, self._cameras.get(client.client_id, VIEWS[0]))
+
+    def show(self, state: RoomState) -> None:
+        """Jump to a state."""
+        self._pose = make_pose(self.scene.rules, state)
+        self.scene.show(state)
+        self._draw_graph(state)
+        self._aim()
+
+    def move(self, state: RoomState, seconds: float, is_cancelled: Callable[[], bool] | None = None) -> None:
+        """Move smoothly to a state; panels light up when it is reached.
+
+        Args:
+            state: the state to reach.
+            seconds: duration.
+            is_cancelled: asked at every frame; the rest of the way is skipped once it returns True.
+        """
+        begin, end = self._pose, make_pose(self.scene.rules, state)
+        started = time.monotonic()
+        while (past := time.monotonic() - started) < seconds - FRAME_SECONDS / 2:
+            if is_cancelled is not None and is_cancelled():
+                break
+            share = past / seconds
+            self._pose = blend(begin, end, share * share * (3 - 2 * share) if seconds > 0.15 else share)
+            self.scene.pose(self._pose)
+            self._aim()
+            time.sleep(min(FRAME_SECONDS, max(seconds - past, 0.0)))
+        self.show(state)
+
+    def _draw_graph(self, state: RoomState) -> None:
+        key = (self.scene.instance.id, state.puzzle)
+        if key != self._shown:
+            self._shown = key
+            self._graph.content = make_graph(self.scene.instance.puzzle, state.puzzle)
+
+    # --- cameras -------------------------------------------------------------------------------
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        """Give a new client its own camera buttons."""
+        with self._panel, self.view_folder:  # which only one thread may enter, and several clients may come at once
+            choice = client.gui.add_button_group("camera", VIEWS)
+
+        @choice.on_click
+        def _(_: viser.GuiEvent[viser.GuiButtonGroupHandle]) -> None:
+            self._choose(client, choice.value)
+
+        with self._lock:
+            if client.client_id in self.server.get_clients():  # else it has gone already, and been forgotten
+                self._cameras[client.client_id] = VIEWS[0]
+        if _get_aspect(client) < 1.0:
+            self._choose(client, VIEWS[0])  # the scene's own first view is for wide screens
+
+    def _forget(self, client: viser.ClientHandle) -> None:
+        with self._lock:
+            self._cameras.pop(client.client_id, None)
+
+    def _choose(self, client: viser.ClientHandle, mode: str) -> None:
+        with self._lock:
+            self._cameras[client.client_id] = mode
+        if mode == VIEWS[0]:
+            with client.atomic():
+                client.camera.up_direction = (0.0, 0.0, 1.0)
+                client.camera.fov = math.radians(OVERVIEW_FIELD)
+                place, target = compute_overview(self.scene.instance, _get_aspect(client))
+                client.camera.position, client.camera.look_at = place, target
+        else:
+            self._aim()
+
+    def _aim(self) -> None:
+        """Move the cameras that follow the robot."""
+        with self._lock:
+            moving = {number: mode for number, mode in self._cameras.items() if mode != VIEWS[0]}
+        if not moving:
+            return
+        clients = self.server.get_clients()
+        for number, mode in moving.items():
+            client = clients.get(number)
+            if client is not None:
+                place, target, fov = self._place_camera(self._pose, mode)
+                with client.atomic():
+                    client.camera.up_direction = (0.0, 0.0, 1.0)
+                    client.camera.fov = math.radians(fov)
+                    client.camera.position, client.camera.look_at = place, target
+
+    def _place_camera(self, pose: RoomPose, mode: str) -> tuple[_Point, _Point, float]:
+        """Position, target (m) and field of view (degrees)."""
+        robot = self.scene.instance.robot
+        cos, sin = math.cos(pose.heading), math.sin(pose.heading)
+        if mode == "follow":
+            back, high = 3.5 + 3.0 * robot.body_radius, 2.4 + 1.6 * robot.body_height
+            ahead = 2.0 + robot.body_radius
+            return ((pose.x - back * cos, pose.y - back * sin, pose.z + high),
+                    (pose.x + ahead * cos, pose.y + ahead * sin, pose.z + 0.4), 60.0)
+        behind, eye = -0.3 * robot.body_radius, pose.z + robot.body_height + 0.35  # on a mast, over the arm
+        return ((pose.x + behind * cos, pose.y + behind * sin, eye),
+                (pose.x + (behind + 2) * cos, pose.y + (behind + 2) * sin, eye - 0.25), 75.0)
+
+
+def _get_aspect(client: viser.ClientHandle) -> float:
+    """Width of a client's picture over its height."""
+    return client.camera.image_width / client.camera.image_height

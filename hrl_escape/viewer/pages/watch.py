@@ -1,0 +1,253 @@
+"""Debug mode in the browser: an agent drives, and the page shows its values, plans and transitions.
+
+The driver runs in one thread and updates the page from there, so that everything shown belongs
+to the same moment. Clients operate the gate and ask for previews.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from typing import Any
+
+import numpy as np
+from markupsafe import Markup
+
+from hrl_escape.env.drawing import palette
+from hrl_escape.errors import EscapeError
+from hrl_escape.options.meta_actions import PlannedOption
+from hrl_escape.planning.goals import ExitGoal, PressGoal
+from hrl_escape.planning.paths.navigator import Navigator
+from hrl_escape.viewer.extra import uplot
+from hrl_escape.viewer.pages.panels import make_bars, make_facts, make_lines, make_table
+from hrl_escape.viewer.pages.room import RoomPage
+from hrl_escape.viewer.server import Server
+from hrl_escape.viewer.step_hooks import PrimitiveStep
+from hrl_escape.viewer.watch.preview import Preview
+from hrl_escape.viewer.watch.watch import Watch
+
+__all__ = ["WatchPage", "run_in_thread"]
+
+FASTEST = 60.0
+REFRESH = 0.1
+"""Minimum time between two updates of the panel while the driver runs, s."""
+GAMMA_K = "\N{GREEK SMALL LETTER GAMMA}\N{MODIFIER LETTER SMALL K}"
+SMDP_NOTE = f"k: primitives that ran; R: their discounted reward; {GAMMA_K}: discount of the next state's value"
+_ENDED = {"reached": "", "episode-over": "episode over"}
+
+
+class WatchPage:
+    """Page that shows a watched driver.
+
+    Args:
+        server: server of the page.
+        watch: the watched driver.
+
+    Attributes:
+        problem: reason why the driver stopped; empty while it drives.
+        finished: set once the driver has stopped.
+    """
+
+    def __init__(self, server: Server, watch: Watch) -> None:
+        self.server, self.watch = server, watch
+        self.problem = ""
+        self.finished = threading.Event()
+        self._refreshed = 0.0
+        self._previewing = threading.Lock()
+        self._planned: tuple[Preview | None] | None = None  # the plan that is drawn
+        room = watch.driver.room
+        self._navigator = Navigator(room.instance)
+        self.page = RoomPage(server, room.instance, room.room.state if room.room else room.get_state(),
+                             owns_keys=True)
+        watch.on_change, watch.on_wait = self._show_change, self._show_wait
+        self._build()
+
+    def run(self, episodes: int | None = None) -> None:
+        """Drive until the gate is stopped; an error is shown on the page."""
+        try:
+            self.watch.run(episodes)
+            self.problem = "all episodes are over"
+        except EscapeError as error:
+            self.problem = str(error)
+        finally:
+            if not self.watch.gate.is_stopped:
+                self._show_everything()
+            self.finished.set()
+
+    # --- the panel -------------------------------------------------------------------------------
+
+    def _build(self) -> None:
+        gui, gate = self.server.gui, self.watch.gate
+        self._facts = gui.add_html("", order=10.0)
+        self._now = gui.add_html("", order=30.0)
+        with gui.add_folder("Drive", order=35.0):
+            self._buttons = gui.add_button_group("", ("Pause", "Run", "1 primitive", "1 decision"))
+            self._speed = gui.add_slider("per second", 1, FASTEST, 1, gate.pace or FASTEST)
+            self._fast = gui.add_checkbox("unlimited", gate.pace is None)
+        tabs = gui.add_tab_group(order=40.0)
+        with tabs.add_tab("Values"):
+            self._values = gui.add_html("")
+            empty = (np.zeros(1), np.zeros(1))
+            self._plot = gui.add_uplot(
+                empty, (uplot.Series(label="primitives"), uplot.Series(label="V", stroke=palette.TRAIL, width=2)),
+                height=150, title="value of the state at decisions", scales={"x": uplot.Scale(time=False)},
+                legend=uplot.Legend(show=False), padding=(10, 18, 0, 0), visible=False,
+            )
+        with tabs.add_tab("SMDP"):
+            self._table = gui.add_html("")
+        with tabs.add_tab("Log"):
+            self._log = gui.add_html("")
+        with tabs.add_tab("What if"):
+            names = tuple(self.watch.previewer.options)
+            self._choice = gui.add_dropdown("option", names)
+            self._ask = gui.add_button("What if it took this option?")
+            self._clear = gui.add_button("Clear")
+            self._answer = gui.add_html(make_lines(["A path and a posture in pink show where the option would lead"]))
+        self._buttons.on_click(lambda event: self._turn(event.target.value))
+        self._speed.on_update(lambda _: self._set_pace())
+        self._fast.on_update(lambda _: self._set_pace())
+        self._ask.on_click(lambda _: self._show_preview())
+        self._clear.on_click(lambda _: self.page.scene.draw_preview([]))
+        keys: tuple[tuple[Any, str, str], ...] = (
+            ("space", "Pause or run", "toggle"), ("P", "One primitive", "1 primitive"),
+            ("D", "One decision", "1 decision"),
+        )
+        for key, label, what in keys:
+            gui.add_command(label, hotkey=key).on_trigger(lambda _, what=what: self._turn(what))
+
+    def _turn(self, what: str) -> None:
+        gate = self.watch.gate
+        if what == "toggle":
+            what = "Run" if gate.is_paused else "Pause"
+        if what in ("Pause", "Run"):
+            gate.pause(what == "Pause")
+        else:
+            gate.step(primitives=int(what == "1 primitive"), decisions=int(what == "1 decision"))
+        self._show_facts()
+
+    def _set_pace(self) -> None:
+        self.watch.gate.pace = None if self._fast.value else float(self._speed.value)
+
+    def _show_preview(self) -> None:
+        """Show the course of the chosen option from the present state; runs in the client's thread, one at a time."""
+        if not self.watch.states or not self._previewing.acquire(blocking=False):
+            return
+        try:
+            preview = self.watch.previewer.preview(self._choice.value, self.watch.states[-1])
+        finally:
+            self._previewing.release()
+        self.page.scene.draw_preview(preview.states)
+        lines = [f"{preview.name}: {len(preview.states) - 1} primitives"]
+        if preview.problem:
+            lines.append(preview.problem)
+        if preview.pressed:
+            lines.append(f"presses {', '.join(preview.pressed)}")
+        if preview.escapes:
+            lines.append("and escapes")
+        if not preview.problem:
+            at = preview.states[-1]
+            lines.append(f"ends at ({at.x:.2f}, {at.y:.2f}) m")
+        self._answer.content = make_lines(lines, "preview")
+
+    # --- following the driver ----------------------------------------------------------------------
+
+    def _show_change(self, step: PrimitiveStep | None) -> None:
+        """Show a choice (no step) or a primitive."""
+        pace = self.watch.gate.pace
+        if step is not None and pace is not None:
+            self.page.move(step.after, 1.0 / pace, lambda: self.watch.gate.pace != pace)
+        is_due = self._is_due()
+        if pace is not None or is_due:
+            self._show_scene()
+        if is_due:
+            self._refresh()
+
+    def _show_wait(self) -> None:
+        """Bring everything up to date before a primitive that has to wait."""
+        if self.watch.gate.is_paused:
+            self._show_everything()
+
+    def _show_everything(self) -> None:
+        self._planned = None
+        self._show_scene()
+        self._refresh()
+
+    def _show_scene(self) -> None:
+        """Show the present state, the way there, and the plan if it is a new one."""
+        watch = self.watch
+        if watch.states:
+            self.page.show(watch.states[-1])
+            self.page.scene.draw_trail(watch.states)
+        if self._planned is None or watch.plan is not self._planned[0]:
+            self._planned = (watch.plan,)
+            self._show_plan()
+
+    def _is_due(self) -> bool:
+        return self.watch.gate.is_paused or time.monotonic() - self._refreshed >= REFRESH
+
+    def _show_plan(self) -> None:
+        """Draw the predicted course of the running option, its final posture, and OMPL's path for the base."""
+        plan, scene = self.watch.plan, self.page.scene
+        scene.draw_plan(plan.states[self.watch.in_decision :] if plan is not None else [])
+        path: list[tuple[float, float]] = []
+        if plan is not None and not plan.problem:
+            option = self.watch.previewer.options[plan.name]
+            goal = option.goal if isinstance(option, PlannedOption) else None
+            state, instance = plan.states[0], scene.instance
+            by_hand = isinstance(goal, PressGoal) and instance.dynamics.press_with == "hand"
+            if isinstance(goal, (PressGoal, ExitGoal)) and not by_hand:
+                shut = not instance.puzzle.is_solved(state.puzzle)
+                found = self._navigator.plan((state.x, state.y), goal, door_shut=shut)
+                path = [(float(x), float(y)) for x, y in found.path]
+        scene.draw_path(path)
+
+    def _refresh(self) -> None:
+        self._refreshed = time.monotonic()
+        self._show_facts()
+        self._show_now()
+        watch = self.watch
+        if watch.choice is not None:
+            choice = watch.choice
+            self._values.content = make_bars(watch.driver.names, choice.values, choice.mask, choice.action,
+                                             choice.meaning)
+        rows = [(done.name, str(done.duration), f"{done.reward:.2f}", f"{done.discount:.4f}", f"{done.summed:g}",
+                 _ENDED.get(done.ended, done.ended)) for done in reversed(watch.decisions)]
+        header = ("decision", "k", "R", GAMMA_K, "sum of r", "")
+        self._table.content = make_table(header, rows, "smdp", "no decision is complete yet") + make_lines([SMDP_NOTE])
+        self._log.content = make_lines(list(reversed(watch.events))[:24], "log")
+        if len(watch.values) > 1:
+            xs, ys = zip(*watch.values, strict=True)
+            self._plot.visible = True
+            self._plot.data = (np.array(xs, dtype=np.float64), np.array(ys, dtype=np.float64))
+
+    def _show_facts(self) -> None:
+        watch = self.watch
+        facts = (("episode", str(watch.episode)), ("primitives", str(max(len(watch.states) - 1, 0))),
+                 ("return", f"{watch.total:g}"), ("in all", f"{watch.primitives:,}"))
+        state = self.problem or ("paused" if watch.gate.is_paused else "running")
+        self._facts.content = make_facts(facts, f"{watch.driver.name}: {state}", steps=max(len(watch.states) - 1, 0),
+                                         state="paused" if watch.gate.is_paused else "running",
+                                         primitives=watch.primitives, decisions=len(watch.decisions))
+
+    def _show_now(self) -> None:
+        watch = self.watch
+        if watch.choice is None:
+            return
+        name = watch.driver.names[watch.choice.action]
+        length = len(watch.plan.states) - 1 if watch.plan is not None else 1
+        share = min(1.0, watch.in_decision / max(length, 1))
+        problem = f" ({watch.plan.problem})" if watch.plan is not None and watch.plan.problem else ""
+        self._now.content = make_lines([
+            Markup("<b>{}</b>: {} of {} primitives{}").format(name, watch.in_decision, length, problem),
+            Markup('<div style="height:6px;border-radius:3px;background:#e6e8ec"><div style="height:6px;'
+                   'border-radius:3px;background:#d55e00;width:{:.0f}%"></div></div>').format(100 * share),
+        ], "now")
+
+
+def run_in_thread(page: WatchPage) -> threading.Thread:
+    """Start the driver in its own thread."""
+    thread = threading.Thread(target=page.run, daemon=True)
+    thread.start()
+    return thread
+
+

@@ -1,0 +1,185 @@
+"""An episode that a person plays: primitives, meta-actions, undo, and the next room.
+
+It knows no page and no keys: browser and terminal both play one of these. Undo restores the
+exact state before the last move, however many primitives that move ran.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import EpisodeFileError, UnsupportedError
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.viewer.play.saved_episode import SavedEpisode
+from hrl_escape.viewer.step_hooks import PrimitiveStep, StepHooks
+
+__all__ = ["Episode", "Move"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Move:
+    """One decision: a primitive, or a meta-action that ran to its end.
+
+    Attributes:
+        name: of the primitive or option.
+        steps: the primitives that ran.
+        ended: how it ended, as in `info["option"]["ended"]`.
+        reason: why planning failed, else empty.
+    """
+
+    name: str
+    steps: tuple[PrimitiveStep, ...]
+    ended: str = "reached"
+    reason: str = ""
+
+
+class Episode:
+    """One room being played.
+
+    Args:
+        instance: the room.
+        config: schematic of the room, needed to enter the next one; None if unknown.
+        seed: of the episode; fixes the start and the noise.
+
+    Attributes:
+        instance: the present room.
+        moves: all moves since the episode began.
+        running: primitives so far of the move in progress.
+        on_step: called after every primitive.
+    """
+
+    def __init__(self, instance: RoomInstance, config: RoomConfig | None = None, seed: int = 0) -> None:
+        self.config, self.seed = config, seed
+        self.on_step: Callable[[PrimitiveStep], None] | None = None
+        self._open(instance)
+
+    def _open(self, instance: RoomInstance) -> None:
+        self.instance = instance
+        self._env = EscapeRoomEnv(instance=instance)
+        hooks = StepHooks(self._env)
+        hooks.on_step = self._note
+        self._options = OptionsEnv(hooks)
+        self.names = self._options.action_names
+        self.primitive_count = len(self._env.rules.actions)
+        self.option_names = self.names[self.primitive_count :]
+        self.reset()
+
+    # --- moves ---------------------------------------------------------------------------------
+
+    def reset(self) -> None:
+        """Begin the same episode again."""
+        self._options.reset(seed=self.seed)
+        self.moves: list[Move] = []
+        self.running: list[PrimitiveStep] = []
+        self.start = self._env.get_state()
+
+    def enter_next_room(self) -> None:
+        """Enter the next room of the schematic.
+
+        Raises:
+            UnsupportedError: the room came from a file, without its schematic.
+        """
+        if self.config is None or self.instance.seed is None:
+            raise UnsupportedError("there is no next room: this one was loaded from a file, without its schematic")
+        following = generate(self.config, self.instance.seed + 1)
+        self._env.close()
+        self._open(following)
+
+    def do(self, action: int) -> Move | None:
+        """Run a primitive, or a meta-action to its end; None if it is not legal now."""
+        if not self.is_legal(action):
+            return None
+        self.running = []
+        *_, info = self._options.step(action)
+        option, steps = info["option"], tuple(self.running)
+        self.running = []
+        self.moves.append(Move(option["name"], steps, option["ended"], option["reason"]))
+        return self.moves[-1]
+
+    def undo(self) -> Move | None:
+        """Take the last move back, to the exact state before it; None if there is none."""
+        if not self.moves:
+            return None
+        move = self.moves.pop()
+        self._env.set_state(move.steps[0].before)
+        self._options.resume()
+        return move
+
+    def replay(self, saved: SavedEpisode) -> None:
+        """Replay a saved episode primitive by primitive; afterwards each of its moves can be undone.
+
+        Raises:
+            EpisodeFileError: the replay differs from the file.
+        """
+        for name, primitives, ended in saved.moves:
+            steps: list[PrimitiveStep] = []
+            for primitive in primitives:
+                if self.is_over:
+                    raise EpisodeFileError("the episode is over before its recorded end")
+                self.running = steps
+                self._options.step(primitive)
+            self.running = []
+            self.moves.append(Move(name, tuple(steps), ended))
+        if abs(self.total - saved.total) > 1e-6 or self.escaped != saved.escaped:
+            raise EpisodeFileError(f"the replay returns {self.total:g}, the file says {saved.total:g}")
+
+    def close(self) -> None:
+        """Free the engine."""
+        self._env.close()
+
+    def _note(self, step: PrimitiveStep) -> None:
+        self.running.append(step)
+        if self.on_step is not None:
+            self.on_step(step)
+
+    # --- status --------------------------------------------------------------------------------
+
+    @property
+    def state(self) -> RoomState:
+        """The present state."""
+        return self._env.get_state()
+
+    @property
+    def steps(self) -> list[PrimitiveStep]:
+        """All primitives since the episode began, those of the move in progress included."""
+        return [*(step for move in self.moves for step in move.steps), *self.running]
+
+    @property
+    def states(self) -> list[RoomState]:
+        """All states since the episode began, the first one included."""
+        return [self.start, *(step.after for step in self.steps)]
+
+    @property
+    def total(self) -> float:
+        """Undiscounted return so far."""
+        return float(sum(step.reward for step in self.steps))
+
+    @property
+    def is_over(self) -> bool:
+        """The robot escaped, or the horizon is reached."""
+        last = self._last
+        return last is not None and (last.terminated or last.truncated)
+
+    @property
+    def escaped(self) -> bool:
+        """The robot escaped."""
+        return self._last is not None and self._last.terminated
+
+    @property
+    def _last(self) -> PrimitiveStep | None:
+        return self.running[-1] if self.running else self.moves[-1].steps[-1] if self.moves else None
+
+    def is_legal(self, action: int) -> bool:
+        """True if the episode goes on and a primitive or meta-action can start now."""
+        return not self.is_over and bool(self._options.action_masks()[action])
+
+    def to_saved(self) -> SavedEpisode:
+        """Content of this episode's file."""
+        moves = tuple((m.name, tuple(step.primitive for step in m.steps), m.ended) for m in self.moves)
+        return SavedEpisode(self.instance, self.seed, moves, self.total, self.escaped)

@@ -1,0 +1,88 @@
+"""Poses of everything that moves in a room, and interpolation between them.
+
+`make_pose` reads a state; `blend` interpolates. Pure functions; nothing here draws.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.planning.props import get_prop_poses
+
+__all__ = ["RoomPose", "blend", "find_outward", "make_pose"]
+
+PropPose = tuple[float, ...]
+
+
+class RoomPose(NamedTuple):
+    """Placement of everything that moves.
+
+    Attributes:
+        x: x of the body's axis, m.
+        y: y of the body's axis, m.
+        z: height of the base above the floor, m.
+        heading: rad.
+        pitch: rad.
+        roll: rad.
+        angles: angles of the arm's joints, rad.
+        door: angle of the leaf about its hinge, rad.
+        props: position x y z and quaternion x y z w of each prop.
+    """
+
+    x: float
+    y: float
+    z: float
+    heading: float
+    pitch: float
+    roll: float
+    angles: tuple[float, ...]
+    door: float
+    props: tuple[PropPose, ...]
+
+
+def make_pose(rules: Rules, state: RoomState) -> RoomPose:
+    """Pose of a state; without physics the door stands open as soon as the puzzle is solved."""
+    instance = rules.instance
+    if state.physics is not None:
+        door = state.physics.door[0] if state.physics.door else 0.0
+        props = tuple(tuple(prop[:7]) for prop in state.physics.props)
+    else:
+        solved = instance.door is not None and instance.puzzle.is_solved(state.puzzle)
+        door = math.pi / 2 * find_outward(instance) if solved else 0.0
+        poses = get_prop_poses(state, instance)
+        props = tuple((x, y, placed.prop.height / 2, 0.0, 0.0, math.sin(yaw / 2), math.cos(yaw / 2))
+                      for (x, y, yaw), placed in zip(poses, instance.props, strict=True))
+    return RoomPose(state.x, state.y, state.z, rules.get_heading(state), state.pitch, state.roll,
+                    tuple(rules.get_angles(state)), door, props)
+
+
+def find_outward(instance: RoomInstance) -> float:
+    """Sign of the hinge angle that swings the door towards the exit."""
+    door = instance.door
+    if door is None:
+        return 1.0
+    x, y = instance.exit.centre
+    return math.copysign(1.0, math.cos(door.yaw) * (y - door.y) - math.sin(door.yaw) * (x - door.x))
+
+
+def blend(a: RoomPose, b: RoomPose, share: float) -> RoomPose:
+    """Interpolate from `a` (share 0) to `b` (share 1); headings turn the short way round."""
+
+    def mix(one: tuple[float, ...], other: tuple[float, ...]) -> tuple[float, ...]:
+        return tuple(u + share * (v - u) for u, v in zip(one, other, strict=True))
+
+    turn = (b.heading - a.heading + math.pi) % math.tau - math.pi
+    x, y, z, pitch, roll, door = mix((a.x, a.y, a.z, a.pitch, a.roll, a.door), (b.x, b.y, b.z, b.pitch, b.roll, b.door))
+    props = tuple(_mix_prop(one, mix(one, other), other) for one, other in zip(a.props, b.props, strict=True))
+    return RoomPose(x, y, z, a.heading + share * turn, pitch, roll, mix(a.angles, b.angles), door, props)
+
+
+def _mix_prop(one: PropPose, mixed: PropPose, other: PropPose) -> PropPose:
+    """Normalise the quaternion of a mixed pose; a quaternion and its negative are the same rotation."""
+    if sum(u * v for u, v in zip(one[3:], other[3:], strict=True)) < 0.0:
+        return other
+    length = math.hypot(*mixed[3:])
+    return (*mixed[:3], *(v / length for v in mixed[3:]))

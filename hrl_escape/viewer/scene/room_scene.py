@@ -1,0 +1,262 @@
+"""A room as a viser scene: built once from an instance, then posed, lit and annotated.
+
+`RoomScene` only shows; it steps nothing and knows no controls. Everything it adds lies below
+one node, so that a room can be removed as a whole and replaced. Metres, the room frame.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.meshes import make_flat, make_prism, rotate_box
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
+from hrl_escape.env.robot import Robot
+from hrl_escape.viewer.extra import SO3, viser
+from hrl_escape.viewer.scene.poses import RoomPose, make_pose
+from hrl_escape.viewer.scene.robot_shapes import ArmPose, Shape, make_arm_shapes, make_base_shapes, to_quaternion
+from hrl_escape.viewer.scene.room_meshes import LAYER, Painted, make_exit, make_fixtures, make_target
+
+__all__ = ["OVERVIEW_FIELD", "RoomScene", "compute_overview"]
+
+ROOT = "/room"
+PLAN, PREVIEW = "#d55e00", "#cc79a7"
+LONGEST_TRAIL = 600
+LINE_WIDTH = 3.0
+OVERVIEW_FIELD = 50.0
+"""Vertical angle of view of the camera that sees the whole room, degrees."""
+SUN_POSITION = (-4.0, -6.0, 9.0)
+"""Direction of the light; the shadows that `room_meshes` lays on the floor fall away from it."""
+_Point = tuple[float, float, float]
+
+
+class RoomScene:
+    """One room on a viser server.
+
+    Attributes:
+        instance: the room shown.
+        rules: rules that poses are computed with.
+    """
+
+    def __init__(self, server: viser.ViserServer, instance: RoomInstance) -> None:
+        self.instance = instance
+        physics = instance.dynamics.kind == "physics"
+        self.rules: Rules = Rules(instance) if physics else Kinematics(instance)
+        self._server, self._scene = server, server.scene
+        with server.atomic():
+            _add_lights(self._scene)
+            self._root = self._scene.add_frame(ROOT, show_axes=False)
+            for painted in make_fixtures(instance):
+                self._add(painted)
+            self._lamps = [self._add_target(i) for i in range(len(instance.targets))]
+            self._exit = [self._add(painted, "exit") for painted in make_exit(instance)]
+            self._scene.add_label(f"{ROOT}/exit/name", "exit", position=(*instance.exit.centre, 0.05),
+                                  anchor="center-center", font_screen_scale=0.9)
+            self._door = self._add_door()
+            self._props = [self._add_prop(i) for i in range(len(instance.props))]
+            self._robot = _RobotModel(self._scene, f"{ROOT}/robot", self.rules.robot, instance.robot)
+            self._ghosts: dict[str, _RobotModel] = {}
+        self._lit: Any = None
+        self._set_initial_camera()
+
+    def remove(self) -> None:
+        """Remove everything."""
+        self._root.remove()
+
+    # --- what moves ----------------------------------------------------------------------
+
+    def show(self, state: RoomState) -> None:
+        """Pose and light everything as in a state."""
+        with self._server.atomic():
+            self.pose(make_pose(self.rules, state))
+            self.light(state)
+
+    def pose(self, pose: RoomPose) -> None:
+        """Place robot, arm, door and props."""
+        with self._server.atomic():
+            self._robot.place(pose)
+            if self._door is not None:
+                self._door.wxyz = to_quaternion(0.0, 0.0, self._door_yaw + pose.door)
+            for node, placed in zip(self._props, pose.props, strict=True):
+                x, y, z, qx, qy, qz, qw = placed
+                node.position, node.wxyz = (x, y, z), (qw, qx, qy, qz)
+
+    def light(self, state: RoomState) -> None:
+        """Colour panels and exit by the puzzle's state."""
+        if state.puzzle == self._lit:
+            return
+        self._lit = state.puzzle
+        puzzle = self.instance.puzzle
+        for i, lamp in enumerate(self._lamps):
+            lamp.color = _to_bytes(palette.get_target_look(puzzle, state.puzzle, i).fill)
+        colour = palette.EXIT_OPEN if puzzle.is_solved(state.puzzle) else palette.EXIT_LOCKED
+        for part in self._exit:
+            part.color = _to_bytes(colour)
+
+    # --- what is drawn upon it -------------------------------------------------------------
+
+    def draw_trail(self, states: Sequence[RoomState]) -> None:
+        """Draw the way that the robot has come, on the floor."""
+        self._draw_line("trail", [(s.x, s.y) for s in states[-LONGEST_TRAIL:]], palette.TRAIL, 8 * LAYER)
+
+    def draw_plan(self, states: Sequence[RoomState]) -> None:
+        """Draw the planned way and its final posture."""
+        self._draw_future("plan", states, PLAN, 12 * LAYER)
+
+    def draw_preview(self, states: Sequence[RoomState]) -> None:
+        """Draw the way of another option and its final posture."""
+        self._draw_future("preview", states, PREVIEW, 16 * LAYER)
+
+    def draw_path(self, points: Sequence[tuple[float, float]]) -> None:
+        """Draw a path planner's path for the body's axis."""
+        self._draw_line("path", points, palette.MUTED, 6 * LAYER)
+
+    def _draw_future(self, name: str, states: Sequence[RoomState], colour: str, height: float) -> None:
+        self._draw_line(name, [(s.x, s.y) for s in states], colour, height)
+        ghost = self._ghosts.get(name)
+        if len(states) > 1:
+            if ghost is None:
+                ghost = self._ghosts[name] = _RobotModel(self._scene, f"{ROOT}/ghost-{name}", self.rules.robot,
+                                                         self.instance.robot, colour, 0.35)
+            ghost.place(make_pose(self.rules, states[-1]))
+        if ghost is not None:
+            ghost.frame.visible = len(states) > 1
+
+    def _draw_line(self, name: str, points: Sequence[tuple[float, float]], colour: str, height: float) -> None:
+        at = np.array([(x, y, height) for x, y in points], dtype=np.float32).reshape(-1, 3)
+        moved = np.any(at[1:] != at[:-1], axis=1)
+        segments = np.stack([at[:-1], at[1:]], axis=1)[moved]
+        visible = len(segments) > 0
+        if not visible:
+            segments = np.zeros((1, 2, 3), dtype=np.float32)
+        self._scene.add_line_segments(f"{ROOT}/{name}", segments, _to_bytes(colour), thickness=LINE_WIDTH,
+                                      thickness_units="screen", visible=visible)
+
+    # --- building ----------------------------------------------------------------------------
+
+    def _add(self, painted: Painted, folder: str = "") -> viser.MeshHandle:
+        name = "/".join(part for part in (ROOT, folder, painted.name) if part)
+        return _add_mesh(self._scene, name, painted.mesh.vertices, painted.mesh.triangles, painted.colour,
+                         painted.opacity)
+
+    def _add_target(self, index: int) -> viser.MeshHandle:
+        target = self.instance.targets[index]
+        face, *others = (self._add(painted, f"targets/{index}")
+                         for painted in make_target(self.instance, target))
+        del others
+        star = " \N{BLACK STAR}" if index in self.instance.puzzle.goal_targets else ""
+        self._scene.add_label(f"{ROOT}/targets/{index}/name", target.name + star, anchor="bottom-center",
+                              position=(target.x, target.y, target.z + target.half_z + 0.25), font_screen_scale=0.9)
+        return face
+
+    def _add_door(self) -> viser.FrameHandle | None:
+        """The leaf in the frame of its hinge."""
+        door = self.instance.door
+        if door is None:
+            return None
+        cos, sin = math.cos(door.yaw), math.sin(door.yaw)
+        self._door_yaw = door.yaw
+        hinge = self._scene.add_frame(
+            f"{ROOT}/door", show_axes=False, wxyz=to_quaternion(0.0, 0.0, door.yaw),
+            position=(door.x - cos * door.half_x, door.y - sin * door.half_x, 0.0),
+        )
+        leaf = make_prism(rotate_box(door.half_x, 0.0, door.half_x, 0.6 * door.half_y, 0.0), 0.02, door.height)
+        _add_mesh(self._scene, f"{ROOT}/door/leaf", leaf.vertices, leaf.triangles, palette.DOOR, 0.85)
+        return hinge
+
+    def _add_prop(self, index: int) -> viser.FrameHandle:
+        placed = self.instance.props[index]
+        prop, name = placed.prop, f"{ROOT}/props/{index}"
+        node = self._scene.add_frame(name, show_axes=False)
+        outline = rotate_box(0.0, 0.0, prop.half_size, prop.half_size, 0.0)
+        plate = prop.kind == "plate"
+        mesh = make_flat(outline, 3 * LAYER) if plate else make_prism(outline, -prop.height / 2, prop.height / 2)
+        _add_mesh(self._scene, f"{name}/shape", mesh.vertices, mesh.triangles, palette.PLATE if plate else palette.PROP)
+        self._scene.add_label(f"{name}/name", prop.name, position=(0.0, 0.0, prop.height / 2 + 0.2),
+                              anchor="bottom-center", font_screen_scale=0.8)
+        return node
+
+    def _set_initial_camera(self) -> None:
+        """Show the whole room, from the south and well above."""
+        camera = self._server.initial_camera
+        camera.position, camera.look_at = compute_overview(self.instance)
+        camera.up, camera.fov = (0.0, 0.0, 1.0), math.radians(OVERVIEW_FIELD)
+
+
+def compute_overview(instance: RoomInstance, aspect: float = 1.6) -> tuple[_Point, _Point]:
+    """Position and target of a camera that sees a whole room, m.
+
+    Args:
+        instance: the room.
+        aspect: width of the picture over its height; on an upright one the room fills the upper part, above the panel.
+    """
+    if aspect >= 1.0:
+        far = max(1.1 * instance.reach_x, 1.2 * instance.reach_y) + 0.6 * instance.wall_height - 1.5
+        return (0.0, -instance.reach_y - 0.95 * far, 1.8 * far), (0.0, -0.08 * instance.reach_y, 0.0)
+    lens = math.tan(math.radians(OVERVIEW_FIELD / 2))
+    far = max((instance.reach_x + 1.0) / aspect, 3.0 * instance.reach_y) / lens + instance.wall_height
+    south = -0.28 * far
+    return (0.0, south - 0.34 * far, 0.94 * far), (0.0, south, 0.0)
+
+
+def _add_lights(scene: viser.SceneApi) -> None:
+    """Add even ambient light, so that colours look the same on every side, and a sun for the shapes.
+
+    The environment map is left out: it is loaded late, and fades in whenever a recorded page starts again.
+    """
+    scene.configure_default_lights(enabled=False)
+    scene.configure_environment_map(hdri=None)
+    scene.add_light_ambient("/lights/ambient", intensity=2.1)
+    scene.add_light_directional("/lights/sun", intensity=1.2, position=SUN_POSITION)
+    scene.set_background_image(np.full((8, 8, 3), 236, dtype=np.uint8))
+
+
+class _RobotModel:
+    """The robot's shapes below one frame; a ghost has one colour and is transparent."""
+
+    def __init__(self, scene: viser.SceneApi, name: str, robot: Robot, config: RobotConfig,
+                 colour: str | None = None, opacity: float | None = None) -> None:
+        self.frame = scene.add_frame(name, show_axes=False)
+        self._arm = ArmPose(robot)
+        self._links: dict[str, viser.FrameHandle] = {}
+        for number, shape in enumerate([*make_base_shapes(config), *make_arm_shapes(robot, config)]):
+            if not len(shape.faces):
+                continue
+            if shape.link not in self._links:
+                self._links[shape.link] = scene.add_frame(f"{name}/{shape.link}", show_axes=False)
+            _add_shape(scene, f"{name}/{shape.link}/{number}", shape, colour, opacity)
+
+    def place(self, pose: RoomPose) -> None:
+        """Put base and links where they are."""
+        self.frame.position = (pose.x, pose.y, pose.z)
+        self.frame.wxyz = to_quaternion(pose.roll, pose.pitch, pose.heading)
+        if len(self._links) < 2:
+            return
+        placements = self._arm.compute(pose.angles)
+        for link, frame in self._links.items():
+            placement = placements[link]
+            frame.position = placement[:3, 3]
+            frame.wxyz = SO3.from_matrix(placement[:3, :3]).wxyz
+
+
+def _add_shape(scene: viser.SceneApi, name: str, shape: Shape, colour: str | None, opacity: float | None) -> None:
+    _add_mesh(scene, name, shape.vertices, shape.faces, colour or shape.colour, opacity)
+
+
+def _add_mesh(scene: viser.SceneApi, name: str, vertices: Any, faces: Any, colour: str,
+              opacity: float | None = None) -> viser.MeshHandle:
+    return scene.add_mesh_simple(name, np.asarray(vertices), np.asarray(faces), color=_to_bytes(colour),
+                                 opacity=opacity, flat_shading=False, cast_shadow=False, receive_shadow=False)
+
+
+def _to_bytes(colour: str) -> tuple[int, int, int]:
+    red, green, blue = palette.to_rgb(colour)
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+

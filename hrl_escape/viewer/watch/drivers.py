@@ -1,0 +1,151 @@
+"""Drivers of watch mode: the planner, the agent of a finished run, or an agent in training.
+
+Each becomes an agent in an environment made as in training. Nothing here shows anything.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, make_agent
+from hrl_escape.agents.training.env_description import make_described_env
+from hrl_escape.agents.training.run_folder import read_run
+from hrl_escape.agents.training.train import load_agent
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.errors import FileReadError, RunMismatchError
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.room_planner import get_planner
+from hrl_escape.viewer.step_hooks import StepHooks
+from hrl_escape.viewer.watch.planner_agent import PlannerAgent
+
+__all__ = ["PLANNER_NAME", "Driver", "find_run_room", "open_driver"]
+
+PLANNER_NAME = "planner"
+
+
+@dataclasses.dataclass(frozen=True)
+class Driver:
+    """An agent and the environment that it drives in.
+
+    Attributes:
+        name: name for people.
+        agent: the agent.
+        env: its environment.
+        hooks: wrapper inside `env`, right around the flat room.
+        names: names of the actions.
+        primitives: number of primitives among the actions; they come first.
+        flavour: flavour of the meta-actions.
+        trains: the agent learns while it drives.
+    """
+
+    name: str
+    agent: Agent
+    env: gymnasium.Env
+    hooks: StepHooks
+    names: tuple[str, ...]
+    primitives: int
+    flavour: str
+    trains: bool = False
+
+    @property
+    def room(self) -> EscapeRoomEnv:
+        """The flat environment."""
+        room: Any = self.env.unwrapped
+        return room
+
+
+def open_driver(text: str, instance: RoomInstance, *, observation: str = "features", flavour: str = "press",
+                include_primitives: bool = True, recipe: str = "corrected", seed: int = 0,
+                settings: Mapping[str, Any] | None = None) -> Driver:
+    """Open the driver that a user names.
+
+    Args:
+        text: `planner`, the folder of a run, or the name of an agent to train.
+        instance: the room.
+        observation: observation of an agent to train; a run's own is found out.
+        flavour: flavour of the meta-actions of an agent to train; a run's own is kept with it.
+        include_primitives: an agent over options chooses among primitives too; found out for a run.
+        recipe: recipe of an agent to train.
+        seed: seed of an agent to train.
+        settings: settings to change of an agent to train.
+
+    Raises:
+        UnknownNameError: neither a folder nor an agent has this name.
+        FileReadError: the folder holds no run.
+        CheckpointError: the run is damaged.
+        RunMismatchError: the run was made in a room with other spaces.
+    """
+    if text == PLANNER_NAME:
+        env, hooks = _make_env(instance, observation, True, False, flavour, False)
+        agent: Agent = PlannerAgent(env, get_planner(instance))
+        return _make_driver("the planner", agent, env, hooks, flavour)
+    folder = Path(text)
+    if folder.exists() or "/" in text:
+        return _open_run(folder, instance)
+    agent_class = get_agent_class(text)
+    over_options = text.startswith(SMDP_PREFIX)
+    trace = over_options and agent_class.needs_trace
+    env, hooks = _make_env(instance, observation, over_options, include_primitives, flavour, trace)
+    agent = make_agent(text, env.observation_space, env.action_space, seed, recipe, **(settings or {}))
+    return _make_driver(f"{text}, learning", agent, env, hooks, flavour, trains=True)
+
+
+def find_run_room(text: str) -> RoomInstance | None:
+    """Room of the run that `text` names; None where it names no run, or a run in many rooms.
+
+    Raises:
+        CheckpointError: the run is damaged.
+    """
+    if text == PLANNER_NAME or not (Path(text) / "run.json").is_file():
+        return None
+    room = (read_run(text)["environment"]["arguments"] or {}).get("instance")
+    return RoomInstance.from_dict(room["content"]) if room else None
+
+
+def _open_run(folder: Path, instance: RoomInstance) -> Driver:
+    if not folder.is_dir():
+        raise FileReadError(f"{folder}: no such run; hrl-escape train leaves one in runs/")
+    described = read_run(folder)
+    name, spaces = described["name"], (described["observation_space"], described["action_space"])
+    kept = described["environment"]
+    room = EscapeRoomEnv(instance=instance, observation=(kept["arguments"] or {}).get("observation", "features"))
+    env = make_described_env({**kept, "arguments": room.describe()}, StepHooks)
+    room.close()
+    if (repr(env.observation_space), repr(env.action_space)) != spaces:
+        env.close()
+        raise RunMismatchError(f"{folder} was trained with the spaces {spaces[0]} and {spaces[1]}, which room "
+                               f"{instance.id} does not have: leave out --load to use the run's own room")
+    arguments = [part["arguments"] for part in kept["wrappers"]]
+    flavour = next((given["flavour"] for given in arguments if "flavour" in given), "press")
+    return _make_driver(f"{name}, as trained", load_agent(folder, env), env, _find_hooks(env), flavour)
+
+
+def _find_hooks(env: gymnasium.Env) -> StepHooks:
+    while not isinstance(env, StepHooks):
+        assert isinstance(env, gymnasium.Wrapper), "hooks are the innermost wrapper of every driver"
+        env = env.env
+    return env
+
+
+def _make_env(instance: RoomInstance, observation: str, over_options: bool, primitives: bool, flavour: str,
+              trace: bool) -> tuple[gymnasium.Env, StepHooks]:
+    hooks = StepHooks(EscapeRoomEnv(instance=instance, observation=observation))
+    if not over_options:
+        return hooks, hooks
+    return OptionsEnv(hooks, include_primitives=primitives, flavour=flavour, trace=trace), hooks
+
+
+def _make_driver(name: str, agent: Agent, env: gymnasium.Env, hooks: StepHooks, flavour: str,
+                 trains: bool = False) -> Driver:
+    room: Any = env.unwrapped
+    flat = room.rules.actions.names
+    names = env.action_names if isinstance(env, OptionsEnv) else flat
+    primitives = sum(name in flat for name in names)
+    return Driver(name, agent, env, hooks, names, primitives, flavour, trains)

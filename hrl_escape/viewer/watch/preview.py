@@ -1,0 +1,71 @@
+"""Predicted course of an option from a state, by the room's kinematics; the room itself is not touched."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import EscapeError
+from hrl_escape.options.execution import OptionExecution
+from hrl_escape.options.meta_actions import make_meta_options
+from hrl_escape.planning.room_planner import get_planner
+
+__all__ = ["Preview", "Previewer"]
+
+MOST = 400
+"""Maximum number of primitives in a preview."""
+
+
+class Preview(NamedTuple):
+    """Predicted course of an option.
+
+    Attributes:
+        name: name of the option.
+        states: all states, the first one included.
+        pressed: names of the targets pressed on the way.
+        escapes: the episode would end in the exit.
+        problem: reason why the option fails, else empty.
+    """
+
+    name: str
+    states: tuple[RoomState, ...]
+    pressed: tuple[str, ...] = ()
+    escapes: bool = False
+    problem: str = ""
+
+
+class Previewer:
+    """Predicts meta-actions of a room without noise, with options of its own so that no running option is disturbed.
+
+    Args:
+        instance: the room.
+        flavour: flavour of the meta-actions.
+    """
+
+    def __init__(self, instance: RoomInstance, flavour: str = "press") -> None:
+        self._planner = get_planner(instance)
+        self.options = {option.name: option for option in make_meta_options(instance, flavour, self._planner)}
+        self._instance = instance
+
+    def preview(self, name: str, state: RoomState) -> Preview:
+        """Predict an option from a state to its end, or until it fails."""
+        option, rules = self.options[name], self._planner.rules
+        if self._instance.dynamics.kind == "physics":
+            state = state._replace(physics=None)
+        if not option.initiation(state):
+            return Preview(name, (state,), problem="it cannot start here")
+        states, pressed, rng = [state], [], np.random.default_rng(0)
+        try:
+            run = OptionExecution(0, option, state)
+            while len(states) <= MOST:
+                step = rules.step(states[-1], run.choose(states[-1]))
+                states.append(step.state)
+                pressed += [self._instance.targets[i].name for i in step.pressed]
+                if step.terminated or run.ends_at(step.state, rng):
+                    return Preview(name, tuple(states), tuple(pressed), step.terminated)
+        except EscapeError as error:
+            return Preview(name, tuple(states), tuple(pressed), problem=str(error))
+        return Preview(name, tuple(states), tuple(pressed), problem=f"no end within {MOST} primitives")

@@ -1,0 +1,237 @@
+"""A driver being watched: its last choice and plan, completed decisions, and a log of events.
+
+`Watch` wraps an agent and its environment and records what passes; it changes no number.
+Everything runs in the driver's thread; other threads only operate the gate and read.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent, SMDPTransition, make_transition
+from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
+from hrl_escape.agents.training.train import train
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.viewer.step_hooks import PrimitiveStep
+from hrl_escape.viewer.watch.drivers import Driver
+from hrl_escape.viewer.watch.gate import Gate, Stopped
+from hrl_escape.viewer.watch.preview import Preview, Previewer
+
+__all__ = ["ObservedChoice", "CompletedDecision", "Watch"]
+
+KEPT_DECISIONS, KEPT_EVENTS, KEPT_VALUES = 12, 200, 80
+ENDLESS = 10**9
+"""Training budget of an agent that learns while it is watched, primitives."""
+
+
+@dataclasses.dataclass(frozen=True)
+class ObservedChoice:
+    """One choice of an agent, with the numbers behind it.
+
+    Attributes:
+        observation: the observation that it chose at.
+        action: the chosen action.
+        mask: legal actions, bool (actions,).
+        values: one number an action; None if the agent computes none.
+        meaning: meaning of `values`: `value` (Q, in units of return) or `preference`; empty without values.
+        state_value: V(s) of the critic, or the highest legal Q; None if the agent has neither.
+        state: state of the room.
+    """
+
+    observation: Any
+    action: int
+    mask: NDArray[np.bool_]
+    values: NDArray[Any] | None
+    meaning: str
+    state_value: float | None
+    state: RoomState
+
+
+@dataclasses.dataclass(frozen=True)
+class CompletedDecision:
+    """Numbers of the SMDP transition that one decision gave.
+
+    Attributes:
+        name: of the primitive or option.
+        duration: k.
+        reward: R = sum gamma^i r_i.
+        discount: gamma^k.
+        summed: undiscounted sum of r_i.
+        ended: how the option ended, as in `info["option"]["ended"]`.
+    """
+
+    name: str
+    duration: int
+    reward: float
+    discount: float
+    summed: float
+    ended: str
+
+
+class Watch:
+    """Record of a driver while it drives.
+
+    Args:
+        driver: the driver.
+        gate: the gate that its primitives pass.
+        seed: seed of its episodes.
+
+    Attributes:
+        choice: the last choice.
+        plan: predicted course of the running option, from where it began; None for primitives.
+        decisions: the last completed decisions, oldest first.
+        events: log lines, oldest first; each begins with episode and primitive.
+        values: (primitives so far, V) at decisions.
+        states: states of the present episode.
+        episode: number of the present episode, from 1.
+        total: undiscounted return of the present episode so far.
+        primitives: primitives of all episodes.
+        in_decision: primitives of the present decision so far.
+        on_change: called after every choice (with None) and every primitive; may take its time.
+        on_wait: called before every primitive.
+    """
+
+    def __init__(self, driver: Driver, gate: Gate, seed: int = 0) -> None:
+        self.driver, self.gate = driver, gate
+        self._seed = seed
+        self.choice: ObservedChoice | None = None
+        self.plan: Preview | None = None
+        self.decisions: deque[CompletedDecision] = deque(maxlen=KEPT_DECISIONS)
+        self.events: deque[str] = deque(maxlen=KEPT_EVENTS)
+        self.values: deque[tuple[int, float]] = deque(maxlen=KEPT_VALUES)
+        self.states: list[RoomState] = []
+        self.episode = self.primitives = self.in_decision = 0
+        self.total = 0.0
+        self.on_change: Callable[[PrimitiveStep | None], None] = lambda step: None
+        self.on_wait: Callable[[], None] = lambda: None
+        instance = driver.room.instance
+        self.previewer = Previewer(instance, driver.flavour)
+        hooks = driver.hooks
+        hooks.on_step, hooks.before_step, hooks.on_reset = self._note_step, self._wait, self._note_reset
+
+    def run(self, episodes: int | None = None) -> None:
+        """Drive until `gate.stop()` or for a number of episodes; an agent in training learns.
+
+        Raises:
+            PlanningFailed: the planner finds no way.
+        """
+        agent, env = _WatchedAgent(self), _WatchedEnv(self)
+        try:
+            if self.driver.trains:
+                train(agent, env, primitives=ENDLESS, seed=self._seed, eval_episodes=0, progress=False)
+                return
+            number = 0
+            while episodes is None or number < episodes:
+                seed = compute_episode_seed(self._seed, "evaluation", number) if number else self._seed
+                for _ in play_episode(agent, env, seed):
+                    pass
+                number += 1
+        except Stopped:
+            pass
+
+    def read(self, observation: Any, action: int, mask: NDArray[np.bool_]) -> ObservedChoice:
+        """Read the agent's own numbers at an observation."""
+        agent = self.driver.agent
+        state_value = agent.compute_state_value(observation)
+        shown, meaning = agent.compute_values(observation), "value"
+        if shown is not None and state_value is None:
+            state_value = float(shown[mask].max())
+        if shown is None:
+            shown, meaning = agent.compute_preferences(observation), "preference"
+        values, meaning = (None, "") if shown is None else (np.array(shown), meaning)
+        return ObservedChoice(observation, int(action), mask.copy(), values, meaning, state_value, self.states[-1])
+
+    def note_choice(self, choice: ObservedChoice) -> None:
+        """Record a choice, and predict the course of a chosen option."""
+        self.choice, self.in_decision = choice, 0
+        if choice.state_value is not None:
+            self.values.append((self.primitives, choice.state_value))
+        name = self.driver.names[choice.action]
+        is_option = choice.action >= self.driver.primitives and name in self.previewer.options
+        self.plan = self.previewer.preview(name, choice.state) if is_option else None
+        self.on_change(None)
+
+    def note_end(self, transition: SMDPTransition, info: Mapping[str, Any]) -> None:
+        """Record a completed decision."""
+        option = info.get("option") or {"ended": "reached", "reason": ""}
+        name = self.driver.names[transition.action]
+        self.decisions.append(CompletedDecision(name, transition.duration, transition.reward, transition.discount,
+                                   transition.summed_reward, option["ended"]))
+        if option["ended"] != "reached":
+            self._log(f"{name}: {option['ended']}" + (f", {option['reason']}" if option["reason"] else ""))
+        if transition.terminated or transition.truncated:
+            self._log(f"{'escaped' if transition.terminated else 'out of time'}, return {self.total:g}")
+        self.gate.end_decision()
+
+    def _note_reset(self, state: RoomState) -> None:
+        self.states, self.total = [state], 0.0
+        self.episode += 1
+        self._log("a new episode")
+
+    def _wait(self) -> None:
+        self.on_wait()
+        self.gate.pass_primitive()
+
+    def _note_step(self, step: PrimitiveStep) -> None:
+        self.states.append(step.after)
+        self.total += step.reward
+        self.primitives += 1
+        self.in_decision += 1
+        for target in step.pressed:
+            lit = self.driver.room.instance.puzzle.get_lit(step.after.puzzle)[target]
+            name = self.driver.room.instance.targets[target].name
+            self._log(f"{name} pressed: {'on' if lit else 'stays off'}")
+        self.on_change(step)
+
+    def _log(self, text: str) -> None:
+        self.events.append(f"{self.episode}.{len(self.states) - 1}  {text}")
+
+
+class _WatchedAgent(Agent):
+    """The driver's agent, recording each choice; `train` and `play_episode` take it like any agent."""
+
+    def __init__(self, watch: Watch) -> None:
+        self._watch = watch
+        self._agent = watch.driver.agent
+        self.settings = self._agent.settings
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        return self._record(observation, self._agent.act(observation, action_mask), action_mask)
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        return self._record(observation, self._agent.act_greedy(observation, action_mask, rng), action_mask)
+
+    def _record(self, observation: Any, action: int, mask: NDArray[np.bool_]) -> int:
+        self._watch.note_choice(self._watch.read(observation, action, mask))
+        return action
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        return self._agent.observe(transition)
+
+    def state_dict(self) -> dict[str, Any]:
+        return self._agent.state_dict()
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        self._agent.load_state_dict(state)
+
+
+class _WatchedEnv(gymnasium.Wrapper):
+    """The driver's environment, recording each completed decision."""
+
+    def __init__(self, watch: Watch) -> None:
+        super().__init__(watch.driver.env)
+        self._watch = watch
+
+    def step(self, action: Any) -> Any:
+        shown = self.env.step(action)
+        transition = make_transition(None, int(action), np.ones(len(self._watch.driver.names), dtype=np.bool_), shown,
+                                     self._watch.driver.agent.gamma)
+        self._watch.note_end(transition, shown[4])
+        return shown

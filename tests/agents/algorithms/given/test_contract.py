@@ -1,0 +1,30 @@
+"""Every algorithm on a given hierarchy keeps the contract of agents, and has a page; without a hierarchy it is flat."""
+
+from pathlib import Path
+
+import pytest
+
+from hrl_escape.agents.algorithms import given
+from hrl_escape.agents.registry import get_agent_class, list_agents
+from hrl_escape.checks import check_agent
+
+NAMES = sorted(
+    path.stem.replace("_", "-") for path in Path(given.__path__[0]).glob("*.py") if path.stem != "__init__"
+)
+SMALL = {"h-dqn": {"hidden": (8,), "batch_size": 8, "worker_warmup": 20}}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_keeps_the_contract_of_agents(name):
+    agent_class = get_agent_class(name)
+    check_agent(agent_class, agent_class.Settings(**SMALL.get(name, {})), decisions=150)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_has_a_page_that_says_what_is_privileged(name):
+    page = (Path(__file__).parents[4] / "docs" / "agents" / f"{name}.md").read_text()
+    assert "$$" in page and "Privileged" in page and f"{{settings}} {name}" in page
+
+
+def test_comparisons_by_name_leave_them_out():
+    assert not set(NAMES) & set(list_agents())

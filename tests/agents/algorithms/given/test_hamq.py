@@ -1,0 +1,173 @@
+"""HAMQ reaches the exact values of the SMDP that a program induces; its machine state is the whole stack."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hrl_escape.agents.agent import make_transition
+from hrl_escape.agents.algorithms.given.hamq import Hamq
+from hrl_escape.agents.hierarchy.machine import MachineRun, choose, do, machine
+from hrl_escape.agents.hierarchy.task import Seen
+from hrl_escape.agents.training.evaluation import evaluate
+from hrl_escape.errors import StepContractError
+from tests.agents.hierarchy.taxi_program import drive, read
+from tests.agents.running import interact, learn
+from tests.classic.exact import find_values, make_model
+from tests.classic.four_rooms import EAST_HALLWAY, FourRooms
+from tests.classic.taxi import Taxi
+
+ALL = np.ones(4, np.bool_)
+EXACT = {"gamma": 0.9, "learning_rate": 1.0, "epsilon_start": 1.0, "epsilon_end": 1.0}
+
+
+def make(env, program=None, agent_class=Hamq, **settings):
+    return agent_class(env.observation_space, env.action_space, 0, Hamq.Settings(**EXACT | settings), program)
+
+
+def test_the_program_that_leaves_all_open_is_q_learning():
+    env = FourRooms(slip="none", horizon=60)
+    agent = make(env)
+    learn(agent, env, 20_000)
+    exact = find_values(make_model(env.make_tables(), 0.9))
+    state = MachineRun(agent._program, [Seen(0, ALL)]).read_state()
+    for cell in range(env.states):
+        if cell != EAST_HALLWAY:
+            key = agent._discretise(cell), state
+            assert agent.compute_choice_values(key, 4).max() == pytest.approx(exact[cell], abs=1e-9)
+
+
+# Two calls of one machine from two places: what follows its choice depends on who called.
+
+
+@machine
+def step_twice(seen):
+    yield do((yield choose((0, 1))))
+    yield do(2)
+
+
+@machine
+def two_callers(seen):
+    while True:
+        yield from step_twice()
+        yield from step_twice()
+
+
+def run_two_callers(agent, episodes):
+    """A world of one observation: the first 0 of an episode is paid 1, the second call pays 5 for a 1."""
+    for _ in range(episodes):
+        for time in range(4):
+            action = agent.act(0, np.ones(3, np.bool_))
+            reward = {(0, 0): 1.0, (2, 1): 5.0}.get((time, action), 0.0)
+            agent.observe(make_transition(0, action, np.ones(3, np.bool_), (0, reward, time == 3, False, {}), 0.9))
+
+
+class Innermost(Hamq):
+    """Keyed by the innermost machine alone."""
+
+    def _make_key(self, run):
+        view, state = super()._make_key(run)
+        return view, state[-2:]
+
+
+def act_greedily(agent):
+    rng = np.random.default_rng(0)
+    return [agent.act_greedy(0, np.ones(3, np.bool_), rng) for _ in range(4)]
+
+
+@pytest.mark.parametrize("internal", [False, True])
+def test_the_whole_stack_is_the_machine_state(internal):
+    env = FourRooms()
+    agent = make(env, two_callers, internal=internal, learning_rate=0.5)
+    run_two_callers(agent, 200)
+    assert act_greedily(agent) == [0, 2, 1, 2]
+    values = sorted(agent.table._values.values())
+    assert values == pytest.approx(sorted([0, 0.9**2 * 5, 1 + 0.9**2 * 5, 5]), abs=1e-6)
+
+
+def test_without_the_callers_in_the_key_two_places_get_one_answer():
+    agent = make(FourRooms(), two_callers, Innermost, learning_rate=0.5)
+    run_two_callers(agent, 200)
+    actions = act_greedily(agent)
+    assert actions[0] == actions[2]
+
+
+# Choices with no primitive between them.
+
+
+@machine
+def choose_twice(seen):
+    while True:
+        first = yield choose(("a", "b"), "first")
+        second = yield choose((0, 1), f"second after {first}")
+        yield do(second if first == "a" else 2)
+
+
+@pytest.mark.parametrize("internal", [False, True])
+def test_a_choice_without_a_primitive_after_it_costs_no_time(internal):
+    agent = make(FourRooms(), choose_twice, internal=internal, learning_rate=0.5)
+    mask = np.ones(3, np.bool_)
+    for _ in range(300):
+        action = agent.act(0, mask)
+        reward = (0.0, 8.0, 3.0)[action]
+        agent.observe(make_transition(0, action, mask, (0, reward, True, False, {}), 0.9))
+    run = MachineRun(choose_twice, [Seen(0, mask)])
+    values = agent.compute_choice_values(agent._make_key(run), 2)
+    assert values == pytest.approx([8, 3], abs=1e-3), "undiscounted"
+    assert len(agent.table) == (4 if internal else 6)
+
+
+def test_a_cut_inside_a_choice_learns_nothing_and_at_a_choice_point_bootstraps():
+    agent = make(FourRooms(), two_callers)
+    mask = np.ones(3, np.bool_)
+    first = agent._make_key(MachineRun(two_callers, [Seen(0, mask)]))
+    action = agent.act(0, mask)
+    agent.observe(make_transition(0, action, mask, (0, 7.0, False, True, {}), 0.9))
+    assert len(agent.table) == 0, "the choice goes on after its first primitive"
+    second = agent._make_key(MachineRun(two_callers, [Seen(0, mask), 0, Seen(0, mask), Seen(0, mask)]))
+    agent.table.update((second, 1), 10.0)
+    action = agent.act(0, mask)
+    agent.observe(make_transition(0, action, mask, (0, 7.0, False, False, {}), 0.9))
+    assert agent.act(0, mask) == 2
+    agent.observe(make_transition(0, 2, mask, (0, 1.0, False, True, {}), 0.9))
+    assert agent.table.get((first, action)) == pytest.approx(7 + 0.9 * 1 + 0.81 * 10)
+
+
+def test_a_program_that_returns_or_offers_nothing_is_refused():
+    @machine
+    def returns(seen):
+        yield do(0)
+
+    @machine
+    def offers_nothing(seen):
+        yield choose(())
+
+    agent = make(FourRooms(), returns)
+    agent.act(0, ALL)
+    agent.observe(make_transition(0, 0, ALL, (0, 0.0, False, False, {}), 0.9))
+    with pytest.raises(StepContractError, match="let it loop"):
+        agent.act(0, ALL)
+    with pytest.raises(StepContractError, match="nothing to choose"):
+        make(FourRooms(), offers_nothing).act(0, ALL)
+
+
+def solve_taxi(internal, episodes, seed, noisy=False):
+    env = Taxi(noisy)
+    settings = Hamq.Settings(
+        gamma=1.0, learning_rate=0.25, epsilon_start=0.3, epsilon_end=0.1, epsilon_steps=100_000, internal=internal
+    )
+    agent = Hamq(env.observation_space, env.action_space, seed, settings, drive, read=read)
+    ended = 0
+    for transition in interact(agent, env, 10**9, seed):
+        ended += transition.terminated or transition.truncated
+        if ended == episodes:
+            break
+    tables = env.make_tables()
+    return evaluate(agent, env, 500, seed).mean_return, tables.starts @ find_values(make_model(tables, 1.0))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("internal", [False, True])
+def test_taxi_is_solved_over_ten_seeds(internal):
+    means, optima = zip(*(solve_taxi(internal, 10_000, seed) for seed in range(10)), strict=True)
+    assert np.mean(means) == pytest.approx(optima[0], abs=0.25)

@@ -1,0 +1,276 @@
+"""Agents that learn models: exact where everything is known, economical where it is not, and right about parents."""
+
+from collections import Counter
+from typing import Any
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from hrl_escape.agents.agent import SMDPTransition, make_transition, read_action_mask
+from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRMaxSettings
+from hrl_escape.agents.algorithms.r_max import RMax, RMaxSettings
+from hrl_escape.agents.factored.durations import DurationSample, fit_durations
+from hrl_escape.agents.factored.model import FactoredModel
+from hrl_escape.agents.factored.structure import StructureLearner
+from hrl_escape.agents.registry import make_agent
+from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.errors import UnsupportedSpaceError
+from hrl_escape.experiments.graph_recovery import compare_graphs, find_edges_that_matter
+from tests.agents.puzzle_envs import PuzzleEnv
+from tests.agents.running import interact
+
+GAMMA = 0.9
+
+
+class BitFlipEnv(gymnasium.Env):
+    """BitFlip, enumerated: any bits to begin with, one primitive a flip, -1 each and 20 more once all bits are on."""
+
+    def __init__(self, bits=4):
+        self.puzzle, self.bits = BitFlipPuzzle(bits), bits
+        self.observation_space, self.action_space = spaces.MultiBinary(bits), spaces.Discrete(bits)
+
+    def observe(self, state):
+        return np.array(self.puzzle.observe(state), np.int8)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.state = int(self.np_random.integers(2**self.bits - 1))
+        return self.observe(self.state), {}
+
+    def step(self, action):
+        self.state = self.puzzle.update(self.state, Contacts((int(action),)))
+        solved = self.puzzle.is_solved(self.state)
+        return self.observe(self.state), -1.0 + 20.0 * solved, solved, False, {}
+
+
+def solve_bit_flip(env):
+    """Optimal Q of every state that is not solved, (states, actions), by value iteration to the last bit."""
+    states = 2**env.bits - 1
+    after = np.array([[env.puzzle.update(s, Contacts((a,))) for a in range(env.bits)] for s in range(states)])
+    solved = after == states
+    values = np.zeros(states + 1)
+    for _ in range(2_000):
+        q = np.where(solved, 19.0, -1.0 + GAMMA * values[after])
+        values[:-1] = q.max(axis=1)
+    return q
+
+
+def solve_taxi(table):
+    """Optimal Q of Taxi from its own transition table."""
+    values = np.zeros(500)
+    for _ in range(2_000):
+        q = np.array([[r + GAMMA * values[s] * (not over) for ((_, s, r, over),) in table[n].values()] for n in table])
+        values = q.max(axis=1)
+    return q
+
+
+def list_taxi():
+    """Taxi's reachable states and its table; a state in which the passenger has arrived is an end."""
+    taxi = gymnasium.make("Taxi-v4").unwrapped
+    states = [s for s in range(500) if (place := list(taxi.decode(s)))[2] != place[3]]
+    return taxi, states
+
+
+@pytest.fixture(scope="module")
+def taxi():
+    env, states = list_taxi()
+    return env, states, solve_taxi(env.P)
+
+
+def show_all_of_taxi(agent, taxi, states, observe):
+    for state in states:
+        for action, ((_, after, reward, over),) in taxi.P[state].items():
+            mask = np.ones(6, np.bool_)
+            here, there = observe(state), observe(after)
+            agent.observe(SMDPTransition(here, action, mask, reward, reward, 1, GAMMA, there, mask, over, False))
+
+
+def test_r_max_equals_value_iteration_on_taxi_once_all_is_known(taxi):
+    env, states, exact = taxi
+    settings = RMaxSettings(gamma=GAMMA, optimistic_value=20.0, tolerance=1e-12)
+    agent = RMax(env.observation_space, env.action_space, 0, settings)
+    assert (agent.compute_values(states[0]) == 20.0).all(), "nothing is known yet"
+    show_all_of_taxi(agent, env, states, lambda state: state)
+    for state in states[::9]:
+        assert agent.compute_values(state) == pytest.approx(exact[state], abs=1e-9)
+        best = agent.act_greedy(state, np.ones(6, np.bool_), np.random.default_rng(0))
+        assert exact[state][best] == pytest.approx(exact[state].max(), abs=1e-9)
+
+
+def test_factored_r_max_equals_value_iteration_on_taxi_once_all_is_known(taxi):
+    env, states, exact = taxi
+    settings = FactoredRMaxSettings(gamma=GAMMA, max_parents=4, conditions="any")
+    agent = FactoredRMax(spaces.MultiDiscrete([5, 5, 5, 4]), env.action_space, 0, settings)
+    mask = np.ones(6, np.bool_)
+    show_all_of_taxi(agent, env, states, lambda state: np.array(list(env.decode(state))))
+    for state in states[::9]:
+        observation = np.array(list(env.decode(state)))
+        assert agent.compute_plan_value(observation, mask) == pytest.approx(exact[state].max(), abs=1e-9)
+        best = agent.act_greedy(observation, mask, np.random.default_rng(0))
+        assert exact[state][best] == pytest.approx(exact[state].max(), abs=1e-9)
+
+
+def test_factored_r_max_finds_which_numbers_of_taxi_matter_to_a_move(taxi):
+    env, states, _ = taxi
+    agent = FactoredRMax(spaces.MultiDiscrete([5, 5, 5, 4]), env.action_space, 0,
+                         FactoredRMaxSettings(max_parents=4, conditions="any"))
+    show_all_of_taxi(agent, env, states, lambda state: np.array(list(env.decode(state))))
+    learner = agent.model.learner
+    row, column, passenger, destination = range(4)
+    south, east, pickup, dropoff = 0, 2, 4, 5
+    found = {(a, f): set(learner.hypotheses[learner.get_alive(a, f)[0]]) for a in range(6) for f in range(4)}
+    assert found[south, row] == {row}
+    assert found[east, column] == {row, column}, "walls stand in some rows only"
+    assert learner.list_active(south).tolist() == [row]
+    assert {row, column, passenger} <= found[pickup, passenger]
+    assert learner.over in learner.list_active(dropoff)
+
+
+@pytest.mark.parametrize("visits", [1, 3])
+def test_r_max_respects_its_own_visit_bound(visits):
+    """It tries what it tried less than m times, m |S| |A| times at most, and else does what its model says."""
+    env = BitFlipEnv()
+    exact = solve_bit_flip(env)
+    agent = RMax(env.observation_space, env.action_space, 0, RMaxSettings(gamma=GAMMA, visits=visits))
+    tries, explorations = Counter(), 0
+    mask = np.ones(4, np.bool_)
+    observation, _ = env.reset(seed=0)
+    for _ in range(1_200):
+        known = np.array([tries[bytes(observation), action] >= visits for action in range(4)])
+        values = agent.compute_values(observation)
+        assert ((values == 100.0) == ~known).all()
+        action = agent.act(observation, mask)
+        assert values[action] == pytest.approx(values.max(), abs=1e-6)
+        explorations += not known[action]
+        tries[bytes(observation), action] += 1
+        transition = make_transition(observation, action, mask, env.step(action), GAMMA)
+        agent.observe(transition)
+        observation = env.reset()[0] if transition.terminated else transition.next_observation
+    assert explorations == visits * exact.size, "and the bound is used up: every pair is known"
+    rng = np.random.default_rng(0)
+    for state in range(15):
+        assert agent.compute_values(env.observe(state)) == pytest.approx(exact[state], abs=1e-6)
+        assert exact[state, agent.act_greedy(env.observe(state), mask, rng)] == pytest.approx(exact[state].max())
+
+
+@pytest.mark.parametrize("conditions", ["all-on", "any"])
+def test_factored_r_max_equals_value_iteration_on_an_enumerated_bit_flip(conditions):
+    env = BitFlipEnv()
+    exact = solve_bit_flip(env)
+    settings = FactoredRMaxSettings(gamma=GAMMA, max_parents=3, conditions=conditions)
+    agent = FactoredRMax(env.observation_space, env.action_space, 0, settings)
+    for _ in interact(agent, env, 400):
+        pass
+    mask = np.ones(4, np.bool_)
+    for state in range(15):
+        assert agent.compute_plan_value(env.observe(state), mask) == pytest.approx(exact[state].max(), abs=1e-9)
+        best = agent.act_greedy(env.observe(state), mask, np.random.default_rng(0))
+        assert exact[state, best] == pytest.approx(exact[state].max(), abs=1e-9)
+    # a bit is flipped on only where all lower bits are on
+    assert agent.get_graph() == {(lower, bit) for bit in range(4) for lower in range(bit)}
+
+
+def learn_puzzle(name, kind, buttons, rule, primitives, seed):
+    """Train on a button puzzle; returns (primitives at the first escape, precision, recall, returns)."""
+    graph = GraphConfig(kind=kind, max_parents=2)
+    puzzle = ButtonsConfig(count=buttons, graph=graph, on_violation=rule).make_puzzle(np.random.default_rng(seed))
+    env = PuzzleEnv(puzzle, 30.0 if buttons > 10 else 20.0, seed)
+    agent: Any = make_agent(name, env.observation_space, env.action_space, seed)
+    used, first, total, returns = 0, None, 0.0, []
+    observation, info = env.reset(seed=seed)
+    mask = read_action_mask(info, buttons + 1)
+    while used < primitives:
+        action = agent.act(observation, mask)
+        transition = make_transition(observation, action, mask, env.step(action), agent.gamma)
+        agent.observe(transition)
+        used, total = used + transition.duration, total + transition.summed_reward
+        observation, mask = transition.next_observation, transition.next_action_mask
+        if transition.terminated or transition.truncated:
+            first = used if first is None and transition.terminated else first
+            returns.append(total)
+            total = 0.0
+            observation, info = env.reset()
+            mask = read_action_mask(info, buttons + 1)
+    edges = {(parent - 2, child - 2) for parent, child in agent.get_graph()}
+    true = find_edges_that_matter(puzzle.edges, puzzle.goal)
+    return first, *compare_graphs(find_edges_that_matter(edges, puzzle.goal), true), returns
+
+
+@pytest.mark.parametrize(
+    ("kind", "buttons", "rule", "primitives"),
+    [("layered", 20, "ignore", 5_000), ("layered", 10, "reset", 4_000), ("random", 10, "ignore", 3_000)],
+)
+def test_factored_r_max_escapes_and_recovers_every_edge_that_matters(kind, buttons, rule, primitives):
+    first, precision, recall, returns = learn_puzzle("factored-r-max", kind, buttons, rule, primitives, seed=1)
+    assert first is not None
+    assert (precision, recall) == (1.0, 1.0)
+    assert returns[-1] == returns[-2] > returns[0], "it has settled on a better way"
+
+
+def test_sampled_partial_models_escape_and_recover_most_edges():
+    first, precision, recall, _ = learn_puzzle("monte-carlo-model", "layered", 15, "ignore", 4_000, seed=1)
+    assert first is not None
+    assert min(precision, recall) >= 0.8
+
+
+def test_parents_of_random_functions_are_those_that_the_function_depends_on():
+    rng = np.random.default_rng(3)
+    states = (np.arange(64)[:, None] >> np.arange(6)) & 1
+    for _ in range(20):
+        parents = sorted(rng.choice(5, 2, replace=False).tolist())
+        table = rng.integers(0, 2, (2, 2, 2))  # by two parents and the bit's own value
+        learner = StructureLearner(np.full(6, 2), 1, 2)
+        for state in states:
+            after = state.copy()
+            after[5] = table[state[parents[0]], state[parents[1]], state[5]]
+            learner.add(state, 0, after, False, 0)
+        depends = {p for axis, p in enumerate(parents) if (np.diff(table, axis=axis) != 0).any()}
+        alive = learner.get_alive(0, 5)
+        assert set(learner.hypotheses[alive[0]]) == depends
+        assert all(depends <= set(learner.hypotheses[h]) for h in alive)
+
+
+def test_durations_follow_distance_until_a_leg_was_run():
+    homes = np.array([[0.0, 0.0], [0.0, 12.0], [16.0, 0.0]])
+    samples, previous = [], -1
+    pose = np.array([3.0, 4.0])
+    for action in (0, 1, 2, 0, 2, 1):
+        duration = round(2 + np.linalg.norm(homes[action] - pose))
+        samples.append(DurationSample(pose, action, homes[action], duration, previous))
+        pose, previous = homes[action], action
+    travel = fit_durations(samples, 3)
+    assert travel.places.tolist() == [0, 1, 2]
+    table = travel.compute_durations(np.array([8.0, 6.0]))
+    assert table[-1] == pytest.approx([12, 12, 12], abs=0.05), "10 m to each, and 2 more"
+    assert table[0, 1] == pytest.approx(14, abs=0.05)
+    slow = fit_durations([*samples, DurationSample(homes[0], 1, homes[1], 40, 0)], 3)
+    assert slow.compute_durations(homes[0])[-1, 1] == pytest.approx(27), "the mean of 14 and 40, for it is at a place"
+
+
+def test_what_a_cut_ended_inside_is_no_evidence():
+    model = FactoredModel(spaces.MultiBinary(2), 1, 0.9, 2, "all-on", "test")
+    bits, mask = np.zeros(2), np.ones(1, np.bool_)
+    cut = SMDPTransition(bits, 0, mask, -5.0, -5.0, 5, 0.5, bits, mask, False, True)
+    model.record(cut)
+    assert model.is_empty
+    model.record(cut._replace(duration=1))
+    assert not model.is_empty
+
+
+def test_states_that_do_not_fit_into_a_word_are_refused():
+    agent = make_agent("factored-r-max", spaces.MultiBinary(60), spaces.Discrete(2), 0, max_parents=0)
+    mask, bits = np.ones(2, np.bool_), np.zeros(60)
+    agent.observe(SMDPTransition(bits, 0, mask, -1.0, -1.0, 1, 0.99, bits, mask, False, False))
+    with pytest.raises(UnsupportedSpaceError, match="at most 56 bits; these factors have 60"):
+        agent.act(bits, mask)
+
+
+@pytest.mark.parametrize("name", ["r-max", "factored-r-max", "monte-carlo-model"])
+def test_pictures_are_refused(name):
+    with pytest.raises(UnsupportedSpaceError, match="for pictures use dqn or ppo"):
+        make_agent(name, spaces.Box(0, 255, (84, 84, 3), np.uint8), spaces.Discrete(2), 0)

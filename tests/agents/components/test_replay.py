@@ -1,0 +1,115 @@
+"""Replay loses nothing: durations, discounts, ends and masks come back; n decisions join into one backup."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hrl_escape.agents.agent import SMDPTransition, compute_backup
+from hrl_escape.agents.components.replay import Experience, NStep, ReplayBuffer
+from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
+from hrl_escape.errors import CheckpointError
+
+GAMMA = 0.9
+SETTINGS = LearningSettings(gamma=GAMMA)
+
+
+@st.composite
+def transitions(draw):
+    """One decision with a recognisable observation."""
+    rewards = draw(st.lists(st.integers(-5, 100), min_size=1, max_size=9))
+    end = draw(st.sampled_from(["", "", "", "terminated", "truncated"]))
+    mask = np.array(draw(st.lists(st.booleans(), min_size=3, max_size=3)) + [True])
+    return SMDPTransition(
+        np.array([draw(st.integers(-99, 99)), 1.0], np.float32),
+        draw(st.integers(0, 3)),
+        np.ones(4, np.bool_),
+        sum(GAMMA**i * r for i, r in enumerate(rewards)),
+        float(sum(rewards)),
+        len(rewards),
+        GAMMA ** len(rewards),
+        np.array([draw(st.integers(-99, 99)), 2.0], np.float32),
+        mask,
+        end == "terminated",
+        end == "truncated",
+    )
+
+
+def make_experience(transition):
+    reward, bootstrap = compute_backup(transition, SETTINGS)
+    return Experience(
+        transition.observation,
+        transition.action_mask,
+        transition.action,
+        reward,
+        bootstrap,
+        transition.next_observation,
+        transition.next_action_mask,
+    )
+
+
+@given(decisions=st.lists(transitions(), min_size=1, max_size=20), capacity=st.integers(1, 12))
+def test_trap_7_what_is_sampled_is_what_was_stored_also_after_a_checkpoint(tmp_path_factory, decisions, capacity):
+    buffer = ReplayBuffer(capacity, (2,), np.float32, 4)
+    for decision in decisions:
+        buffer.add(make_experience(decision))
+    path = tmp_path_factory.mktemp("replay") / "replay.npz"
+    save_checkpoint(path, buffer.state_dict())
+    restored = ReplayBuffer(capacity, (2,), np.float32, 4)
+    restored.load_state_dict(load_checkpoint(path))
+
+    kept = {}
+    for decision in decisions[-capacity:]:
+        discount = 0.0 if decision.terminated else GAMMA**decision.duration
+        key = (*decision.observation, decision.action, *decision.next_observation, *decision.next_action_mask)
+        kept.setdefault(key, set()).add((np.float32(decision.reward), np.float32(discount)))
+    batch = restored.sample(64, np.random.default_rng(0))
+    for row in zip(*batch, strict=True):
+        observation, mask, action, reward, bootstrap, next_observation, next_mask = row
+        assert mask.all()
+        assert (reward, bootstrap) in kept[(*observation, action, *next_observation, *next_mask)]
+    for original, again in zip(buffer.sample(64, np.random.default_rng(0)), batch, strict=True):
+        assert (original == again).all()
+
+
+def test_sampling_reaches_every_stored_decision_and_no_other():
+    buffer = ReplayBuffer(5, (1,), np.float32, 2)
+    for number in range(8):
+        mask = np.ones(2, np.bool_)
+        buffer.add(Experience(np.float32([number]), mask, 0, number, 0.5, np.float32([number]), mask))
+    assert set(buffer.sample(500, np.random.default_rng(0)).reward) == {3, 4, 5, 6, 7}
+
+
+def test_a_checkpoint_of_other_spaces_is_refused():
+    buffer = ReplayBuffer(5, (1,), np.float32, 2)
+    mask = np.ones(2, np.bool_)
+    buffer.add(Experience(np.float32([1]), mask, 0, 1.0, 0.5, np.float32([1]), mask))
+    with pytest.raises(CheckpointError, match="observation of shape"):
+        ReplayBuffer(5, (3,), np.float32, 2).load_state_dict(buffer.state_dict())
+
+
+@given(decisions=st.lists(transitions(), min_size=1, max_size=12), n=st.integers(1, 5))
+def test_trap_8_n_step_returns_multiply_each_gamma_k_and_stop_at_ends(decisions, n):
+    window, joined = NStep(n), []
+    for decision in decisions:
+        joined += window.push(make_experience(decision), decision.terminated or decision.truncated)
+
+    # The reference walks primitives: from each decision, n decisions or to the episode's end.
+    expected = []
+    for first in range(len(decisions)):
+        reward, elapsed, complete = 0.0, 0, False
+        for last in range(first, min(first + n, len(decisions))):
+            reward += GAMMA**elapsed * decisions[last].reward
+            elapsed += decisions[last].duration
+            over = decisions[last].terminated or decisions[last].truncated
+            if over or last == first + n - 1:
+                complete = True
+                break
+        if complete:
+            bootstrap = 0.0 if decisions[last].terminated else GAMMA**elapsed
+            expected.append((decisions[first].action, reward, bootstrap, *decisions[last].next_observation))
+    got = [(e.action, e.reward, e.bootstrap, *e.next_observation) for e in joined]
+    assert len(got) == len(expected)
+    for one, other in zip(sorted(got), sorted(expected), strict=True):
+        assert one == pytest.approx(other, rel=1e-9, abs=1e-9)

@@ -1,0 +1,37 @@
+"""The early end flag of keras-rl 0.4.2, decision by decision."""
+
+import numpy as np
+import pytest
+
+from hrl_escape.agents.agent import SMDPTransition, compute_backup
+from hrl_escape.agents.components.replay import Experience
+from hrl_escape.agents.larg2019.late_terminal import LateTerminal
+from hrl_escape.agents.settings import LearningSettings
+
+MASK = np.ones(3, np.bool_)
+SETTINGS = LearningSettings(gamma=0.9, discounting="decision", bootstrap_on_truncation=False)
+
+
+def push(late, number, action, end=""):
+    place = np.float32([number])
+    transition = SMDPTransition(place, action, MASK, float(number), float(number), 1, 0.9, place + 1, MASK,
+                                end == "terminated", end == "truncated")
+    reward, bootstrap = compute_backup(transition, SETTINGS)
+    experience = Experience(place, MASK, action, reward, bootstrap, place + 1, MASK)
+    return [(each.reward, each.bootstrap, taken) for each, taken in late.push(experience, transition, SETTINGS)]
+
+
+@pytest.mark.parametrize("end", ["terminated", "truncated"])
+def test_the_last_decision_but_one_ends_the_return_and_the_last_goes_on(end):
+    late = LateTerminal()
+    assert push(late, 1, 0) == []
+    assert push(late, 2, 1) == [(1.0, 0.9, 1)]
+    assert push(late, 3, 2, end) == [(2.0, 0.0, 2), (3.0, 0.9, None)]
+    assert push(late, 4, 0) == [], "nothing is left over from the episode before"
+
+
+def test_the_decision_that_waits_survives_a_checkpoint():
+    late, again = LateTerminal(), LateTerminal()
+    push(late, 1, 0)
+    again.load_state_dict(late.state_dict())
+    assert push(again, 2, 1) == push(late, 2, 1) == [(1.0, 0.9, 1)]

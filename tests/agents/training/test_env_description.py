@@ -1,0 +1,142 @@
+"""The identity of a run: everything that decides its numbers, the environment's arguments and the room included."""
+
+from __future__ import annotations
+
+import functools
+import json
+
+import gymnasium
+import numpy as np
+import pytest
+
+import hrl_escape  # noqa: F401  # registers the rooms
+from hrl_escape.agents import load_agent, train
+from hrl_escape.agents.training.env_description import describe_env, make_described_env, summarise
+from hrl_escape.agents.training.train import load_env
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import CheckpointError, RunMismatchError
+from hrl_escape.options.meta_actions import make_meta_options
+from hrl_escape.options.options_env import OptionsEnv
+from tests.agents.small_envs import ButtonGrid
+
+
+def make_room(seed=0, **arguments):
+    room = {} if "instance" in arguments else {"config": "four-button-chain", "instance_seed": seed}
+    return gymnasium.make("hrl_escape/EscapeRoom-v1", **room | {"observation": "features"} | arguments)
+
+
+def make_options(seed=0, **arguments):
+    return OptionsEnv(make_room(seed), **arguments)
+
+
+def run(env, out, **arguments):
+    return train("smdp-q-learning", env, out=out, **{"primitives": 200, "eval_episodes": 1} | arguments)
+
+
+@pytest.mark.parametrize("env", [
+    make_room(), make_options(flavour="press-with-ancestors", include_primitives=False),
+    make_room(config="clutter", resample_instance=True), gymnasium.make("CartPole-v1", max_episode_steps=9),
+])
+def test_an_environment_made_from_its_description_acts_the_same(env):
+    description = json.loads(json.dumps(describe_env(env)))
+    again = make_described_env(description)
+    assert "CartPole" in description["class"] or describe_env(again) == description
+    ends = []
+    for each in (env, again):
+        observations = [each.reset(seed=3)[0]]
+        each.action_space.seed(0)
+        observations += [each.step(each.action_space.sample())[0] for _ in range(6)]
+        ends.append(np.array(observations))
+    np.testing.assert_array_equal(*ends)
+
+
+def test_wrappers_that_change_nothing_are_no_part_of_a_description():
+    passive = gymnasium.wrappers.RecordEpisodeStatistics(make_room())
+    assert describe_env(passive) == describe_env(make_room())
+    changed = gymnasium.wrappers.TransformReward(make_room(), abs)
+    assert describe_env(changed)["wrappers"][0]["arguments"] == {"func": {"function": "builtins:abs"}}
+
+
+def test_a_rooms_name_and_its_drawing_are_no_part_of_its_identity():
+    room = generate(get_preset("four-button-chain"), 0)
+    here, there = make_room(render_mode="rgb_array"), make_room(instance=room.to_dict() | {"name": "other"})
+    assert summarise(describe_env(here)) == summarise(describe_env(there))
+
+
+@pytest.mark.parametrize(("env", "arguments", "field"), [
+    (lambda: make_options(seed=1), {}, "environment.arguments.instance"),
+    (lambda: make_options(flavour="press-with-ancestors"), {}, r"environment.wrappers.0.arguments.flavour: 'press' "
+                                                               "there, 'press-with-ancestors' now"),
+    (lambda: make_options(max_duration=50), {}, "environment.wrappers.0.arguments.max_duration"),
+    (lambda: make_room(observation="state"), {}, "environment.arguments.observation"),
+    (make_options, {"seed": 1}, "seed: 0 there, 1 now"),
+    (make_options, {"primitives": 300}, "primitives: 200 there, 300 now"),
+    (make_options, {"settings": {"gamma": 0.9}}, "settings.gamma: .* there, 0.9 now"),
+    (make_options, {"eval_env": make_options(seed=2)}, "evaluation_environment"),
+])
+def test_a_finished_run_is_never_returned_as_another_ones(tmp_path, env, arguments, field):
+    first = run(make_options(), tmp_path / "run")
+    with pytest.raises(RunMismatchError, match=field):
+        run(env(), tmp_path / "run", **arguments)
+    assert run(make_options(), tmp_path / "run") == first
+    other = run(env(), tmp_path / "run-{key}", **arguments)
+    assert other.folder != run(make_options(), tmp_path / "run-{key}").folder
+
+
+def test_another_version_of_the_package_is_another_run(tmp_path, monkeypatch):
+    run(make_options(), tmp_path / "run")
+    monkeypatch.setattr("hrl_escape.agents.training.run.__version__", "999.0")
+    with pytest.raises(RunMismatchError, match="version: .* there, '999.0' now"):
+        run(make_options(), tmp_path / "run")
+
+
+def test_options_given_as_objects_are_told_apart():
+    room = generate(get_preset("four-button-chain"), 0)
+    press, others = (make_options(options=make_meta_options(room, flavour)[:count])
+                     for flavour, count in (("press", 2), ("press", 1)))
+    assert summarise(describe_env(press)) != summarise(describe_env(others))
+    with pytest.raises(CheckpointError, match="is not kept with a run. Make it and give env="):
+        make_described_env(describe_env(press))
+
+
+@pytest.mark.parametrize(("one", "other"), [
+    (lambda reward: reward, lambda reward: 2 * reward), (lambda reward: reward + 1, lambda reward: reward + 2),
+    (functools.partial(max, 1), functools.partial(max, 2)), (functools.partial(max, 1), functools.partial(min, 1)),
+], ids=["code", "constant", "argument", "function"])
+def test_functions_without_a_name_are_told_apart_by_their_content(one, other):
+    first, second, again = (describe_env(gymnasium.wrappers.TransformReward(ButtonGrid(), function))
+                            for function in (one, other, one))
+    assert first == again and first != second
+    with pytest.raises(CheckpointError, match="is not kept with a run"):
+        make_described_env({**first, "class": "gymnasium.envs.classic_control.cartpole:CartPoleEnv", "arguments": {}})
+
+
+def test_environment_and_agent_of_a_run_are_made_from_its_folder(tmp_path):
+    result = run(make_options(flavour="press-with-ancestors"), tmp_path / "run")
+    env = load_env(tmp_path / "run")
+    assert describe_env(env) == describe_env(make_options(flavour="press-with-ancestors"))
+    agent, trained = load_agent(tmp_path / "run"), result.agent
+    observation, info = env.reset(seed=1)
+    chosen = [a.act_greedy(observation, info["action_mask"].astype(bool), np.random.default_rng(0))
+              for a in (agent, trained)]
+    assert chosen[0] == chosen[1]
+
+
+def test_an_environment_without_description_must_be_given(tmp_path):
+    train("q-learning", ButtonGrid(), primitives=100, eval_episodes=0, out=tmp_path / "run")
+    with pytest.raises(CheckpointError, match=r"ButtonGrid are unknown. Make it and give env="):
+        load_agent(tmp_path / "run")
+    assert load_agent(tmp_path / "run", ButtonGrid())
+
+
+@pytest.mark.parametrize("content", [[1], {"format": 1}, {}])
+def test_the_description_of_no_run_is_refused(tmp_path, content):
+    (tmp_path / "run.json").write_text(json.dumps(content))
+    with pytest.raises(CheckpointError, match="not the description of a run in format 2"):
+        load_env(tmp_path)
+
+
+def test_a_description_cannot_call_what_is_no_environment():
+    with pytest.raises(CheckpointError, match="os:getcwd is no Env"):
+        make_described_env({"class": "os:getcwd", "arguments": {}, "wrappers": []})

@@ -1,0 +1,294 @@
+"""State goes out and comes back whole: every agent, every recipe, also when a run is killed."""
+
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from hrl_escape.agents import load_agent, load_result, make_agent, train
+from hrl_escape.agents.registry import list_agents, list_recipes
+from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
+from hrl_escape.errors import CheckpointError, FileReadError, RunBusyError, RunMismatchError
+from tests.agents.running import interact
+from tests.agents.small_envs import ButtonGrid
+
+SMALL = {
+    "dqn": {
+        "hidden": (8,),
+        "batch_size": 8,
+        "warmup": 20,
+        "updates_per_step": 0.05,
+        "n_step": 3,
+        "replay_capacity": 60,
+    },
+    "sarsa": {"hidden": (8,), "batch_size": 8, "warmup": 20, "updates_per_step": 0.05, "replay_capacity": 60},
+    "ddpg": {"hidden": (8,), "batch_size": 8, "warmup": 20, "actor_warmup": 40, "updates_per_step": 0.05},
+    "ppo": {"hidden": (8,), "rollout": 16, "batch_size": 8, "epochs": 2},
+}
+WARM = {"dqn": {"warmup": 20}, "ddpg": {"warmup": 20, "actor_warmup": 30}}
+VARIANTS = [
+    *((name, "corrected", SMALL.get(name, {})) for name in list_agents()),
+    *(
+        (name, "paper", WARM.get(name, {}))
+        for name in list_agents()
+        if "paper" in list_recipes(name)
+    ),
+    *((name, "corrected", SMALL.get(name, {}) | {"bonus_weight": 2.0}) for name in ("dqn", "q-learning", "ppo")),
+    ("sarsa", "corrected", {"replay_capacity": 0, "expected": False, "warmup": 5, "hidden": (8,)}),
+]
+IDS = [f"{name}-{recipe}-{index}" for index, (name, recipe, _) in enumerate(VARIANTS)]
+
+
+class Interrupting(ButtonGrid):
+    """Raises KeyboardInterrupt at the n-th step of its life."""
+
+    def __init__(self, after):
+        super().__init__(trace=True, horizon=40)
+        self.left = after
+
+    def step(self, action):
+        self.left -= 1
+        if self.left < 0:
+            raise KeyboardInterrupt
+        return super().step(action)
+
+
+def make_env():
+    return Interrupting(10**9)
+
+
+def make(name, recipe, changes, seed=0):
+    env = make_env()
+    return make_agent(name, env.observation_space, env.action_space, seed, recipe, **changes)
+
+
+def flatten(tree, where=""):
+    """Leaves of a state tree with their paths, arrays as bytes with dtype and shape."""
+    if isinstance(tree, dict):
+        return {k: v for key in tree for k, v in flatten(tree[key], f"{where}/{key}").items()}
+    if isinstance(tree, list | tuple):
+        return {k: v for i, item in enumerate(tree) for k, v in flatten(item, f"{where}/{i}").items()}
+    if isinstance(tree, np.ndarray) or hasattr(tree, "detach"):
+        array = np.asarray(tree)
+        return {where: (array.dtype.str, array.shape, array.tobytes())}
+    return {where: repr(tree.item() if isinstance(tree, np.generic) else tree)}
+
+
+@pytest.mark.parametrize(("name", "recipe", "changes"), VARIANTS, ids=IDS)
+def test_a_restored_agent_goes_on_to_the_same_bits(tmp_path, name, recipe, changes):
+    for before in (3, 60):
+        agent, restored = make(name, recipe, changes), make(name, recipe, changes, seed=1)
+        steps = interact(agent, make_env(), 10**6)
+        for _ in range(before):
+            transition = next(steps)
+        while not (transition.terminated or transition.truncated):
+            transition = next(steps)
+        save_checkpoint(tmp_path / "agent.npz", agent.state_dict())
+        restored.load_state_dict(load_checkpoint(tmp_path / "agent.npz"))
+        assert flatten(restored.state_dict()) == flatten(agent.state_dict())
+        one, other = interact(agent, make_env(), 50, seed=5), interact(restored, make_env(), 50, seed=5)
+        assert [t.action for t in one] == [t.action for t in other]
+        assert flatten(restored.state_dict()) == flatten(agent.state_dict())
+
+
+LEAVES = (
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats(allow_nan=False)
+    | st.text()
+    | hnp.arrays(st.sampled_from([np.float32, np.int64, np.bool_, np.uint8]), hnp.array_shapes(min_dims=0, min_side=0))
+)
+TREES = st.dictionaries(
+    st.text(max_size=5),
+    st.recursive(LEAVES, lambda c: st.lists(c, max_size=3) | st.dictionaries(st.text(), c, max_size=3)),
+)
+
+
+@settings(max_examples=25)
+@given(tree=TREES)
+def test_any_state_tree_survives_a_checkpoint(tmp_path_factory, tree):
+    path = tmp_path_factory.mktemp("checkpoint") / "x.npz"
+    save_checkpoint(path, tree)
+    assert flatten(load_checkpoint(path)) == flatten(tree)
+
+
+def test_a_state_tree_with_something_else_is_refused_with_its_place(tmp_path):
+    with pytest.raises(TypeError, match=r"state\.agent\[1\] is a set"):
+        save_checkpoint(tmp_path / "x.npz", {"agent": [1, {2}]})
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- runs ---------------------------------------------------------------------------------
+
+
+def run(name, recipe, changes, env, out=None, **more):
+    arguments = {"primitives": 300, "seed": 3, "eval_every": 100, "eval_episodes": 2, "checkpoint_seconds": 0}
+    return train(name, env, recipe=recipe, settings=changes, out=out, **(arguments | more))
+
+
+def read_log(folder):
+    """Rows without what the wall clock decides."""
+    rows = [json.loads(line) for line in (Path(folder) / "log.jsonl").read_text().splitlines()]
+    return [{key: value for key, value in row.items() if not key.startswith("time/")} for row in rows]
+
+
+@pytest.mark.parametrize(("name", "recipe", "changes"), VARIANTS, ids=IDS)
+def test_an_interrupted_run_resumes_to_the_result_of_an_uninterrupted_one(tmp_path, name, recipe, changes):
+    whole = run(name, recipe, changes, counting := make_env(), tmp_path / "whole")
+    steps = 10**9 - counting.left
+    interruptions = 0
+    for share in (0.4, 0.4, 1, 1):
+        try:
+            pieces = run(name, recipe, changes, Interrupting(int(share * steps)), tmp_path / "pieces")
+            break
+        except KeyboardInterrupt:
+            interruptions += 1
+    assert interruptions == 2
+    assert pieces == whole
+    assert flatten(pieces.agent.state_dict()) == flatten(whole.agent.state_dict())
+    assert read_log(tmp_path / "pieces") == read_log(tmp_path / "whole")
+    assert load_result(tmp_path / "pieces") == whole == run(name, recipe, changes, make_env())
+
+
+KILLABLE = """
+import sys, time
+from hrl_escape.agents import train
+from tests.agents.small_envs import ButtonGrid
+class Grid(ButtonGrid):
+    def step(self, action):
+        time.sleep({pause})
+        return super().step(action)
+train("q-learning", Grid(horizon=40), primitives=3_000, seed=3, eval_every=500, eval_episodes=2, checkpoint_seconds=0,
+      out=sys.argv[1])
+"""
+
+
+def start(folder, pause):
+    command = [sys.executable, "-c", KILLABLE.format(pause=pause), folder]
+    return subprocess.Popen(command, cwd=Path(__file__).parents[3])
+
+
+def count_rows(folder):
+    log = folder / "log.jsonl"
+    return log.read_bytes().count(b"\n") if log.exists() else 0
+
+
+def test_a_run_killed_again_and_again_gives_the_same_bits(tmp_path):
+    pieces, whole = tmp_path / "pieces", tmp_path / "whole"
+    chance = random.Random(0)
+    for target in (1, 4, 9, 16, 25, 40):  # rows of the log after which to kill, a random moment later
+        process = start(pieces, pause=0.002)
+        while count_rows(pieces) < target:
+            assert process.poll() is None, "it finished before it could be killed"
+            time.sleep(0.005)
+        time.sleep(chance.uniform(0, 0.1))
+        process.send_signal(signal.SIGKILL)
+        assert process.wait() == -signal.SIGKILL
+    assert not (pieces / "result.json").exists()
+    assert start(pieces, pause=0).wait(120) == start(whole, pause=0).wait(120) == 0
+    assert load_result(pieces) == load_result(whole)
+    assert read_log(pieces) == read_log(whole)
+    one, other = (load_checkpoint(folder / "checkpoint.npz")["agent"] for folder in (pieces, whole))
+    assert flatten(one) == flatten(other)
+
+
+def test_a_finished_run_is_returned_without_training_again(tmp_path):
+    whole = run("q-learning", "corrected", {}, make_env(), tmp_path)
+    assert run("q-learning", "corrected", {}, Interrupting(0), tmp_path) == whole
+
+
+def test_the_trained_agent_can_be_loaded_from_its_folder(tmp_path):
+    whole = run("smdp-dqn", "corrected", SMALL["dqn"], make_env(), tmp_path)
+    assert flatten(load_agent(tmp_path, make_env()).state_dict()) == flatten(whole.agent.state_dict())
+
+
+def test_a_folder_of_another_run_is_left_alone_and_the_difference_named(tmp_path):
+    run("q-learning", "corrected", {}, make_env(), tmp_path)
+    before = (tmp_path / "log.jsonl").read_bytes()
+    with pytest.raises(RunMismatchError, match="seed: 3 there, 4 now"):
+        run("q-learning", "corrected", {}, make_env(), tmp_path, seed=4)
+    assert (tmp_path / "log.jsonl").read_bytes() == before
+    with pytest.raises(RunMismatchError, match=r"differs in settings\.gamma: 0\.99 there, 0\.9 now\. Choose"):
+        run("q-learning", "corrected", {"gamma": 0.9}, make_env(), tmp_path)
+
+
+def test_two_processes_cannot_train_into_one_folder(tmp_path):
+    class Nested(ButtonGrid):
+        def step(self, action):
+            run("q-learning", "corrected", {}, make_env(), tmp_path)
+
+    with pytest.raises(RunBusyError, match="another process"):
+        run("q-learning", "corrected", {}, Nested(), tmp_path)
+
+
+def interrupt(folder):
+    """Leave an unfinished run with a checkpoint."""
+    with pytest.raises(KeyboardInterrupt):
+        run("q-learning", "corrected", {}, Interrupting(150), folder)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flip", "empty", "other"])
+def test_a_damaged_checkpoint_is_named_and_nothing_is_overwritten(tmp_path, damage):
+    interrupt(tmp_path)
+    path = tmp_path / "checkpoint.npz"
+    content = path.read_bytes()
+    middle = len(content) // 2
+    flipped = content[:middle] + bytes([content[middle] ^ 255]) + content[middle + 1 :]
+    path.write_bytes({"cut": content[:middle], "flip": flipped, "empty": b"", "other": b"hello"}[damage])
+    with pytest.raises(CheckpointError, match=r"checkpoint\.npz: this checkpoint is damaged"):
+        run("q-learning", "corrected", {}, make_env(), tmp_path)
+    assert path.read_bytes() != content
+
+
+def test_a_checkpoint_that_would_unpickle_is_refused(tmp_path):
+    class Bomb:
+        def __reduce__(self):
+            return os.mkdir, (str(tmp_path / "exploded"),)
+
+    np.savez(tmp_path / "x.npz", tree=np.array(Bomb(), dtype=object))
+    with pytest.raises(CheckpointError):
+        load_checkpoint(tmp_path / "x.npz")
+    assert not (tmp_path / "exploded").exists()
+
+
+def test_a_log_shorter_than_its_checkpoint_says_is_refused(tmp_path):
+    interrupt(tmp_path)
+    log = tmp_path / "log.jsonl"
+    log.write_bytes(log.read_bytes()[:50])
+    with pytest.raises(CheckpointError, match=r"log\.jsonl: this log is damaged"):
+        run("q-learning", "corrected", {}, make_env(), tmp_path)
+
+
+def test_an_unfinished_run_has_no_result_yet(tmp_path):
+    interrupt(tmp_path)
+    with pytest.raises(FileReadError, match="no such result of a run"):
+        load_result(tmp_path)
+
+
+@settings(max_examples=40)
+@given(decisions=st.integers(0, 60), seed=st.integers(0, 3), variant=st.sampled_from(VARIANTS))
+def test_a_state_dict_taken_at_any_decision_goes_on_to_the_same_bits(tmp_path_factory, decisions, seed, variant):
+    """Also in the middle of an episode, where an environment that can be saved would let a run go on."""
+    agent, restored, env = make(*variant, seed=seed), make(*variant, seed=9), make_env()
+    steps = interact(agent, env, decisions + 20, seed)
+    for _ in range(decisions):
+        next(steps)
+    path = tmp_path_factory.mktemp("state") / "agent.npz"
+    save_checkpoint(path, agent.state_dict())
+    restored.load_state_dict(load_checkpoint(path))
+    assert flatten(restored.state_dict()) == flatten(agent.state_dict())
+    for transition in steps:
+        assert restored.act(transition.observation, transition.action_mask) == transition.action
+        restored.observe(transition)
+    assert flatten(restored.state_dict()) == flatten(agent.state_dict())

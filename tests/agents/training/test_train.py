@@ -1,0 +1,336 @@
+"""Training: budgets in primitives, honest curves, evaluations that disturb nothing, errors that name the run."""
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import warnings
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+
+import hrl_escape  # noqa: F401  # registers the environments
+from hrl_escape.agents import evaluate, make_agent, play_episode, train
+from hrl_escape.agents.training.results import METRICS
+from hrl_escape.agents.training.train import TrainResult
+from hrl_escape.errors import AgentSettingsError, DivergenceError, FileWriteError, StepContractError
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.settings import read_record
+from tests.agents.small_envs import ButtonGrid, Outcome, SmdpEnv
+from tests.agents.training.test_resuming import SMALL, flatten
+
+ROOT = Path(__file__).parents[3]
+LEARNERS = ["random", "q-learning", "intra-option-q", "dqn", "sarsa", "ddpg", "ppo"]
+
+
+def run(name="q-learning", env=None, **more):
+    env = env or ButtonGrid(trace=True, horizon=40)
+    arguments = {"primitives": 300, "seed": 1, "settings": SMALL.get(name, {}), "eval_every": 100, "eval_episodes": 2}
+    return train(name, env, **(arguments | more))
+
+
+# --- what is counted ------------------------------------------------------------------------
+
+
+def test_trap_6_the_budget_and_every_curve_are_in_primitives_not_decisions():
+    always_ten = SmdpEnv([[[Outcome(1.0, 0, (-1.0,) * 10)]]], horizon=50)
+    result = run(env=always_ten, primitives=400, eval_every=100)
+    assert (result.primitives, result.decisions) == (400, 40)
+    assert [e.primitives for e in result.evaluations] == [0, 100, 200, 300, 400]
+    assert [e.decisions for e in result.evaluations] == [0, 10, 20, 30, 40]
+    assert [r.primitives for r in result.episodes] == list(range(50, 401, 50))
+    assert result.curve()[0].tolist() == [0, 100, 200, 300, 400]
+    assert result.curve(against="decisions")[0].tolist() == [0, 10, 20, 30, 40]
+    assert {r.length for r in result.episodes} == {50}
+    assert result.evaluations[-1].decision_counts == (5, 5)
+    assert result.evaluations[-1].lengths == (50, 50)
+
+
+def test_a_budget_of_decisions_ends_a_run_whichever_is_spent_first():
+    always_ten = SmdpEnv([[[Outcome(1.0, 0, (-1.0,) * 10)]]], horizon=50)
+    by_decisions = run(env=always_ten, primitives=400, decisions=12, eval_every=100)
+    assert (by_decisions.primitives, by_decisions.decisions) == (120, 12)
+    assert [e.decisions for e in by_decisions.evaluations] == [0, 10, 12]
+    assert (by_decisions.episodes[-1].end, by_decisions.episodes[-1].length) == ("budget", 20)
+    by_primitives = run(env=always_ten, primitives=400, decisions=41, eval_every=100)
+    assert (by_primitives.primitives, by_primitives.decisions) == (400, 40)
+    with pytest.raises(AgentSettingsError, match="decisions"):
+        run(decisions=0)
+
+
+def test_trap_6_planner_calls_are_counted(tmp_path):
+    result = run("random", out=tmp_path)
+    rows = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    chosen = [row["option/choices"] for row in rows if row["kind"] == "episode"]
+    options = sum(count for counts in chosen for name, count in counts.items() if int(name[-1]) >= 4)
+    assert result.planner_calls == options > 0
+
+
+def test_returns_are_undiscounted_sums_of_primitive_rewards():
+    option = SmdpEnv([[[Outcome(1.0, 0, (-1.0,) * 15 + (99.0,), True)]]])
+    result = run(env=option, primitives=16, eval_every=16)
+    assert result.episodes[0].episode_return == 84.0
+    assert result.evaluations[-1].returns == (84.0, 84.0)
+    assert (result.episodes[0].end, result.episodes[0].success) == ("terminated", True)
+
+
+def test_the_episode_that_the_budget_cuts_is_marked():
+    result = run("random", ButtonGrid(with_options=False, horizon=40), primitives=50)
+    assert [record.end for record in result.episodes] == ["truncated", "budget"]
+    assert result.primitives == 50
+
+
+def test_is_success_in_info_decides_success():
+    class Judged(SmdpEnv):
+        def step(self, action):
+            *rest, info = super().step(action)
+            return *rest, info | {"is_success": False}
+
+    result = run(env=Judged([[[Outcome(1.0, 0, (-1.0,), True)]]]), primitives=3)
+    assert not any(record.success for record in result.episodes)
+    assert result.evaluations[-1].success_rate == 0
+
+
+# --- reproducible ----------------------------------------------------------------------------
+
+
+def list_choices(agent, env, seed):
+    return [(t.action, t.observation.tobytes()) for t, _ in play_episode(agent, env, seed)]
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_trap_17_evaluating_twice_gives_the_same_bits_and_changes_nothing(name):
+    agent = run(name).agent
+    before = flatten(agent.state_dict())
+    env = ButtonGrid(trace=True, horizon=40)
+    assert evaluate(agent, env, 5, seed=7) == evaluate(agent, env, 5, seed=7)
+    one, other = ([list_choices(agent, env, seed) for seed in range(5)] for _ in range(2))
+    assert one == other
+    assert len(set(map(tuple, one))) > 1, "the episodes are not all the same one"
+    assert flatten(agent.state_dict()) == before
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_how_often_one_evaluates_does_not_change_what_is_learned(name):
+    often, never = run(name, eval_every=20), run(name, eval_episodes=0)
+    assert often.episodes == never.episodes
+    assert flatten(often.agent.state_dict()) == flatten(never.agent.state_dict())
+    assert never.evaluations == ()
+
+
+def test_evaluation_episodes_are_the_same_for_every_agent_and_training_seed():
+    class Recording(ButtonGrid):
+        starts = []
+
+        def reset(self, *, seed=None, options=None):
+            observation, info = super().reset(seed=seed)
+            self.starts.append(tuple(observation))
+            return observation, info
+
+    seen = []
+    for name, seed in (("q-learning", 0), ("dqn", 3)):
+        env = Recording(trace=True, horizon=40)
+        env.starts = []
+        run(name, seed=seed, eval_env=env, eval_every=300)
+        seen.append(env.starts)
+    assert seen[0] == seen[1]
+
+
+def compute_digest():
+    """One number of everything that three runs decide."""
+    seen = []
+    for name in ("dqn", "ppo", "q-learning"):
+        result = run(name)
+        seen.append((result.episodes, flatten(result.agent.state_dict())))
+    texts = [repr(([record.episode_return for record in episodes], state)) for episodes, state in seen]
+    return hashlib.sha256("".join(texts).encode()).hexdigest()
+
+
+def test_the_same_run_gives_the_same_bits_in_another_process():
+    code = "from tests.agents.training.test_train import compute_digest; print(compute_digest())"
+    environment = os.environ | {"PYTHONHASHSEED": "7"}
+    command = [sys.executable, "-c", code]
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == compute_digest() == compute_digest()
+
+
+def test_another_seed_gives_another_run():
+    assert run(seed=1).episodes != run(seed=2).episodes
+
+
+def test_the_global_random_state_is_neither_read_nor_touched():
+    import torch
+
+    numpy_before, torch_before = np.random.get_state()[1].copy(), torch.get_rng_state()  # noqa: NPY002
+    for name in LEARNERS:
+        run(name)
+    assert (np.random.get_state()[1] == numpy_before).all()  # noqa: NPY002
+    assert (torch.get_rng_state() == torch_before).all()
+
+
+# --- what it leaves ----------------------------------------------------------------------------
+
+
+def test_a_result_survives_json():
+    result = run("dqn")
+    assert read_record(TrainResult, json.loads(json.dumps(result.to_json()))) == result
+
+
+@pytest.mark.parametrize("name", LEARNERS)
+def test_every_logged_name_is_explained(tmp_path, name):
+    run(name, out=tmp_path)
+    logged = set()
+    for line in (tmp_path / "log.jsonl").read_text().splitlines():
+        logged |= {key for key in json.loads(line) if "/" in key}
+    assert logged <= set(METRICS)
+    assert {"train/return", "eval/return", "time/seconds"} <= logged
+
+
+def test_every_explained_name_is_logged_by_some_agent(tmp_path):
+    logged = set()
+    for name in LEARNERS:
+        run(name, out=tmp_path / name)
+        for line in (tmp_path / name / "log.jsonl").read_text().splitlines():
+            logged |= set(json.loads(line))
+    assert set(METRICS) <= logged
+
+
+def test_tensorboard_files_hold_the_logged_numbers(tmp_path):
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    result = run(out=tmp_path, tensorboard=True)
+    events = EventAccumulator(str(tmp_path / "tensorboard"))
+    events.Reload()
+    points = [(event.step, event.value) for event in events.Scalars("eval/return")]
+    assert points == [(e.primitives, pytest.approx(e.mean_return)) for e in result.evaluations]
+
+
+def test_progress_shows_rate_returns_and_time_left_and_is_silent_by_default(capsys):
+    run(progress=None)
+    assert capsys.readouterr().err == ""
+    run(progress=True, primitives=2_000)
+    shown = capsys.readouterr().err
+    assert "2,000/2,000" in shown and "/s" in shown and "return" in shown and "eval" in shown and "0:00" in shown
+
+
+# --- errors ------------------------------------------------------------------------------------
+
+
+class Unbounded(SmdpEnv):
+    """Gives a reward that float32 cannot hold after a while."""
+
+    def step(self, action):
+        observation, reward, *rest = super().step(action)
+        return observation, 1e40 if self.np_random.random() < 0.02 else reward, *rest
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered")
+@pytest.mark.parametrize("name", ["dqn", "sarsa", "ddpg", "ppo"])
+def test_a_loss_that_is_nan_names_run_and_primitive_and_keeps_the_checkpoint(tmp_path, name):
+    env = Unbounded([[[Outcome(1.0, 0, (-1.0,))]] * 2], one_hot=True, horizon=10)
+    with pytest.raises(DivergenceError, match=rf"{name}, seed 1, .*run: the loss of {name}.*primitive \d+") as caught:
+        run(name, env, primitives=2_000, out=tmp_path / "run", checkpoint_seconds=0)
+    assert caught.value.primitives > 0 and (tmp_path / "run" / "run.json").exists()
+
+
+def test_an_environment_that_offers_no_legal_action_is_named():
+    with pytest.raises(StepContractError, match="at least one action must always be legal"):
+        run(env=SmdpEnv([[[Outcome(1.0, 1, (-1.0,))]], [[]]]))
+
+
+def test_a_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(FileWriteError, match=r"cannot write .*file/run"):
+        run(out=tmp_path / "file" / "run")
+
+
+FULL_DISK = """
+import resource, sys
+from hrl_escape.agents import train
+from hrl_escape.errors import FileWriteError
+from tests.agents.small_envs import ButtonGrid
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), -1))
+try:
+    train("q-learning", ButtonGrid(trace=True, horizon=40), primitives=300, seed=1, eval_every=100, eval_episodes=2,
+          out=sys.argv[1], checkpoint_seconds=0)
+except FileWriteError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize(("limit", "file"), [(3_000, "log.jsonl"), (1_200, "checkpoint.npz")])
+def test_a_full_disk_is_one_clear_error_and_spoils_nothing(tmp_path, limit, file):
+    command = [sys.executable, "-c", FULL_DISK, tmp_path / "run", str(limit)]
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    assert f"cannot write {tmp_path}/run/" in done.stdout and "Free some space" in done.stdout, done.stderr
+    assert not list((tmp_path / "run").glob(".writing*")), "no half files"
+    assert run("q-learning", out=tmp_path / "run") == run("q-learning"), "and the run goes on where there is room"
+    assert (tmp_path / "run" / file).exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"primitives": 0}, "primitives = 0"),
+        ({"seed": -1}, "seed = -1"),
+        ({"eval_every": -5}, "eval_every = -5"),
+        ({"settings": {"gamma": 2.0}}, "gamma = 2.0"),
+        ({"tensorboard": True}, "give out="),
+    ],
+)
+def test_impossible_arguments_are_named(arguments, message):
+    with pytest.raises(AgentSettingsError, match=message):
+        run(**arguments)
+
+
+# --- learning ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["q-learning", "dqn", "sarsa"])
+def test_agents_over_options_leave_the_button_grid_in_few_primitives(name):
+    """The shortest way is 6 + 6 + 18 or so; the random policy over the same options scores -44."""
+    result = train(f"smdp-{name}", ButtonGrid(), primitives=6_000, seed=0, eval_every=6_000, eval_episodes=10)
+    assert result.evaluations[-1].success_rate == 1
+    assert result.evaluations[-1].mean_return > 50
+
+
+def test_ppo_over_options_leaves_the_button_grid():
+    result = train("smdp-ppo", ButtonGrid(), primitives=12_000, seed=0, eval_every=12_000, eval_episodes=10)
+    assert result.evaluations[-1].mean_return > 50
+
+
+def test_pictures_can_be_learned_from():
+    class Pictures(gymnasium.ObservationWrapper):
+        def __init__(self, env):
+            super().__init__(env)
+            self.observation_space = gymnasium.spaces.Box(0, 255, (40, 48, 3), np.uint8)
+
+        def observation(self, observation):
+            picture = np.zeros((40, 48, 3), np.uint8)
+            picture[: 10 + 10 * observation] = 255
+            return picture
+
+    for name in ("dqn", "ppo"):
+        changes = {"dqn": {"warmup": 20, "batch_size": 4, "replay_capacity": 100}, "ppo": {"rollout": 16}}[name]
+        env = Pictures(SmdpEnv([[[Outcome(1.0, 1, (-1.0,))]], [[Outcome(1.0, 0, (1.0,), True)]]]))
+        result = train(name, env, primitives=60, settings=changes, eval_every=60, eval_episodes=1)
+        assert result.evaluations[-1].returns == (0.0,)
+
+
+def test_an_agent_object_can_be_trained():
+    env = ButtonGrid()
+    agent = make_agent("q-learning", env.observation_space, env.action_space, 5)
+    assert train(agent, env, primitives=200, seed=1, eval_episodes=1).agent is agent
+
+
+def test_a_hierarchical_agent_without_options_is_told_so():
+    flat = gymnasium.make("hrl_escape/PaperTwoButton-v1", disable_env_checker=True)
+    with pytest.warns(UserWarning, match=r"smdp-random chooses options.*give train OptionsEnv\(env\)"):
+        train("smdp-random", flat, primitives=10, eval_episodes=0, progress=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        train("random", flat, primitives=10, eval_episodes=0, progress=False)
+        train("smdp-random", OptionsEnv(flat), primitives=10, eval_episodes=0, progress=False)

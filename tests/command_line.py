@@ -1,0 +1,36 @@
+"""Commands as a user runs them: in this process, as the installed program, and as a Python script."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hrl_escape.cli import main
+
+PROGRAM = Path(sys.executable).with_name("hrl-escape")
+
+
+def call(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str, str]:
+    """Exit code, stdout and stderr of a command run in this process."""
+    code = main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def assert_refused(capsys: pytest.CaptureFixture[str], arguments: list[str], words: str) -> None:
+    """A mistake ends in exit code 2 and one line on stderr that has these words."""
+    code, out, err = call(capsys, *arguments)
+    assert code == 2 and out == ""
+    assert err.startswith("hrl-escape: ") and err.count("\n") == 1 and words in err
+
+
+def run_program(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([PROGRAM, *arguments], cwd=cwd, capture_output=True, text=True)
+
+
+def run_python(script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True)

@@ -1,0 +1,17 @@
+"""`hrl-escape bench agents` through the command line."""
+
+import json
+
+import pytest
+
+from tests.command_line import call
+
+
+def test_bench_agents_measures_ours_beside_stable_baselines3_in_one_run(capsys):
+    code, out, _ = call(capsys, "bench", "agents", "--updates", "40", "--rounds", "1", "--json")
+    assert code == 0
+    rows = json.loads(out)
+    assert {"dqn", "ppo", "sarsa", "Stable-Baselines3 DQN", "Stable-Baselines3 PPO"} <= set(rows)
+    ours, theirs = rows["dqn"], rows["Stable-Baselines3 DQN"]
+    assert theirs["ratio"] == 1
+    assert ours["ratio"] == pytest.approx(ours["updates_per_second"] / theirs["updates_per_second"], rel=0.01)

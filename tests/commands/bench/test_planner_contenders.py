@@ -1,0 +1,80 @@
+"""The comparison of planners: honest queries, scores that add up, files, and the command."""
+
+import json
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from hrl_escape.cli import main
+from hrl_escape.commands.bench.planner_contenders import (
+    FIELDS,
+    Measurement,
+    list_contenders,
+    make_queries,
+    measure,
+    score_contenders,
+    write_csv,
+)
+from hrl_escape.planning.goals import is_reached
+from hrl_escape.planning.paths.registry import list_planners
+
+
+def test_queries_begin_at_free_places_where_something_is_left_to_do():
+    queries = make_queries("10 obstacles", range(2), 4)
+    assert len(queries) == 8 and len({query.search.instance.id for query in queries}) == 2
+    for query in queries:
+        rules, state = query.search.kinematics, query.state
+        assert query.search.get_maker(True).collision.is_free(state.x, state.y)
+        assert not state.touching and not is_reached(query.goal, state, state, rules)
+        assert query.fewest >= 1
+
+
+def test_the_same_seeds_give_the_same_queries():
+    one, other = (make_queries("empty", range(1), 3) for _ in range(2))
+    assert [(q.state, q.goal, q.fewest) for q in one] == [(q.state, q.goal, q.fewest) for q in other]
+
+
+def test_scores_are_those_of_the_measurements(tmp_path):
+    rows = [Measurement("fields", "empty", "a", "exit", True, 11, 10, 2.0),
+            Measurement("fields", "empty", "a", "exit", True, 10, 10, 4.0),
+            Measurement("fields", "empty", "a", "exit", False, 0, 10, 90.0),
+            Measurement("RRT", "empty", "a", "exit", False, 0, 10, 1.0)]
+    fields, rrt = score_contenders(rows)
+    assert (fields.success, fields.ratio, fields.primitives, fields.median_ms) == (2 / 3, 1.05, 10.5, 4.0)
+    assert rrt.success == 0.0 and np.isnan(rrt.ratio)
+    write_csv(tmp_path / "rows.csv", rows)
+    lines = (tmp_path / "rows.csv").read_text().splitlines()
+    assert lines[0].startswith("contender,floor,instance,goal,reached") and len(lines) == 5
+    assert lines[1] == "fields,empty,a,exit,True,11,10,2"
+
+
+def test_everything_that_plans_is_a_contender():
+    assert list_contenders() == (FIELDS, *list_planners())
+    rows = measure(make_queries("interior walls", range(1), 1), list_contenders())
+    assert [row.contender for row in rows] == list(list_contenders())
+    assert sum(row.reached for row in rows) >= len(rows) - 1
+
+
+def test_the_command_prints_writes_and_draws(tmp_path, capsys):
+    csv, plot = tmp_path / "planners.csv", tmp_path / "planners.png"
+    words = ["bench", "planners", "--rooms", "1", "--queries", "2", "--contenders", "fields", "RRTConnect", "--floors",
+             "empty"]
+    assert main([*words, "--csv", str(csv), "--plot", str(plot), "--json"]) == 0
+    scores = json.loads(capsys.readouterr().out)
+    assert [(score["contender"], score["queries"]) for score in scores] == [("fields", 2), ("RRTConnect", 2)]
+    assert len(csv.read_text().splitlines()) == 5
+    with Image.open(plot) as picture:
+        assert picture.width > 800 and len(picture.getcolors(1 << 24)) > 50
+    assert main(words) == 0
+    assert "median ms" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(("words", "complaint"), [
+    (["--contenders", "RRTConect"], "did you mean 'RRTConnect'"),
+    (["--floors", "empy"], "did you mean 'empty'"),
+    (["--rooms", "0"], "at least 1 room"),
+])
+def test_the_command_says_what_is_wrong(words, complaint, capsys):
+    assert main(["bench", "planners", *words]) == 2
+    assert complaint in capsys.readouterr().err

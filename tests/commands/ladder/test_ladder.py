@@ -1,0 +1,55 @@
+"""`hrl-escape ladder`: lists, shows and verifies rungs, and freezes manifests."""
+
+import json
+
+from hrl_escape.cli import main
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.ladder.benchmark import load_benchmark
+from tests.ladder.small import make_config, make_manifest
+
+
+def call(capsys, *arguments: str):
+    code = main(["ladder", *arguments])
+    printed = capsys.readouterr()
+    return code, printed.out, printed.err
+
+
+def test_rungs_are_listed(capsys):
+    code, out, _ = call(capsys, "list")
+    assert code == 0 and all(f"\n{rung.name} " in out for rung in load_benchmark("ladder-1"))
+    code, out, _ = call(capsys, "list", "--json")
+    assert json.loads(out)["rungs"][0]["sets"] == {"train": 256, "valid": 64, "test": 64}
+
+
+def test_a_rung_is_shown_with_a_room_of_it(capsys, tmp_path):
+    files = ["--draw", str(tmp_path / "room.svg"), "--save", str(tmp_path / "room.json")]
+    code, out, _ = call(capsys, "show", "lattice", "--role", "test", "--index", "2", *files)
+    rung = load_benchmark("ladder-1")["lattice"]
+    assert code == 0 and rung.record.test.root in out and (tmp_path / "room.svg").stat().st_size > 1000
+    assert RoomInstance.load(tmp_path / "room.json").digest == rung.test[2].digest
+
+
+def test_mistakes_are_one_line(capsys):
+    code, _, err = call(capsys, "show", "latice")
+    assert code == 2 and err.count("\n") == 1 and "did you mean 'lattice'" in err
+    code, _, err = call(capsys, "show", "pair", "--role", "test_task", "--draw", "room.svg")
+    assert code == 2 and err.count("\n") == 1 and "of which there are 0" in err
+
+
+def test_a_frozen_manifest_verifies_and_a_changed_one_does_not(capsys, tmp_path):
+    path = tmp_path / "mine.json"
+    sizes = {"train": {"count": 3}, "valid": {"count": 2}, "test": {"count": 2}}
+    path.write_text(json.dumps({"name": "mine", "rungs": [
+        {"name": "one", "config": make_config(2, "chain").to_dict(), **sizes}]}))
+    assert call(capsys, "freeze", str(path))[0] == 0
+    code, out, _ = call(capsys, "verify", "--benchmark", str(path))
+    assert code == 0 and out.startswith("one: train 3, valid 2, test 2")
+    path.write_text(path.read_text().replace('"room": {', '"horizon": 77, "room": {', 1))
+    code, _, err = call(capsys, "verify", "--benchmark", str(path))
+    assert code == 2 and "mine/one: the root of train is" in err and err.count("\n") == 1
+
+
+def test_a_room_of_the_small_benchmark_can_be_shown(capsys, tmp_path):
+    make_manifest().save(tmp_path / "small.json")
+    code, out, _ = call(capsys, "show", "five", "--benchmark", str(tmp_path / "small.json"), "--json")
+    assert code == 0 and set(json.loads(out)["sets"]) == {"train", "valid", "test", "test_task"}

@@ -1,0 +1,34 @@
+"""`hrl-escape list`: every name there is, with a line about it."""
+
+import json
+
+from hrl_escape.agents.registry import list_agents
+from hrl_escape.env.engine import CAMERAS
+from hrl_escape.env.observations import list_observations
+from hrl_escape.env.presets import PRESETS
+from hrl_escape.env.primitives import BASE_ACTIONS
+from tests.command_line import call
+
+
+def test_list_shows_everything_there_is_with_a_line_about_it(capsys):
+    code, out, _ = call(capsys, "list", "--json")
+    lists = json.loads(out)
+    assert code == 0
+    assert set(lists["presets"]) == set(PRESETS) and set(lists["cameras"]) == set(CAMERAS)
+    assert set(lists["observations"]) == {observation.name for observation in list_observations()}
+    assert {"buttons", "bit-flip", "push-block"} <= set(lists["puzzles"])
+    assert list(lists["primitives"])[: len(BASE_ACTIONS)] == list(BASE_ACTIONS.names)
+    assert all(len(line) > 8 for entries in lists.values() for line in entries.values())
+    assert "3-joint arm" in lists["presets"]["arm-two-button"]
+    code, out, _ = call(capsys, "list", "cameras")
+    assert code == 0 and "overhead" in out and "clutter" not in out
+    assert call(capsys, "list", "camera")[0] == 2
+
+
+def test_each_agent_is_described_by_its_own_file(capsys):
+    _, out, _ = call(capsys, "list", "agents", "--json")
+    described = json.loads(out)["agents"]
+    assert list(described) == list_agents()
+    assert not any(line.startswith("From another package") for line in described.values())
+    assert described["q-learning"].endswith("; smdp-q-learning chooses options")
+    assert len(set(described.values())) == len(described)

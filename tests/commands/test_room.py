@@ -1,0 +1,134 @@
+"""`hrl-escape room` through the command line: generate, load, check, drive, draw, save."""
+
+import json
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from tests.command_line import assert_refused, call, run_program, run_python
+
+
+def test_room_generates_checks_draws_and_saves(tmp_path):
+    done = run_program("room", "--preset", "clutter", "--seed", "3", "--draw", "room.svg", "--save", "room.json",
+                       "--json", "--check", cwd=tmp_path)
+    assert done.returncode == 0 and done.stderr == ""
+    report, instance = json.loads(done.stdout), generate(get_preset("clutter"), 3)
+    assert report["id"] == instance.id and report["check"] == "solvable"
+    assert [t["name"] for t in report["targets"]] == list(instance.puzzle.target_names)
+    assert sorted(report["files"]) == ["room.json", "room.svg"]
+    assert RoomInstance.load(tmp_path / "room.json") == instance
+    assert ElementTree.parse(tmp_path / "room.svg").getroot().tag.endswith("svg")
+
+
+def test_a_saved_room_is_loaded_as_it_was(capsys, tmp_path):
+    call(capsys, "room", "--preset", "ten-button", "--seed", "2", "--save", tmp_path / "room.json")
+    code, out, _ = call(capsys, "room", "--load", tmp_path / "room.json", "--json")
+    assert code == 0 and json.loads(out)["id"] == generate(get_preset("ten-button"), 2).id
+    code, _, err = call(capsys, "room", "--load", tmp_path / "room.json", "--set", "room.width=30")
+    assert code == 2 and "--load" in err
+
+
+def test_a_corrupted_room_is_refused(capsys, tmp_path):
+    path = tmp_path / "room.json"
+    call(capsys, "room", "--save", path)
+    path.write_text(path.read_text().replace('"half_width": 10.0', '"half_width": 11.0'))
+    code, _, err = call(capsys, "room", "--load", path)
+    assert code == 2 and "corrupted" in err
+    path.write_text(path.read_text()[:100])
+    assert call(capsys, "room", "--load", path)[0] == 2
+
+
+def test_check_finds_a_room_that_cannot_be_solved(capsys, tmp_path):
+    path = tmp_path / "room.json"
+    call(capsys, "room", "--preset", "paper-one-button", "--save", path)
+    content = json.loads(path.read_text())
+    del content["id"]
+    wall = {"shape": "box", "x": 0.0, "y": 5.0, "half_x": 10.0, "half_y": 0.1, "yaw": 0.0, "height": 3.0,
+            "role": "wall"}
+    content["solids"].append(wall)  # across the room, between start and button
+    RoomInstance.from_dict(content).save(path)
+    code, out, _ = call(capsys, "room", "--load", path, "--check", "--json")
+    assert code == 1 and "button-1" in json.loads(out)["check"]
+    assert call(capsys, "room", "--load", path)[0] == 0  # only --check judges
+
+
+def test_fields_presets_and_files_say_which_room(capsys, tmp_path):
+    code, out, _ = call(capsys, "room", "--set", "room.width=30", "obstacles.count=7", "name=wide", "--json")
+    report = json.loads(out)
+    assert code == 0 and report["size"] == [30, 20] and report["obstacles"] == 7 and report["name"] == "wide"
+    _, out, _ = call(capsys, "room", "--preset", "larg-2019", "--arguments", "size=4", "seed=3", "--json")
+    assert json.loads(out)["id"] == generate(get_preset("larg-2019", size=4, seed=3), 0).id
+    (tmp_path / "mine.toml").write_text('horizon = 50\n[room]\nwidth = 12\n[puzzle]\nkind = "buttons"\ncount = 3\n')
+    _, out, _ = call(capsys, "room", "--config", tmp_path / "mine.toml", "--json")
+    report = json.loads(out)
+    assert (report["name"], report["size"], report["horizon"], len(report["targets"])) == ("mine", [12, 20], 50, 3)
+    (tmp_path / "mine.json").write_text(json.dumps(get_preset("clutter").to_dict()))
+    _, out, _ = call(capsys, "room", "--config", tmp_path / "mine.json", "--seed", "3", "--json")
+    assert json.loads(out)["id"] == generate(get_preset("clutter"), 3).id
+    (tmp_path / "mine.toml").write_text("[room\n")
+    code, _, err = call(capsys, "room", "--config", tmp_path / "mine.toml")
+    assert code == 2 and "not TOML" in err
+
+
+def test_driving_nine_strafes_left_escapes_with_return_91(capsys, tmp_path):
+    code, out, _ = call(capsys, "room", "--preset", "paper-one-button", "--drive", "strafe-left*20", "--json",
+                        "--draw", tmp_path / "drive.gif", tmp_path / "end.png", "--camera", "overhead")
+    drive = json.loads(out)["drive"]
+    assert code == 0 and drive["return"] == 91 and drive["terminated"] and drive["primitives"] == ["strafe-left"] * 9
+    assert drive["pressed"] == [{"primitive": 9, "targets": ["button-1"]}]
+    assert Image.open(tmp_path / "drive.gif").n_frames == 10
+    end = np.asarray(Image.open(tmp_path / "end.png")).astype(int)
+    assert (end[..., 1] - end[..., 0] > 50).sum() > 1000  # the exit is open
+
+
+def test_random_driving_is_decided_by_its_seed(capsys):
+    def drive(seed):
+        _, out, _ = call(capsys, "room", "--drive", "0, 4 random*30", "--episode-seed", seed, "--json")
+        return json.loads(out)["drive"]
+
+    assert drive(1) == drive(1) != drive(2)
+    assert drive(1)["primitives"][:2] == ["forward", "turn-left"] and len(drive(1)["path"]) == 33
+
+
+def test_tables_are_for_people(capsys):
+    code, out, _ = call(capsys, "room", "--preset", "four-button-chain", "--check")
+    assert code == 0
+    assert all(word in out for word in ("four-button-chain", " before button-", "solvable", "20 x 20 m"))
+
+
+def test_a_killed_drawing_leaves_the_old_file(tmp_path):
+    path = tmp_path / "room.svg"
+    path.write_text("old")
+    script = ("import os, sys, hrl_escape.files as files\n"
+              "files.os.replace = lambda *_: os.kill(os.getpid(), 9)\n"
+              "from hrl_escape.cli import main; main(['room', '--draw', sys.argv[1]])")
+    assert run_python(script, str(path)).returncode != 0
+    assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["--preset", "cluter"], "did you mean 'clutter'"),
+    (["--arguments", "size=4"], "paper-two-button"),
+    (["--set", "room.width=3000"], "from 5 to 200 m"),
+    (["--set", "room.widht=30"], "did you mean 'width'?"),
+    (["--set", "rom.width=30"], "unknown section 'rom'; did you mean 'room'?"),
+    (["--set", "room.width"], "name=value"),
+    (["--seed", "-1"], "whole number from 0"),
+    (["--load", "nowhere.json"], "nowhere.json: no such"),
+    (["--config", "nowhere.toml"], "nowhere.toml: no such"),
+    (["--drive", "forwards"], "did you mean 'forward'"),
+    (["--drive", "forward*x"], "name*n"),
+    (["--draw", "room.bmp"], ".svg"),
+    (["--draw", "room.png", "--camera", "chasse"], "did you mean 'chase'"),
+    (["--save", "/proc/nowhere/room.json"], "cannot write"),
+    (["--set", "obstacles.count=200", "obstacles.size_min=8", "obstacles.size_max=9"], "no solvable room"),
+])
+def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    assert_refused(capsys, ["room", *arguments], words)
+    assert list(tmp_path.iterdir()) == []

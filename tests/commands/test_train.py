@@ -1,0 +1,56 @@
+"""`hrl-escape train` through the command line."""
+
+import json
+
+import pytest
+
+from tests.command_line import assert_refused, call
+
+
+def test_a_run_leaves_its_description_log_and_checkpoint_and_reports_them(capsys, tmp_path):
+    code, out, _ = call(capsys, "train", "smdp-q-learning", "--primitives", "300", "--eval-episodes", "1",
+                        "--out", tmp_path / "run", "--json")
+    report = json.loads(out)
+    assert code == 0 and report["folder"] == str(tmp_path / "run")
+    assert report["best_known"] == 66
+    assert {"run.json", "log.jsonl", "checkpoint.npz"} <= {path.name for path in (tmp_path / "run").iterdir()}
+
+
+SHORT = ["train", "smdp-random", "--preset", "four-button-chain", "--primitives", "50", "--eval-episodes", "0"]
+
+
+@pytest.mark.parametrize(("changes", "field"), [
+    (["--flavour", "press-with-ancestors"], "flavour: 'press' there, 'press-with-ancestors' now"),
+    (["--seed", "1"], "environment.arguments.instance"),
+    (["--training-seed", "1"], "seed: 0 there, 1 now"),
+    (["--observation", "state"], "environment.arguments.observation: 'features' there, 'state' now"),
+    (["--options-only"], "include_primitives: True there, False now"),
+])
+def test_a_folder_that_holds_another_run_is_refused_and_the_default_folder_is_another(
+    capsys, tmp_path, monkeypatch, changes, field
+):
+    monkeypatch.chdir(tmp_path)
+    assert call(capsys, *SHORT, "--out", "run")[0] == 0
+    code, _, err = call(capsys, *SHORT, *changes, "--out", "run")
+    assert code == 2 and field in err and err.count("\n") == 1
+    assert call(capsys, *SHORT)[0] == call(capsys, *SHORT, *changes)[0] == call(capsys, *SHORT)[0] == 0
+    assert len(list((tmp_path / "runs").iterdir())) == 2
+
+
+def test_settings_are_listed_with_their_documentation_and_nothing_is_trained(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, out, _ = call(capsys, "train", "smdp-dqn", "--settings", "gamma=0.5", "--list-settings", "--json")
+    settings = json.loads(out)
+    assert code == 0 and settings["gamma"]["value"] == 0.5
+    assert all(setting["about"] for setting in settings.values())
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("arguments", "words"), [
+    (["dqn", "--settings", "gamma"], "--settings = 'gamma' is not possible: name=value is needed"),
+    (["dqn", "--threads", "0"], "threads = 0 is not possible"),
+])
+def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch, arguments, words):
+    monkeypatch.chdir(tmp_path)
+    assert_refused(capsys, ["train", *arguments], words)
+    assert list(tmp_path.iterdir()) == []

@@ -1,0 +1,73 @@
+"""The engines agree: random primitives in every kind of room, batched engine against scalar rules and Bullet.
+
+A small version of `benchmarks/conformance.py`, which has the full one.
+"""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks.conformance import compare
+from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.bullet.engine import BulletRoom
+from hrl_escape.env.config import CONTACT_SKIN, DynamicsConfig, RoomConfig
+from hrl_escape.env.geometry import Solid
+from hrl_escape.env.instance import Start
+from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.sampling.generation import generate
+from tests.env.rooms import all_schematics
+
+KINEMATIC = sorted(name for name, config in all_schematics().items() if config.dynamics.kind == "kinematic")
+
+
+@pytest.mark.parametrize("name", KINEMATIC)
+def test_the_batched_engine_agrees_with_the_scalar_rules(name):
+    instances = [generate(all_schematics()[name], seed) for seed in range(1 if name == "largest" else 3)]
+    found = compare(instances, 1500, copies=15)
+    assert found.primitives >= 1500
+    assert not found.disagreements, found.disagreements[0]
+    assert found.close_calls <= 1
+    assert found.worst < 1e-9
+
+
+@pytest.mark.parametrize("name", ["paper-two-button", "arm-two-button", "clutter", "noisy"])
+def test_the_batched_engine_agrees_with_the_bullet_engine(name):
+    instance = generate(all_schematics()[name], 1)
+    batch, bullet = TensorRoom([instance], 1, autoreset="disabled"), BulletRoom(instance)
+    batch.reset(torch.tensor([4]))
+    bullet.set_state(batch.get_room_state(0))
+    for action in np.random.default_rng(0).integers(batch.actions, size=300).tolist():
+        outcome, transition = batch.step(torch.tensor([action])), bullet.step(action)
+        found, state = batch.get_room_state(0), transition.state
+        assert abs(found.x - state.x) < 1e-9 and abs(found.y - state.y) < 1e-9
+        assert (found.heading_steps, found.joint_steps, found.puzzle, found.touching, found.primitives) == (
+            state.heading_steps, state.joint_steps, state.puzzle, state.touching, state.primitives)
+        assert (outcome.reward.item(), bool(outcome.terminated), bool(outcome.truncated)) == transition[1:4]
+        assert tuple(outcome.info.pressed[0].nonzero().flatten().tolist()) == transition.pressed
+        if transition.terminated:
+            break
+    bullet.close()
+
+
+def test_of_two_solids_that_touch_the_one_that_truly_does_stops_the_body():
+    """Seven micrometres from a wall, which single precision takes for touching, and against a cylinder."""
+    wall = Solid(x=0, y=1, half_x=10, half_y=0.1)
+    pillar = Solid("cylinder", x=-1.2, y=-0.8, half_x=0.8, half_y=0.8)
+    schematic = RoomConfig(dynamics=DynamicsConfig(noise=0.1))
+    instance = dataclasses.replace(generate(schematic, 0), solids=(wall, pillar))
+    scalar, room = Kinematics(instance), TensorRoom([instance], 1)
+    room.reset(torch.tensor([0]))
+    radius = instance.robot.body_radius + CONTACT_SKIN
+    y = 0.9 - radius - 7e-6
+    x = pillar.x + math.sqrt((pillar.half_x + radius) ** 2 - (y - pillar.y) ** 2)
+    heading = math.radians(177)
+    state = scalar.make_state(Start(x, y), 1)._replace(
+        heading_steps=round(heading // scalar.turn_step), heading_offset=heading % scalar.turn_step)
+    for noise_key in range(10):
+        room.set_room_state(0, state._replace(noise_key=noise_key))
+        room.step(torch.tensor([0]))  # forward
+        found, expected = room.get_room_state(0), scalar.step(state._replace(noise_key=noise_key), 0).state
+        assert abs(found.x - expected.x) < 1e-5 and abs(found.y - expected.y) < 1e-5

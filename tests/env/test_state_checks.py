@@ -1,0 +1,98 @@
+"""States from outside: what an episode reaches passes, everything else is refused by the name of its field."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.presets import PRESETS
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.env.state_checks import check_state
+from hrl_escape.errors import StateError
+from tests.env.rooms import all_schematics
+
+IMPOSSIBLE = [
+    ("x", math.nan), ("x", 50.0), ("x", 9.9), ("x", "1"), ("y", -math.inf), ("y", None), ("heading_steps", 36),
+    ("heading_steps", 10**9), ("heading_steps", -1), ("heading_steps", 1.0), ("heading_offset", 7.0),
+    ("joint_steps", (1,)), ("joint_steps", [0, 0, 0]), ("joint_steps", (0, 0, 7)), ("joint_steps", (0, 0, "a")),
+    ("joint_offsets", (0.1,)), ("joint_offsets", (0.0, math.nan, 0.0)), ("puzzle", -1), ("puzzle", 4),
+    ("puzzle", "on"), ("puzzle", None), ("puzzle", 10**5000), ("touching", -1), ("touching", 4), ("touching", True),
+    ("primitives", -1), ("primitives", 10**30), ("noise_key", 2**64), ("noise_key", None), ("z", math.inf),
+    ("pitch", 9.0), ("roll", math.nan),
+]
+
+
+@pytest.fixture(scope="module")
+def env():
+    env = EscapeRoomEnv("arm-two-button")
+    env.reset(seed=0)
+    yield env
+    env.close()
+
+
+@pytest.mark.parametrize(("field", "value"), IMPOSSIBLE, ids=range(len(IMPOSSIBLE)))
+def test_an_impossible_number_is_refused_by_name_and_the_episode_goes_on(env, field, value):
+    state = env.get_state()
+    with pytest.raises(StateError, match=field) as refusal:
+        env.set_state(state._replace(**{field: value}))
+    assert len(str(refusal.value)) < 400
+    assert env.get_state() is state
+    env.set_state(state)
+
+
+@pytest.mark.parametrize("value", [None, 5, "state", (0.0,) * 14, {}])
+def test_what_is_no_state_is_refused(env, value):
+    with pytest.raises(StateError, match="get_state"):
+        env.set_state(value)
+
+
+@pytest.mark.parametrize("name", sorted(set(all_schematics()) - {"largest"}))
+def test_every_state_that_an_episode_reaches_passes(name):
+    config = all_schematics()[name]
+    if config.dynamics.kind == "physics":
+        return
+    rules = Kinematics(generate(config, 0))
+    state, rng = rules.make_state(rules.instance.starts[0], 7), np.random.default_rng(0)
+    for action in rng.integers(len(rules.actions), size=400).tolist():
+        state = rules.step(state, action).state
+        check_state(rules, state)
+
+
+def test_every_state_that_physics_reaches_passes_and_parts_of_another_room_do_not():
+    env = EscapeRoomEnv("push-block")
+    env.reset(seed=0)
+    for action in np.random.default_rng(0).integers(env.action_space.n, size=40):
+        env.step(action)
+        env.set_state(env.get_state())
+    state = env.get_state()
+    for physics in (5, (), state.physics._replace(props=()), state.physics._replace(drive_velocities=(0.0,)),
+                    state.physics._replace(drive_velocities=(0.0, math.nan, 0.0))):
+        with pytest.raises(StateError, match="physics"):
+            env.set_state(state._replace(physics=physics))
+    env.close()
+
+
+def test_the_batched_engine_refuses_the_same_states():
+    instance = generate(all_schematics()["arm-two-button"], 0)
+    room = TensorRoom([instance], 2)
+    room.reset(torch.tensor([0, 1]))
+    state = room.get_room_state(1)
+    for field, value in IMPOSSIBLE:
+        with pytest.raises(StateError, match=field):
+            room.set_room_state(0, state._replace(**{field: value}))
+    room.set_room_state(0, state)
+    assert room.get_room_state(0) == state
+
+
+def test_reset_refuses_impossible_states_and_every_preset_takes_its_own():
+    for name in PRESETS:
+        env = EscapeRoomEnv(name)
+        env.reset(seed=1)
+        env.reset(options={"state": env.get_state()})
+        with pytest.raises(StateError):
+            env.reset(options={"state": env.get_state()._replace(x=math.nan)})
+        env.close()

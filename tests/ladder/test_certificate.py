@@ -1,0 +1,187 @@
+"""Certificates: sets are the manifest's and disjoint, and what is planted is found."""
+
+import dataclasses
+import os
+import subprocess
+import sys
+
+import pytest
+
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError, VerificationError
+from hrl_escape.ladder.benchmark import Benchmark, list_benchmarks, load_benchmark
+from hrl_escape.ladder.certificate import certify_rung, find_overlaps
+from hrl_escape.ladder.hidden import compute_commitment, derive_hidden_seed
+from hrl_escape.ladder.keys import RoomKeys, compute_keys, compute_task_key
+from hrl_escape.ladder.manifest import Manifest, SetRecord
+from hrl_escape.ladder.merkle import check_proof, prove_leaf
+from hrl_escape.ladder.rung import choose_seeds, is_held_out
+from tests.ladder.small import make_manifest
+
+
+def change(rung: str, **fields) -> Benchmark:
+    """The small benchmark with fields of one rung changed."""
+    manifest = make_manifest()
+    rungs = [dataclasses.replace(record, **fields) if record.name == rung else record for record in manifest.rungs]
+    return Benchmark(dataclasses.replace(manifest, rungs=tuple(rungs)))
+
+
+def test_a_frozen_benchmark_verifies(capsys):
+    bench = Benchmark(make_manifest())
+    lines: list[str] = []
+    bench.verify(report=lines.append)
+    assert lines[0] == "one: train 12, valid 4, test 4; disjoint in content and layout; task overlap 100%"
+    assert lines[1].startswith("five: train 12, valid 4, test 4, test_task 4; disjoint")
+
+
+def test_a_manifest_survives_its_file(tmp_path):
+    path = tmp_path / "small.json"
+    make_manifest().save(path)
+    assert load_benchmark(path).manifest == load_benchmark(str(path)).manifest == make_manifest()
+    assert path.stat().st_size < 3_000
+
+
+@pytest.mark.parametrize("fields", [
+    {"config": dataclasses.replace(make_manifest().rungs[0].config, horizon=999)},
+    {"name": "won"},
+    {"test": dataclasses.replace(make_manifest().rungs[0].test, root="0" * 64)},
+    {"train": dataclasses.replace(make_manifest().rungs[0].train, count=11)},
+    {"train": dataclasses.replace(make_manifest().rungs[0].train, skipped=(0,))},
+])
+def test_a_planted_change_is_found(fields):
+    bench = change("one", **fields)
+    with pytest.raises(VerificationError, match="root of"):
+        bench.verify([fields.get("name", "one")])
+
+
+def test_a_training_room_planted_into_the_test_is_found():
+    bench = Benchmark(make_manifest())
+    seeds = (*bench["one"].test.seeds[:3], bench["one"].train.seeds[5])
+    planted = change("one", test=SetRecord(count=4, seeds=seeds))
+    with pytest.raises(VerificationError, match="room 3 of test has the content of room 5 of train"):
+        certify_rung(planted["one"])
+
+
+def test_a_training_task_planted_into_the_tasks_held_out_is_found():
+    bench = Benchmark(make_manifest())
+    seeds = (*bench["five"].test_task.seeds[:3], bench["five"].test.seeds[0])
+    planted = change("five", test_task=SetRecord(count=4, seeds=seeds))
+    with pytest.raises(VerificationError, match="room 3 of test_task has the task of room 0 of test"):
+        certify_rung(planted["five"])
+
+
+def test_overlaps_are_named_by_key():
+    keys = [RoomKeys(f"c{i}", f"l{i}", "t") for i in range(4)]
+    assert find_overlaps({"train": keys[:2], "test": keys[2:]}) == []
+    alike = RoomKeys("c9", "l1", "t")
+    assert find_overlaps({"train": keys[:2], "test": [keys[2], alike]}) == [
+        "room 1 of test has the layout of room 1 of train"]
+    assert len(find_overlaps({"train": keys[:2], "test_task": keys[2:]})) == 2
+
+
+def test_one_room_is_proved_without_the_set():
+    rung = Benchmark(make_manifest())["five"]
+    assert check_proof(rung.train[7].digest, prove_leaf(rung.train.ids, 7), rung.record.train.root)
+
+
+def test_rooms_that_look_like_known_ones_are_skipped_and_listed():
+    rung = Benchmark(make_manifest())["one"]
+    known = {compute_keys(rung.valid[i]).layout for i in (0, 2)}
+    skipped, seeds = choose_seeds(rung.config, rung.iterate_seeds("valid"), 3, known)
+    assert skipped == [0, 2]
+    planted = change("one", valid=SetRecord(count=3, skipped=tuple(skipped)))
+    assert list(planted["one"].valid.seeds) == seeds and seeds[0] == rung.valid.seeds[1]
+
+
+def test_a_schematic_that_cannot_vary_is_refused():
+    fixed = get_preset("paper-one-button")
+    known = {compute_keys(generate(fixed, 0)).layout}
+    with pytest.raises(EscapeError, match="more room to vary"):
+        choose_seeds(fixed, ((i, i) for i in range(100)), 2, known)
+
+
+def test_tasks_held_out_are_decided_by_their_hash():
+    rung = Benchmark(make_manifest())["five"]
+    tasks = {role: {compute_task_key(room.puzzle) for room in rooms} for role, rooms in rung.sets.items()}
+    assert all(map(is_held_out, tasks.pop("test_task")))
+    assert not any(is_held_out(task) for each in tasks.values() for task in each)
+
+
+# --- hidden tests ------------------------------------------------------------------------
+
+
+def test_public_randomness_decides_a_hidden_test_that_meets_no_published_room():
+    rung = Benchmark(make_manifest())["five"]
+    hidden = rung.make_hidden_test("drand round 4242424242", count=5)
+    assert hidden.ids == rung.make_hidden_test("drand round 4242424242", count=5).ids
+    assert not set(hidden.ids) & set(rung.make_hidden_test("drand round 4242424243", count=5).ids)
+    known = {compute_keys(room).layout for rooms in rung.sets.values() for room in rooms}
+    assert not known & {compute_keys(room).layout for room in hidden}
+    with pytest.raises(ConfigError, match="16 characters"):
+        derive_hidden_seed("short", "small", "five", 0)
+
+
+def test_a_commitment_binds_seeds_salt_and_version():
+    salt = "a salt that nobody knows"
+    commitments = {compute_commitment(*words) for words in (
+        (salt, [1, 2], "0.2"), (salt, [2, 1], "0.2"), (salt, [1, 2], "0.3"), (salt + ".", [1, 2], "0.2"))}
+    assert len(commitments) == 4
+    with pytest.raises(ConfigError, match="16 characters"):
+        compute_commitment("salt", [1], "0.2")
+
+
+# --- the benchmark that comes with the package ---------------------------------------------
+
+
+def test_the_first_ladder_has_its_rungs_in_a_few_kilobytes():
+    assert list_benchmarks() == ("ladder-1",)
+    bench = load_benchmark("ladder-1")
+    assert [rung.name for rung in bench] == ["doormat", "pair", "chain", "lattice-5", "lattice-6", "lattice-7",
+                                             "lattice-8", "lattice", "clutter", "reach", "drift", "house"]
+    for rung in list(bench)[3:]:
+        assert (rung.test_task is None) == (rung.name == "reach")
+    with pytest.raises(UnknownNameError, match="did you mean 'lattice'"):
+        bench["latice"]
+    with pytest.raises(UnknownNameError, match="ladder-1"):
+        load_benchmark("ladder-0")
+
+
+@pytest.mark.parametrize("name", [rung.name for rung in load_benchmark("ladder-1")])
+def test_every_rung_gives_relabelled_rooms_of_one_shape(name):
+    rung = load_benchmark("ladder-1")[name]
+    rooms = [rung.train[0], rung.test[0], rung.valid[0], *([rung.test_task[0]] if rung.test_task else [])]
+    assert len({room.frame for room in rooms}) == 1
+    assert rung.config.puzzle.graph.relabel
+    assert len({compute_keys(room).layout for room in rooms}) == len(rooms)
+
+
+def test_the_easiest_rungs_verify():
+    load_benchmark("ladder-1").verify(["doormat"])
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+def test_the_whole_ladder_verifies():
+    load_benchmark("ladder-1").verify()
+
+
+SCRIPT = """
+from hrl_escape.ladder.benchmark import load_benchmark
+for name in ("pair", "lattice", "clutter", "reach"):
+    rung = load_benchmark("ladder-1")[name]
+    print(rung.train[0].digest, rung.test[1].digest)
+"""
+
+
+def test_rooms_are_the_same_whatever_the_processor_and_the_hash_seed():
+    features = "AVX512_SKX AVX512F AVX512CD AVX2 FMA3"
+    machines = [{}, {"PYTHONHASHSEED": "7", "OMP_NUM_THREADS": "1", "NPY_DISABLE_CPU_FEATURES": features}]
+    printed = {subprocess.run([sys.executable, "-W", "ignore", "-c", SCRIPT], env=os.environ | machine, text=True,
+                              capture_output=True, check=True).stdout for machine in machines}
+    assert len(printed) == 1 and len(printed.pop().split()) == 8
+
+
+def test_the_manifest_of_another_version_is_still_read():
+    manifest = load_benchmark("ladder-1").manifest
+    assert Manifest.from_dict(manifest.to_dict()) == manifest

@@ -1,0 +1,90 @@
+"""Sets of rooms: sequences, parts that are the same everywhere, and environments over them."""
+
+import json
+import pickle
+
+import numpy as np
+import pytest
+import torch
+
+from hrl_escape.agents.training.env_description import describe_env, make_described_env
+from hrl_escape.env.vector_env import EscapeRoomVectorEnv
+from hrl_escape.errors import ConfigError
+from hrl_escape.ladder.benchmark import Benchmark
+from hrl_escape.options.batched.env import BatchedOptionsEnv
+from hrl_escape.options.options_env import OptionsEnv
+from tests.ladder.small import make_manifest
+
+
+@pytest.fixture(scope="module")
+def rooms():
+    return Benchmark(make_manifest())["five"].train
+
+
+def test_a_set_is_a_sequence_of_rooms(rooms):
+    assert len(rooms) == 12 and rooms[0].id == rooms[-12].id and rooms[3] is rooms[3]
+    assert [room.digest for room in rooms] == list(rooms.ids)
+    assert rooms[2:5].ids == rooms.ids[2:5]
+    with pytest.raises(IndexError):
+        rooms[12]
+
+
+def test_a_split_is_whole_keyed_and_nested(rooms):
+    few, rest = rooms.split(0.25, key=1)
+    assert len(few) == 3 and sorted(few.ids + rest.ids) == sorted(rooms.ids)
+    assert set(few.ids) <= set(rooms.split(0.5, key=1)[0].ids)
+    assert few.ids == rooms.split(0.25, key=1)[0].ids != rooms.split(0.25, key=2)[0].ids
+    assert [len(part) for part in rooms.split(0.0)] == [0, 12]
+    with pytest.raises(ConfigError, match="from 0 to 1"):
+        rooms.split(1.5)
+
+
+def test_a_filter_keeps_what_it_says(rooms):
+    four = rooms.filter(lambda room: len(room.targets) == 4)
+    assert 0 < len(four) < 12 and all(len(room.targets) == 4 for room in four)
+
+
+@pytest.mark.parametrize("options", [False, True, {"include_primitives": False}])
+def test_resets_draw_rooms_by_the_episodes_seed(rooms, options):
+    env = rooms.make_env(options=options, observation="features")
+    assert isinstance(env, OptionsEnv) == bool(options)
+    space, seen = env.observation_space, []
+    for _ in range(2):
+        env.reset(seed=0)
+        seen.append([env.reset()[1]["instance"] for _ in range(12)])
+        assert env.observation_space == space
+    assert seen[0] == seen[1] and 4 < len(set(seen[0])) and set(seen[0]) <= {room.id for room in rooms}
+    assert env.reset(options={"instance_index": 7})[1]["instance"] == rooms[7].id
+    with pytest.raises(ConfigError, match="12 instances"):
+        env.reset(options={"instance_index": 12})
+    env.close()
+
+
+def test_an_environment_over_a_set_is_made_again_from_its_description(rooms):
+    env = rooms.split(0.5)[0].make_env(options=True, observation="features")
+    description = json.loads(json.dumps(describe_env(env)))
+    assert len(json.dumps(description)) < 5_000
+    again = make_described_env(description)
+    for seed in range(5):
+        (seen, info), (other, same) = env.reset(seed=seed), again.reset(seed=seed)
+        assert np.array_equal(seen, other) and info["instance"] == same["instance"]
+    env.close()
+    again.close()
+
+
+def test_a_set_and_its_environment_survive_pickling(rooms):
+    assert pickle.loads(pickle.dumps(rooms)).ids == rooms.ids
+    env = rooms.make_env()
+    assert pickle.loads(pickle.dumps(env)).reset(seed=3)[1]["instance"] == env.reset(seed=3)[1]["instance"]
+
+
+def test_a_batch_holds_every_room_of_the_set(rooms):
+    batch = rooms.make_vec(64, observation="features")
+    assert isinstance(batch, EscapeRoomVectorEnv)
+    _, infos = batch.reset(seed=0)
+    assert [room.id for room in batch.instances] == [room.id for room in rooms]
+    assert set(infos["instance"].tolist()) == {room.id for room in rooms}
+    decisions = rooms[:3].make_vec(8, options={"include_primitives": False})
+    assert isinstance(decisions, BatchedOptionsEnv)
+    decisions.reset(torch.arange(8))
+    assert decisions.action_names[-1] == "meta-exit" and decisions.actions == 7

@@ -1,0 +1,265 @@
+"""Meta-actions synthesised for every preset: what they reach, what they leave alone, and how they cope with noise."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from hrl_escape.checks import check_option
+from hrl_escape.env.config import RoomConfig, ShapeConfig
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.instance import Rectangle, RoomInstance, Start, Target
+from hrl_escape.env.presets import PRESETS, get_preset
+from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import UnknownNameError, UnsupportedError
+from hrl_escape.options.flavours import FLAVOURS
+from hrl_escape.options.meta_actions import make_meta_options
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.options.skills import make_go_to, make_press, make_reach
+from hrl_escape.planning.room_planner import get_planner
+from tests.env.rooms import make_ordered_chain
+
+KINEMATIC = [name for name in PRESETS if name != "push-block"]
+
+
+def make_noisy(name: str, **dynamics) -> RoomConfig:
+    config = get_preset(name)
+    return dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, **dynamics))
+
+
+def run_meta_actions(config: RoomConfig, runs: int, seed: int = 0) -> Counter:
+    """Random meta-actions in room after room: how each ended."""
+    rng, ends = np.random.default_rng(seed), Counter()
+    while sum(ends.values()) < runs:
+        env = OptionsEnv(EscapeRoomEnv(instance=generate(config, seed)), include_primitives=False)
+        _, info = env.reset(seed=seed)
+        for _ in range(10):
+            legal = np.flatnonzero(info["action_mask"])
+            _, _, terminated, truncated, info = env.step(int(rng.choice(legal)))
+            ends["reached" if terminated else info["option"]["ended"]] += 1
+            if terminated or truncated:
+                break
+        env.close()
+        seed += 1
+    return ends
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_every_preset_has_a_meta_action_for_everything_there_is_to_do(name):
+    instance = generate(get_preset(name), 0)
+    count = len(instance.targets) or len(instance.props) // 2
+    names = [option.name for option in make_meta_options(instance)]
+    assert names == [*(f"meta-{i:02d}" for i in range(1, count + 1)), "meta-exit"]
+
+
+@pytest.mark.parametrize("flavour", FLAVOURS)
+@pytest.mark.parametrize("name", [name for name in KINEMATIC if name not in ("ten-button", "twenty-button")])
+def test_meta_actions_keep_the_option_contract(name, flavour):
+    env = EscapeRoomEnv(name)
+    env.reset(seed=0)
+    plan = get_planner(env.instance).solve(env.get_state())
+    states = [plan.states[part.start] for part in plan.parts]
+    for option in make_meta_options(env.instance, flavour):
+        check_option(option, env, runs=4, states=states)
+    env.close()
+
+
+@pytest.mark.parametrize("name", KINEMATIC)
+def test_a_meta_action_presses_its_button_and_no_other(name):
+    """Each from the start; what it could not avoid pressing, it names."""
+    env = OptionsEnv(EscapeRoomEnv(name), include_primitives=False)
+    for index in range(len(env.options) - 1):
+        env.reset(seed=0)
+        *_, terminated, _, info = env.step(index)
+        option = info["option"]
+        assert option["ended"] == "reached" and info["pressed"][-1] == index
+        assert set(option["also_pressed"]) == set(option["unavoidable"]) == set()
+        assert terminated or env.unwrapped.get_state().touching >> index & 1
+
+
+def make_corridor() -> RoomInstance:
+    """A corridor whose far end is a button; a second one hangs across the way to it."""
+    targets = (
+        Target("button-1", 0.0, 0.0, 0.5, half_x=1.5, half_y=0.05, half_z=0.5, yaw=np.pi / 2),
+        Target("button-2", 5.9, 0.0, 0.5, half_x=1.0, half_y=0.05, half_z=0.5, yaw=np.pi / 2),
+    )
+    wide = generate(RoomConfig(room=ShapeConfig(width=12, depth=5)), 0)
+    config = wide.robot
+    return RoomInstance(
+        name="corridor", half_width=6.0, half_depth=1.5,
+        solids=tuple(
+            dataclasses.replace(wide.solids[0], x=x, y=y, half_x=hx, half_y=hy, yaw=0.0)
+            for x, y, hx, hy in ((0, 1.6, 6.2, 0.1), (0, -1.6, 6.2, 0.1), (6.1, 0, 0.1, 1.7), (-6.1, 0, 0.1, 1.7))
+        ),
+        targets=targets, exit=Rectangle(-5.0, -4.0, -1.0, 1.0), starts=(Start(-3.0, 0.0),), robot=config,
+        puzzle=ButtonsPuzzle(2, (), 1),
+    )
+
+
+def test_a_button_that_cannot_be_avoided_is_pressed_and_named():
+    env = OptionsEnv(EscapeRoomEnv(instance=make_corridor()), include_primitives=False)
+    env.reset(seed=0)
+    info = env.step(1)[4]
+    assert info["option"]["ended"] == "reached" and info["pressed"] == (0, 1)
+    assert info["option"]["unavoidable"] == info["option"]["also_pressed"] == ("button-1",)
+    env.reset(seed=0)
+    info = env.step(0)[4]
+    assert info["option"]["also_pressed"] == info["option"]["unavoidable"] == ()
+
+
+@pytest.mark.parametrize(("name", "meta", "flavour", "published"), [
+    ("larg-2019", "meta-01", "press", 17),
+    ("larg-2019", "meta-02", "press-with-ancestors", 37),
+    ("larg-2019", "meta-exit", "press", 15),
+])
+def test_meta_actions_cost_no_more_than_the_published_codes(name, meta, flavour, published):
+    """Costs from the start of seed 14, handicap 6, measured by running the published 2019 code."""
+    env = OptionsEnv(EscapeRoomEnv(name), flavour=flavour)
+    env.reset(seed=0)
+    info = env.step(env.action_names.index(meta))[4]
+    assert info["option"]["ended"] == "reached" and info["duration"] <= published
+
+
+def test_with_ancestors_presses_what_must_be_on_before():
+    env = OptionsEnv(EscapeRoomEnv(make_ordered_chain()), flavour="press-with-ancestors", include_primitives=False)
+    env.reset(seed=0)
+    info = env.step(2)[4]
+    assert info["pressed"] == (0, 1, 2) and info["buttons_on"].tolist() == [1, 1, 1, 0]
+    info = env.step(3)[4]
+    assert info["pressed"] == (3,), "what is on already is not pressed again"
+    info = env.step(3)[4]
+    assert info["pressed"] == (3,), "the button itself always is"
+
+
+def test_pressing_a_touched_button_again_leaves_it_first():
+    env = OptionsEnv(EscapeRoomEnv("paper-two-button"), include_primitives=False)
+    env.reset(seed=0)
+    env.step(0)
+    assert env.unwrapped.get_state().touching == 1
+    info = env.step(0)[4]
+    assert info["pressed"] == (0,) and info["duration"] >= 2
+
+
+def test_touching_is_no_press_until_it_begins_anew():
+    """Under slip, a button that is to be pressed again stays touched for a while."""
+    env = OptionsEnv(EscapeRoomEnv(make_noisy("paper-two-button", slip=0.6)), include_primitives=False)
+    for seed in range(5):
+        env.reset(seed=seed)
+        env.step(0)
+        info = env.step(0)[4]
+        assert info["option"]["ended"] == "reached" and info["pressed"] == (0,) and info["duration"] >= 2
+
+
+def test_the_exit_behind_a_shut_door_is_masked_until_it_opens():
+    env = OptionsEnv(EscapeRoomEnv("clutter"), include_primitives=False)
+    _, info = env.reset(seed=0)
+    assert info["action_mask"].tolist() == [1, 1, 1, 1, 0]
+    planner = get_planner(env.unwrapped.instance)
+    for goal in planner.order_goals(env.unwrapped.get_state())[:-1]:
+        info = env.step(goal.target)[4]
+    assert info["action_mask"][-1] == 1
+    assert env.step(4)[2]
+
+
+@pytest.mark.parametrize("name", ["paper-two-button", "clutter", "arm-two-button"])
+def test_noise_and_slip_are_met_by_planning_anew(name):
+    ends = run_meta_actions(make_noisy(name, noise=0.1, slip=0.1), runs=100)
+    assert ends["reached"] >= 99, ends
+
+
+def test_physics_is_met_by_planning_anew():
+    ends = run_meta_actions(make_noisy("paper-two-button", kind="physics", noise=0.1, slip=0.1), runs=40)
+    assert ends["reached"] >= 38, ends
+
+
+def test_arms_press_by_force_under_physics():
+    ends = run_meta_actions(make_noisy("arm-two-button", kind="physics"), runs=60, seed=9)
+    assert ends["reached"] >= 57, ends
+
+
+def test_an_option_gives_up_after_its_cap_on_plans():
+    config = make_noisy("arm-two-button", noise=0.3)
+    env = EscapeRoomEnv(config)
+    options = make_meta_options(env.instance)
+    for option in options:
+        option.max_replans = 0
+    wrapped = OptionsEnv(env, options)
+    ends = []
+    for seed in range(10):
+        wrapped.reset(seed=seed)
+        ends.append(wrapped.step(12)[4]["option"])
+    failed = [end for end in ends if end["ended"] == "planning-failed"]
+    assert failed and all("budget exhausted" in end["reason"] and end["replans"] == 0 for end in failed)
+
+
+def test_a_block_is_pushed_onto_its_plate():
+    env = OptionsEnv(EscapeRoomEnv("push-block", instance_seed=1), include_primitives=False)
+    env.reset(seed=0)
+    info = env.step(0)[4]
+    assert info["option"]["ended"] == "reached"
+    assert env.unwrapped.instance.puzzle.is_solved(env.unwrapped.get_state().puzzle)
+    assert env.step(1)[2], "and the exit is open"
+
+
+def test_an_unknown_flavour_is_refused():
+    with pytest.raises(UnknownNameError, match="press-with-ancestors"):
+        make_meta_options(generate(get_preset("paper-two-button"), 0), "pres")
+
+
+# --- skills ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["paper-two-button", "arm-two-button"])
+def test_press_goes_and_then_reaches_at_the_cost_of_one_plan(name):
+    env = EscapeRoomEnv(name)
+    planner = get_planner(env.instance)
+    wrapped = OptionsEnv(env, [make_press(planner, 0), make_press(planner, "button-2"),
+                               *make_meta_options(env.instance)], include_primitives=False)
+    for nested, whole in ((0, 2), (1, 3)):
+        wrapped.reset(seed=0)
+        info = wrapped.step(nested)[4]
+        wrapped.reset(seed=0)
+        assert info["option"]["ended"] == "reached" and info["pressed"] == (nested,)
+        assert info["duration"] == wrapped.step(whole)[4]["duration"]
+    check_option(make_press(planner, 1), env, runs=4)
+
+
+def test_reach_moves_only_the_arm():
+    env = EscapeRoomEnv("arm-two-button")
+    planner = get_planner(env.instance)
+    reach = make_reach(planner, "button-1")
+    wrapped = OptionsEnv(env, [reach, make_meta_options(env.instance)[0]], trace=True)
+    _, info = wrapped.reset(seed=0)
+    count = len(env.rules.actions)
+    assert info["action_mask"][count] == 0, "out of reach from the start"
+    trace = wrapped.step(count + 1)[4]["trace"]
+    arm = len([step for step in trace if step.action >= 6])
+    before = trace[-arm].state if all(step.action >= 6 for step in trace[-arm:]) else None
+    if before is None:
+        pytest.skip("this plan moves base and arm in turns")
+    wrapped.reset(seed=0, options={"state": before})
+    info = wrapped.step(count)[4]
+    assert info["option"]["ended"] == "reached" and info["duration"] == arm
+    assert all(step.action >= 6 for step in info["trace"])
+    check_option(reach, env, states=[before])
+
+
+def test_reach_without_an_arm_is_refused():
+    with pytest.raises(UnsupportedError, match="use press"):
+        make_reach(get_planner(generate(get_preset("paper-two-button"), 0)), 0)
+    with pytest.raises(UnknownNameError, match="button-2"):
+        make_press(get_planner(generate(get_preset("paper-two-button"), 0)), "button-3")
+
+
+def test_go_to_stands_where_it_was_told():
+    env = EscapeRoomEnv("paper-two-button")
+    planner = get_planner(env.instance)
+    wrapped = OptionsEnv(env, [make_go_to(planner, "3,-4,90")])
+    wrapped.reset(seed=0)
+    assert wrapped.step(6)[4]["option"]["ended"] == "reached"
+    state = env.get_state()
+    assert np.hypot(state.x - 3, state.y + 4) <= 0.5 and state.heading_steps == 9

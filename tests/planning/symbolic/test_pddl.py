@@ -1,0 +1,88 @@
+"""PDDL export, read back by unified-planning and solved by Fast Downward."""
+
+from __future__ import annotations
+
+import builtins
+
+import numpy as np
+import pytest
+
+from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.presets import PRESETS, get_preset
+from hrl_escape.env.puzzles.base import Operator, SymbolicModel
+from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import MissingExtraError
+from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.symbolic.pddl import export_pddl, make_domain, make_problem, save_pddl, solve_pddl
+from tests.env.rooms import make_ordered_chain
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_an_independent_planner_solves_every_preset_by_what_is_exported(name):
+    instance = generate(get_preset(name), 0)
+    model = instance.puzzle.make_symbolic_model()
+    facts = instance.puzzle.get_facts(instance.puzzle.make_state())
+    for operator in solve_pddl(instance):
+        assert operator.is_applicable(facts)
+        facts = operator.apply(facts)
+    assert model.goal <= facts
+
+
+def test_the_fewest_operators_are_as_many_as_our_own_search_uses():
+    instance = generate(get_preset("ten-button"), 3)
+    planner = RoomPlanner(instance)
+    ours = planner.order_goals(planner.rules.make_state(instance.starts[0]))
+    assert len(solve_pddl(instance, engine="fast-downward-opt")) == len(ours) - 1
+
+
+def test_a_problem_begins_where_the_state_is():
+    instance = generate(make_ordered_chain(), 0)
+    state = Kinematics(instance).make_state(instance.starts[0])._replace(puzzle=0b0011)
+    assert [operator.name for operator in solve_pddl(instance, state)] == ["press-button-3", "press-button-4"]
+    assert "(on button-2)" in export_pddl(instance, state)[1]
+    assert solve_pddl(instance, state._replace(puzzle=0b1111)) == ()
+
+
+def test_the_text_is_what_planners_read():
+    model = ButtonsPuzzle(2, ((0, 1),), 1).make_symbolic_model()
+    assert make_domain(model, "Two Buttons!") == """(define (domain two-buttons)
+  (:requirements :strips :negative-preconditions)
+  (:constants button-1 button-2)
+  (:predicates (on ?x0))
+  (:action press-button-1
+    :parameters ()
+    :precondition (and (not (on button-1)))
+    :effect (and (on button-1)))
+  (:action press-button-2
+    :parameters ()
+    :precondition (and (on button-1) (not (on button-2)))
+    :effect (and (on button-2))))
+"""
+    assert "(:init (on button-1))" in make_problem(model, frozenset({"on(button-1)"}))
+
+
+def test_names_that_become_the_same_are_refused():
+    nothing = frozenset()
+    model = SymbolicModel(("on(A b)", "on(a-b)"), (Operator("x", "x", "press", *(nothing,) * 4),), nothing)
+    with pytest.raises(ValueError, match="same name"):
+        make_domain(model)
+
+
+def test_files_are_written(tmp_path):
+    instance = generate(get_preset("bit-flip"), int(np.random.default_rng(0).integers(5)))
+    paths = save_pddl(instance, tmp_path)
+    assert [path.read_text() for path in paths] == list(export_pddl(instance))
+
+
+def test_a_missing_extra_is_named(monkeypatch):
+    real = builtins.__import__
+
+    def refuse(name, *rest, **more):
+        if name.startswith("unified_planning"):
+            raise ImportError(name)
+        return real(name, *rest, **more)
+
+    monkeypatch.setattr(builtins, "__import__", refuse)
+    with pytest.raises(MissingExtraError, match=r"hrl-escape\[pddl\]"):
+        solve_pddl(generate(get_preset("paper-two-button"), 0))

@@ -1,0 +1,50 @@
+"""Names made safe: what a file is called and what a console shows, whatever a name holds."""
+
+from __future__ import annotations
+
+import io
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from rich.console import Console
+
+from hrl_escape.names import LONGEST_FILE_NAME, make_console_text, make_file_name
+
+HOSTILE = ["../../etc/passwd", "..", ".", "", "a/b", "a\\b", "nul\0", "line\nbreak", "x" * 300, "\N{SNOWMAN}" * 300,
+           "[/bold]", "[bold", "\x1b[31mred", "\ud800", ".hidden", "C:\\x", "trailing\\"]
+
+
+@pytest.mark.parametrize("name", ["paper-two-button", "smdp-dqn@paper", "a_b+c#1", "\N{GREEK SMALL LETTER GAMMA}-room"])
+def test_a_plain_name_is_its_own_file_name(name: str):
+    assert make_file_name(name) == name
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_name_stays_in_its_folder(name: str, tmp_path: Path):
+    made = make_file_name(name)
+    path = tmp_path / f"{made}.json"
+    path.write_text("x")
+    assert path.resolve().parent == tmp_path.resolve() and list(tmp_path.iterdir()) == [path]
+    assert not made.startswith(".") and len(made.encode()) <= LONGEST_FILE_NAME
+
+
+@given(st.lists(st.text(), min_size=2, max_size=2, unique=True))
+def test_different_names_have_different_files(names: list[str]):
+    assert make_file_name(names[0]) != make_file_name(names[1])
+
+
+@given(st.text())
+def test_a_console_shows_one_line_without_control_characters(name: str):
+    out = io.StringIO()
+    Console(file=out, soft_wrap=True, force_terminal=False).print(f"[bold]{make_console_text(name)}[/bold] ends")
+    said = out.getvalue()
+    assert said.endswith(" ends\n") and said[:-1].isprintable() and len(said) < 1100
+
+
+@pytest.mark.parametrize("name", ["[/bold]", "[link=http://x]y[/link]", "[bold]b"])
+def test_markup_is_shown_as_it_stands(name: str):
+    out = io.StringIO()
+    Console(file=out, soft_wrap=True).print(make_console_text(name))
+    assert out.getvalue() == f"{name}\n"

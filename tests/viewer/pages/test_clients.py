@@ -1,0 +1,112 @@
+"""Clients that come and go: nothing of them stays, and those who remain notice nothing."""
+
+from __future__ import annotations
+
+import gc
+import os
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pytest
+import viser
+from websockets.sync.client import ClientConnection, connect
+from websockets.typing import Origin, Subprotocol
+
+from hrl_escape.viewer.pages.play import PlayPage
+from hrl_escape.viewer.play.episode import Episode
+from hrl_escape.viewer.server import Server
+
+pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="counts in /proc")
+
+CAMERA = {"type": "ViewerCameraMessage", "wxyz": (1, 0, 0, 0), "position": (0, -20, 20), "fov": 0.9, "near": 0.1,
+          "far": 100.0, "image_height": 800, "image_width": 900, "look_at": (0, 0, 0), "up_direction": (0, 0, 1)}
+
+
+def wait_until(condition: Callable[[], Any], what: str, seconds: float = 90.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, what
+        time.sleep(0.005)
+
+
+def open_client(server: Server) -> ClientConnection:
+    """What a page does when it opens: connect, take in the scene, tell its camera."""
+    protocol = Subprotocol(f"viser-v{viser.__version__}")
+    address = f"127.0.0.1:{server.get_port()}"
+    client = connect(f"ws://{address}/?token={server.guard.token}", origin=Origin(f"http://{address}"),
+                     subprotocols=[protocol], max_size=None, compression=None)
+    client.recv(timeout=10)
+    client.send(msgspec.msgpack.encode(CAMERA))
+    return client
+
+
+def come_and_go(server: Server, game: PlayPage, rounds: int, clients: int = 10) -> None:
+    """In each round so many clients come, the robot drives, and they go: politely, or torn off in the middle."""
+    for number in range(rounds):
+        pages = [open_client(server) for _ in range(clients)]
+        wait_until(lambda: len(server.get_clients()) == clients, "all clients are there")
+        wait_until(lambda: len(game.page._cameras) == clients, "all have been welcomed")
+        if number % 10 == 3:
+            game.page._choose(next(iter(server.get_clients().values())), "follow")
+        game.put("w" if number % 2 else "s")
+        for index, page in enumerate(pages):
+            if index % 2:
+                page.socket.shutdown(socket.SHUT_RDWR)  # as when its process is killed: no goodbye
+            else:
+                page.close()
+        wait_until(lambda: not server.get_clients(), "all clients are gone")
+
+
+def count_left(server: Server, game: PlayPage) -> dict[str, int]:
+    wait_until(lambda: not game.page._cameras, "no camera is left")
+    gc.collect()
+    inner = server._websock_server
+    return {"clients": len(inner._client_state_from_id), "connections": len(inner._live_connections),
+            "cursors": len(inner._broadcast_buffer.generator_cursors), "cameras": len(game.page._cameras),
+            "files": len(os.listdir("/proc/self/fd"))}
+
+
+def measure_memory() -> int:
+    """Resident bytes of this process."""
+    return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+@pytest.fixture
+def game(server: Server, two_buttons):
+    game = PlayPage(server, Episode(two_buttons), stride=0.0)
+    thread = threading.Thread(target=game.run, daemon=True)
+    thread.start()
+    yield game
+    game.put("q")
+    thread.join(10)
+    assert not thread.is_alive()
+
+
+def test_ten_clients_come_and_go_and_nothing_of_them_stays(server: Server, game: PlayPage):
+    come_and_go(server, game, rounds=3)
+    before = count_left(server, game)
+    come_and_go(server, game, rounds=5)
+    after = count_left(server, game)
+    assert after["files"] <= before["files"]
+    assert [after[name] for name in ("clients", "connections", "cursors", "cameras")] == [0, 0, 0, 0]
+    wait_until(lambda: len(game.episode.steps) == 8, "every key was taken")
+
+
+@pytest.mark.slow
+def test_ten_clients_a_hundred_times_leave_memory_and_threads_as_they_were(server: Server, game: PlayPage):
+    come_and_go(server, game, rounds=20)
+    count_left(server, game)
+    memory, threads = measure_memory(), threading.active_count()
+    come_and_go(server, game, rounds=100)
+    left = count_left(server, game)
+    assert left["clients"] == left["connections"] == left["cursors"] == 0
+    assert threading.active_count() <= threads + 32  # of viser's pool; a thread a client would be a thousand
+    gc.collect()
+    assert not [thing for thing in gc.get_objects() if isinstance(thing, viser.ClientHandle)]
+    assert measure_memory() - memory < 60e6, "a thousand clients that each took in a scene of 100 kB"

@@ -1,0 +1,75 @@
+"""Recordings: from whoever drove, as pages and videos. That a page plays is in `test_in_browser.py`."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+from pathlib import Path
+
+import msgspec
+import pytest
+import zstandard
+from PIL import Image
+
+from hrl_escape.cli import main
+from hrl_escape.viewer.pages.replay import make_replay
+from hrl_escape.viewer.play.episode import Episode
+from hrl_escape.viewer.play.saved_episode import load_episode, save_episode
+from hrl_escape.viewer.recording import record_driver, record_saved
+from hrl_escape.viewer.watch.drivers import open_driver
+
+
+def test_a_recorded_driver_is_the_episode_it_drove(two_buttons):
+    recording = record_driver(open_driver("planner", two_buttons))
+    assert recording.end == "escaped" and len(recording.states) == len(recording.rewards) + 1
+    assert [name for name, _ in recording.decisions] == ["meta-01", "meta-02", "meta-exit"]
+    assert sum(count for _, count in recording.decisions) == len(recording.rewards)
+    assert two_buttons.exit.contains(recording.states[-1].x, recording.states[-1].y)
+
+
+def test_a_saved_episode_is_recorded_as_it_was_played(two_buttons, tmp_path: Path):
+    episode = Episode(two_buttons)
+    for name in ("forward", "meta-01"):
+        episode.do(episode.names.index(name))
+    save_episode(tmp_path / "mine.json", episode.to_saved())
+    recording = record_saved(load_episode(tmp_path / "mine.json"), "mine")
+    assert list(recording.states) == episode.states and recording.end == "still inside"
+
+
+def test_a_page_holds_everything_and_asks_for_nothing(two_buttons):
+    page = make_replay(record_driver(open_driver("planner", two_buttons)))
+    assert page.count("</body>") == 1
+    assert not re.search(r"""<(script|img|link|iframe)[^>]+(src|href)=["']?(https?:)?//""", page)
+    data = json.loads(re.search(r'id="r-data">(\{.*?\})</script>', page, re.S)[1])
+    assert data["end"] == "escaped" and data["returns"][0] == "0" and len(data["graph"]) == len(data["returns"])
+
+
+def test_the_command_writes_page_and_animation(tmp_path: Path, capfd):
+    outs = [str(tmp_path / name) for name in ("a.html", "a.gif")]
+    assert main(["record", "--preset", "paper-one-button", "--out", *outs]) == 0
+    assert "escaped after" in capfd.readouterr().out
+    assert (tmp_path / "a.html").stat().st_size > 500_000
+    with Image.open(tmp_path / "a.gif") as animation:
+        assert getattr(animation, "n_frames", 1) > 5
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["--out", "a.avi"], "must end in .html, .gif, .mp4"),
+    (["smdp-dqn"], "train smdp-dqn"),
+    (["none.json"], "no such recorded episode"),
+])
+def test_what_cannot_be_recorded_gives_one_message(arguments, message: str, capfd):
+    assert main(["record", *arguments, "--preset", "paper-one-button"]) == 2
+    said = capfd.readouterr().err.strip()
+    assert message in said and len(said.splitlines()) == 1
+
+
+def test_a_page_is_named_after_its_room_and_fades_in_no_environment(two_buttons):
+    page = make_replay(record_driver(open_driver("planner", two_buttons)))
+    assert "<title>paper-two-button, room 0: " in page and "<title>Viser" not in page
+    recorded = base64.b64decode(re.search(r'__VISER_EMBED_DATA__="([^"]+)"', page)[1])
+    inner = zstandard.ZstdDecompressor().decompressobj().decompress(recorded[8:])
+    content = msgspec.msgpack.decode(inner[8 : 8 + int.from_bytes(inner[:8], "little")])
+    maps = [message for _, message in content["messages"] if message["type"] == "EnvironmentMapMessage"]
+    assert maps and all(message["hdri_data"] is None for message in maps)

@@ -1,0 +1,28 @@
+"""The scene of watch mode belongs to the same moment as its panel, also without a limit of pace."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hrl_escape.viewer.pages.watch import WatchPage
+from hrl_escape.viewer.scene.poses import make_pose
+from hrl_escape.viewer.server import Server
+from hrl_escape.viewer.watch.drivers import open_driver
+from hrl_escape.viewer.watch.gate import Gate
+from hrl_escape.viewer.watch.watch import Watch
+
+
+def test_the_scene_never_lags_the_panel(server: Server, two_buttons, monkeypatch):
+    view = WatchPage(server, Watch(open_driver("planner", two_buttons), Gate(None)))
+    behind: list[Any] = []
+    refresh = view._refresh
+
+    def check() -> None:
+        refresh()
+        if view.page._pose != make_pose(view.page.scene.rules, view.watch.states[-1]):
+            behind.append(len(view.watch.states))
+
+    monkeypatch.setattr(view, "_refresh", check)
+    view.run(episodes=3)
+    assert view.problem == "all episodes are over" and view.watch.episode == 3
+    assert not behind, f"the panel was ahead of the scene after {behind} states"

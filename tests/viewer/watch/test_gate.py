@@ -1,0 +1,48 @@
+"""The gate: pause, single steps, stop."""
+
+from __future__ import annotations
+
+import threading
+import time
+
+from hrl_escape.viewer.watch.drivers import open_driver
+from hrl_escape.viewer.watch.gate import Gate
+from hrl_escape.viewer.watch.watch import Watch
+
+
+def test_the_gate_lets_primitives_and_decisions_through_one_at_a_time(two_buttons):
+    gate = Gate(None, paused=True)
+    watch = Watch(open_driver("planner", two_buttons), gate)
+    thread = threading.Thread(target=watch.run, args=(1,), daemon=True)
+    thread.start()
+
+    def settle() -> int:
+        before = -1
+        while before != watch.primitives:
+            before = watch.primitives
+            time.sleep(0.15)
+        return before
+
+    assert settle() == 0, "paused, nothing runs"
+    for count in (1, 2, 3):
+        gate.step(primitives=1)
+        assert settle() == count
+    gate.step(decisions=1)
+    settle()
+    assert len(watch.decisions) == 1 and watch.primitives == watch.decisions[0].duration
+    gate.step(decisions=1)
+    settle()
+    assert len(watch.decisions) == 2
+    gate.pause(False)
+    thread.join(20)
+    assert not thread.is_alive() and watch.decisions[-1].name == "meta-exit"
+
+
+def test_stopping_frees_a_driver_that_waits(two_buttons):
+    gate = Gate(None, paused=True)
+    thread = threading.Thread(target=Watch(open_driver("smdp-dqn", two_buttons), gate).run, daemon=True)
+    thread.start()
+    time.sleep(0.2)
+    gate.stop()
+    thread.join(10)
+    assert not thread.is_alive()

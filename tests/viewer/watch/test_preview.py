@@ -1,0 +1,12 @@
+"""Predicted courses of options."""
+
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.viewer.watch.preview import Previewer
+
+
+def test_a_preview_that_cannot_start_says_so(clutter):
+    previewer = Previewer(clutter)
+    env = EscapeRoomEnv(instance=clutter)
+    env.reset(seed=0)
+    preview = previewer.preview("meta-exit", env.get_state())
+    assert preview.problem == "it cannot start here" and len(preview.states) == 1
