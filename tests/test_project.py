@@ -167,6 +167,49 @@ def test_a_folder_is_a_shelf_that_can_be_taken_in(folder: Path):
     assert len(modules) <= 16 or folder.as_posix() in CATALOGUES
 
 
+# --- names -----------------------------------------------------------------------------
+
+TWINS = [PACKAGE / "env", PACKAGE / "env/batched"]
+"""The tensor rules of `env.batched` have the names of the scalar rules that they are."""
+
+
+def list_names(source: str) -> set[str]:
+    """Public names that a module defines at its top level."""
+    names = set[str]()
+    for node in ast.parse(source).body:
+        if isinstance(node, ast.FunctionDef | ast.ClassDef):
+            names.add(node.name)
+        elif isinstance(node, ast.Assign | ast.AnnAssign):
+            targets = node.targets if isinstance(node, ast.Assign) else [node.target]
+            names |= {target.id for target in targets if isinstance(target, ast.Name)}
+    return {name for name in names if not name.startswith("_")}
+
+
+def find_homonyms(modules: dict[Path, str]) -> dict[str, list[Path]]:
+    """Names that more than one module defines. Each command has its `run`."""
+    homes: dict[str, list[Path]] = {}
+    for path, source in modules.items():
+        for name in list_names(source) - {"run"}:
+            homes.setdefault(name, []).append(path)
+    return {name: paths for name, paths in homes.items()
+            if len(paths) > 1 and sorted(path.parent for path in paths) != TWINS}
+
+
+def test_a_name_has_one_meaning():
+    assert not find_homonyms({path: path.read_text() for path in PACKAGE.rglob("*.py")})
+
+
+def test_a_name_of_two_meanings_is_found():
+    here, there = PACKAGE / "planning/plan.py", PACKAGE / "agents/training/run.py"
+    assert find_homonyms({here: "class Plan: ...", there: "Plan = int"}) == {"Plan": [here, there]}
+    assert not find_homonyms({here: "_Plan = 1", there: "_Plan = 2"})
+    assert not find_homonyms({PACKAGE / "env/noise.py": "def philox(): ...",
+                              PACKAGE / "env/batched/noise.py": "def philox(): ..."})
+
+
+# --- words -----------------------------------------------------------------------------
+
+
 def list_docstrings(source: str) -> list[str]:
     """First lines of all docstrings of a module."""
     nodes = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["check_path_planner"]
 
-Place: TypeAlias = tuple[float, float]
+Position: TypeAlias = tuple[float, float]
 PROMPT = 10.0
 """A planner whose time is up must have stopped by then, s; late enough for a busy machine."""
 
@@ -75,14 +75,14 @@ class _PlannerCheck(Claims):
                      "it lets the checker's exception through when time is up", hurried)
         return sum(result.status == "exact" for result in first)
 
-    def ask(self, number: int, start: Place, goal: Place, time_limit: float | None = None) -> PathResult:
+    def ask(self, number: int, start: Position, goal: Position, time_limit: float | None = None) -> PathResult:
         try:
             return self.navigators[number].plan(start, np.array([goal]), self.planner, time_limit=time_limit)
         except PathPlannerError as error:
             raise ContractError(self.name, "it returns places that begin at the start, with free motions between "
                                 "them, or None", str(error)) from error
 
-    def draw_places(self, number: int, rng: np.random.Generator) -> list[Place]:
+    def draw_places(self, number: int, rng: np.random.Generator) -> list[Position]:
         """Free places on one connected part of the floor."""
         collision = self.collision
         points = collision.low * (1 - 2 * rng.random((50 * number, 2)))

@@ -10,7 +10,7 @@ from .config import (
     StartConfig,
 )
 from .escape_room import EscapeRoomEnv
-from .instance import Frame, PlacedProp, Rectangle, RoomInstance, Start, Target
+from .instance import PlacedProp, Rectangle, RoomInstance, SpaceLayout, Start, Target
 from .kinematics import Kinematics, RoomState, Rules, Transition
 from .observations import Observer, make_observer
 from .presets import PRESETS, get_preset
@@ -48,7 +48,7 @@ __all__ = [
     "EscapeRoomTorchRLEnv",
     "EscapeRoomVectorEnv",
     "ExitConfig",
-    "Frame",
+    "SpaceLayout",
     "GraphConfig",
     "Kinematics",
     "Observer",

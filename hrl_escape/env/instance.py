@@ -26,7 +26,7 @@ from hrl_escape.errors import ConfigError, EscapeError, InstanceFileError, show_
 from hrl_escape.files import read_json, write_json
 from hrl_escape.settings import Range, Settings
 
-__all__ = ["SCHEMA_VERSION", "Frame", "PlacedProp", "Rectangle", "RoomInstance", "Start", "Target"]
+__all__ = ["SCHEMA_VERSION", "SpaceLayout", "PlacedProp", "Rectangle", "RoomInstance", "Start", "Target"]
 
 SCHEMA_VERSION = 1
 
@@ -120,7 +120,7 @@ class PlacedProp(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class Frame(Settings):
+class SpaceLayout(Settings):
     """Layout and scale of observations and options: one for all instances of a schematic.
 
     An instance with fewer targets than its frame shows the others as absent: their numbers are 0, their options masked.
@@ -181,8 +181,8 @@ class RoomInstance(Settings):
     """How primitives act."""
     horizon: Annotated[int, Range(1, 100_000_000)] = 1000
     """Primitives until truncation."""
-    shared: Frame | None = None
-    """Frame of the schematic, where instances differ in size (None: this room's own)."""
+    shared: SpaceLayout | None = None
+    """Layout of the schematic, where instances differ in size (None: this room's own)."""
 
     def check(self) -> None:
         """Check what spans several parts."""
@@ -203,7 +203,7 @@ class RoomInstance(Settings):
         if self.dynamics.press_with == "hand" and self.robot.joints == 0:
             raise ConfigError("dynamics.press_with", "hand", "'body', or a robot with robot.joints >= 1")
 
-    def _check_frame(self, frame: Frame) -> None:
+    def _check_frame(self, frame: SpaceLayout) -> None:
         names = self.puzzle.target_names
         own, most = (self.reach_x, self.reach_y, self.wall_height), (frame.reach_x, frame.reach_y, frame.wall_height)
         if frame.target_names[: len(names)] != names or len(frame.bounds) < len(self.puzzle.bounds):
@@ -212,10 +212,10 @@ class RoomInstance(Settings):
             raise ConfigError("frame", most, f"at least this room's {own}")
 
     @cached_property
-    def frame(self) -> Frame:
+    def frame(self) -> SpaceLayout:
         """Layout and scale of what is observed here."""
-        return self.shared or Frame(self.reach_x, self.reach_y, self.wall_height, self.puzzle.target_names,
-                                    self.puzzle.bounds)
+        return self.shared or SpaceLayout(self.reach_x, self.reach_y, self.wall_height, self.puzzle.target_names,
+                                          self.puzzle.bounds)
 
     @cached_property
     def digest(self) -> str:

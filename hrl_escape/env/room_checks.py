@@ -19,7 +19,7 @@ _OVERLAP = 1e-6
 """Length in metres by which the alcove behind a door is taken to reach into the floor."""
 
 
-class Place(Protocol):
+class FloorPoint(Protocol):
     """A point of the floor."""
 
     @property
@@ -33,7 +33,7 @@ class Place(Protocol):
         ...
 
 
-class Area(Protocol):
+class FloorRectangle(Protocol):
     """A rectangle of the floor."""
 
     @property
@@ -86,12 +86,12 @@ class Room(Protocol):
         ...
 
     @property
-    def exit(self) -> Area:
+    def exit(self) -> FloorRectangle:
         """The exit's rectangle."""
         ...
 
     @property
-    def starts(self) -> Sequence[Place]:
+    def starts(self) -> Sequence[FloorPoint]:
         """Start poses."""
         ...
 

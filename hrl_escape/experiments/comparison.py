@@ -20,7 +20,7 @@ from hrl_escape.errors import FileReadError, FileWriteError, RunBusyError
 from hrl_escape.experiments.grid import Grid, GridRun
 from hrl_escape.experiments.launching.local import Failure, Launcher, LocalLauncher, count_cores
 from hrl_escape.experiments.launching.monitor import Monitor
-from hrl_escape.experiments.runs import RunResult, get_room_file, get_run_folder, read_run
+from hrl_escape.experiments.runs import RunResult, get_room_file, get_run_folder, load_run_result
 from hrl_escape.files import clear_unfinished, describe_write_failure, write_json
 
 __all__ = ["Comparison", "run_grid", "run_grids"]
@@ -144,7 +144,7 @@ def _lock(out: Path) -> Iterator[None]:
 def _read_finished(out: Path, run: GridRun, console: Console) -> RunResult | None:
     """Result of a finished run; a damaged one is removed, so that the run is finished again from its training."""
     try:
-        return read_run(out, run)
+        return load_run_result(out, run)
     except FileReadError as error:
         console.print(f"{error}. It is made again", style="yellow")
         (get_run_folder(out, run) / "run_result.json").unlink(missing_ok=True)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-__all__ = ["Edges", "compare_graphs", "find_ancestors", "find_edges_that_matter"]
+__all__ = ["EdgeSet", "compare_graphs", "find_ancestors", "find_edges_that_matter"]
 
-Edges = frozenset[tuple[int, int]]
+EdgeSet = frozenset[tuple[int, int]]
 
 
 def find_ancestors(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> set[int]:
@@ -18,8 +18,8 @@ def find_ancestors(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> se
     return ancestors
 
 
-def find_edges_that_matter(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> Edges:
-    """Edges that some order of presses towards the goals can tell from none.
+def find_edges_that_matter(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> EdgeSet:
+    """EdgeSet that some order of presses towards the goals can tell from none.
 
     Those are the edges among the ancestors of the goals that no longer way implies: with a before b and b before c,
     an edge from a to c changes nothing, so no agent can find it.
@@ -45,7 +45,7 @@ def find_edges_that_matter(edges: Iterable[tuple[int, int]], goals: Iterable[int
     return frozenset(edge for edge in kept if not is_implied(edge))
 
 
-def compare_graphs(found: Edges, true: Edges) -> tuple[float, float]:
+def compare_graphs(found: EdgeSet, true: EdgeSet) -> tuple[float, float]:
     """Precision (1 where nothing was found and nothing is there, else 0) and recall of edges."""
     hits = len(found & true)
     return hits / len(found) if found else float(not true), hits / len(true) if true else 1.0

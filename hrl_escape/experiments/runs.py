@@ -34,7 +34,7 @@ from hrl_escape.settings import read_record
 from hrl_escape.version import __version__, find_versions
 
 __all__ = ["RunResult", "execute_run", "get_room_file", "get_run_folder", "get_training_folder", "make_env",
-           "read_episodes", "read_run"]
+           "read_episodes", "load_run_result"]
 
 @dataclass(frozen=True)
 class RunResult:
@@ -170,7 +170,7 @@ def _find_start(env: gymnasium.Env, recorder: StateRecorder, seed: int) -> RoomS
     return recorder.states[0]
 
 
-def read_run(out: Path, run: GridRun) -> RunResult | None:
+def load_run_result(out: Path, run: GridRun) -> RunResult | None:
     """The result of a finished run, or None if it is not finished.
 
     Raises:

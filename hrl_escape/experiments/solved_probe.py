@@ -15,7 +15,7 @@ from hrl_escape.agents.agent import Agent, StateTree
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.experiments.graph_recovery import Edges, compare_graphs, find_edges_that_matter
+from hrl_escape.experiments.graph_recovery import EdgeSet, compare_graphs, find_edges_that_matter
 from hrl_escape.experiments.grid import AgentSpec, SolvedRule
 from hrl_escape.experiments.score_range import ScoreRange
 from hrl_escape.experiments.statistics import compute_score
@@ -93,8 +93,8 @@ class SolvedProbe:
         if not self._structure or self._structure[-1][1:] != now:
             self._structure.append((primitives, *now))
 
-    def _read_graph(self, graph: Edges) -> Edges:
-        """Edges that matter among buttons; the agent numbers them by their place in the observation."""
+    def _read_graph(self, graph: EdgeSet) -> EdgeSet:
+        """EdgeSet that matter among buttons; the agent numbers them by their place in the observation."""
         first = self._first_bit
         edges = {(p - first, c - first) for p, c in graph if p >= first and c >= first}
         return find_edges_that_matter(edges, self._goals)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ComparisonError
@@ -25,6 +25,7 @@ from hrl_escape.experiments.references import PLANNER
 from hrl_escape.experiments.runs import RunResult
 from hrl_escape.experiments.score_range import ScoreRange
 from hrl_escape.experiments.statistics import (
+    Floats,
     Gap,
     compute_area,
     compute_iqm,
@@ -36,8 +37,7 @@ from hrl_escape.experiments.statistics import (
 
 __all__ = ["CURVE_METRICS", "AgentSummary", "Curve", "RoomSummary", "Summary", "summarise"]
 
-Floats: TypeAlias = NDArray[np.float64]
-Run: TypeAlias = tuple[GridRun, RunResult]
+FinishedRun: TypeAlias = tuple[GridRun, RunResult]
 
 CURVE_METRICS = ("efficiency", "progress", "success", "length", "score")
 CURVE_POINTS = 41
@@ -169,7 +169,7 @@ class Summary:
     grid: Grid
     rooms: tuple[RoomSummary, ...]
     agents: tuple[AgentSummary, ...]
-    runs: tuple[Run, ...]
+    runs: tuple[FinishedRun, ...]
     pairs: tuple[tuple[Pair, ...], ...]
     versions: dict[str, str]
 
@@ -201,7 +201,7 @@ def summarise(comparison: Comparison) -> Summary:
     return Summary(comparison.grid, tuple(rooms), tuple(agents), tuple(runs), pairs, _join_versions(runs))
 
 
-def _raise_ranges(runs: Sequence[Run], instance: RoomInstance) -> list[Run]:
+def _raise_ranges(runs: Sequence[FinishedRun], instance: RoomInstance) -> list[FinishedRun]:
     """Raise the best known of each start to the best that a run reached there: return, and fewest primitives.
 
     In a room with noise nothing is raised, because a lucky episode is no reference.
@@ -250,7 +250,7 @@ def _score(result: RunResult, returns: ArrayLike) -> Floats:
     return compute_score(returns, result.score_range.worst, np.mean(result.score_range.best))
 
 
-def _summarise_room(instance: RoomInstance, runs: Sequence[Run]) -> RoomSummary:
+def _summarise_room(instance: RoomInstance, runs: Sequence[FinishedRun]) -> RoomSummary:
     here = [(run, result) for run, result in runs if run.instance_id == instance.id]
     if not here:
         return RoomSummary(instance, instance.name, math.nan, math.nan, math.nan, "nothing")
@@ -268,7 +268,7 @@ def _compute_reachable_efficiency(result: RunResult) -> float:
                           for fewest, reach in zip(ends.fewest, ends.fewest_reachable, strict=True)]))
 
 
-def _summarise_agent(comparison: Comparison, runs: Sequence[Run]) -> AgentSummary:
+def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun]) -> AgentSummary:
     budget, run = max(result.budget for _, result in runs), runs[0][0]
     rooms = [[result for run, result in runs if run.instance_id == instance.id] for instance in comparison.instances]
     occupied = [room for room in rooms if room]
@@ -352,6 +352,6 @@ def _make_curve(rooms: Sequence[Sequence[RunResult]], budget: int, horizon: int)
     return Curve(grid, compute_median("decisions"), compute_median("seconds"), metrics)
 
 
-def _join_versions(runs: Sequence[Run]) -> dict[str, str]:
+def _join_versions(runs: Sequence[FinishedRun]) -> dict[str, str]:
     names = dict.fromkeys(name for _, result in runs for name in result.versions)
     return {name: ", ".join(sorted({result.versions.get(name, "unknown") for _, result in runs})) for name in names}

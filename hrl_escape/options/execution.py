@@ -18,7 +18,7 @@ from hrl_escape.errors import OptionError
 from hrl_escape.options.option import Option
 from hrl_escape.planning.report import PlanningReport
 
-__all__ = ["Decision", "OptionExecution", "DecisionOutcome", "RoomEnv"]
+__all__ = ["RunningDecision", "OptionExecution", "DecisionOutcome", "RoomEnv"]
 
 DEEPEST_NESTING = 8
 
@@ -78,7 +78,7 @@ class OptionExecution:
         return total
 
 
-class Decision:
+class RunningDecision:
     """One decision while it runs: steps the wrapped environment and records the result."""
 
     def __init__(self, env: gymnasium.Env, room: RoomEnv, observation: Any) -> None:

@@ -29,7 +29,7 @@ from hrl_escape.errors import (
     ResetNeededError,
     UnsupportedError,
 )
-from hrl_escape.options.execution import Decision, DecisionOutcome, OptionExecution, RoomEnv
+from hrl_escape.options.execution import DecisionOutcome, OptionExecution, RoomEnv, RunningDecision
 from hrl_escape.options.sources import OptionsSource, make_meta_source, make_options
 
 __all__ = ["OptionsEnv", "TraceStep", "make_options_env"]
@@ -226,7 +226,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             index = -1
         if not 0 <= index < len(self.action_names):
             raise ActionError(action, len(self.action_names))
-        decision = Decision(self.env, self._room, self._observation)
+        decision = RunningDecision(self.env, self._room, self._observation)
         if index < self._primitives:
             self._run = None
             decision.do(index)
@@ -239,7 +239,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         reward = info["discounted_reward"] if self._discounted else float(sum(decision.rewards))
         return self._show(decision.observation, mask), reward, decision.terminated, decision.truncated, info
 
-    def _run_option(self, index: int, decision: Decision) -> DecisionOutcome:
+    def _run_option(self, index: int, decision: RunningDecision) -> DecisionOutcome:
         """Run an option until it ends, or, if interruptible, for one primitive."""
         option = self.options[index - self._primitives]
         run = self._run if self._run is not None and self._run.index == index else None
@@ -267,7 +267,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
                 decision.do(BASE_ACTIONS.wait)
         return DecisionOutcome(ended, reason, run.make_report() if run else option.report)
 
-    def _inform(self, index: int, decision: Decision, outcome: DecisionOutcome, mask: NDArray[np.int8]
+    def _inform(self, index: int, decision: RunningDecision, outcome: DecisionOutcome, mask: NDArray[np.int8]
                 ) -> dict[str, Any]:
         discounted = 0.0
         for reward in reversed(decision.rewards):
@@ -293,7 +293,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             info["trace"] = self._make_trace(decision, mask)
         return info
 
-    def _make_trace(self, decision: Decision, last_mask: NDArray[np.int8]) -> tuple[TraceStep, ...]:
+    def _make_trace(self, decision: RunningDecision, last_mask: NDArray[np.int8]) -> tuple[TraceStep, ...]:
         """Add to the decision's notes each state's observation and mask as the agent would have seen them."""
         steps = []
         seen = self._shown

@@ -19,7 +19,7 @@ from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.grid import AgentSpec
 from hrl_escape.experiments.launching.local import read_progress
 from hrl_escape.experiments.reporting.report import write_report
-from hrl_escape.experiments.runs import get_run_folder, read_episodes, read_run
+from hrl_escape.experiments.runs import get_run_folder, load_run_result, read_episodes
 from hrl_escape.experiments.summary import summarise
 from hrl_escape.files import write_json
 from tests.experiments.small import SMALL, change, run_quietly
@@ -238,7 +238,7 @@ def test_a_damaged_result_is_made_again_from_its_run(finished: Comparison, tmp_p
     for damage in (b"{", b"[]", b'{"identity": {}}', (folder / "run_result.json").read_bytes()[:-40]):
         (folder / "run_result.json").write_bytes(damage)
         assert run_quietly(grid, tmp_path).runs == ((run, result),)
-        assert read_run(tmp_path, run) == result
+        assert load_run_result(tmp_path, run) == result
     assert (folder / "training" / "log.jsonl").read_bytes() == log, "the finished training itself is not repeated"
 
 

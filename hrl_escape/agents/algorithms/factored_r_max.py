@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.factored.planning_agent import PlanningAgent, PlanningSettings
-from hrl_escape.agents.factored.search import Plan
+from hrl_escape.agents.factored.search import ModelPlan
 from hrl_escape.settings import Range
 
 __all__ = ["FactoredRMax", "FactoredRMaxSettings"]
@@ -52,13 +52,13 @@ class FactoredRMax(PlanningAgent):
         """Edges (parent, child) of the smallest hypotheses alive; see `FactoredModel.find_graph`."""
         return self.model.find_graph(self._bold.choose)
 
-    def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> Plan:
+    def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
         """The way to the soonest open outcome; if none is in reach, to the end of the task."""
         plan = self._search(self._careful, observation, action_mask, seek_gaps=True)
         self._is_exploring = bool(plan.actions)
         return plan if plan.actions else self._find_escape(observation, action_mask)
 
-    def _find_escape(self, observation: Any, action_mask: NDArray[np.bool_]) -> Plan:
+    def _find_escape(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
         """The way to the end of the task by what is known, else by what is likeliest."""
         plan = self._search(self._careful, observation, action_mask, seek_gaps=False)
         return plan if plan.actions else self._search(self._bold, observation, action_mask, seek_gaps=False)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import SMDPTransition, StateTree
 from hrl_escape.agents.components.exploration import sample_index
 from hrl_escape.agents.factored.planning_agent import PlanningAgent, PlanningSettings
-from hrl_escape.agents.factored.search import Plan
+from hrl_escape.agents.factored.search import ModelPlan
 from hrl_escape.settings import Range
 
 __all__ = ["MonteCarloModel", "MonteCarloModelSettings"]
@@ -78,9 +78,9 @@ class MonteCarloModel(PlanningAgent):
         rng = np.random.default_rng(words)
         return np.array([sample_index(weights, rng) for _ in range(self.settings.samples)])
 
-    def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> Plan:
+    def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
         """The way to what the drawn models leave open, else to the end of the task by them; drawn anew if neither."""
-        plan = Plan((), (), -np.inf, True)
+        plan = ModelPlan((), (), -np.inf, True)
         for attempt in range(1 + self.settings.redraws):
             if attempt:
                 self._redraws += 1
@@ -93,7 +93,7 @@ class MonteCarloModel(PlanningAgent):
                 break
         return plan
 
-    def _find_escape(self, observation: Any, action_mask: NDArray[np.bool_]) -> Plan:
+    def _find_escape(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
         """The way to the end of the task by the likeliest model."""
         return self._search(self._likeliest, observation, action_mask, seek_gaps=False)
 

@@ -24,7 +24,7 @@ from hrl_escape.agents.factored.compiled_model import (
 )
 from hrl_escape.agents.factored.durations import DurationModel, DurationSample, fit_durations
 from hrl_escape.agents.factored.observation import FactorReader
-from hrl_escape.agents.factored.search import MOST_ACTIONS, Plan, find_plan, make_tables
+from hrl_escape.agents.factored.search import MOST_ACTIONS, ModelPlan, find_plan, make_tables
 from hrl_escape.agents.factored.structure import LEVELS, StructureLearner
 from hrl_escape.errors import UnsupportedSpaceError
 
@@ -79,7 +79,7 @@ class PendingPlan:
         self._states: list[int] = []
         self._actions: list[int] = []
 
-    def begin(self, plan: Plan) -> None:
+    def begin(self, plan: ModelPlan) -> None:
         """Follow another plan from now on."""
         self._states, self._actions = list(plan.states), list(plan.actions)
 
@@ -229,8 +229,8 @@ class FactoredModel:
 
     def search(
         self, belief: Belief, observation: Any, legal: NDArray[np.bool_], seek_gaps: bool, most_nodes: int
-    ) -> Plan:
-        """Plan from an observation; see `find_plan`."""
+    ) -> ModelPlan:
+        """ModelPlan from an observation; see `find_plan`."""
         belief.update(self)
         if self._durations is None:
             remembered = range(len(self._rows))[-REMEMBERED_DECISIONS:]

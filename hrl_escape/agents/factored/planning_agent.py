@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
 from hrl_escape.agents.factored.model import Belief, FactoredModel, PendingPlan
-from hrl_escape.agents.factored.search import Plan
+from hrl_escape.agents.factored.search import ModelPlan
 from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.settings import Range
 
@@ -66,14 +66,14 @@ class PlanningAgent(Agent):
         self._is_exploring = False
 
     @abstractmethod
-    def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> Plan:
+    def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
         """The plan to follow in training: to an open outcome, or to the end of the task."""
 
     @abstractmethod
-    def _find_escape(self, observation: Any, action_mask: NDArray[np.bool_]) -> Plan:
+    def _find_escape(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
         """The plan to the end of the task by what is known."""
 
-    def _search(self, belief: Belief, observation: Any, action_mask: NDArray[np.bool_], seek_gaps: bool) -> Plan:
+    def _search(self, belief: Belief, observation: Any, action_mask: NDArray[np.bool_], seek_gaps: bool) -> ModelPlan:
         return self.model.search(belief, observation, action_mask, seek_gaps, self.settings.most_nodes)
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:

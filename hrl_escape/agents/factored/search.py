@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.factored.compiled_model import ActionModel
 from hrl_escape.kernels import kernel
 
-__all__ = ["MOST_ACTIONS", "Plan", "SearchTables", "find_plan", "make_tables"]
+__all__ = ["MOST_ACTIONS", "ModelPlan", "SearchTables", "find_plan", "make_tables"]
 
 MOST_ACTIONS = 250
 _EMPTY = np.uint64(0xFFFFFFFFFFFFFFFF)
@@ -35,7 +35,7 @@ class SearchTables(NamedTuple):
     gap_starts: NDArray[np.int64]
 
 
-class Plan(NamedTuple):
+class ModelPlan(NamedTuple):
     """Result of a search.
 
     Attributes:
@@ -76,7 +76,7 @@ def find_plan(
     bonus: float,
     seek_gaps: bool,
     most_nodes: int,
-) -> Plan:
+) -> ModelPlan:
     """Search from a state.
 
     Args:
@@ -96,7 +96,8 @@ def find_plan(
         *tables, np.uint64(state), legal, relevant, durations, places,
         -1.0 if seek_gaps else rate, gamma, 0.0 if seek_gaps else bonus, seek_gaps, most_nodes,
     )
-    return Plan(tuple(actions.tolist()), tuple(states.tolist()), float(value) if found else -np.inf, bool(complete))
+    return ModelPlan(tuple(actions.tolist()), tuple(states.tolist()), float(value) if found else -np.inf,
+                     bool(complete))
 
 
 @kernel

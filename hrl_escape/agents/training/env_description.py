@@ -23,7 +23,7 @@ from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeS
 from hrl_escape.errors import CheckpointError, describe_damage
 from hrl_escape.settings import Settings
 
-__all__ = ["DescribedEnv", "compute_digest", "describe_env", "make_described_env", "summarise"]
+__all__ = ["DescribedEnv", "compute_digest", "describe_env", "make_described_env", "hash_large_parts"]
 
 PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo)
 """Wrappers that change no number; others say so by the attribute `is_passive`."""
@@ -80,13 +80,13 @@ def make_described_env(
                               "it and give env=") from error
 
 
-def summarise(value: Any) -> Any:
+def hash_large_parts(value: Any) -> Any:
     """Copy of a JSON value in which the hash of a large argument stands for its content."""
     if isinstance(value, Mapping):
         if value.keys() == {"id", "content"}:
             return value["id"]
-        return {name: summarise(part) for name, part in value.items()}
-    return [summarise(part) for part in value] if isinstance(value, list) else value
+        return {name: hash_large_parts(part) for name, part in value.items()}
+    return [hash_large_parts(part) for part in value] if isinstance(value, list) else value
 
 
 def compute_digest(value: Any) -> str:

@@ -27,7 +27,7 @@ from hrl_escape.agents.agent import (
     read_action_mask,
 )
 from hrl_escape.agents.registry import SMDP_PREFIX
-from hrl_escape.agents.training.env_description import compute_digest, describe_env, summarise
+from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts
 from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
 from hrl_escape.agents.training.probe import Probe
 from hrl_escape.agents.training.progress import Reporter
@@ -36,11 +36,11 @@ from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
 from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
 from hrl_escape.version import __version__, find_versions
 
-__all__ = ["Plan", "Run", "load_agent_state"]
+__all__ = ["Run", "RunArguments", "load_agent_state"]
 
 
 @dataclass(frozen=True)
-class Plan:
+class RunArguments:
     """Arguments of a run; see `train`.
 
     Attributes:
@@ -70,15 +70,16 @@ class Run:
         agent: a new agent.
         env: training environment.
         eval_env: evaluation environment.
-        plan: arguments of the run.
+        arguments: arguments of the run; see `train`.
         probe: measurements of the agent on the way.
     """
 
     def __init__(
-        self, agent: Agent, env: gymnasium.Env, eval_env: gymnasium.Env, plan: Plan, probe: Probe | None = None
+        self, agent: Agent, env: gymnasium.Env, eval_env: gymnasium.Env, arguments: RunArguments,
+        probe: Probe | None = None,
     ) -> None:
-        self.agent, self.env, self.eval_env, self.plan, self.probe = agent, env, eval_env, plan, probe
-        self.actions = count_actions(env.action_space, plan.name)
+        self.agent, self.env, self.eval_env, self.arguments, self.probe = agent, env, eval_env, arguments, probe
+        self.actions = count_actions(env.action_space, arguments.name)
         self.episodes: list[EpisodeRecord] = []
         self.evaluations: list[Evaluation] = []
         self.primitives = self.decisions = self.planner_calls = 0
@@ -94,7 +95,7 @@ class Run:
             "version": __version__,
             "versions": find_versions(),
             "agent": f"{type(self.agent).__module__}:{type(self.agent).__qualname__}",
-            **dataclasses.asdict(self.plan),
+            **dataclasses.asdict(self.arguments),
             "settings": self._list_settings(),
             "environment": describe_env(self.env),
             "evaluation_environment": describe_env(self.eval_env) if apart else None,
@@ -106,7 +107,7 @@ class Run:
     @property
     def key(self) -> str:
         """Short hash of the identity: different numbers, different keys."""
-        return compute_digest(summarise(self.identity))
+        return compute_digest(hash_large_parts(self.identity))
 
     def open(self, out: str | os.PathLike[str], tensorboard: bool) -> None:
         """Claim a folder, and resume from its checkpoint."""
@@ -134,7 +135,8 @@ class Run:
         try:
             self._train(folder, checkpoint_seconds, report)
         except DivergenceError as error:
-            label = f"{self.plan.name}, seed {self.plan.seed}" + (f", {folder.path}" if folder is not None else "")
+            where = f", {folder.path}" if folder is not None else ""
+            label = f"{self.arguments.name}, seed {self.arguments.seed}{where}"
             raise DivergenceError(error.agent, error.updates, label, self.primitives, error.loss,
                                   error.gradient_norm) from error
         result = self.make_result(self._list_settings())
@@ -168,18 +170,18 @@ class Run:
 
     @property
     def _is_spent(self) -> bool:
-        most = self.plan.decisions
-        return self.primitives >= self.plan.primitives or (most is not None and self.decisions >= most)
+        most = self.arguments.decisions
+        return self.primitives >= self.arguments.primitives or (most is not None and self.decisions >= most)
 
     def _next_evaluation(self) -> int:
-        return (self.primitives // self.plan.eval_every + 1) * self.plan.eval_every
+        return (self.primitives // self.arguments.eval_every + 1) * self.arguments.eval_every
 
     def _run_episode(self, report: Reporter) -> dict[str, Any]:
         """Train for one episode; returns its row of the log."""
         started = time.perf_counter()
         tally = _Tally()
         agent, env = self.agent, self.env
-        observation, info = env.reset(seed=compute_episode_seed(self.plan.seed, "training", len(self.episodes)))
+        observation, info = env.reset(seed=compute_episode_seed(self.arguments.seed, "training", len(self.episodes)))
         check_observation(observation, "at the episode's start")
         mask = read_action_mask(info, self.actions)
         words = self._describe()
@@ -188,8 +190,8 @@ class Run:
             action = agent.act(observation, mask)
             step = env.step(action)
             transition = make_transition(observation, action, mask, step, agent.gamma)
-            if self.decisions == 0 and "duration" not in step[4] and self.plan.name.startswith(SMDP_PREFIX):
-                warnings.warn(NO_OPTIONS.format(name=self.plan.name), stacklevel=2)
+            if self.decisions == 0 and "duration" not in step[4] and self.arguments.name.startswith(SMDP_PREFIX):
+                warnings.warn(NO_OPTIONS.format(name=self.arguments.name), stacklevel=2)
             metrics = agent.observe(transition)
             self.primitives += transition.duration
             self.decisions += 1
@@ -232,13 +234,13 @@ class Run:
         return " ".join(words)
 
     def _evaluate(self, folder: RunFolder | None) -> None:
-        if not self.plan.eval_episodes:
+        if not self.arguments.eval_episodes:
             return
         evaluation = evaluate(
             self.agent,
             self.eval_env,
-            self.plan.eval_episodes,
-            self.plan.eval_seed,
+            self.arguments.eval_episodes,
+            self.arguments.eval_seed,
             primitives=self.primitives,
             decisions=self.decisions,
         )
@@ -249,8 +251,8 @@ class Run:
     def make_result(self, settings: Mapping[str, Any]) -> TrainResult:
         """Build the result."""
         return TrainResult(
-            agent_name=self.plan.name,
-            seed=self.plan.seed,
+            agent_name=self.arguments.name,
+            seed=self.arguments.seed,
             settings=settings,
             primitives=self.primitives,
             decisions=self.decisions,
@@ -277,8 +279,8 @@ class Run:
 
     def load_state_dict(self, state: StateTree, rows: list[dict[str, Any]]) -> None:
         """Resume from a checkpoint and the log up to it."""
-        load_agent_state(self.agent, state, self.plan.name)
-        with refusing_damage(f"{self.plan.name}: the checkpoint or its log"):
+        load_agent_state(self.agent, state, self.arguments.name)
+        with refusing_damage(f"{self.arguments.name}: the checkpoint or its log"):
             self.primitives, self.decisions = int(state["primitives"]), int(state["decisions"])
             self.planner_calls = int(state["planner_calls"])
             self.seconds, self.planner_seconds = float(state["seconds"]), float(state["planner_seconds"])

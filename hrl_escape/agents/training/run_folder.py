@@ -18,7 +18,7 @@ from typing import IO, Any
 
 from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
-from hrl_escape.agents.training.env_description import compute_digest, summarise
+from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts
 from hrl_escape.agents.training.results import TrainResult, read_result
 from hrl_escape.errors import (
     CheckpointError,
@@ -70,7 +70,7 @@ class RunFolder:
 
     def __init__(self, path: str | os.PathLike[str], identity: Mapping[str, Any], tensorboard: bool) -> None:
         self.path = Path(path)
-        self.key = compute_digest(summarise(identity))
+        self.key = compute_digest(hash_large_parts(identity))
         self.state: StateTree | None = None
         self.rows: list[dict[str, Any]] = []
         self._lock = self._take_lock()
@@ -176,7 +176,7 @@ class RunFolder:
             write_json(path, identity)
             return
         found = read_run(self.path)
-        there, now = _flatten(summarise(found)), _flatten(summarise(identity))
+        there, now = _flatten(hash_large_parts(found)), _flatten(hash_large_parts(identity))
         if there != now:
             differing = [key for key in {**there, **now} if there.get(key) != now.get(key)]
             named = differing[:MOST_NAMED]

@@ -18,11 +18,11 @@ import numpy as np
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.registry import make_agent
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
-from hrl_escape.agents.training.env_description import compute_digest, make_described_env, summarise
+from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts, make_described_env
 from hrl_escape.agents.training.probe import Probe
 from hrl_escape.agents.training.progress import show_progress
 from hrl_escape.agents.training.results import TrainResult
-from hrl_escape.agents.training.run import Plan, Run, load_agent_state, refusing_damage
+from hrl_escape.agents.training.run import Run, RunArguments, load_agent_state, refusing_damage
 from hrl_escape.agents.training.run_folder import read_run
 from hrl_escape.errors import AgentSettingsError, CheckpointError
 
@@ -104,8 +104,8 @@ def train(
     else:
         name, learner = type(agent).__name__, agent
     agent_state = None if out is None or isinstance(agent, str) else compute_state_digest(learner.state_dict())
-    plan = Plan(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state)
-    run = Run(learner, env, eval_env or env, plan, probe)
+    arguments = RunArguments(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state)
+    run = Run(learner, env, eval_env or env, arguments, probe)
     if out is not None:
         run.open(os.fspath(out).replace("{key}", run.key), tensorboard)
     try:
@@ -128,7 +128,7 @@ def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None)
     """
     described = read_run(folder)
     state = load_checkpoint(Path(folder) / "checkpoint.npz")
-    if state.get("key") != compute_digest(summarise(described)):
+    if state.get("key") != compute_digest(hash_large_parts(described)):
         raise CheckpointError(f"{folder}: the checkpoint belongs to another run than the run.json beside it")
     own = load_env(folder) if env is None else None
     spaces = env or own

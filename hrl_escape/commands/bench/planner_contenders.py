@@ -28,7 +28,7 @@ from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.paths.registry import list_planners
 from hrl_escape.planning.primitive_search import PrimitiveSearch
 
-__all__ = ["FIELDS", "FLOORS", "Measurement", "Query", "Score", "draw_scores", "list_contenders", "make_queries",
+__all__ = ["FIELDS", "FLOORS", "QueryResult", "Query", "Score", "draw_scores", "list_contenders", "make_queries",
            "measure", "score_contenders", "write_csv"]
 
 FIELDS = "fields"
@@ -72,7 +72,7 @@ class Query:
 
 
 @dataclasses.dataclass(frozen=True)
-class Measurement:
+class QueryResult:
     """Result of one contender on one query.
 
     Attributes:
@@ -156,7 +156,7 @@ def _draw_state(rules: Kinematics, space: FreeSpace, cells: np.ndarray, begin: R
 
 
 def measure(queries: Sequence[Query], contenders: Sequence[str],
-            report: Callable[[str], None] = lambda _: None) -> list[Measurement]:
+            report: Callable[[str], None] = lambda _: None) -> list[QueryResult]:
     """Run every contender on every query; preparation in a room is not timed.
 
     Args:
@@ -164,7 +164,7 @@ def measure(queries: Sequence[Query], contenders: Sequence[str],
         contenders: some of `list_contenders()`.
         report: called with each contender's name before its turn at a query.
     """
-    rows: list[Measurement] = []
+    rows: list[QueryResult] = []
     prepared: set[tuple[str, int]] = set()
     for query in queries:
         for contender in contenders:
@@ -179,16 +179,16 @@ def measure(queries: Sequence[Query], contenders: Sequence[str],
             result = query.search.search(query.state, query.goal, method=method, planner=planner)
             seconds = time.perf_counter() - began
             instance = query.search.instance
-            rows.append(Measurement(
+            rows.append(QueryResult(
                 contender, query.floor, instance.id, describe_goal(query.goal, instance),
                 result.is_reached and result.method == contender, len(result.primitives), query.fewest, 1e3 * seconds,
             ))
     return rows
 
 
-def score_contenders(rows: Sequence[Measurement]) -> list[Score]:
+def score_contenders(rows: Sequence[QueryResult]) -> list[Score]:
     """One score for each contender and floor, in the order of the measurements."""
-    groups: dict[tuple[str, str], list[Measurement]] = {}
+    groups: dict[tuple[str, str], list[QueryResult]] = {}
     for row in rows:
         groups.setdefault((row.floor, row.contender), []).append(row)
     scores = []
@@ -204,7 +204,7 @@ def score_contenders(rows: Sequence[Measurement]) -> list[Score]:
     return scores
 
 
-def write_csv(path: str | Path, rows: Sequence[Measurement] | Sequence[Score]) -> None:
+def write_csv(path: str | Path, rows: Sequence[QueryResult] | Sequence[Score]) -> None:
     """Write measurements or scores as CSV, one a line."""
     names = [field.name for field in dataclasses.fields(rows[0])]
     lines = [",".join(names)]
@@ -214,7 +214,7 @@ def write_csv(path: str | Path, rows: Sequence[Measurement] | Sequence[Score]) -
     write_text(path, "\n".join(lines) + "\n")
 
 
-def draw_scores(path: str | Path, rows: Sequence[Measurement]) -> None:
+def draw_scores(path: str | Path, rows: Sequence[QueryResult]) -> None:
     """Draw two panels with a box for each contender: ratio to the fewest primitives, and time (logarithmic)."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg  # costs 0.3 s, and only a picture needs it
     from matplotlib.figure import Figure

@@ -56,7 +56,7 @@ def run(args: BenchPlannersArgs) -> None:
     if args.rooms < 1 or args.queries < 1:
         raise ConfigError("bench", (args.rooms, args.queries), "at least 1 room and 1 query")
     contenders, floors = args.contenders or known, args.floors or tuple(bench.FLOORS)
-    rows: list[bench.Measurement] = []
+    rows: list[bench.QueryResult] = []
     with Progress(console=Console(stderr=True), transient=True, disable=args.json) as progress:
         task = progress.add_task("", total=len(floors) * args.rooms * args.queries * len(contenders))
         for floor in floors:

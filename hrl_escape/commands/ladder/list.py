@@ -19,7 +19,7 @@ from hrl_escape.ladder.manifest import ROLES
 
 
 @dataclasses.dataclass(frozen=True)
-class ListArgs:
+class LadderListArgs:
     """Options of `hrl-escape ladder list`."""
 
     benchmark: str = "ladder-1"
@@ -28,7 +28,7 @@ class ListArgs:
     """Print JSON instead of a table."""
 
 
-def run(args: ListArgs) -> None:
+def run(args: LadderListArgs) -> None:
     """Print one row a rung."""
     bench = load_benchmark(args.benchmark)
     rows = [{

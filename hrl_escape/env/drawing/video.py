@@ -21,14 +21,14 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.errors import FileWriteError, MissingExtraError, UnsupportedError
 from hrl_escape.files import write_bytes
 
-__all__ = ["VIDEO_FORMATS", "Frame", "make_filmstrip", "save_picture", "save_video"]
+__all__ = ["VIDEO_FORMATS", "Picture", "make_filmstrip", "save_picture", "save_video"]
 
-Frame = NDArray[np.uint8]
+Picture = NDArray[np.uint8]
 
 VIDEO_FORMATS = ("gif", "mp4")
 
 
-def save_picture(path: str | Path, frame: Frame) -> None:
+def save_picture(path: str | Path, frame: Picture) -> None:
     """Write one frame as PNG.
 
     Raises:
@@ -42,7 +42,7 @@ def save_picture(path: str | Path, frame: Frame) -> None:
     write_bytes(path, content.getvalue())
 
 
-def save_video(path: str | Path, frames: Iterable[Frame], frames_per_second: float = 10.0) -> None:
+def save_video(path: str | Path, frames: Iterable[Picture], frames_per_second: float = 10.0) -> None:
     """Write an animation, as GIF or MP4 by the ending of `path`.
 
     Args:
@@ -66,7 +66,7 @@ def save_video(path: str | Path, frames: Iterable[Frame], frames_per_second: flo
     write_bytes(path, make(first, stream, frames_per_second))
 
 
-def _make_gif(first: Frame, rest: Iterable[Frame], rate: float) -> bytes:
+def _make_gif(first: Picture, rest: Iterable[Picture], rate: float) -> bytes:
     content = io.BytesIO()
     # flat colours without dithering: small files, and edges that stay where they are
     images = (Image.fromarray(frame).quantize(256, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
@@ -75,7 +75,7 @@ def _make_gif(first: Frame, rest: Iterable[Frame], rate: float) -> bytes:
     return content.getvalue()
 
 
-def _make_mp4(first: Frame, rest: Iterable[Frame], rate: float) -> bytes:
+def _make_mp4(first: Picture, rest: Iterable[Picture], rate: float) -> bytes:
     try:
         import imageio_ffmpeg  # optional
     except ImportError:
@@ -96,7 +96,8 @@ def _make_mp4(first: Frame, rest: Iterable[Frame], rate: float) -> bytes:
         return path.read_bytes()
 
 
-def make_filmstrip(frames: Sequence[Frame], captions: Sequence[str] = (), *, count: int = 6, columns: int = 3) -> Frame:
+def make_filmstrip(frames: Sequence[Picture], captions: Sequence[str] = (), *, count: int = 6, columns: int = 3
+                   ) -> Picture:
     """Lay out frames of an episode, evenly chosen, first and last included, in reading order.
 
     Args:

@@ -22,7 +22,7 @@ _ARM_THICKNESS = 0.1  # m, from the line through an arm's joints
 _ENOUGH = 3  # neighbouring places from which a target is touched
 
 
-class Link(NamedTuple):
+class Approach(NamedTuple):
     """A place from which a target is touched, and the free cell that a straight move leads to."""
 
     x: float
@@ -41,7 +41,7 @@ class Floors(NamedTuple):
 
     shut: FreeSpace
     opened: FreeSpace
-    touches: dict[int, list[Link]]
+    touches: dict[int, list[Approach]]
 
     def extend(self, solids: Sequence[Solid]) -> Floors:
         """The same floors with more solids on them."""
@@ -106,14 +106,14 @@ def has_arm_free(instance: RoomInstance, start: Start) -> bool:
 # --- touching ------------------------------------------------------------------------------
 
 
-def _can_touch(instance: RoomInstance, index: int, space: FreeSpace, label: int, known: list[Link]) -> bool:
+def _can_touch(instance: RoomInstance, index: int, space: FreeSpace, label: int, known: list[Approach]) -> bool:
     if instance.dynamics.press_with == "hand":
         return _can_touch_by_hand(instance, instance.targets[index], space, label)
     return _can_touch_by_body(instance, instance.targets[index], space, label, known)
 
 
 def _can_touch_by_body(instance: RoomInstance, target: Target, space: FreeSpace, label: int,
-                       known: list[Link]) -> bool:
+                       known: list[Approach]) -> bool:
     """Look for a touching stretch round the target, a few neighbouring places long; `known` are tried first."""
     if sum(int(space.labels[link.cell]) == label for link in known) >= _ENOUGH:
         return True
@@ -126,7 +126,7 @@ def _can_touch_by_body(instance: RoomInstance, target: Target, space: FreeSpace,
         for x, y in points[space.is_clear(points)].tolist():
             cell = space.find_link(x, y)
             if cell is not None and space.labels[cell] == label:
-                known.append(Link(x, y, cell))
+                known.append(Approach(x, y, cell))
             if len(known) >= _ENOUGH:
                 return True
     return False

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.instance import Frame
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.ranges import fill_ranges, list_ranges
 
@@ -38,7 +38,7 @@ def _draw(low: float, high: float, rng: np.random.Generator) -> float:
     return float(rng.uniform(low, high))
 
 
-def make_frame(config: RoomConfig) -> Frame | None:
+def make_frame(config: RoomConfig) -> SpaceLayout | None:
     """Make the frame of a schematic; None where all its instances have the same size.
 
     Instances differ in size if the schematic has ranges, or a door in a random wall, behind which the exit adds to the
@@ -58,4 +58,4 @@ def make_frame(config: RoomConfig) -> Frame | None:
             reach = np.maximum(reach, [abs(exit_.x) + most.exit.width / 2, abs(exit_.y) + most.exit.depth / 2])
     puzzle = most.puzzle.make_puzzle(np.random.default_rng(0))
     bounds = tuple((min(low, 0.0), max(high, 0.0)) for low, high in puzzle.bounds)  # absent numbers are 0
-    return Frame(float(reach[0]), float(reach[1]), most.room.wall_height, puzzle.target_names, bounds)
+    return SpaceLayout(float(reach[0]), float(reach[1]), most.room.wall_height, puzzle.target_names, bounds)

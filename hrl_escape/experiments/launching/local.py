@@ -23,7 +23,7 @@ from typing import Protocol
 
 from hrl_escape.errors import ConfigError, FileReadError
 from hrl_escape.experiments.grid import GridRun
-from hrl_escape.experiments.runs import RunResult, get_run_folder, get_training_folder, read_run
+from hrl_escape.experiments.runs import RunResult, get_run_folder, get_training_folder, load_run_result
 
 __all__ = ["Failure", "Launcher", "Listener", "LocalLauncher", "choose_workers", "count_cores", "report_outcome"]
 
@@ -160,7 +160,7 @@ def report_outcome(out: Path, run: GridRun, exit_code: int | None, error: dict[s
         listener.fail(Failure(run, **error))
         return
     try:
-        result = read_run(out, run)
+        result = load_run_result(out, run)
     except FileReadError as damage:
         listener.fail(Failure(run, str(damage)))
         return

@@ -10,7 +10,7 @@ from hrl_escape.experiments.grid import AgentSpec
 
 __all__ = ["AgentStyle", "choose_styles"]
 
-CHANCE = ("#8b8f98", "#5a5e67", "#b3b7bd")
+GREYS = ("#8b8f98", "#5a5e67", "#b3b7bd")
 """Greys, for agents that learn nothing."""
 SPARE = ("#882255", "#999933", "#332288", "#44aa99", "#661100", "#117733")
 """Colours of Tol (2021) for what the six of `palette.LINES` do not suffice for."""
@@ -33,7 +33,7 @@ def choose_styles(specs: Sequence[AgentSpec]) -> list[AgentStyle]:
         colour = colours.get(key, "")
         if not colour or (colour, is_dashed) in [(look.colour, look.is_dashed) for look in found]:
             used = [*colours.values(), *(look.colour for look in found)]
-            colour = min(CHANCE if not spec.learns else (*palette.LINES, *SPARE), key=used.count)
+            colour = min(GREYS if not spec.learns else (*palette.LINES, *SPARE), key=used.count)
             colours.setdefault(key, colour)
         found.append(AgentStyle(colour, _darken(colour), is_dashed))
     return found

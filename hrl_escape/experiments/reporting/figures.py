@@ -18,8 +18,8 @@ from hrl_escape.experiments.summary import PROFILE, Summary
 __all__ = ["save_figures"]
 
 AXES = {"primitives": "primitives of training", "decisions": "decisions of training", "seconds": "seconds of training"}
-METRICS = {"efficiency": "efficiency (IQM, 95 % interval)", "success": "episodes that escape",
-           "score": "return score (IQM, 95 % interval)"}
+METRIC_LABELS = {"efficiency": "efficiency (IQM, 95 % interval)", "success": "episodes that escape",
+                 "score": "return score (IQM, 95 % interval)"}
 _STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9, "svg.hashsalt": "hrl-escape"}
 
 
@@ -30,7 +30,7 @@ def save_figures(summary: Summary, folder: Path) -> None:
         FileWriteError: a file cannot be written.
     """
     with matplotlib.rc_context(_STYLE):
-        for metric in METRICS:
+        for metric in METRIC_LABELS:
             for against in AXES:
                 save_figure(folder / f"{metric}-against-{against}.svg", draw_curves(summary, metric, against))
         save_figure(folder / "performance-profile.svg", draw_profile(summary))
@@ -40,7 +40,7 @@ def save_figures(summary: Summary, folder: Path) -> None:
 
 def draw_curves(summary: Summary, metric: str, against: str) -> Figure:
     """Learning curves over all rooms."""
-    figure, axes = _make_axes(AXES[against], METRICS[metric])
+    figure, axes = _make_axes(AXES[against], METRIC_LABELS[metric])
     for agent, look in zip(summary.agents, choose_styles([a.spec for a in summary.agents]), strict=True):
         x = getattr(agent.curve, against)
         middle, low, high = agent.curve.metrics[metric]

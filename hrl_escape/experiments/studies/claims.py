@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from hrl_escape.experiments.inference import Estimate, correct_by_benjamini_hochberg
+from hrl_escape.experiments.pairs import ALPHA
 from hrl_escape.experiments.statistics import compute_final
 from hrl_escape.experiments.studies.measures import (
     Measurement,
@@ -34,9 +35,6 @@ ALL = ("dqn", "sarsa", "ddpg")
 CHANCE = "smdp-random"
 EARLY = 2_000
 """Primitives; a tenth of a run."""
-
-
-ALPHA = 0.05
 RARE, OFTEN = 0.05, 1 / 3
 """A share of runs below `OFTEN` confirms that something does not happen, one above `RARE` refutes it: ten runs can show
 either. The same the other way round for what does happen."""

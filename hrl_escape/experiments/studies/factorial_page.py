@@ -29,8 +29,8 @@ from hrl_escape.files import write_text
 
 __all__ = ["compute_corners", "write_factorial_page"]
 
-COMMAND = "hrl-escape experiment factorial"
-COLOURS = (palette.LINES[0], palette.LINES[4])
+_COMMAND = "hrl-escape experiment factorial"
+_COLOURS = (palette.LINES[0], palette.LINES[4])
 WORDS = {
     "final score": "score of frozen weights in the last fifth of training",
     "slope": "slope of the score of training episodes over a run, exploration included",
@@ -64,7 +64,7 @@ def draw_effects(names: Sequence[str], analyses: Sequence[Analysis]) -> Figure:
         figure = Figure(figsize=(8.2, 2.6), facecolor=palette.BACKGROUND, layout="constrained")
         panels = figure.subplots(1, len(analyses), sharey=True)
         at = np.arange(len(names))[::-1]
-        for axes, analysis, response, colour in zip(panels, analyses, RESPONSES, COLOURS, strict=True):
+        for axes, analysis, response, colour in zip(panels, analyses, RESPONSES, _COLOURS, strict=True):
             terms = [analysis.get_term(name) for name in names]
             value = np.array([100 * term.effect for term in terms])
             reach = np.array([[100 * (term.effect - term.low), 100 * (term.high - term.effect)] for term in terms]).T
@@ -126,7 +126,7 @@ def _write_lines(results: dict[str, list[RawRun]], found: dict[tuple[str, str], 
         lines += _write_corners(name, runs) + _write_rooms(name, runs)
     return [*lines, "## Make it again", "",
             "One command; finished runs are kept, and with `--from-raw` nothing is trained.", "",
-            "```console", f"{COMMAND} --runs {seeds} --primitives {budget}", "```", ""]
+            "```console", f"{_COMMAND} --runs {seeds} --primitives {budget}", "```", ""]
 
 
 def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], Analysis]) -> list[str]:

@@ -30,7 +30,7 @@ from hrl_escape.files import write_text
 __all__ = ["BUTTONS", "CHAIN_AGENTS", "FLAT_AGENTS", "find_break", "make_flat_grid", "make_paper_grid",
            "write_flat_page"]
 
-COMMAND = "hrl-escape experiment flat"
+_COMMAND = "hrl-escape experiment flat"
 BUTTONS = (1, 2, 3, 4, 5, 6)
 LEARNED = 0.5
 """A final score from which on the goal counts as learned."""
@@ -157,7 +157,7 @@ def _write_lines(results: Results, breaks: dict[str, int | None]) -> list[str]:
     return [*lines, "", "Each cell: runs that ever escape in training; final score of frozen weights, mean, in per "
             "cent.", "", "## Make it again", "",
             "One command; finished runs are kept, and with `--from-raw` nothing is trained.", "",
-            "```console", f"{COMMAND} --runs {runs} --primitives {paper[0].budget}", "```", ""]
+            "```console", f"{_COMMAND} --runs {runs} --primitives {paper[0].budget}", "```", ""]
 
 
 def _tell_outcome(paper: Sequence[RawRun]) -> list[str]:

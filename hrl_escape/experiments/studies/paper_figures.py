@@ -13,20 +13,20 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from hrl_escape.env.drawing import palette
 from hrl_escape.experiments.inference import compute_interval
-from hrl_escape.experiments.reporting.agent_style import CHANCE
+from hrl_escape.experiments.reporting.agent_style import GREYS
 from hrl_escape.experiments.statistics import Floats, compute_iqm
 from hrl_escape.experiments.studies.raw import RawRun
 
 __all__ = ["FIGURE_STYLE", "draw_figure", "finish_axes"]
 
 FIGURE_STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9, "svg.hashsalt": "hrl-escape"}
-COLOURS = {"dqn": palette.LINES[0], "sarsa": palette.LINES[1], "ddpg": palette.LINES[2], "random": CHANCE[0]}
+_COLOURS = {"dqn": palette.LINES[0], "sarsa": palette.LINES[1], "ddpg": palette.LINES[2], "random": GREYS[0]}
 POINTS = 41
 
 
 def draw_figure(runs: Sequence[RawRun]) -> Figure:
     """One panel a recipe: frozen weights in full lines with intervals, training episodes in dots, chance in grey."""
-    labels = list(dict.fromkeys(run.agent for run in runs if _get_algorithm(run.agent) in COLOURS))
+    labels = list(dict.fromkeys(run.agent for run in runs if _get_algorithm(run.agent) in _COLOURS))
     recipes = [recipe for recipe in ("paper", "corrected") if any(_get_recipe(label) == recipe for label in labels)]
     with matplotlib.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(4.4 * len(recipes) + 0.6, 3.3), facecolor=palette.BACKGROUND, layout="constrained")
@@ -59,7 +59,7 @@ def _get_recipe(label: str) -> str:
 
 
 def _draw_agent(axes: Axes, runs: Sequence[RawRun], algorithm: str) -> None:
-    budget, colour = runs[0].budget, COLOURS[algorithm]
+    budget, colour = runs[0].budget, _COLOURS[algorithm]
     grid = np.linspace(0, budget, POINTS)
     training = np.stack([run.training_scores for run in runs])
     seen = np.isfinite(training).any(axis=0)

@@ -28,7 +28,7 @@ from hrl_escape.files import write_text
 
 __all__ = ["write_paper_page"]
 
-COMMAND = "hrl-escape experiment paper"
+_COMMAND = "hrl-escape experiment paper"
 CAPTIONS = {
     "paper-figure-1": "Figure 1. One button, primitives only.",
     "paper-figure-2": "Figure 2. Two buttons, primitives only.",
@@ -103,7 +103,7 @@ def _write_lines(results: Results, findings: Sequence[Finding]) -> list[str]:
     return [*lines, "", "## Make it again", "",
             "One command writes this page, its figures and the raw results in `raw/`; finished runs are kept, and with "
             "`--from-raw` nothing is trained. Each figure alone is one command too, given under it.", "",
-            "```console", COMMAND, "```", "",
+            "```console", _COMMAND, "```", "",
             "Why two of the algorithms get worse is settled in [why it worsens](why-it-worsens.md); whether two "
             "buttons are out of reach without options, in [flat learners](flat.md).", ""]
 

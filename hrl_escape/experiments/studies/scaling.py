@@ -25,7 +25,7 @@ from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec, 
 from hrl_escape.experiments.launching.local import LocalLauncher
 from hrl_escape.experiments.statistics import NEAR_BEST
 from hrl_escape.experiments.studies.running import refuse_failures
-from hrl_escape.experiments.studies.scaling_raw import ScalingRun, Task, collect_scaling_runs
+from hrl_escape.experiments.studies.scaling_raw import RoomKind, ScalingRun, collect_scaling_runs
 
 __all__ = [
     "AGENTS", "BAR", "BAR_AGENT", "BAR_RUNS", "GRAPHS", "RULES", "SIZES", "Round", "make_room", "run_scaling",
@@ -46,7 +46,7 @@ AGENTS = (
     "smdp-ppo",
     "smdp-random",
 )
-BAR = (Task("layered", 20, "ignore"), Task("layered", 10, "reset"))
+BAR = (RoomKind("layered", 20, "ignore"), RoomKind("layered", 10, "reset"))
 """Tasks in which factored R-MAX has ten runs: the literature's bar of 10 to 20 buttons modelled within 20,000 steps."""
 BAR_AGENT, BAR_RUNS = "smdp-factored-r-max", 10
 MAX_PARENTS = 2
@@ -62,7 +62,7 @@ class Round:
         seed: of rooms, agent and episodes.
     """
 
-    tasks: tuple[Task, ...]
+    tasks: tuple[RoomKind, ...]
     agent: str
     seed: int
 
@@ -82,7 +82,7 @@ class Round:
         )
 
 
-def make_room(task: Task) -> RoomConfig:
+def make_room(task: RoomKind) -> RoomConfig:
     """Room of a task: small buttons anywhere on the walls; 30 m wide from 11 buttons on."""
     size = 20.0 if task.buttons <= 10 else 30.0
     graph = {"kind": task.graph, "max_parents": MAX_PARENTS}
@@ -114,7 +114,7 @@ def run_scaling(
         ComparisonError: a run failed.
         EscapeError: see `run_grid`.
     """
-    finished: dict[tuple[Task, str, int], ScalingRun] = {}
+    finished: dict[tuple[RoomKind, str, int], ScalingRun] = {}
     rounds: list[Round] = []
 
     def make_grids() -> Iterator[Grid]:
@@ -130,7 +130,7 @@ def run_scaling(
     return list(finished.values())
 
 
-def _list_rounds(runs: int, finished: dict[tuple[Task, str, int], ScalingRun]) -> Iterator[Round]:
+def _list_rounds(runs: int, finished: dict[tuple[RoomKind, str, int], ScalingRun]) -> Iterator[Round]:
     """Rounds in order; each depends on what those before have finished."""
     for seed in range(BAR_RUNS):
         yield Round(BAR, BAR_AGENT, seed)
@@ -140,8 +140,9 @@ def _list_rounds(runs: int, finished: dict[tuple[Task, str, int], ScalingRun]) -
                 tasks = []
                 for graph in GRAPHS:
                     for rule in RULES:
-                        smaller = finished.get((Task(graph, SIZES[place - 1], rule), agent, seed)) if place else None
+                        fewer = RoomKind(graph, SIZES[place - 1], rule)
+                        smaller = finished.get((fewer, agent, seed)) if place else None
                         if place == 0 or (smaller is not None and smaller.first_escape is not None):
-                            tasks.append(Task(graph, buttons, rule))
+                            tasks.append(RoomKind(graph, buttons, rule))
                 if tasks:
                     yield Round(tuple(tasks), agent, seed)

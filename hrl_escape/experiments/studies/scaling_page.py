@@ -22,8 +22,8 @@ from hrl_escape.files import write_text
 
 __all__ = ["draw_escapes", "draw_structure", "write_scaling_page"]
 
-COMMAND = "hrl-escape experiment scaling"
-COLOURS = {agent: look.colour for agent, look in zip(AGENTS, choose_styles(list(map(AgentSpec, AGENTS))), strict=True)}
+_COMMAND = "hrl-escape experiment scaling"
+_COLOURS = {agent: look.colour for agent, look in zip(AGENTS, choose_styles(list(map(AgentSpec, AGENTS))), strict=True)}
 MARKERS = dict(zip(AGENTS, "od^svPX*<x", strict=True))
 Pick = Callable[[ScalingRun], int | None]
 
@@ -57,7 +57,7 @@ def draw_escapes(results: Sequence[ScalingRun]) -> Figure:
                     sizes = sorted({result.buttons for result in own})
                     escapes = {size: [float(r.first_escape or 0) for r in own if r.buttons == size] for size in sizes}
                     middle = [np.median(escapes[size]) for size in sizes]
-                    style = {"color": COLOURS[agent], "marker": MARKERS[agent]}
+                    style = {"color": _COLOURS[agent], "marker": MARKERS[agent]}
                     axes.plot(sizes, middle, linewidth=1.5, markersize=5, label=agent, **style)
                     shift = 0.08 * (number - (len(AGENTS) - 1) / 2)
                     dots = [(r.buttons + shift, r.first_escape) for r in own]
@@ -96,7 +96,7 @@ def draw_structure(results: Sequence[ScalingRun]) -> Figure:
                     curves = [_sample(result, measure, grid) for result in here]
                     middle = np.mean(curves, axis=0) if curves else np.full(len(grid), np.nan)
                     label = f"{agent}, {'precision' if measure == 1 else 'recall'}"
-                    axes.plot(grid, middle, dash, color=COLOURS[agent], linewidth=1.6, label=label)
+                    axes.plot(grid, middle, dash, color=_COLOURS[agent], linewidth=1.6, label=label)
             axes.set_title(f"{buttons} buttons, {rule}", fontsize=9, color=palette.INK, loc="left")
             axes.set_xlabel("primitives", color=palette.INK)
             axes.set_ylim(-0.04, 1.04)
@@ -163,7 +163,7 @@ def _write_lines(results: Sequence[ScalingRun]) -> list[str]:
         "## Make it again", "",
         "Finished trials are kept; with `--from-raw` the page is written anew from "
         "[raw/scaling.csv](raw/scaling.csv).", "",
-        "```console", f"{COMMAND} --runs {runs} --primitives {budget}", "```", "",
+        "```console", f"{_COMMAND} --runs {runs} --primitives {budget}", "```", "",
     ]  # fmt: skip
     return lines
 

@@ -17,10 +17,10 @@ from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.runs import get_training_folder
 from hrl_escape.files import read_text, write_text
 
-__all__ = ["ScalingRun", "Task", "collect_scaling_runs", "load_scaling_runs", "save_scaling_runs"]
+__all__ = ["ScalingRun", "RoomKind", "collect_scaling_runs", "load_scaling_runs", "save_scaling_runs"]
 
 
-class Task(NamedTuple):
+class RoomKind(NamedTuple):
     """Kind of room.
 
     Attributes:
@@ -39,7 +39,7 @@ class ScalingRun:
     """Result of a run.
 
     Attributes:
-        graph: see `Task`; so the next two.
+        graph: see `RoomKind`; so the next two.
         agent: name.
         run: seed of room, agent and episodes.
         room: content hash of the instance.
@@ -71,12 +71,12 @@ class ScalingRun:
     structure: tuple[tuple[int, float, float], ...]
 
     @property
-    def task(self) -> Task:
+    def task(self) -> RoomKind:
         """Kind of its room."""
-        return Task(self.graph, self.buttons, self.rule)
+        return RoomKind(self.graph, self.buttons, self.rule)
 
 
-def collect_scaling_runs(comparison: Comparison, tasks: Sequence[Task]) -> list[ScalingRun]:
+def collect_scaling_runs(comparison: Comparison, tasks: Sequence[RoomKind]) -> list[ScalingRun]:
     """Read the finished runs of a round.
 
     Args:

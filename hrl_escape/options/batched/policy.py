@@ -27,7 +27,7 @@ from hrl_escape.options.batched.cost_to_go import (
 )
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 
-__all__ = ["MEMORY", "Choice", "can_start", "choose", "is_in_exit", "is_solved"]
+__all__ = ["MEMORY", "Choice", "can_start", "choose_primitive", "is_in_exit", "is_solved"]
 
 MEMORY = 8
 """Cells whose cost a room remembers."""
@@ -74,8 +74,8 @@ def can_start(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
     return torch.cat([is_present, exit_.unsqueeze(1)], dim=1)
 
 
-def choose(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor, cells: Tensor,
-           costs: Tensor) -> Choice:
+def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,
+                     cells: Tensor, costs: Tensor) -> Choice:
     """Choose every room's next primitive.
 
     Args:

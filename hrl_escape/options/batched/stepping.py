@@ -19,7 +19,7 @@ from hrl_escape.env.batched.tables import Layout, Tables
 from hrl_escape.env.primitives import BASE_ACTIONS
 from hrl_escape.options.batched.cost_to_go import CostFields
 from hrl_escape.options.batched.decisions import ENDINGS, PLAN_LENGTH, OpenDecisions, Transitions
-from hrl_escape.options.batched.policy import MEMORY, Choice, can_start, choose, is_in_exit
+from hrl_escape.options.batched.policy import MEMORY, Choice, can_start, choose_primitive, is_in_exit
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 
 __all__ = ["FAIL_AFTER", "PLAN_AFTER", "AgentView", "StepSettings", "begin_decisions", "make_decisions", "make_view",
@@ -74,7 +74,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
         choice = Choice(planned, running.plan_left.to(torch.float32), torch.zeros_like(planned))
         has_failed = is_option & (running.plan_left == 0)
     else:
-        choice = choose(layout, tables, fields, state, goal, running.cells, running.costs)
+        choice = choose_primitive(layout, tables, fields, state, goal, running.cells, running.costs)
         has_failed = is_new & is_option & (~is_legal | (choice.cost >= UNREACHABLE))
     chosen = torch.where(running.plan_left > 0, planned, choice.primitive)
     primitive = torch.where(has_failed, BASE_ACTIONS.wait, torch.where(is_option, chosen, running.action))

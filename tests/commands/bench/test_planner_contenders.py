@@ -9,7 +9,7 @@ from PIL import Image
 from hrl_escape.cli import main
 from hrl_escape.commands.bench.planner_contenders import (
     FIELDS,
-    Measurement,
+    QueryResult,
     list_contenders,
     make_queries,
     measure,
@@ -36,10 +36,10 @@ def test_the_same_seeds_give_the_same_queries():
 
 
 def test_scores_are_those_of_the_measurements(tmp_path):
-    rows = [Measurement("fields", "empty", "a", "exit", True, 11, 10, 2.0),
-            Measurement("fields", "empty", "a", "exit", True, 10, 10, 4.0),
-            Measurement("fields", "empty", "a", "exit", False, 0, 10, 90.0),
-            Measurement("RRT", "empty", "a", "exit", False, 0, 10, 1.0)]
+    rows = [QueryResult("fields", "empty", "a", "exit", True, 11, 10, 2.0),
+            QueryResult("fields", "empty", "a", "exit", True, 10, 10, 4.0),
+            QueryResult("fields", "empty", "a", "exit", False, 0, 10, 90.0),
+            QueryResult("RRT", "empty", "a", "exit", False, 0, 10, 1.0)]
     fields, rrt = score_contenders(rows)
     assert (fields.success, fields.ratio, fields.primitives, fields.median_ms) == (2 / 3, 1.05, 10.5, 4.0)
     assert rrt.success == 0.0 and np.isnan(rrt.ratio)

@@ -20,8 +20,8 @@ from hrl_escape.experiments.studies import scaling
 from hrl_escape.experiments.studies.scaling import AGENTS, Round, run_scaling
 from hrl_escape.experiments.studies.scaling_page import write_scaling_page
 from hrl_escape.experiments.studies.scaling_raw import (
+    RoomKind,
     ScalingRun,
-    Task,
     collect_scaling_runs,
     load_scaling_runs,
     save_scaling_runs,
@@ -54,7 +54,7 @@ def forget_time(runs: list[ScalingRun]) -> set[ScalingRun]:
 
 
 def test_factored_r_max_is_near_the_best_of_a_real_room_and_has_its_graph(tmp_path):
-    tasks = Task("chain", 4, "ignore"), Task("chain", 4, "reset")
+    tasks = RoomKind("chain", 4, "ignore"), RoomKind("chain", 4, "reset")
     for run in run_rounds(tmp_path, 4_000, Round(tasks, "smdp-factored-r-max", 0)):
         assert run.first_escape is not None and run.near_best is not None
         assert run.first_escape <= run.near_best < run.primitives < 4_000, "it stops once the room is solved"
@@ -65,7 +65,7 @@ def test_factored_r_max_is_near_the_best_of_a_real_room_and_has_its_graph(tmp_pa
 def test_a_run_gives_the_numbers_that_version_0_1_gave(tmp_path):
     """Also the published ones: these runs are lines of docs/results/raw/scaling.csv."""
     published = load_scaling_runs(Path(__file__).parents[3] / "docs" / "results" / "raw" / "scaling.csv", AGENTS)
-    chosen = [run for run in published if (run.task, run.run) == (Task("chain", 4, "reset"), 1)
+    chosen = [run for run in published if (run.task, run.run) == (RoomKind("chain", 4, "reset"), 1)
               and run.agent in ("smdp-factored-r-max", "smdp-random")]
     rounds = [Round((run.task,), run.agent, run.run) for run in chosen]
     assert len(rounds) == 2
@@ -73,18 +73,18 @@ def test_a_run_gives_the_numbers_that_version_0_1_gave(tmp_path):
 
 
 def test_every_agent_runs(tmp_path):
-    runs = run_rounds(tmp_path, 60, *(Round((Task("chain", 2, "ignore"),), agent, 0) for agent in AGENTS))
+    runs = run_rounds(tmp_path, 60, *(Round((RoomKind("chain", 2, "ignore"),), agent, 0) for agent in AGENTS))
     assert [run.agent for run in runs] == list(AGENTS)
     assert all(run.primitives >= 60 or run.first_escape is not None for run in runs)
 
 
 def test_a_killed_run_measures_what_an_uninterrupted_one_does(tmp_path):
-    task, agent, seed = Task("chain", 4, "reset"), "smdp-factored-r-max", 0
+    task, agent, seed = RoomKind("chain", 4, "reset"), "smdp-factored-r-max", 0
     script = ("import sys\n"
-              "from tests.experiments.studies.test_scaling import Round, Task, run_rounds\n"
+              "from tests.experiments.studies.test_scaling import Round, RoomKind, run_rounds\n"
               "from pathlib import Path\n"
               "if __name__ == '__main__':\n"
-              f"    run_rounds(Path(sys.argv[1]), 4_000, Round((Task('chain', 4, 'reset'),), {agent!r}, {seed}),\n"
+              f"    run_rounds(Path(sys.argv[1]), 4_000, Round((RoomKind('chain', 4, 'reset'),), {agent!r}, {seed}),\n"
               "               checkpoint_seconds=0.0)\n")
     (tmp_path / "study.py").write_text(script)
     out, rng = tmp_path / "killed", np.random.default_rng(2)
@@ -143,20 +143,20 @@ def test_a_failed_run_ends_the_study_with_its_message(tmp_path, small_study, mon
     with pytest.raises(Exception, match="smdp-dreamer"):
         run_scaling(tmp_path, 1, 60, 1, 5.0, make_console())
     monkeypatch.undo()
-    round_ = Round((Task("chain", 2, "ignore"),), "smdp-r-max", 0)
+    round_ = Round((RoomKind("chain", 2, "ignore"),), "smdp-r-max", 0)
     (run,) = round_.make_grid(60).make_runs([room.make_instance() for room in round_.make_grid(60).rooms])
     damaged = tmp_path / "runs" / run.folder / "training" / "checkpoint.npz"
     damaged.parent.mkdir(parents=True)
     damaged.write_bytes(b"no checkpoint")
     monkeypatch.setattr(scaling, "BAR_RUNS", 1)
-    monkeypatch.setattr(scaling, "BAR", (Task("chain", 2, "ignore"),))
+    monkeypatch.setattr(scaling, "BAR", (RoomKind("chain", 2, "ignore"),))
     monkeypatch.setattr(scaling, "BAR_AGENT", "smdp-r-max")
     with pytest.raises(ComparisonError, match="1 runs of scaling--smdp-r-max--0 failed.*checkpoint"):
         run_scaling(tmp_path, 0, 60, 1, 5.0, make_console())
 
 
 def test_one_study_at_a_time_in_a_folder(tmp_path):
-    grids = run_grids([Round((Task("chain", 2, "ignore"),), "smdp-random", 0).make_grid(60)] * 2, tmp_path, None,
+    grids = run_grids([Round((RoomKind("chain", 2, "ignore"),), "smdp-random", 0).make_grid(60)] * 2, tmp_path, None,
                       make_console())
     next(grids)  # the folder stays locked between two grids
     with pytest.raises(RunBusyError, match="another comparison is running in this folder"):

@@ -27,7 +27,7 @@ from hrl_escape.settings import Range
 
 __all__ = ["RMaxq", "RMaxqSettings"]
 
-SWEEPS = 10_000
+SWEEPS_A_TASK = 10_000
 """Bound on sweeps of value iteration in one task."""
 LEAK = 1e-10
 """Share of a task's steps that end it nowhere, so that a policy that never ends has a finite, hopeless value."""
@@ -153,7 +153,7 @@ class RMaxq(CallRunner):
             values = np.where(over, [task.pseudo(seen) if task.pseudo else 0.0 for seen in moments], 0.0)
             rewards = np.stack([model.rewards for model in models], axis=1)
             choices = rewards
-            for _ in range(SWEEPS):
+            for _ in range(SWEEPS_A_TASK):
                 choices = rewards + np.stack([model.follow @ values for model in models], axis=1)
                 choices = np.where(legal, choices, -np.inf)
                 swept = np.where(goes_on, choices.max(axis=1), values)
