@@ -343,7 +343,7 @@ def _coarsen(free: NDArray[np.bool_], stride: int) -> NDArray[np.bool_]:
     columns, rows = (-(-side // stride) * stride for side in free.shape)
     whole = np.zeros((columns, rows), dtype=bool)
     whole[: free.shape[0], : free.shape[1]] = free
-    return whole.reshape(columns // stride, stride, rows // stride, stride).any(axis=(1, 3))
+    return np.any(whole.reshape(columns // stride, stride, rows // stride, stride), axis=(1, 3))
 
 
 def _join(free: NDArray[np.bool_]) -> Any:
@@ -365,5 +365,5 @@ def _spread(graph: Any, free: NDArray[np.bool_], near: NDArray[np.bool_]) -> NDA
     seeds = near & free
     begun = np.flatnonzero(seeds if seeds.any() else near)
     waves = csgraph.dijkstra(graph, directed=False, indices=begun, unweighted=True, min_only=True).reshape(free.shape)
-    nearest = ndimage.distance_transform_edt(np.isinf(waves), return_distances=False, return_indices=True)
+    nearest: Any = ndimage.distance_transform_edt(np.isinf(waves), return_distances=False, return_indices=True)
     return waves[tuple(nearest)]

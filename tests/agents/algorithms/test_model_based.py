@@ -197,8 +197,8 @@ def learn_puzzle(name, kind, buttons, rule, primitives, seed):
             observation, info = env.reset()
             mask = read_action_mask(info, buttons + 1)
     edges = {(parent - 2, child - 2) for parent, child in agent.get_graph()}
-    true = find_edges_that_matter(puzzle.edges, puzzle.goal)
-    return first, *compare_graphs(find_edges_that_matter(edges, puzzle.goal), true), returns
+    true = find_edges_that_matter(puzzle.edges, (puzzle.goal,))
+    return first, *compare_graphs(find_edges_that_matter(edges, (puzzle.goal,)), true), returns
 
 
 @pytest.mark.parametrize(

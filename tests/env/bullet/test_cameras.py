@@ -21,6 +21,7 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.antialiasing import soften_edges
 from hrl_escape.env.engine import CAMERAS, film
 from hrl_escape.env.presets import PRESETS, get_preset
+from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ClosedError, ConfigError, UnknownNameError, UnsupportedError
 from tests.env.rooms import EXTREMES, all_schematics
@@ -215,8 +216,9 @@ def test_named_arms_are_shown_with_their_joints(kind):
     before = render_camera(room, "chase", 120, 90)
     for joint in (1, 3):  # they swing whole parts of the arm
         was = room.state.joint_steps
-        if room.step(6 + 2 * joint).state.joint_steps == was:  # at its limit
-            room.step(7 + 2 * joint)
+        up, down = make_action_table(joints=7).joints[joint]
+        if room.step(up).state.joint_steps == was:  # at its limit
+            room.step(down)
         after = render_camera(room, "chase", 120, 90)
         assert (before != after).any(axis=2).sum() > 10
         before = after

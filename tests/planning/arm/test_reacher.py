@@ -492,7 +492,7 @@ def can_order(room: RoomInstance, begin: RoomState, goal: tuple[int, ...]) -> bo
     def search(state: RoomState) -> bool:
         for joint, (a, b) in enumerate(zip(state.joint_steps, goal, strict=True)):
             if a != b:
-                after = kinematics.step(state, 6 + 2 * joint + (b < a)).state._replace(primitives=0)
+                after = kinematics.step(state, kinematics.actions.joints[joint][b < a]).state._replace(primitives=0)
                 begun = after.touching & ~state.touching
                 if begun == 1 or (not begun and search(after)):
                     return True
@@ -519,7 +519,7 @@ def test_joint_steps_are_ordered_round_other_targets_wherever_that_can_be():
         fewest = sum(abs(a - b) for a, b in zip(goal, steps, strict=True))
         straight, here = [], state
         for joint, (a, b) in enumerate(zip(steps, goal, strict=True)):
-            straight += [6 + 2 * joint + (b < a)] * abs(b - a)
+            straight += [kinematics.actions.joints[joint][b < a]] * abs(b - a)
         for action in straight:
             here, _, _, _, pressed = kinematics.step(here, action)
             hard += pressed == (1,)
