@@ -1,0 +1,124 @@
+"""Macro-Q: Q-learning over primitives and macro-actions, each valued by what it earns until it ends.
+
+McGovern, Sutton and Fagg (1997), Roles of macro-actions in accelerating reinforcement learning. Macros
+carry values far in one backup, and carry exploration to where they end, which helps or hurts by where the goal is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import StateTree, count_actions
+from hrl_escape.agents.components.exploration import (
+    ExplorationSettings,
+    choose_best,
+    compute_epsilon,
+    make_rng,
+    sample_action,
+)
+from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
+from hrl_escape.agents.hierarchy.call_stack import Return
+from hrl_escape.agents.hierarchy.macros import Macro, make_macro_hierarchy
+from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.task import Seen, Stack, Step
+
+__all__ = ["MacroQ", "MacroQSettings"]
+
+
+@dataclass(frozen=True)
+class MacroQSettings(StackSettings, TabularSettings, ExplorationSettings):
+    """Settings of `macro-q`."""
+
+
+class MacroQ(CallRunner):
+    """Values of primitives and macros.
+
+    Macro or primitive m took k primitives from s to s' and earned R = sum of gamma^i r_i:
+
+        Q(s, m) <- Q(s, m) + alpha [R + gamma^k (1 - terminated) max over legal m' of Q(s', m') - Q(s, m)]
+
+    Where the time limit cut m short, m would have gone on: Q(s', m) takes the place of the maximum, and nothing is
+    learned where m could not begin at s'. An episode may end inside a macro, which then is over.
+
+    Args:
+        observation_space: Discrete, or a Box that is rounded.
+        action_space: Discrete.
+        seed: fixes exploration.
+        settings: rates, exploration, discount.
+        macros: numbered after the primitives; without any it is Q-learning.
+    """
+
+    Settings: ClassVar[type] = MacroQSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: MacroQSettings | None = None,
+        macros: Sequence[Macro] = (),
+    ) -> None:
+        settings = settings or MacroQSettings()
+        actions = count_actions(action_space, "macro-q")
+        super().__init__(make_macro_hierarchy(actions, macros), seed, settings)
+        self.table = QTable(actions + len(macros), settings)
+        self._discretise = make_discretiser(observation_space, settings, "macro-q")
+        self._action_rng = make_rng(seed, "actions")
+        self._steps = 0
+
+    def compute_choice_values(self, observation: Any) -> NDArray[np.float64]:
+        """Q(s, .), (primitives + macros,)."""
+        return self.table.get_values(self._discretise(observation))
+
+    def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
+        """Explore at the root; a macro decides for itself."""
+        if len(stack) > 1:
+            return int(legal.argmax())
+        values = self.compute_choice_values(seen.observation)
+        return sample_action(values, legal, self.settings, self._steps, self._action_rng)
+
+    def choose_greedy(
+        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+    ) -> int:
+        """The best choice at the root."""
+        return int(legal.argmax()) if len(stack) > 1 else choose_best(self.compute_choice_values(view), legal)
+
+    def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
+        """Learn the value of a primitive or macro that is over."""
+        error = 0.0
+        for returned in returns:
+            decision, seen = returned.decision, returned.seen
+            if len(returned.stack) > 1:
+                continue
+            legal = returned.frame.task.legal(seen, None)
+            was_cut = returned.cut and returned.truncated and not returned.terminated
+            if was_cut and not legal[decision.choice]:
+                continue
+            values = self.compute_choice_values(seen.observation)
+            after = values[decision.choice] if was_cut else np.where(legal, values, -np.inf).max()
+            target = decision.reward + (0.0 if returned.terminated else decision.discount * float(after))
+            error = abs(self.table.update(self._discretise(decision.view), decision.choice, target))
+        self._steps += step.duration
+        return {"td_error": error, "epsilon": compute_epsilon(self.settings, self._steps)}
+
+    def state_dict(self) -> StateTree:
+        """Table, counter, generators, running calls."""
+        return {
+            **super().state_dict(),
+            "table": self.table.state_dict(),
+            "steps": self._steps,
+            "action_rng": self._action_rng.bit_generator.state,
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore what `state_dict` gave."""
+        super().load_state_dict(state)
+        self.table.load_state_dict(state["table"])
+        self._steps = int(state["steps"])
+        self._action_rng.bit_generator.state = state["action_rng"]
