@@ -129,7 +129,8 @@ class FactoredModel:
         self._all_on = conditions == "all-on" and bool((self._reader.sizes == 2).all())
         self._before: list[NDArray[np.float64]] = []
         self._after: list[NDArray[np.float64]] = []
-        self._rows: list[tuple[int, int, float, bool, int]] = []  # action, duration, summed reward, over, previous
+        # action, duration, summed reward, over, previous, legal again
+        self._rows: list[tuple[int, int, float, bool, int, bool]] = []
         self._previous = -1  # the action before in the same episode
         self._rates: Counter[float] = Counter()
         self._beliefs: list[Belief] = []
@@ -142,13 +143,16 @@ class FactoredModel:
         self.rate = rate
         self._levels: dict[float, int] = {0.0: 0}
         self._durations: DurationModel | None = None
+        self._repeatable = np.ones(self._actions, dtype=np.bool_)
         for number in range(len(self._rows)):
             self._learn(number)
         for belief in self._beliefs:
             belief.forget()
 
     def _learn(self, number: int) -> None:
-        action, duration, reward, over, _ = self._rows[number]
+        action, duration, reward, over, _, again = self._rows[number]
+        first = self.learner.count_samples(action) == 0
+        self._repeatable[action] = again or (self._repeatable[action] and not first)
         before, after = self._reader.read(self._before[number]), self._reader.read(self._after[number])
         self.learner.add(before, action, after, over, self._get_level(round(reward - self.rate * duration, 6)))
 
@@ -205,7 +209,8 @@ class FactoredModel:
         after = self._reader.flatten(transition.next_observation)
         self._before.append(before)
         self._after.append(after)
-        row = (transition.action, transition.duration, transition.summed_reward, transition.terminated, previous)
+        again = bool(transition.next_action_mask[transition.action])
+        row = (transition.action, transition.duration, transition.summed_reward, transition.terminated, previous, again)
         self._rows.append(row)
         self._count_rate(row)
         usual, count = self._rates.most_common(1)[0] if self._rates else (self.rate, 0)
@@ -218,8 +223,8 @@ class FactoredModel:
             for belief in self._beliefs:
                 belief.forget(transition.action)
 
-    def _count_rate(self, row: tuple[int, int, float, bool, int]) -> None:
-        _, duration, reward, over, _ = row
+    def _count_rate(self, row: tuple[int, int, float, bool, int, bool]) -> None:
+        _, duration, reward, over, *_ = row
         if not over:
             self._rates[round(reward / duration, 9)] += 1
 
@@ -230,7 +235,7 @@ class FactoredModel:
     def search(
         self, belief: Belief, observation: Any, legal: NDArray[np.bool_], seek_gaps: bool, most_nodes: int
     ) -> ModelPlan:
-        """ModelPlan from an observation; see `find_plan`."""
+        """Plan from an observation; see `find_plan`."""
         belief.update(self)
         if self._durations is None:
             remembered = range(len(self._rows))[-REMEMBERED_DECISIONS:]
@@ -238,12 +243,13 @@ class FactoredModel:
         pose = self._reader.read_pose(self._reader.flatten(observation))
         relevant = belief.relevant_with_gaps if seek_gaps else belief.relevant
         return find_plan(
-            belief.tables, self.pack(observation), legal, relevant, self._durations.compute_durations(pose),
-            self._durations.places, self.rate, self.gamma, belief.bonus, seek_gaps, most_nodes,
+            belief.tables, self.pack(observation), legal, self._repeatable, relevant,
+            self._durations.compute_durations(pose), self._durations.places, self.rate, self.gamma, belief.bonus,
+            seek_gaps, most_nodes,
         )  # fmt: skip
 
     def _make_sample(self, number: int) -> DurationSample:
-        action, duration, _, _, previous = self._rows[number]
+        action, duration, _, _, previous, _ = self._rows[number]
         poses = (self._reader.read_pose(flat) for flat in (self._before[number], self._after[number]))
         start, end = poses
         return DurationSample(start, action, end, duration, previous)
@@ -269,7 +275,7 @@ class FactoredModel:
 
     def state_dict(self) -> StateTree:
         """The history."""
-        names = ("action", "duration", "reward", "over", "previous")
+        names = ("action", "duration", "reward", "over", "previous", "again")
         columns = zip(*self._rows, strict=True) if self._rows else ([] for _ in names)
         return {
             "rate": self.rate,
@@ -283,7 +289,7 @@ class FactoredModel:
         """Restore the result of `state_dict`."""
         self._previous = int(state["last"])
         self._before, self._after = list(state["before"]), list(state["after"])
-        columns = (state[name].tolist() for name in ("action", "duration", "reward", "over", "previous"))
+        columns = (state[name].tolist() for name in ("action", "duration", "reward", "over", "previous", "again"))
         self._rows = [tuple(row) for row in zip(*columns, strict=True)]
         for rows in (self._before, self._after):
             if rows:

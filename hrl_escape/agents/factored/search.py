@@ -68,6 +68,7 @@ def find_plan(
     tables: SearchTables,
     state: int,
     legal: NDArray[np.bool_],
+    repeatable: NDArray[np.bool_],
     relevant: NDArray[np.bool_],
     durations: NDArray[np.float64],
     places: NDArray[np.int64],
@@ -83,6 +84,7 @@ def find_plan(
         tables: the model.
         state: packed.
         legal: bool (actions,), actions that may be the first.
+        repeatable: bool (actions,), actions that may follow themselves.
         relevant: bool (actions,), actions that may be taken at all.
         durations: (actions + 1, actions), primitives from the place an action leaves; the last row: from here.
         places: (actions,), the row of `durations` that holds after each action.
@@ -93,7 +95,7 @@ def find_plan(
         most_nodes: bound on expanded states.
     """
     found, actions, states, value, complete = _search(
-        *tables, np.uint64(state), legal, relevant, durations, places,
+        *tables, np.uint64(state), legal, repeatable, relevant, durations, places,
         -1.0 if seek_gaps else rate, gamma, 0.0 if seek_gaps else bonus, seek_gaps, most_nodes,
     )
     return ModelPlan(tuple(actions.tolist()), tuple(states.tolist()), float(value) if found else -np.inf,
@@ -119,7 +121,7 @@ def _find_slot(keys, key):
 
 
 @kernel
-def _search(rules, ends, bonuses, rule_starts, gaps, gap_starts, root, legal, relevant, durations, places,
+def _search(rules, ends, bonuses, rule_starts, gaps, gap_starts, root, legal, repeatable, relevant, durations, places,
             rate, gamma, bonus, seek_gaps, most_nodes):  # fmt: skip
     actions = len(legal)
     size = 1024
@@ -154,6 +156,8 @@ def _search(rules, ends, bonuses, rule_starts, gaps, gap_starts, root, legal, re
         keys[slot], lows[slot] = key, low
         for action in range(actions):
             if not relevant[action] or (node == 0 and not legal[action]):
+                continue
+            if action == action_of[node] and not repeatable[action]:
                 continue
             is_open = _matches_any(gaps, gap_starts[action], gap_starts[action + 1], state)
             if is_open and not seek_gaps:
