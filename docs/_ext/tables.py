@@ -157,6 +157,18 @@ class Layouts(Table):
         return "\n".join(sections)
 
 
+class Prices(Table):
+    """`{prices}`: the price of textbook hierarchies, computed anew."""
+
+    def write(self) -> str:
+        """One row a hierarchy."""
+        rows = []
+        for domain, hierarchy, price in find("tests.agents.hierarchy.priced.list_prices")():
+            recursive = "" if price.recursive is None else f"{price.recursive:.3f}"
+            rows.append((domain, hierarchy, f"{price.flat:.3f}", f"{price.hierarchical:.3f}", recursive))
+        return make_table(("environment", "hierarchy", "flat", "hierarchical", "recursive"), rows)
+
+
 class Usage(Table):
     """`{usage} room`: what a command says with `--help`."""
 
@@ -169,6 +181,6 @@ class Usage(Table):
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     for name, directive in {"knobs": Knobs, "settings": AgentSettings, "metrics": Metrics, "names": Names,
-                            "ladder": Ladder, "layouts": Layouts, "usage": Usage}.items():
+                            "ladder": Ladder, "layouts": Layouts, "prices": Prices, "usage": Usage}.items():
         app.add_directive(name, directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -16,12 +16,12 @@ WRONG_HALLWAY = -5.0
 STATES = np.arange(len(GRID))
 
 
-def make_walks() -> Hierarchy:
-    """Walk to a hallway, which ends in any of them; or home."""
+def make_walks(away=lambda seen: False) -> Hierarchy:
+    """Walk to a hallway, which ends in any of them; or home, which ends where one is `away`."""
     names = [f"to {hallway}" for hallway in HALLWAYS]
     return maxq(
         {"root": [*names, "home"], **{name: range(4) for name in names}, "home": range(4)},
-        {**{name: lambda seen: seen.observation in HALLWAYS for name in names}, "home": lambda seen: False},
+        {**{name: lambda seen: seen.observation in HALLWAYS for name in names}, "home": away},
         pseudo={name: _make_pseudo(hallway) for name, hallway in zip(names, HALLWAYS, strict=True)},
     )
 
@@ -30,11 +30,11 @@ def _make_pseudo(hallway):
     return lambda seen: 1.0 if seen.observation == hallway else WRONG_HALLWAY
 
 
-def make_nested_walks() -> NestedTask:
+def make_nested_walks(away: np.ndarray = np.zeros(len(GRID), bool)) -> NestedTask:  # noqa: B008  # never changed
     over = np.isin(STATES, HALLWAYS)
     walks = [
         NestedTask(f"to {hallway}", range(4), over, np.where(STATES == hallway, 1.0, WRONG_HALLWAY) * over)
         for hallway in HALLWAYS
     ]
     never = np.zeros(len(GRID), bool)
-    return NestedTask("root", [*walks, NestedTask("home", range(4), never)], never)
+    return NestedTask("root", [*walks, NestedTask("home", range(4), away)], never)
