@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import matplotlib
@@ -15,6 +15,13 @@ from hrl_escape.env.drawing.maps import save_figure
 from hrl_escape.experiments.grid import AgentSpec
 from hrl_escape.experiments.reporting.agent_style import choose_styles
 from hrl_escape.experiments.statistics import NEAR_BEST
+from hrl_escape.experiments.studies.followed_runs import (
+    FollowedRuns,
+    Pick,
+    count_spared,
+    follow_runs,
+    list_edge_bins,
+)
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
 from hrl_escape.experiments.studies.scaling import AGENTS, BAR, BAR_AGENT, BAR_RUNS, GRAPHS, RULES, SIZES
 from hrl_escape.experiments.studies.scaling_raw import ScalingRun
@@ -25,7 +32,6 @@ __all__ = ["draw_escapes", "draw_structure", "write_scaling_page"]
 _COMMAND = "hrl-escape experiment scaling"
 _COLOURS = {agent: look.colour for agent, look in zip(AGENTS, choose_styles(list(map(AgentSpec, AGENTS))), strict=True)}
 MARKERS = dict(zip(AGENTS, "od^svPX*<x", strict=True))
-Pick = Callable[[ScalingRun], int | None]
 
 
 def write_scaling_page(results: Sequence[ScalingRun], docs: Path) -> None:
@@ -45,7 +51,7 @@ def write_scaling_page(results: Sequence[ScalingRun], docs: Path) -> None:
 
 def draw_escapes(results: Sequence[ScalingRun]) -> Figure:
     """Primitives to the first escape against buttons: a column a graph, a row a rule; dots are runs."""
-    budget = max(result.primitives for result in results)
+    budget = _get_budget(results)
     with matplotlib.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(10.4, 5.0), facecolor=palette.BACKGROUND, layout="constrained")
         panels = figure.subplots(len(RULES), len(GRAPHS), sharex=True, sharey=True, squeeze=False)
@@ -54,11 +60,10 @@ def draw_escapes(results: Sequence[ScalingRun]) -> Figure:
                 here = [result for result in results if (result.graph, result.rule) == (graph, rule)]
                 for number, agent in enumerate(AGENTS):
                     own = [result for result in here if result.agent == agent and result.first_escape is not None]
-                    sizes = sorted({result.buttons for result in own})
-                    escapes = {size: [float(r.first_escape or 0) for r in own if r.buttons == size] for size in sizes}
-                    middle = [np.median(escapes[size]) for size in sizes]
+                    followed = [_follow(here, rule, agent, size, _get_escape, budget) for size in SIZES]
+                    middle = [np.nan if runs is None or runs.median is None else runs.median for runs in followed]
                     style = {"color": _COLOURS[agent], "marker": MARKERS[agent]}
-                    axes.plot(sizes, middle, linewidth=1.5, markersize=5, label=agent, **style)
+                    axes.plot(SIZES, middle, linewidth=1.5, markersize=5, label=agent, **style)
                     shift = 0.08 * (number - (len(AGENTS) - 1) / 2)
                     dots = [(r.buttons + shift, r.first_escape) for r in own]
                     axes.scatter(*zip(*dots, strict=True) if dots else ([], []), s=7, alpha=0.5, **style)
@@ -84,7 +89,7 @@ def draw_structure(results: Sequence[ScalingRun]) -> Figure:
     """Precision and recall of the recovered graph against primitives, means over runs and graphs, 10 and 20 buttons."""
     agents = [agent for agent in AGENTS if any(result.agent == agent and result.structure for result in results)]
     columns = [(rule, buttons) for rule in RULES for buttons in (10, 20)]
-    budget = max(result.primitives for result in results)
+    budget = _get_budget(results)
     grid = np.linspace(0, budget, 201)
     with matplotlib.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(10.4, 2.9), facecolor=palette.BACKGROUND, layout="constrained")
@@ -114,8 +119,7 @@ def _sample(result: ScalingRun, measure: int, grid: np.ndarray) -> np.ndarray:
 
 
 def _write_lines(results: Sequence[ScalingRun]) -> list[str]:
-    most = max(result.primitives for result in results)
-    budget = most // 1_000 * 1_000 or most  # the last option may have gone beyond it
+    budget = _get_budget(results)
     runs = 1 + max((r.run for r in results if r.task not in BAR), default=0)
     trials = {(result.task, result.agent, result.run) for result in results}
     hours = sum(result.seconds for result in results) / 3600
@@ -127,15 +131,20 @@ def _write_lines(results: Sequence[ScalingRun]) -> list[str]:
         *_tell_bar(results), "",
         "## First escape", "",
         "![Primitives to the first escape](figures/scaling.svg)", "",
-        "Each line joins the medians of the runs that escaped, each dot is a run. The dotted line is the budget; above "
-        "it are runs that did not escape within it.", "",
-        *_make_table(results, lambda result: result.first_escape), "",
-        f"Each cell: runs that escaped in training, of those that were tried, over the graphs {', '.join(GRAPHS)}; "
-        "median primitives at the end of the first episode that did. An agent that did not escape with fewer buttons "
-        "(same graph, rule and run) was not tried with more and is not counted. — says that none was tried, for that "
-        "reason or because the study's time (`--minutes`) was up: it is no failure.", "",
+        "Each line joins the Kaplan-Meier medians over all planned runs, as far as half of these escape; each dot is a "
+        "run. The dotted line is the budget; above it are runs that did not escape within it.", "",
+        *_make_table(results, _get_escape), "",
+        f"Each cell: runs that escaped in training, of all that were planned, over the graphs {', '.join(GRAPHS)}; "
+        "mean primitives to the end of the first episode that did, at most the budget (restricted mean, the area under "
+        "the Kaplan-Meier curve). An agent that did not escape with fewer buttons (same graph, rule and run) was not "
+        "tried with more; it counts as not escaping. — says that none was tried because the study's time "
+        "(`--minutes`) was up.", "",
+        "## By edges that matter", "",
+        *_make_edges_table(results), "",
+        "The same, by how many edges a press order towards the goal can tell from none, whatever the number of "
+        "buttons: these are what must be found out. Rooms that were not tried are left out here.", "",
         f"## {NEAR_BEST:.0%} of the best known return", "",
-        *_make_table([r for r in results if r.agent != "smdp-random"], lambda result: result.near_best), "",
+        *_make_table([r for r in results if r.agent != "smdp-random"], lambda run: run.near_best), "",
         f"The same for the first of two evaluations in a row, frozen weights, that scored {NEAR_BEST:g} or more on the "
         "scale from never escaping (0) to the best return known for these options (1). Evaluations are made every "
         "500 primitives from the first escape on.",
@@ -186,17 +195,45 @@ def _tell_bar(results: Sequence[ScalingRun]) -> list[str]:
 
 
 def _make_table(results: Sequence[ScalingRun], pick: Pick) -> list[str]:
+    budget = _get_budget(results)
     lines = ["| rule | agent | " + " | ".join(f"{size}" for size in SIZES) + " |", "|---|---|" + "---|" * len(SIZES)]
     for rule in RULES:
         for agent in AGENTS:
             cells = []
             for size in SIZES:
-                own = [r for r in results if (r.rule, r.agent, r.buttons) == (rule, agent, size)]
-                at = [value for value in map(pick, own) if value is not None]
-                cells.append(f"{len(at)} of {len(own)}" + (f"; {np.median(at):,.0f}" if at else "") if own else "—")
+                cells.append(str(_follow(results, rule, agent, size, pick, budget) or "—"))
             if set(cells) == {"—"}:
                 continue
             lines.append(f"| {rule} | {agent} | " + " | ".join(cells) + " |")
+    return lines
+
+
+def _get_escape(run: ScalingRun) -> int | None:
+    return run.first_escape
+
+
+def _get_budget(results: Sequence[ScalingRun]) -> int:
+    most = max(result.primitives for result in results)
+    return most // 1_000 * 1_000 or most  # the last option may have gone beyond it
+
+
+def _follow(results: Sequence[ScalingRun], rule: str, agent: str, size: int, pick: Pick, budget: int
+            ) -> FollowedRuns | None:
+    own = [run for run in results if (run.rule, run.agent, run.buttons) == (rule, agent, size)]
+    return follow_runs(own, count_spared(results, rule, agent, size), budget, pick)
+
+
+def _make_edges_table(results: Sequence[ScalingRun]) -> list[str]:
+    bins = list_edge_bins(results)
+    names = [f"{least} to {most}" if least < most else f"{least}" for least, most in bins]
+    lines = [f"| rule | agent | {' | '.join(names)} |", "|---|---|" + "---|" * len(bins)]
+    for rule in RULES:
+        for agent in AGENTS:
+            own = [run for run in results if (run.rule, run.agent) == (rule, agent)]
+            inside = [[run for run in own if least <= run.edges <= most] for least, most in bins]
+            cells = [str(follow_runs(runs, 0, _get_budget(results), _get_escape) or "—") for runs in inside]
+            if own:
+                lines.append(f"| {rule} | {agent} | " + " | ".join(cells) + " |")
     return lines
 
 

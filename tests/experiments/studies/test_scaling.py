@@ -17,6 +17,7 @@ from hrl_escape.errors import ComparisonError, FileReadError, RunBusyError
 from hrl_escape.experiments.comparison import run_grids
 from hrl_escape.experiments.launching.local import LocalLauncher
 from hrl_escape.experiments.studies import scaling
+from hrl_escape.experiments.studies.followed_runs import count_spared, follow_runs, list_edge_bins
 from hrl_escape.experiments.studies.scaling import AGENTS, Round, run_scaling
 from hrl_escape.experiments.studies.scaling_page import write_scaling_page
 from hrl_escape.experiments.studies.scaling_raw import (
@@ -173,14 +174,44 @@ def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
     assert main(["experiment", "scaling", "--from-raw", "--docs", str(tmp_path)]) == 0
     page = (tmp_path / "scaling.md").read_text()
     assert "| ignore | smdp-factored-r-max | — | — | — | 2 of 2; 500 | — | 1 of 1; 400 |" in page
-    assert "| ignore | smdp-factored-r-max | — | — | — | 1 of 2; 900 | — | 1 of 1; 900 |" in page
-    assert page.count("| ignore | smdp-random | — | — | — | 0 of 1 | — | — |") == 1, "it learns nothing to evaluate"
+    assert "| ignore | smdp-factored-r-max | — | — | — | 1 of 2; 10,450 | — | 1 of 1; 900 |" in page
+    failed = "0 of 1; 20,000"
+    assert page.count(f"| ignore | smdp-random | — | — | — | {failed} | {failed} | {failed} |") == 1, \
+        "failures count where they were not tried again, and it learns nothing to evaluate"
     assert "| 20 buttons, layered, ignore | 1 | 1 | 400 | 1.000 (1.00) | 1.000 (1.00) | 1 of 1 |" in page
     for figure in ("scaling", "scaling-structure"):
         assert "<svg" in (tmp_path / "figures" / f"{figure}.svg").read_text()[:1_000]
     before = page, (tmp_path / "figures" / "scaling.svg").read_bytes()
     write_scaling_page(load_scaling_runs(raw, AGENTS), tmp_path)
     assert ((tmp_path / "scaling.md").read_text(), (tmp_path / "figures" / "scaling.svg").read_bytes()) == before
+
+
+def test_failures_stay_in_medians_and_means():
+    """Three of four escape: by hand, the curve is 1, 3/4, 1/2, 1/4 from 0, 100, 300, 500 on, and stays there."""
+    own = [make_result(first=first) for first in (100, 300, 500)]
+    followed = follow_runs(own, 1, 1_000, lambda run: run.first_escape)
+    assert followed is not None and followed.median == 300
+    assert followed.restricted_mean == pytest.approx(100 + 0.75 * 200 + 0.5 * 200 + 0.25 * 500)
+    assert str(followed) == "3 of 4; 475"
+    hopeless = follow_runs(own[:1], 2, 1_000, lambda run: run.first_escape)
+    assert hopeless is not None and hopeless.median is None
+    assert follow_runs([], 0, 1_000, lambda run: run.first_escape) is None
+
+
+def test_runs_spared_by_failures_are_told_from_those_not_begun():
+    failed, escaped = make_result(buttons=6, first=None), make_result(buttons=6, run=1)
+    results = [failed, escaped, make_result(buttons=4)]
+    assert count_spared(results, "ignore", failed.agent, 10) == 1, "run 1 escaped: time stopped it"
+    assert count_spared(results, "ignore", failed.agent, 6) == 0
+    assert count_spared(results, "reset", failed.agent, 10) == 0
+
+
+def test_bins_of_edges_cover_all_rooms_once():
+    results = [dataclasses.replace(make_result(run=run), edges=edges)
+               for run, edges in enumerate((1, 1, 2, 3, 5, 8, 13))]
+    bins = list_edge_bins(results)
+    assert bins == [(1, 1), (2, 4), (5, 7), (8, 13)]
+    assert list_edge_bins(results[:2]) == [(1, 1)]
 
 
 @pytest.mark.parametrize("option", ["--runs=0", "--runs=-3", "--primitives=0", "--minutes=0"])
