@@ -9,6 +9,7 @@ Each domain is a plain Gymnasium environment with a finite number of states:
 | `chain` | `Chain(visited)` | 12 | Kulkarni et al. 2016 |
 | `empty_room` | `EmptyRoom(goal)` | 121 | McGovern, Sutton and Fagg 1997 |
 | `key_door` | `KeyDoor(aliased)` | 98 | a small key-and-door maze, after Wiering and Schmidhuber 1997 |
+| `barrier_maze` | `BarrierMaze(goal)` | 53 | a barrier round the goal, after Dayan and Hinton 1993 |
 | `parr_maze` | `ParrMaze(blocks, noise)` | 297 at 3 blocks | hallways with obstacles, after Parr and Russell 1998 |
 
 Every environment is a `tabular.TabularEnv`:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from tests.classic.barrier_maze import BarrierMaze
 from tests.classic.chain import Chain
 from tests.classic.empty_room import EmptyRoom
 from tests.classic.four_rooms import FourRooms
@@ -28,5 +29,6 @@ ENVIRONMENTS: dict[str, Callable[..., TabularEnv]] = {
     "key-door": KeyDoor,
     "key-door-aliased": partial(KeyDoor, aliased=True),
     "parr-maze": ParrMaze,
+    "barrier-maze": BarrierMaze,
 }
 """Each also takes `horizon`."""

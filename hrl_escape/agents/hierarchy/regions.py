@@ -1,7 +1,7 @@
 """Divisions of the state space: landmarks with their regions, and trees of cells within cells.
 
-HDG walks from landmark to landmark; feudal learning commands from cell to cell. What a state is, a
-user says by a function of the observation.
+HDG walks from landmark to landmark; feudal learning commands from cell to cell. What a state is, or
+where it lies, a user says by a function of the observation.
 """
 
 from __future__ import annotations
@@ -12,7 +12,10 @@ from typing import Any
 
 from hrl_escape.errors import AgentSettingsError
 
-__all__ = ["Landmarks"]
+__all__ = ["DIRECTIONS", "Landmarks", "Quadtree"]
+
+DIRECTIONS = ((-1, 0), (1, 0), (0, -1), (0, 1))
+"""North, south, west, east: how row and column change."""
 
 
 @dataclass(frozen=True)
@@ -33,3 +36,36 @@ class Landmarks:
         for number, state in enumerate(self.states):
             if self.region(state) != number:
                 raise AgentSettingsError("Landmarks.region", state, f"{number}, its own region, for landmark {number}")
+
+
+@dataclass(frozen=True)
+class Quadtree:
+    """A square that is cut into four at every level: at level n into 2^n x 2^n cells.
+
+    Attributes:
+        depth: finest level; level 0 is the whole square.
+        place: observation -> (row, column) in the square, each from 0 up to but not including 1.
+    """
+
+    depth: int
+    place: Callable[[Any], tuple[float, float]]
+
+    def __post_init__(self) -> None:
+        if self.depth < 0:
+            raise AgentSettingsError("Quadtree.depth", self.depth, "0 or more")
+
+    def find_cell(self, observation: Any, level: int) -> tuple[int, int]:
+        """Row and column of the cell of a level that an observation lies in.
+
+        Raises:
+            AgentSettingsError: `place` leads out of the square.
+        """
+        place = self.place(observation)
+        if not all(0 <= coordinate < 1 for coordinate in place):
+            raise AgentSettingsError("Quadtree.place", place, "a row and a column from 0 up to but not including 1")
+        row, column = (int(coordinate * 2**level) for coordinate in place)
+        return row, column
+
+    def has_neighbour(self, cell: tuple[int, int], level: int, direction: int) -> bool:
+        """The cell next to a cell in a direction lies in the square."""
+        return all(0 <= here + step < 2**level for here, step in zip(cell, DIRECTIONS[direction], strict=True))
