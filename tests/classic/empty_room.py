@@ -7,35 +7,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from tests.classic.exact import Array, TabularOption, make_policy_matrix
+from tests.classic.exact import TabularOption, make_policy_matrix
+from tests.classic.goal_grid import GoalGrid
 from tests.classic.grid import Grid
-from tests.classic.tabular import Outcome, TabularEnv, make_uniform
 
 SIDE = 11
 GRID = Grid([" " * SIDE] * SIDE)
 CENTRE, EDGE, CORNER = GRID.numbers[5, 5], GRID.numbers[0, 5], GRID.numbers[0, 0]
 
 
-class EmptyRoom(TabularEnv):
-    """Reach the goal in a room of 11 x 11 cells; moves are north, south, west, east and never fail.
-
-    Args:
-        goal: the cell that ends the episode with reward 1; None never ends it.
-        horizon: primitives until truncation.
-    """
+class EmptyRoom(GoalGrid):
+    """Reach the goal, the centre by default, in a room of 11 x 11 cells."""
 
     def __init__(self, goal: int | None = CENTRE, horizon: int | None = 1_000) -> None:
-        self.goal = goal
-        super().__init__(len(GRID), 4, horizon)
-
-    def outcomes(self, state: int, action: int) -> list[Outcome]:
-        if state == self.goal:
-            return [Outcome(1.0, state, 0.0, True)]
-        there = GRID.move(state, action)
-        return [Outcome(1.0, there, float(there == self.goal), there == self.goal)]
-
-    def make_starts(self) -> Array:
-        return make_uniform([cell for cell in range(len(GRID)) if cell != self.goal], len(GRID))
+        super().__init__(GRID, goal, horizon)
 
 
 def make_macros() -> list[TabularOption]:
