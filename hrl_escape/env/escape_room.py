@@ -23,10 +23,11 @@ from hrl_escape.env.engine import Engine, Renderer, check_camera, check_picture_
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Transition
 from hrl_escape.env.noise import draw_episode
-from hrl_escape.env.observations import make_observer
+from hrl_escape.env.observations import OBJECT_WORDS, make_observer
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
 from hrl_escape.errors import ActionError, ClosedError, ConfigError, ResetNeededError
+from hrl_escape.spaces import ObjectsBox
 
 __all__ = ["EscapeRoomEnv"]
 
@@ -159,7 +160,9 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         self.rules = self.room.rules
         self._observer = make_observer(self._kind, self.rules, self._renderer)
         low, high = self._observer.low, self._observer.high
-        self.observation_space = spaces.Box(low, high, dtype=low.dtype.type)
+        rows = self._observer.rows
+        self.observation_space = (ObjectsBox(low, high, rows, OBJECT_WORDS) if rows
+                                  else spaces.Box(low, high, dtype=low.dtype.type))
         self._count = len(self.rules.actions)
         self.action_space = spaces.Discrete(self._count)
         self._lit: dict[Any, NDArray[np.int8]] = {}

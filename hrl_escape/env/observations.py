@@ -42,11 +42,13 @@ class Observer(ABC):
         names: name of each number, in order; empty for pictures.
         low: smallest value of each number, in the observation's shape and type.
         high: largest value of each number.
+        rows: name of the object of each row of `OBJECT_WORDS` that the vector begins with; none in most kinds.
     """
 
     names: tuple[str, ...]
     low: NDArray[Any]
     high: NDArray[Any]
+    rows: tuple[str, ...] = ()
 
     def __init__(self, rules: Rules, renderer: Renderer | None = None) -> None:
         self._rules = rules
@@ -219,7 +221,7 @@ class ObjectObserver(Observer):
         super().__init__(rules)
         instance, frame = self._instance, self._frame
         props, exit_ = instance.props, instance.exit
-        rows = (*frame.target_names, *(placed.prop.name for placed in props), "exit")
+        self.rows = rows = (*frame.target_names, *(placed.prop.name for placed in props), "exit")
         self.names = (*(f"{row}-{word}" for row in rows for word in OBJECT_WORDS), *self._joint_names)
         self._diagonal = 2 * math.hypot(frame.reach_x, frame.reach_y)
         self._limits = [max(abs(low), abs(high)) for low, high in rules.robot.limits]

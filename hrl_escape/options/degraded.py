@@ -63,7 +63,7 @@ class DegradedOption(Option):
     def __init__(self, inner: Option, degradation: OptionDegradation) -> None:
         super().__init__(inner.name)
         self.inner, self.degradation = inner, degradation
-        self.instance, self.targets = inner.instance, inner.targets
+        self.instance, self.targets, self.about = inner.instance, inner.targets, inner.about
         self.is_markov = inner.is_markov and not (degradation.failure or degradation.detour)
         self._key = (degradation.seed, zlib.crc32(inner.name.encode()))
         self._is_missing = self._draw(_MISSING, 0, 0) < degradation.missing

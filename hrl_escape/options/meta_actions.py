@@ -232,4 +232,16 @@ def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: R
     options: list[Option] = list(parts.values())
     if flavour == "press-with-ancestors":
         options = [AncestorsOption(option.name, planner, goal, parts) for goal, option in parts.items()]
-    return (*options, PlannedOption("meta-exit", planner, ExitGoal()))
+    options.append(PlannedOption("meta-exit", planner, ExitGoal()))
+    for option, goal in zip(options, [*goals, ExitGoal()], strict=True):
+        option.about = name_object(goal, instance)
+    return tuple(options)
+
+
+def name_object(goal: Goal, instance: RoomInstance) -> str | None:
+    """Name of the object that a goal is about: a target, the prop to be pushed, or `exit`; None for a mere place."""
+    if isinstance(goal, PressGoal):
+        return instance.frame.target_names[goal.target]
+    if isinstance(goal, PushGoal):
+        return instance.props[goal.prop].prop.name
+    return "exit" if isinstance(goal, ExitGoal) else None

@@ -33,6 +33,8 @@ class Option(ABC):
         instance: the room that the option was made for; None if it suits any.
         targets: indices of the targets it means to press; None if it makes no promise. All other targets that
             it presses are listed in `info["option"]["also_pressed"]`.
+        about: name of the target or prop that it is about, or `exit`, as in the rows of the observation `objects`;
+            None for an option about nothing in particular.
         report: planning done in the present run.
     """
 
@@ -40,6 +42,7 @@ class Option(ABC):
     is_markov: bool = False
     instance: RoomInstance | None = None
     targets: tuple[int, ...] | None = None
+    about: str | None = None
 
     def __init__(self, name: str) -> None:
         self.name = name

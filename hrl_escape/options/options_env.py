@@ -31,6 +31,7 @@ from hrl_escape.errors import (
 )
 from hrl_escape.options.execution import DecisionOutcome, OptionExecution, RoomEnv, RunningDecision
 from hrl_escape.options.sources import OptionsSource, make_meta_source, make_options
+from hrl_escape.spaces import PointingDiscrete
 
 __all__ = ["OptionsEnv", "TraceStep", "make_options_env"]
 
@@ -64,9 +65,10 @@ class TraceStep(NamedTuple):
 class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     """Lets an agent choose among options and primitives; one step is one SMDP transition.
 
-    The action space is `Discrete(n)`: first the primitives (unless `include_primitives` is false), then the
-    options. Names and numbers stay for the life of the environment; illegal actions are masked. It
-    wraps an `EscapeRoomEnv` with any wrappers between: every primitive passes through them.
+    The action space is a `PointingDiscrete(n)`, whose `about` names the object of each action: first the primitives
+    (unless `include_primitives` is false), then the options. Names and numbers stay for the life of the environment;
+    illegal actions are masked. It wraps an `EscapeRoomEnv` with any wrappers between: every primitive passes through
+    them.
 
     `step(a)` returns the sum of the primitive rewards (or their discounted sum, see `discounted_reward`) and
     adds to the last primitive's `info`:
@@ -150,7 +152,8 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         if not self.options and not include_primitives:
             raise OptionError("there is nothing to choose: no options, and include_primitives is false")
         self.action_names = (*names, *(option.name for option in self.options))
-        self.action_space = spaces.Discrete(len(self.action_names))
+        about = [*(None for _ in names), *(option.about for option in self.options)]
+        self.action_space = PointingDiscrete(len(about), about)
         self._features = observation == "options"
         if self._features:
             self.observation_space = self._extend_space(env.observation_space)

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, compute_backup, count_actions
+from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, compute_backup
 from hrl_escape.agents.components.distillation import DeepBonusSettings, make_bonus
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_index
 from hrl_escape.agents.components.networks import (
@@ -25,7 +25,11 @@ from hrl_escape.agents.components.networks import (
     ObservationEncoder,
     make_forward,
     make_generator,
-    make_network,
+)
+from hrl_escape.agents.components.object_network import (
+    ObjectNetworkSettings,
+    make_action_network,
+    make_state_network,
 )
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.settings import Range
@@ -34,7 +38,7 @@ __all__ = ["PPO", "PPOSettings", "Rollout", "compute_advantages"]
 
 
 @dataclass(frozen=True)
-class PPOSettings(DeepBonusSettings, NetworkSettings, LearningSettings):
+class PPOSettings(DeepBonusSettings, ObjectNetworkSettings, NetworkSettings, LearningSettings):
     """Settings of `ppo`."""
 
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
@@ -104,11 +108,10 @@ class PPO(Agent):
         settings: PPOSettings | None = None,
     ) -> None:
         self.settings = settings = settings or PPOSettings()
-        actions = count_actions(action_space, self.name)
         self._encoder = ObservationEncoder(observation_space, settings.scale_observations)
         generator = make_generator(make_rng(seed, "weights"))
-        self.policy = make_network(self._encoder, actions, settings, generator, output_gain=0.01)
-        self.critic = make_network(self._encoder, 1, settings, generator)
+        self.policy = make_action_network(self._encoder, action_space, settings, generator, output_gain=0.01)
+        self.critic = make_state_network(self._encoder, settings, generator)
         self._forward, self._forward_critic = make_forward(self.policy), make_forward(self.critic)
         networks = {"policy": self.policy, "critic": self.critic}
         self._learner = Learner(self.name, networks, networks, settings)

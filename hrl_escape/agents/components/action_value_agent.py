@@ -21,8 +21,8 @@ from hrl_escape.agents.components.networks import (
     compute_td_loss,
     make_forward,
     make_generator,
-    make_network,
 )
+from hrl_escape.agents.components.object_network import ObjectNetworkSettings, make_action_network
 from hrl_escape.agents.components.replay import Experience
 from hrl_escape.agents.components.replay_agent import ReplayAgent, ReplaySettings
 from hrl_escape.settings import Range
@@ -31,7 +31,7 @@ __all__ = ["ActionValueAgent", "ActionValueSettings"]
 
 
 @dataclass(frozen=True)
-class ActionValueSettings(ReplaySettings, ExplorationSettings):
+class ActionValueSettings(ObjectNetworkSettings, ReplaySettings, ExplorationSettings):
     """Settings of deep agents with action values."""
 
     target_every: Annotated[int, Range(1)] = 1
@@ -61,13 +61,15 @@ class ActionValueAgent(ReplayAgent):
     ) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         generator = make_generator(make_rng(seed, "weights"))
-        self.online = make_network(self._encoder, self._actions, self.settings, generator)
-        self.target = make_network(self._encoder, self._actions, self.settings, generator).requires_grad_(False)
+        self.online, self.target = (make_action_network(self._encoder, action_space, self.settings, generator)
+                                    for _ in range(2))
+        self.target.requires_grad_(False)
         self.target.blend(self.online, 1.0)
         self._forward = self._exploit = make_forward(self.online)
         networks = {"online": self.online, "target": self.target}
         if self.settings.average_rate:
-            self.average = make_network(self._encoder, self._actions, self.settings, generator).requires_grad_(False)
+            self.average = make_action_network(self._encoder, action_space, self.settings, generator)
+            self.average.requires_grad_(False)
             self.average.blend(self.online, 1.0)
             self._exploit = make_forward(self.average)
             networks["average"] = self.average

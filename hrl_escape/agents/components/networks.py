@@ -34,6 +34,7 @@ __all__ = [
     "NetworkSettings",
     "ObservationEncoder",
     "compute_td_loss",
+    "initialise_layer",
     "make_forward",
     "make_generator",
     "make_network",
@@ -68,6 +69,7 @@ class ObservationEncoder:
     becomes a float32 vector, by `gymnasium.spaces.flatten` (one-hot for discrete parts) where it is not a Box.
 
     Attributes:
+        space: of the observations.
         shape: shape of an encoded observation.
         dtype: uint8 for images, else float32.
 
@@ -76,7 +78,7 @@ class ObservationEncoder:
     """
 
     def __init__(self, space: gymnasium.Space, scale: bool) -> None:
-        self._space = space
+        self.space = space
         self._is_box = isinstance(space, spaces.Box)
         self.is_image = is_image_space(space)
         if self.is_image:
@@ -99,7 +101,7 @@ class ObservationEncoder:
         if self.is_image:
             return np.moveaxis(np.asarray(observation), -1, 0).copy()
         if not self._is_box:
-            observation = flatten(self._space, observation)
+            observation = flatten(self.space, observation)
         flat = np.array(observation, dtype=np.float32).reshape(-1)
         if self._is_identity:
             return flat
@@ -175,9 +177,9 @@ def make_network(
         layers, width = _make_convolutions(encoder.shape, settings.initialisation, generator, extra_inputs)
     for units in settings.hidden:
         linear = nn.utils.skip_init(nn.Linear, width, units)  # the constructor would draw from global state
-        layers += [_initialise(linear, settings.initialisation, gain, generator), activation()]
+        layers += [initialise_layer(linear, settings.initialisation, gain, generator), activation()]
         width = units
-    last = _initialise(nn.utils.skip_init(nn.Linear, width, outputs), settings.initialisation, 1.0, generator)
+    last = initialise_layer(nn.utils.skip_init(nn.Linear, width, outputs), settings.initialisation, 1.0, generator)
     with torch.no_grad():
         last.weight.mul_(output_gain)
     return Network(*layers, last)
@@ -204,12 +206,13 @@ def _make_convolutions(
     gain = nn.init.calculate_gain("relu")
     for filters, kernel, stride in ((32, 8, 4), (64, 4, 2), (64, 3, 1)):
         convolution = nn.utils.skip_init(nn.Conv2d, channels, filters, kernel, stride)
-        layers += [_initialise(convolution, initialisation, gain, generator), nn.ReLU()]
+        layers += [initialise_layer(convolution, initialisation, gain, generator), nn.ReLU()]
         channels, height, width = filters, (height - kernel) // stride + 1, (width - kernel) // stride + 1
     return [*layers, nn.Flatten()], channels * height * width
 
 
-def _initialise(layer: Any, initialisation: str, gain: float, generator: torch.Generator) -> Any:
+def initialise_layer(layer: Any, initialisation: str, gain: float, generator: torch.Generator) -> Any:
+    """Draw a layer's initial weights as `NetworkSettings.initialisation` says; returns the layer."""
     if initialisation == "glorot":
         nn.init.xavier_uniform_(layer.weight, generator=generator)
     elif initialisation == "orthogonal":
