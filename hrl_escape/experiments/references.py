@@ -7,14 +7,13 @@ room. `planner` knows the dependency graph and follows the best known plan: the 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition
+from hrl_escape.agents.components.fixed_policy import FixedPolicy
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError
 from hrl_escape.experiments.episodes import StateRecorder
@@ -32,8 +31,8 @@ class ReferenceSettings:
     gamma: float = 0.99
 
 
-class Reference(Agent):
-    """Agent that follows a rule and has nothing to learn, keep or restore."""
+class Reference(FixedPolicy):
+    """Rule that reads the environment itself."""
 
     Settings: ClassVar[type] = ReferenceSettings
 
@@ -41,23 +40,6 @@ class Reference(Agent):
         self.settings = ReferenceSettings()
         self._env: Any = env
         self._recorder = recorder
-
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Same choice as `act`."""
-        del rng
-        return self.act(observation, action_mask)
-
-    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Learn nothing."""
-        del transition
-        return {}
-
-    def state_dict(self) -> dict[str, Any]:
-        """Keep nothing."""
-        return {}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore nothing."""
 
 
 class IndexOrder(Reference):

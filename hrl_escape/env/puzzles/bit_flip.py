@@ -11,11 +11,12 @@ puzzle it is not monotone: a press can undo many. The state is an integer whose 
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
-from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel, register_puzzle
+from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, PuzzleConfig, SymbolicModel, register_puzzle
+from hrl_escape.env.puzzles.bits import BitPuzzle
 from hrl_escape.settings import Range
 
 __all__ = ["BitFlipConfig", "BitFlipPuzzle"]
@@ -47,7 +48,7 @@ class BitFlipConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class BitFlipPuzzle(Puzzle):
+class BitFlipPuzzle(BitPuzzle):
     """A concrete BitFlip puzzle. Bit i is called `bit-<i+1>`."""
 
     kind = "bit-flip"
@@ -69,19 +70,6 @@ class BitFlipPuzzle(Puzzle):
         """All bits."""
         return tuple(range(self.count))
 
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is 0 or 1."""
-        return ((0.0, 1.0),) * self.count
-
-    def make_state(self) -> int:
-        """All bits off."""
-        return 0
-
-    def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a word of this many bits."""
-        return type(state) is int and 0 <= state < 1 << self.count
-
     def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
         """Flip, or reset, for each press in index order."""
         for bit in contacts.pressed:
@@ -95,18 +83,6 @@ class BitFlipPuzzle(Puzzle):
     def is_solved(self, state: int) -> bool:  # type: ignore[override]
         """All bits are on."""
         return state == (1 << self.count) - 1
-
-    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
-        """One number a bit: 1 on, 0 off."""
-        return tuple(float(state >> i & 1) for i in range(self.count))
-
-    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
-        """Bits that are on."""
-        return tuple(bool(state >> i & 1) for i in range(self.count))
-
-    def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]
-        """`on(bit-i)` for every bit that is on."""
-        return frozenset(f"on({name})" for i, name in enumerate(self.target_names) if state >> i & 1)
 
     def make_symbolic_model(self) -> SymbolicModel:
         """Two operators a bit, to set and to clear it, applicable while all lower bits are on."""

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
-from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel, register_puzzle
+from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, PuzzleConfig, SymbolicModel, register_puzzle
+from hrl_escape.env.puzzles.bits import BitPuzzle
 from hrl_escape.env.puzzles.graphs import ButtonNumber, GraphConfig, compute_order, sample_graph
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
@@ -67,7 +68,7 @@ class ButtonsConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class ButtonsPuzzle(Puzzle):
+class ButtonsPuzzle(BitPuzzle):
     """A concrete button puzzle. Button i is called `button-<i+1>`."""
 
     kind = "buttons"
@@ -111,19 +112,6 @@ class ButtonsPuzzle(Puzzle):
         """`button-1` to `button-<count>`."""
         return tuple(f"button-{i + 1}" for i in range(self.count))
 
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is 0 or 1."""
-        return ((0.0, 1.0),) * self.count
-
-    def make_state(self) -> int:
-        """All buttons off."""
-        return 0
-
-    def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a word of this many bits."""
-        return type(state) is int and 0 <= state < 1 << self.count
-
     def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
         """Apply presses in index order."""
         for button in contacts.pressed:
@@ -140,18 +128,6 @@ class ButtonsPuzzle(Puzzle):
     def is_solved(self, state: int) -> bool:  # type: ignore[override]
         """The goal button is on."""
         return bool(state >> self.goal & 1)
-
-    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
-        """One number a button: 1 on, 0 off."""
-        return tuple(float(state >> i & 1) for i in range(self.count))
-
-    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
-        """Buttons that are on."""
-        return tuple(bool(state >> i & 1) for i in range(self.count))
-
-    def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]
-        """`on(button-i)` for every button that is on."""
-        return frozenset(f"on({name})" for i, name in enumerate(self.target_names) if state >> i & 1)
 
     def make_symbolic_model(self) -> SymbolicModel:
         """One operator a button, applicable when its parents are on and it is off."""

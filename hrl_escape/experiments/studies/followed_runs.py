@@ -41,7 +41,7 @@ class FollowedRuns:
 
     @property
     def median(self) -> float | None:
-        """Where the Kaplan-Meier curve falls to one half; None if it does not within the budget."""
+        """Time at which the Kaplan-Meier curve falls to one half; None if it does not within the budget."""
         runs = zip(self.times, self.observed, strict=True)
         middle = sorted(time if seen else math.inf for time, seen in runs)[(len(self.times) - 1) // 2]
         return float(middle) if math.isfinite(middle) else None

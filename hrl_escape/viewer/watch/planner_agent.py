@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition
+from hrl_escape.agents.components.fixed_policy import FixedPolicy
 from hrl_escape.options.meta_actions import list_goals
 from hrl_escape.planning.goals import ExitGoal
 from hrl_escape.planning.room_planner import RoomPlanner
@@ -25,7 +24,7 @@ class PlannerSettings:
     gamma: float = 0.99
 
 
-class PlannerAgent(Agent):
+class PlannerAgent(FixedPolicy):
     """Agent that chooses what the room's planner would do next.
 
     Args:
@@ -49,20 +48,3 @@ class PlannerAgent(Agent):
         """
         del observation, action_mask
         return self._goals.index(self._planner.order_goals(self._room.get_state())[0])
-
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The same choice as `act`."""
-        del rng
-        return self.act(observation, action_mask)
-
-    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Nothing to learn."""
-        del transition
-        return {}
-
-    def state_dict(self) -> dict[str, Any]:
-        """Nothing to keep."""
-        return {}
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Nothing to restore."""
