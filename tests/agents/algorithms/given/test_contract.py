@@ -11,7 +11,7 @@ from hrl_escape.checks import check_agent
 NAMES = sorted(
     path.stem.replace("_", "-") for path in Path(given.__path__[0]).glob("*.py") if path.stem != "__init__"
 )
-SMALL = {"h-dqn": {"hidden": (8,), "batch_size": 8, "worker_warmup": 20}}
+SMALL = {"h-dqn": {"hidden": (8,), "batch_size": 8, "worker_warmup": 20}, "h-uct": {"simulations": 5, "depth": 10}}
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -1,0 +1,288 @@
+"""H-UCT: Monte Carlo tree search over a task graph, with a simulator in place of learning.
+
+Vien and Toussaint (2015), Hierarchical Monte-Carlo planning, for states that are seen. Each task
+searches with its own counts; what a child earned is a reward to its caller, as in MAXQ.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import StateTree, count_actions
+from hrl_escape.agents.components.exploration import make_rng
+from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
+from hrl_escape.agents.hierarchy.call_stack import Return
+from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, freeze, get_graph
+from hrl_escape.settings import Range
+
+__all__ = ["HUct", "HUctSettings", "Sampled", "Simulator"]
+
+
+class Sampled(NamedTuple):
+    """One simulated primitive: what it earned, where it led, and how many steps of the environment it took."""
+
+    reward: float
+    next_observation: Any
+    next_mask: NDArray[np.bool_]
+    terminated: bool
+    duration: int = 1
+
+
+Simulator = Callable[[Any, int, np.random.Generator], Sampled]
+"""Draws the outcome of a primitive: (observation, primitive, rng) -> sample."""
+
+
+@dataclass(frozen=True)
+class HUctSettings(StackSettings):
+    """Settings of `h-uct`."""
+
+    polled: Literal["never", "evaluation", "always"] = "always"
+    """Plan from the root again at each primitive, instead of letting calls come to their end: never, in evaluation
+    only, or always."""
+    simulations: Annotated[int, Range(1)] = 200
+    """Simulations for each choice of each running task."""
+    depth: Annotated[int, Range(1)] = 100
+    """Primitives of a simulation."""
+    patience: Annotated[int, Range(0)] = 0
+    """Primitives after which a simulated call below the first is given up; 0 never gives up before `depth`."""
+    exploration: Annotated[float, Range(0)] = 0.5
+    """Weight c of the bonus for what was seldom tried, in units of the range of returns that the task has met; of
+    1 while all were equal."""
+    visits: Annotated[int, Range(1)] = 1
+    """Without a simulator, samples that make a pair of state and primitive known; 1 is enough where outcomes have no
+    chance in them."""
+    optimistic_value: float = 0.0
+    """Without a simulator, the return of an unknown pair."""
+    bins: Annotated[int, Range(2)] = 11
+    """Points that a component of the observation with bounds is rounded to, to tell states apart."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this."""
+
+
+class HUct(CallRunner):
+    """Upper confidence bounds at every task of a graph.
+
+    In task i at state s, visited N times, it tries each legal child c once, then
+
+        argmax over c of  V(c, s) + D(i, s, c) + b sqrt(log N / n_c),   b = c (largest - smallest return of task i)
+
+    V(c, s) is the mean reward of a primitive, the value of a task's best child below. D and C are means of
+    gamma^k times what i earned after c, with and without the pseudo-reward of i's end: i chooses by D, its caller is
+    told C. Simulations try unvisited children at random, so beyond the tree they are random hierarchical walks. Every
+    choice is planned with counts of its own, and nothing is kept.
+
+    Args:
+        observation_space: for tasks without a view of their own.
+        action_space: Discrete.
+        seed: of simulations.
+        settings: see `HUctSettings`.
+        hierarchy: from `maxq(graph, until)`; without one, a single task over all primitives, which is UCT.
+        simulator: of the environment; without one, outcomes are drawn from those that were met.
+    """
+
+    Settings: ClassVar[type] = HUctSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: HUctSettings | None = None,
+        hierarchy: Hierarchy | None = None,
+        simulator: Simulator | None = None,
+    ) -> None:
+        settings = settings or HUctSettings()
+        super().__init__(hierarchy or flat(count_actions(action_space, "h-uct")), seed, settings)
+        get_graph(self.hierarchy, "h-uct")
+        table = TabularSettings(bins=settings.bins, resolution=settings.resolution)
+        self._discretise = make_discretiser(observation_space, table, "h-uct")
+        self._simulator = simulator
+        self._met: dict[tuple[bytes, int], list[Sampled]] = {}
+        """(state, primitive) -> outcomes met, where no simulator is given."""
+        self._search_rng = make_rng(seed, "search")
+
+    @property
+    def privileges(self) -> tuple[str, ...]:
+        """Information that the agent is given and a flat one is not."""
+        return super().privileges if self._simulator is None else (*super().privileges, "simulator")
+
+    def make_key(self, task: GraphTask, seen: Seen) -> Hashable:
+        """Key of a task at a moment, by the task's view."""
+        view = task.views.get(None)
+        return task.name, self._discretise(seen.observation) if view is None else freeze(view(seen))
+
+    def sample(self, seen: Seen, primitive: int, rng: np.random.Generator) -> Sampled:
+        """Draw the outcome of a primitive, by the simulator or from what was met."""
+        if self._simulator is not None:
+            return self._simulator(seen.observation, primitive, rng)
+        met = self._met.get((self._discretise(seen.observation), primitive), [])
+        if len(met) < self.settings.visits:
+            return Sampled(self.settings.optimistic_value, seen.observation, seen.mask, True)
+        return met[int(rng.integers(len(met)))]
+
+    def plan(self, task: GraphTask, seen: Seen, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Values of a task's choices after fresh simulations, (choices,); -inf where illegal or never tried."""
+        search = _Search(self, rng)
+        for _ in range(self.settings.simulations):
+            search.simulate(task, seen, self.settings.depth)
+        return search.get_node(task, seen).compute_values(search, task, seen)
+
+    # --- the agent --------------------------------------------------------------------
+
+    def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
+        """The best choice by a search of the agent's own."""
+        return self.choose_greedy(stack, view, legal, seen, self._search_rng)
+
+    def choose_greedy(
+        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+    ) -> int:
+        """The best choice by a search that draws from `rng`."""
+        task = stack[-1].task
+        assert isinstance(task, GraphTask)
+        if legal.sum() == 1:
+            return int(legal.argmax())
+        return int(np.where(legal, self.plan(task, seen, rng), -np.inf).argmax())
+
+    def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
+        """Without a simulator, keep the outcome."""
+        if self._simulator is None:
+            key = self._discretise(step.seen.observation), step.action
+            after, mask, _ = step.next_seen
+            sample = Sampled(step.reward, after, mask, step.terminated, step.duration)
+            self._met.setdefault(key, []).append(sample)
+        return {"states": len({state for state, _ in self._met})}
+
+    def state_dict(self) -> StateTree:
+        """Outcomes met, generators, running calls."""
+        met = [[np.frombuffer(state, np.uint8), primitive, [list(each) for each in samples]]
+               for (state, primitive), samples in self._met.items()]  # fmt: skip
+        return {**super().state_dict(), "met": met, "search_rng": self._search_rng.bit_generator.state}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore what `state_dict` gave."""
+        super().load_state_dict(state)
+        self._met = {
+            (np.asarray(key, np.uint8).tobytes(), int(primitive)): [
+                Sampled(float(reward), seen, np.asarray(mask, np.bool_), bool(terminated), int(duration))
+                for reward, seen, mask, terminated, duration in samples
+            ]
+            for key, primitive, samples in state["met"]
+        }
+        self._search_rng.bit_generator.state = state["search_rng"]
+
+
+class _Run(NamedTuple):
+    """Outcome of a simulated call: R and gamma^k from its beginning, primitives, and where it ended."""
+
+    reward: float
+    discount: float
+    primitives: int
+    seen: Seen
+    terminated: bool
+
+
+class _Node:
+    """Counts and means of one task in one state, by choice."""
+
+    def __init__(self, choices: int) -> None:
+        self.visits = 0
+        self.counts = np.zeros(choices, np.int64)
+        self.rewards = np.zeros(choices)
+        """Mean reward of the child."""
+        self.own = np.zeros(choices)
+        """D: mean of what followed, pseudo-reward included."""
+        self.told = np.zeros(choices)
+        """C: the same without."""
+
+    def record(self, choice: int, reward: float, own: float, told: float) -> None:
+        """Move the means of a choice."""
+        self.counts[choice] += 1
+        count = self.counts[choice]
+        for means, value in ((self.rewards, reward), (self.own, own), (self.told, told)):
+            means[choice] += (value - means[choice]) / count
+
+    def compute_values(self, search: _Search, task: GraphTask, seen: Seen) -> NDArray[np.float64]:
+        """V(c, s) + D(i, s, c), (choices,); -inf where never tried."""
+        tried = [self.get_reward(search, task, seen, choice) + self.own[choice] if self.counts[choice] else -np.inf
+                 for choice in range(len(self.counts))]  # fmt: skip
+        return np.array(tried)
+
+    def get_reward(self, search: _Search, task: GraphTask, seen: Seen, choice: int) -> float:
+        """V(c, s): of a primitive its mean reward, of a task what its best choice is worth to its caller."""
+        child = task.children[choice]
+        if isinstance(child, int):
+            return float(self.rewards[choice])
+        node = search.get_node(child, seen)
+        if not node.counts.any():  # the caller's view holds several states, and the child ran in another one
+            return float(self.rewards[choice])
+        best = int(node.compute_values(search, child, seen).argmax())
+        return node.get_reward(search, child, seen, best) + float(node.told[best])
+
+
+@dataclass
+class _Search:
+    """The tree of one choice."""
+
+    agent: HUct
+    rng: np.random.Generator
+    nodes: dict[Hashable, _Node] = field(default_factory=dict)
+    ranges: dict[str, tuple[float, float]] = field(default_factory=dict)
+    """Task -> smallest and largest return met, pseudo-reward included."""
+
+    def get_node(self, task: GraphTask, seen: Seen) -> _Node:
+        key = self.agent.make_key(task, seen)
+        if key not in self.nodes:
+            self.nodes[key] = _Node(len(task.children))
+        return self.nodes[key]
+
+    def select(self, task: GraphTask, seen: Seen, node: _Node, legal: NDArray[np.bool_]) -> int:
+        """A legal child never tried, at random; else the one of the highest upper confidence bound."""
+        fresh = np.flatnonzero(legal & (node.counts == 0))
+        if len(fresh):
+            return int(fresh[self.rng.integers(len(fresh))])
+        low, high = self.ranges[task.name]
+        bonus = self.agent.settings.exploration * ((high - low) or 1.0)
+        values = node.compute_values(self, task, seen) + bonus * np.sqrt(math.log(node.visits) / node.counts.clip(1))
+        return int(np.where(legal, values, -np.inf).argmax())
+
+    def simulate(self, task: GraphTask, seen: Seen, budget: int, inside: bool = False) -> _Run:
+        """Run a task to its end, or to the end of the budget, and learn from each of its choices."""
+        settings, gamma = self.agent.settings, self.agent.gamma
+        if inside and settings.patience:
+            budget = min(budget, settings.patience)
+        trail: list[tuple[_Node, int, float, float]] = []
+        primitives, terminated, discount = 0, False, 1.0
+        while primitives < budget and not terminated and not task.until(seen):
+            legal = task.legal(seen, None)
+            if not legal.any():
+                break
+            node = self.get_node(task, seen)
+            node.visits += 1
+            choice = self.select(task, seen, node, legal)
+            child = task.children[choice]
+            if isinstance(child, int):
+                sample = self.agent.sample(seen, child, self.rng)
+                after = self.agent.hierarchy.see(sample.next_observation, sample.next_mask)
+                run = _Run(sample.reward, gamma**sample.duration, sample.duration, after, sample.terminated)
+            else:
+                run = self.simulate(child, seen, budget - primitives, inside=True)
+            trail.append((node, choice, run.reward, run.discount))
+            seen, terminated = run.seen, run.terminated
+            primitives, discount = primitives + run.primitives, discount * run.discount
+        told = 0.0
+        own = task.pseudo(seen) if task.pseudo is not None and task.until(seen) else 0.0
+        for node, choice, reward, passed in reversed(trail):
+            node.record(choice, reward, passed * own, passed * told)
+            own, told = reward + passed * own, reward + passed * told
+            low, high = self.ranges.get(task.name, (own, own))
+            self.ranges[task.name] = min(low, own), max(high, own)
+        return _Run(told, discount, primitives, seen, terminated)
