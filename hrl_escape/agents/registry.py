@@ -11,6 +11,8 @@ through the entry-point group `hrl_escape.agents`. No algorithm is imported befo
 from __future__ import annotations
 
 import importlib
+import inspect
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import entry_points
 from pkgutil import iter_modules
@@ -26,15 +28,21 @@ from hrl_escape.settings import replace_settings
 __all__ = [
     "ENTRY_POINT_GROUP",
     "SMDP_PREFIX",
+    "find_given_part",
     "get_agent_class",
     "get_recipe",
     "list_agents",
+    "list_given_agents",
     "list_recipes",
     "make_agent",
+    "read_structure",
 ]
 
 ENTRY_POINT_GROUP = "hrl_escape.agents"
 SMDP_PREFIX = "smdp-"
+
+GIVEN_PARTS = ("hierarchy", "program", "landmarks", "tree")
+"""Names under which agents take a structure, each a kind of its own."""
 
 _CATALOGUE = "hrl_escape.agents.algorithms"
 
@@ -115,6 +123,7 @@ def make_agent(
     action_space: gymnasium.Space,
     seed: int,
     recipe: str = "corrected",
+    structure: Mapping[str, Any] | None = None,
     **settings: Any,
 ) -> Agent:
     """Make an agent by name.
@@ -125,18 +134,46 @@ def make_agent(
         action_space: Discrete.
         seed: 0 or more; all of the agent's randomness follows from it.
         recipe: `corrected` or `paper`.
+        structure: what the agent is given beside spaces and settings, such as a `hierarchy`; see `read_structure`.
         **settings: fields of the agent's settings to change, such as `gamma=0.995`.
 
     Raises:
         UnknownNameError: no such agent, recipe or setting.
-        AgentSettingsError: a setting or the seed is not possible.
+        AgentSettingsError: a setting or the seed is not possible, or the agent takes no such structure.
         UnsupportedSpaceError: the agent cannot use these spaces.
     """
     if isinstance(seed, bool) or not isinstance(seed, int) or seed < 0:
         raise AgentSettingsError("seed", seed, "a whole number of at least 0")
     chosen = replace_settings(get_recipe(name, recipe), settings)
     agent_class: Any = get_agent_class(name)
-    return agent_class(observation_space, action_space, seed, chosen)
+    given = structure or {}
+    taken = inspect.signature(agent_class).parameters
+    if unknown := [part for part in given if part not in taken]:
+        takes = find_given_part(name)
+        raise AgentSettingsError(f"structure of {name}", ", ".join(unknown),
+                                 "none: this agent acts by no given hierarchy" if takes is None else
+                                 f"{takes}, which this agent takes")
+    return agent_class(observation_space, action_space, seed, chosen, **given)
+
+
+def list_given_agents() -> list[str]:
+    """Names of the shipped agents that act by a hierarchy that they are given."""
+    return list(_find_shipped(f"{_CATALOGUE}.given"))
+
+
+def find_given_part(name: str) -> str | None:
+    """Name of the structure that an agent can be given, such as `hierarchy`; None where it takes none.
+
+    Raises:
+        UnknownNameError: no such agent.
+    """
+    taken = inspect.signature(get_agent_class(name)).parameters
+    return next((part for part in GIVEN_PARTS if part in taken), None)
+
+
+def read_structure(env: gymnasium.Env) -> Mapping[str, Any]:
+    """Structure that an environment gives the agents in it: the attribute `structure` of one of its wrappers."""
+    return env.get_wrapper_attr("structure") if env.has_wrapper_attr("structure") else {}
 
 
 def _find_others() -> dict[str, Any]:

@@ -53,7 +53,8 @@ class CompareArgs:
     what: Annotated[str, tyro.conf.Positional] = DEFAULT
     """quickstart, paper, ladder or paper-figure-1 to -3; or a .toml or .json file with a grid of your own."""
     agents: tuple[str, ...] = ()
-    """Other agents: names, smdp- in front for those that choose options, @paper behind for another recipe."""
+    """Other agents: names, smdp- in front for those that choose options, @paper behind for another recipe, +planned or
+    +learned behind for a hierarchy synthesised from the room."""
     rooms: tuple[str, ...] = ()
     """Other rooms: presets, #3 behind for instance 3, or .json files of instances."""
     runs: int | None = None

@@ -5,6 +5,7 @@
     hrl-escape train smdp-dqn --settings gamma=0.995 hidden=[128,128]
     hrl-escape train smdp-dqn --list-settings
     hrl-escape train dqn --recipe paper --training-seed 7 --json
+    hrl-escape train maxq-q --leaves planned
 
 `hrl-escape list agents` names the agents; with smdp- in front they choose options beside primitives.
 """
@@ -55,8 +56,11 @@ class TrainArgs(RoomChoice):
     """Let an smdp- agent choose among options only."""
     flavour: Literal["press", "press-with-ancestors"] = "press"
     """Meta-actions: press one button, or press first those that must be on before it."""
+    leaves: Literal["planned", "learned"] | None = None
+    """Run a hierarchy synthesised from the room, for agents such as maxq-q or hamq: the planner walks to each target,
+    or walking is learned over primitives."""
     observation: VectorObservation = "features"
-    """Observation of the agent."""
+    """Observation of the agent; with --leaves it is what the tasks ask for."""
     eval_every: int | None = None
     """Primitives between evaluations; a twentieth of the budget by default."""
     eval_episodes: int = 5
@@ -74,7 +78,8 @@ class TrainArgs(RoomChoice):
         """The agent that is asked for."""
         options = OptionsView(include_primitives=not self.options_only, flavour=self.flavour)
         settings = dict(split_assignment(text, "--settings", "gamma=0.95") for text in self.settings)
-        return AgentSpec(name=self.agent, recipe=self.recipe, settings=settings, options=options)
+        return AgentSpec(name=self.agent, recipe=self.recipe, settings=settings, options=options,
+                         leaves=self.leaves)
 
 
 def run(args: TrainArgs) -> None:

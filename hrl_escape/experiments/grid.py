@@ -27,6 +27,7 @@ from hrl_escape.experiments.references import REFERENCES
 from hrl_escape.files import read_json, read_toml
 from hrl_escape.names import make_file_name
 from hrl_escape.settings import Range, Settings, replace_settings
+from hrl_escape.synthesis.kinds import find_kind, list_privileges
 from hrl_escape.version import __version__, find_versions
 
 __all__ = ["AgentSpec", "Grid", "GridRun", "OptionsView", "RoomSpec", "SolvedRule", "load_grid"]
@@ -64,11 +65,14 @@ class AgentSpec(Settings):
     """Settings to change."""
     options: OptionsView = OptionsView()
     """Options it chooses among, if its name begins with smdp-."""
+    leaves: Literal["planned", "learned"] | None = None
+    """Leaves of the hierarchy that is synthesised from the room, for agents such as maxq-q or hamq; None for none."""
 
     def check(self) -> None:
         """Fill in the label."""
         if not self.label:
-            object.__setattr__(self, "label", self.name + (f"@{self.recipe}" if self.recipe != "corrected" else ""))
+            recipe = f"@{self.recipe}" if self.recipe != "corrected" else ""
+            object.__setattr__(self, "label", self.name + recipe + (f"+{self.leaves}" if self.leaves else ""))
 
     @property
     def chooses_options(self) -> bool:
@@ -96,7 +100,10 @@ class AgentSpec(Settings):
         Raises:
             UnknownNameError: no such agent, recipe or setting.
             AgentSettingsError: a value is not possible.
+            UnsupportedError: no hierarchy is synthesised for this agent.
         """
+        if self.leaves is not None:
+            find_kind(self.name)
         if self.is_reference:
             if self.settings or self.recipe != "corrected":
                 raise GridError(f"{self.label}: a reference has no settings and no recipe")
@@ -105,15 +112,21 @@ class AgentSpec(Settings):
         return json.loads(json.dumps(dataclasses.asdict(chosen)))
 
     @property
+    def privileges(self) -> tuple[str, ...]:
+        """Information that its hierarchy gives it and that others lack; printed in tables."""
+        return () if self.leaves is None else list_privileges(self.name, self.leaves)
+
+    @property
     def needs_trace(self) -> bool:
         """Agent learns from the primitives inside options."""
         return self.chooses_options and not self.is_reference and get_agent_class(self.name).needs_trace
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read `dqn`, `smdp-dqn` or `smdp-dqn@paper`."""
-        name, _, recipe = text.partition("@")
-        return cls(name=name, recipe=recipe or "corrected")
+        """Read `dqn`, `smdp-dqn`, `smdp-dqn@paper` or `maxq-q+planned`."""
+        agent, plus, leaves = text.partition("+")
+        name, _, recipe = agent.partition("@")
+        return cls.from_dict({"name": name, "recipe": recipe or "corrected"} | ({"leaves": leaves} if plus else {}))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -316,6 +329,8 @@ class GridRun:
             "eval_seed": self.eval_seed,
             "seed": self.seed,
         }
+        if self.agent.leaves is not None:
+            identity["leaves"] = self.agent.leaves
         return identity if self.grid.until_solved is None else {
             **identity, "until_solved": self.grid.until_solved.to_dict()}
 

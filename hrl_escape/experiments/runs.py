@@ -31,6 +31,7 @@ from hrl_escape.experiments.solved_probe import Solution, SolvedProbe
 from hrl_escape.experiments.statistics import compute_efficiency, compute_final
 from hrl_escape.files import read_json, write_json
 from hrl_escape.settings import read_record
+from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.version import __version__, find_versions
 
 __all__ = ["RunResult", "execute_run", "get_room_file", "get_run_folder", "get_training_folder", "make_env",
@@ -112,6 +113,10 @@ def make_env(agent: AgentSpec, instance: RoomInstance, observation: str) -> tupl
     flat = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=instance, observation=observation,
                           disable_env_checker=True)
     recorder = StateRecorder(flat)
+    if agent.leaves is not None:
+        from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
+
+        return HierarchyEnv(recorder, find_kind(agent.name), agent.leaves), recorder
     if not agent.chooses_options:
         return recorder, recorder
     from hrl_escape.options.options_env import OptionsEnv  # brings the planners in

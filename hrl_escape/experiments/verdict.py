@@ -92,7 +92,7 @@ def _describe_escapes(agent: AgentSummary) -> str:
 
 def _compare_views(summary: Summary) -> list[str]:
     """With options against without."""
-    policies = [agent for agent in summary.agents if not agent.spec.is_reference]
+    policies = [agent for agent in summary.agents if not (agent.spec.is_reference or agent.spec.leaves)]
     flat = [agent for agent in policies if not agent.spec.chooses_options]
     hierarchical = [agent for agent in policies if agent.spec.chooses_options]
     if not flat or not hierarchical:
@@ -220,6 +220,10 @@ def _write_cautions(summary: Summary) -> list[str]:
     if grid.runs < PUBLISHED_RUNS:
         cautions.append(f"{_count(grid.runs, 'run').capitalize()} a room: large differences show, small ones may not. "
                         f"A published table needs {PUBLISHED_RUNS} or more.")
+    told = [f"`{agent.label}` ({', '.join(agent.spec.privileges)})" for agent in summary.agents
+            if agent.spec.privileges]
+    if told:
+        cautions.append(f"Privileged, by a hierarchy that is synthesised from the room: {_join(told)}.")
     learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
     chance = [agent.spec.options for agent in summary.agents
               if agent.spec.chooses_options and agent.spec.algorithm == "random"]

@@ -3,14 +3,13 @@ from .best_with_options import best_return_with_options, find_best_with_options
 from .closed_loop import ClosedLoopExecution, pursue
 from .degraded import DegradedOption, OptionDegradation
 from .flavours import FLAVOURS
-from .meta_actions import AncestorsOption, PlannedOption, make_meta_options
+from .meta_actions import PlannedOption, make_meta_options
 from .option import LearnedOption, Option, ScriptedOption
 from .options_env import OptionsEnv, TraceStep
 from .pushing import PushOption
 from .skills import PressOption, ReachOption, make_go_to, make_press, make_reach
 
 __all__ = [
-    "AncestorsOption",
     "BatchedOptionsEnv",
     "ClosedLoopExecution",
     "DegradedOption",

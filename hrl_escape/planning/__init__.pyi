@@ -1,4 +1,4 @@
-from .arm.reacher import Reacher, ReachTable
+from .arm.reacher import Reacher
 from .best_known import BestKnown, best_known_return, find_best_known, record_return
 from .goals import ExitGoal, Goal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached, parse_goal
 from .paths.navigator import Navigator
@@ -23,7 +23,6 @@ __all__ = [
     "PoseGoal",
     "PressGoal",
     "PushGoal",
-    "ReachTable",
     "Reacher",
     "RegionGoal",
     "RoomPlanner",

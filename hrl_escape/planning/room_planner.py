@@ -235,7 +235,7 @@ class RoomPlanner(RouteFinder):
             name = op.name if op else ""
             if (before, name) not in costs:
                 begin = ends.get(before, state)
-                leg = extend(begin._replace(puzzle=self._solved_puzzle) if op is None and last is None else begin, op)
+                leg = extend(begin._replace(puzzle=self.solved_puzzle) if op is None and last is None else begin, op)
                 costs[before, name] = leg and leg.cost
                 if leg is not None and not before:
                     ends[name] = leg.place._replace(puzzle=state.puzzle)
@@ -279,7 +279,7 @@ class RoomPlanner(RouteFinder):
         return Leg(way / self.instance.robot.move_step, here._replace(x=to_x, y=to_y))
 
     @cached_property
-    def _solved_puzzle(self) -> Any:
+    def solved_puzzle(self) -> Any:
         """State of the puzzle in which the exit is open."""
         tasks = TaskSearch(self._model).find_order(
             self.instance.puzzle.get_facts(self.instance.puzzle.make_state()), None, lambda place, op: Leg(1.0, None))

@@ -168,3 +168,24 @@ def test_another_version_of_a_library_is_another_run(monkeypatch):
     assert SMALL.make_runs(instances)[0].key == before
     monkeypatch.setattr("hrl_escape.experiments.grid.find_versions", lambda: {"torch": "99"})
     assert SMALL.make_runs(instances)[0].key != before
+
+
+# --- hierarchies that are synthesised ----------------------------------------------------------
+
+
+def test_an_agent_with_a_synthesised_hierarchy_is_short_text_and_its_privileges_are_known():
+    spec = AgentSpec.parse("maxq-q+planned")
+    assert (spec.label, spec.leaves) == ("maxq-q+planned", "planned")
+    assert spec.privileges == ("task graph", "state", "planner")
+    assert AgentSpec.parse("hamq+learned").privileges == ("program", "state")
+    assert AgentSpec.parse("dqn").privileges == ()
+    with pytest.raises(EscapeError, match="planned.*learned"):
+        AgentSpec.parse("maxq-q+plans")
+    with pytest.raises(EscapeError, match="no hierarchy is synthesised for dqn, but for .*maxq-q"):
+        AgentSpec.parse("dqn+planned").resolve_settings()
+
+
+def test_leaves_tell_runs_apart_and_change_no_key_of_others():
+    grid = Grid(agents=tuple(map(AgentSpec.parse, ("maxq-q", "maxq-q+planned", "maxq-q+learned"))), runs=1)
+    flat, planned, learned = (run.identity for run in grid.make_runs([grid.rooms[0].make_instance()]))
+    assert "leaves" not in flat and (planned["leaves"], learned["leaves"]) == ("planned", "learned")

@@ -7,7 +7,7 @@ pseudo-reward where it ends. Children are other tasks or numbers of primitives.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable, Mapping, Sequence
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, LearnerSpec, Seen, Stack
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
 
-__all__ = ["GraphTask", "Pseudo", "Until", "View", "flat", "freeze", "get_graph", "maxq"]
+__all__ = ["GraphTask", "Policy", "Pseudo", "Until", "View", "flat", "freeze", "get_graph", "maxq"]
 
 Until = Callable[[Seen], bool]
 """True where the task is over."""
@@ -24,6 +24,8 @@ View = Callable[[Seen], Any]
 """Part of a moment that matters: a number, a tuple of numbers, or an array."""
 Pseudo = Callable[[Seen], float]
 """Pseudo-reward of the state in which the task ended."""
+Policy = Callable[[Seen], int | None]
+"""The one child, by its number as a choice, that a task whose policy is known may call; None where there is none."""
 
 
 class GraphTask(BaseTask):
@@ -35,6 +37,7 @@ class GraphTask(BaseTask):
         views: what matters to it: under None, for the task; under a choice, for that choice's completion.
         primitive_views: what matters to the value of a primitive, for all tasks.
         pseudo: pseudo-reward at its end.
+        policy: makes its choice for it; None leaves the choice to learning.
     """
 
     def __init__(
@@ -46,8 +49,10 @@ class GraphTask(BaseTask):
         pseudo: Pseudo | None,
         choices: int,
         space: gymnasium.Space | None,
+        policy: Policy | None = None,
     ) -> None:
         super().__init__(name, choices, space)
+        self.policy = policy
         self.until, self.views, self.primitive_views, self.pseudo = until, views, primitive_views, pseudo
         self.children: tuple[GraphTask | int, ...] = ()
 
@@ -58,14 +63,19 @@ class GraphTask(BaseTask):
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
         """Legal primitives, and tasks that are not over and have something to choose themselves."""
+        if self.policy is not None:
+            chosen = self.policy(seen)
+            return np.arange(len(self.children)) == (-1 if chosen is None else chosen)
         return np.array([seen.mask[child] if isinstance(child, int) else child.is_callable(seen)
                          for child in self.children], np.bool_)  # fmt: skip
 
     def is_callable(self, seen: Seen) -> bool:
         """The task is not over here and has something to choose."""
-        return not self.until(seen) and any(
-            seen.mask[child] if isinstance(child, int) else child.is_callable(seen) for child in self.children
-        )
+        if self.until(seen):
+            return False
+        if self.policy is not None:
+            return self.policy(seen) is not None
+        return any(seen.mask[child] if isinstance(child, int) else child.is_callable(seen) for child in self.children)
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
         """The child of this number."""
@@ -86,9 +96,12 @@ def maxq(
     see: Mapping[str | int | tuple[str, str | int], View] | None = None,
     pseudo: Mapping[str, Pseudo] | None = None,
     *,
+    policies: Mapping[str, Policy] | None = None,
     spaces: Mapping[str, gymnasium.Space] | None = None,
     learners: Mapping[str, LearnerSpec] | None = None,
     read: Callable[[Any], Any] | None = None,
+    source: Literal["given", "synthesised"] = "given",
+    privileges: tuple[str, ...] = (),
 ) -> Hierarchy:
     """A hierarchy from a graph of named tasks.
 
@@ -98,17 +111,21 @@ def maxq(
         see: what matters, the whole observation by default: task -> to its decisions; (task, child) -> to the
             completion of that one choice, MAXQ's finer abstraction; primitive -> to what it earns by itself.
         pseudo: task -> pseudo-reward of the state it ended in.
+        policies: task -> its policy, where that is known and nothing is to be learned.
         spaces: task -> space of its views, for `StackAgent`.
         learners: task -> its learner, for `StackAgent`.
         read: makes `Seen.state` of an observation.
+        source: where the graph comes from.
+        privileges: what else than graph and state it tells the agent.
 
     Raises:
         UnknownNameError: a child or a key names no task.
         AgentSettingsError: a task below the root has no `until`, or tasks call each other in a circle.
     """
-    see, pseudo, spaces = see or {}, pseudo or {}, spaces or {}
+    see, pseudo, spaces, policies = see or {}, pseudo or {}, spaces or {}, policies or {}
     names = list(graph)
     for where, mentioned in (("until", until), ("pseudo", pseudo), ("spaces", spaces),
+                             ("policies", policies),
                              ("see", [_get_name(key) for key in see if not isinstance(key, int)])):  # fmt: skip
         for name in mentioned:
             if name not in graph:
@@ -121,7 +138,8 @@ def maxq(
         views: dict[int | None, View] = {None: see[name]} if name in see else {}
         views |= {index: see[name, child] for index, child in enumerate(children) if (name, child) in see}
         tasks[name] = GraphTask(
-            name, until.get(name, _never), views, primitive_views, pseudo.get(name), len(children), spaces.get(name)
+            name, until.get(name, _never), views, primitive_views, pseudo.get(name), len(children), spaces.get(name),
+            policies.get(name),
         )
     for name, children in graph.items():
         for child in children:
@@ -130,8 +148,8 @@ def maxq(
         tasks[name].children = tuple(tasks[child] if isinstance(child, str) else int(child) for child in children)
     root, *below = tasks.values()
     _refuse_circles(root, ())
-    privileges = ("task graph",) if read is None else ("task graph", "state")
-    return Hierarchy(root, tuple(below), learners or {}, source="given", privileges=privileges, read=read)
+    told = ("task graph", *(() if read is None else ("state",)), *privileges)
+    return Hierarchy(root, tuple(below), learners or {}, source=source, privileges=told, read=read)
 
 
 def flat(primitives: int, learner: LearnerSpec | None = None) -> Hierarchy:

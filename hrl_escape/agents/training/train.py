@@ -16,7 +16,7 @@ import gymnasium
 import numpy as np
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.registry import make_agent, read_structure
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts, make_described_env
 from hrl_escape.agents.training.probe import Probe
@@ -100,7 +100,8 @@ def train(
         raise AgentSettingsError("tensorboard", True, "False, or give out= for the event files")
     if isinstance(agent, str):
         name = agent
-        learner = make_agent(agent, env.observation_space, env.action_space, seed, recipe, **settings or {})
+        learner = make_agent(agent, env.observation_space, env.action_space, seed, recipe, read_structure(env),
+                             **settings or {})
     else:
         name, learner = type(agent).__name__, agent
     agent_state = None if out is None or isinstance(agent, str) else compute_state_digest(learner.state_dict())
@@ -136,7 +137,7 @@ def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None)
     try:
         with refusing_damage(f"{folder}: the description of this run"):
             agent = make_agent(described["name"], spaces.observation_space, spaces.action_space, described["seed"],
-                               **described["settings"])
+                               structure=read_structure(spaces), **described["settings"])
     finally:
         if own is not None:
             own.close()

@@ -139,7 +139,9 @@ def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
 
 def _describe_kind(agent: AgentSummary) -> str:
     spec = agent.spec
-    if not spec.chooses_options:
+    if spec.leaves is not None:
+        actions = f"synthesised hierarchy, {spec.leaves} leaves; privileged: {', '.join(spec.privileges)}"
+    elif not spec.chooses_options:
         actions = "primitives only"
     else:
         actions = "options and primitives" if spec.options.include_primitives else "options only"

@@ -1,0 +1,68 @@
+"""A room in which an agent runs a synthesised hierarchy: the flat environment, with all that its tasks ask for.
+
+Primitives, rewards and episodes are those of the flat room, so budgets and statistics are, too. The observation is the
+situation that tasks read, which is the privilege of such an agent; `structure` is what the agent is made with.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium
+from gymnasium.utils import RecordConstructorArgs
+from numpy.typing import NDArray
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.synthesis.situation import Situations
+from hrl_escape.synthesis.synthesise import make_structure
+
+__all__ = ["HierarchyEnv"]
+
+
+class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
+    """Wrapper around a flat room; `train` gives its `structure` to the agent.
+
+    Args:
+        env: a flat room, always the same instance.
+        kind: kind of hierarchy, `maxq` or `ham`; what the agent takes.
+        leaves: `planned` or `learned`.
+        abstract: let each task see only what is relevant to it.
+        cell: as in `synthesise`.
+
+    Attributes:
+        structure: arguments of the agent beside spaces and settings.
+
+    Raises:
+        UnknownNameError: no such kind or leaves.
+        UnsupportedError: the puzzle needs pushes, or the environment changes its room.
+    """
+
+    def __init__(self, env: gymnasium.Env, kind: str = "maxq", leaves: str = "planned", abstract: bool = True,
+                 cell: float | None = None) -> None:
+        RecordConstructorArgs.__init__(self, kind=kind, leaves=leaves, abstract=abstract, cell=cell)
+        gymnasium.Wrapper.__init__(self, env)
+        self._room: Any = env.unwrapped
+        instance: RoomInstance = self._room.instance
+        self._id = instance.id
+        self._situations = Situations(instance, cell)
+        self.observation_space = self._situations.space
+        self.structure = make_structure(self._situations, kind, leaves, abstract)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
+              ) -> tuple[NDArray[Any], dict[str, Any]]:
+        """Begin an episode.
+
+        Raises:
+            UnsupportedError: in another room.
+        """
+        _, info = self.env.reset(seed=seed, options=options)
+        if self._room.instance.id != self._id:
+            raise UnsupportedError(f"a hierarchy was synthesised for room {self._id}, and this is "
+                                   f"{self._room.instance.id}: train on one instance")
+        return self._situations.pack(self._room.get_state()), info
+
+    def step(self, action: Any) -> tuple[NDArray[Any], Any, bool, bool, dict[str, Any]]:
+        """Run one primitive."""
+        _, reward, terminated, truncated, info = self.env.step(action)
+        return self._situations.pack(self._room.get_state()), reward, terminated, truncated, info

@@ -1,0 +1,40 @@
+"""Kinds of synthesised hierarchies and which agents act by them; a module of its own, so that names load no planner."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Literal, TypeAlias
+
+from hrl_escape.agents.registry import find_given_part, list_given_agents
+from hrl_escape.errors import UnsupportedError
+
+__all__ = ["KINDS", "LEAVES", "PARTS", "HierarchyKind", "Leaves", "find_kind", "list_privileges"]
+
+HierarchyKind: TypeAlias = Literal["maxq", "ham"]
+Leaves: TypeAlias = Literal["planned", "learned"]
+KINDS: tuple[HierarchyKind, ...] = ("maxq", "ham")
+LEAVES: tuple[Leaves, ...] = ("planned", "learned")
+
+PARTS: Mapping[HierarchyKind, str] = {"maxq": "hierarchy", "ham": "program"}
+"""Kind -> the argument by which agents take it."""
+
+
+def find_kind(agent: str) -> HierarchyKind:
+    """Kind of hierarchy that an agent acts by.
+
+    Raises:
+        UnknownNameError: no such agent.
+        UnsupportedError: no hierarchy is synthesised for it.
+    """
+    part = find_given_part(agent)
+    for kind, name in PARTS.items():
+        if name == part:
+            return kind
+    others = [name for name in list_given_agents() if find_given_part(name) in PARTS.values()]
+    raise UnsupportedError(f"no hierarchy is synthesised for {agent}, but for {', '.join(others)}: leave out `leaves`")
+
+
+def list_privileges(agent: str, leaves: str) -> tuple[str, ...]:
+    """Information that an agent with a synthesised hierarchy is given and a flat one is not."""
+    structure = "task graph" if find_kind(agent) == "maxq" else "program"
+    return (structure, "state", "planner") if leaves == "planned" else (structure, "state")

@@ -1,0 +1,152 @@
+"""A room as its tasks see it: pose, facts of the symbolic model, what is touched; packed into an observation and back.
+
+An agent meets a room in observations alone. `Situations.pack` writes all that tasks ask for into a vector, and
+`Situations.read` gives it back with names; the vector is the whole state of a room without noise, but for its clock.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from hrl_escape.agents.hierarchy.task import Seen
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.puzzles.base import Operator
+from hrl_escape.errors import PlanningFailed, UnsupportedError
+from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
+from hrl_escape.planning.room_planner import RoomPlanner, get_planner
+from hrl_escape.planning.symbolic.operator_order import find_relevant_operators
+
+__all__ = ["Situation", "Situations"]
+
+SECTORS = 8
+"""Directions that learned leaves tell apart at most."""
+
+
+class Situation(NamedTuple):
+    """A moment in a room.
+
+    Attributes:
+        state: pose and touching; the puzzle's state stands for all in which the exit is as open.
+        facts: propositions that hold.
+        is_open: the exit is open.
+    """
+
+    state: RoomState
+    facts: frozenset[str]
+    is_open: bool
+
+
+class Situations:
+    """Predicates, views and plans of one room.
+
+    Args:
+        instance: the room.
+        cell: size of the squares by which learned leaves know a place, m; the length of a move by default.
+
+    Attributes:
+        operators: those relevant to the exit.
+        space: of packed observations.
+
+    Raises:
+        UnsupportedError: the puzzle asks for pushes, which no task here makes.
+    """
+
+    def __init__(self, instance: RoomInstance, cell: float | None = None) -> None:
+        model = instance.puzzle.make_symbolic_model()
+        self.instance = instance
+        self.operators: tuple[Operator, ...] = find_relevant_operators(model)
+        if any(operator.action != "press" for operator in self.operators):
+            raise UnsupportedError(f"no hierarchy is synthesised for the puzzle {instance.puzzle.kind!r}: its props "
+                                   "must be pushed, and tasks are made of presses")
+        self._propositions, self._goal = model.propositions, model.goal
+        self._cell = cell or instance.robot.move_step
+        self._joints = instance.robot.joints
+        self._numbers = 4 + 2 * self._joints + len(model.propositions) + len(instance.targets)
+        self.space = spaces.Box(-np.inf, np.inf, (self._numbers,), np.float64)
+        self.target_names = instance.puzzle.target_names
+        self._planner: RoomPlanner | None = None
+
+    @property
+    def planner(self) -> RoomPlanner:
+        """The room's planner, which this process shares."""
+        if self._planner is None:
+            self._planner = get_planner(self.instance)
+        return self._planner
+
+    # --- packing ------------------------------------------------------------------------
+
+    def pack(self, state: RoomState) -> NDArray[np.float64]:
+        """The observation of a state, float64 (numbers,)."""
+        facts = self.instance.puzzle.get_facts(state.puzzle)
+        targets = range(len(self.instance.targets))
+        return np.array([
+            state.x, state.y, state.heading_steps, state.heading_offset, *state.joint_steps,
+            *(state.joint_offsets or (0.0,) * self._joints),
+            *(proposition in facts for proposition in self._propositions),
+            *(state.touching >> target & 1 for target in targets),
+        ], np.float64)
+
+    def read(self, observation: Any) -> Situation:
+        """The situation of an observation."""
+        numbers, joints = np.asarray(observation).tolist(), self._joints
+        offsets = tuple(numbers[4 + joints : 4 + 2 * joints])
+        held = numbers[4 + 2 * joints : 4 + 2 * joints + len(self._propositions)]
+        touched = numbers[4 + 2 * joints + len(self._propositions) :]
+        facts = frozenset(name for name, holds in zip(self._propositions, held, strict=True) if holds)
+        is_open = self._goal <= facts
+        state = RoomState(
+            numbers[0], numbers[1], int(numbers[2]), numbers[3], tuple(map(int, numbers[4 : 4 + joints])),
+            offsets if any(offsets) else (), self._get_puzzle(is_open),
+            sum(1 << target for target, touches in enumerate(touched) if touches), 0, 0,
+        )
+        return Situation(state, facts, is_open)
+
+    def _get_puzzle(self, is_open: bool) -> Hashable:
+        return self.planner.solved_puzzle if is_open else self.instance.puzzle.make_state()
+
+    # --- predicates ---------------------------------------------------------------------
+
+    def is_touching(self, seen: Seen, target: int) -> bool:
+        """The robot touches a target."""
+        return bool(seen.state.state.touching >> target & 1)
+
+    # --- plans --------------------------------------------------------------------------
+
+    def plan(self, seen: Seen, goal: Goal) -> Sequence[int]:
+        """Primitives of the planner's route from here; none where there is no route."""
+        try:
+            return self.planner.find_route(seen.state.state, goal).primitives
+        except PlanningFailed:
+            return ()
+
+    def can_escape(self, seen: Seen, primitive: int) -> bool:
+        """A primitive ends the episode, by the room's rules."""
+        return self.planner.rules.step(seen.state.state, primitive).terminated
+
+    def get_goal(self, target: int | None) -> Goal:
+        """The planner's goal: to press a target, or without one to leave by the exit."""
+        return ExitGoal() if target is None else PressGoal(target)
+
+    # --- views --------------------------------------------------------------------------
+
+    def see_place(self, seen: Seen) -> Hashable:
+        """Facts and touched targets: what is to be done yet, and at which target the robot stands."""
+        return tuple(sorted(seen.state.facts)), seen.state.state.touching
+
+    def see_pose(self, seen: Seen) -> Hashable:
+        """Cell, sector and joints, what is touched, and an open door; nothing else of the puzzle."""
+        state, rules = seen.state.state, self.planner.rules
+        sectors = min(SECTORS, rules.headings)
+        sector = round(rules.get_heading(state) / (2 * np.pi) * sectors) % sectors
+        door = bool(self.instance.door) and seen.state.is_open
+        return round(state.x / self._cell), round(state.y / self._cell), sector, state.joint_steps, state.touching, door
+
+    def see_all(self, seen: Seen) -> Hashable:
+        """Pose, and all facts."""
+        return self.see_pose(seen), tuple(sorted(seen.state.facts))

@@ -1,0 +1,155 @@
+"""Hierarchies synthesised from a room: operators become tasks, preconditions legality, relevance abstraction.
+
+The symbolic model of the puzzle says which tasks there are, when each may be called and when it is over. What
+remains to be learned is their order and, with learned leaves, the way to each target. With planned leaves the planner
+walks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from hrl_escape.agents.hierarchy.machine import Machine, choose, do, machine
+from hrl_escape.agents.hierarchy.task import Hierarchy, Seen
+from hrl_escape.agents.hierarchy.task_graph import Until, View, maxq
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.primitives import BASE_ACTIONS, make_action_table
+from hrl_escape.errors import UnknownNameError
+from hrl_escape.synthesis.kinds import KINDS, LEAVES, PARTS, HierarchyKind, Leaves
+from hrl_escape.synthesis.situation import Situations
+
+__all__ = ["make_structure", "synthesise"]
+
+ROOT, EXIT = "escape", "exit"
+
+
+def synthesise(
+    instance: RoomInstance,
+    kind: HierarchyKind = "maxq",
+    leaves: Leaves = "planned",
+    *,
+    abstract: bool = True,
+    cell: float | None = None,
+) -> Hierarchy | Machine:
+    """Make a hierarchy for a room from its symbolic model.
+
+    Args:
+        instance: the room.
+        kind: `maxq`, a task graph for `maxq-0`, `maxq-q` and `r-maxq`; `ham`, a program for `hamq`.
+        leaves: `planned`, the planner walks to each target; `learned`, walking is learned over primitives.
+        abstract: let each task see only what is relevant to it; without, all see pose and facts.
+        cell: squares by which poses are told apart in learned leaves, m; the length of a move by default.
+
+    Raises:
+        UnknownNameError: no such kind or leaves.
+        UnsupportedError: the puzzle needs pushes.
+    """
+    structure = make_structure(Situations(instance, cell), kind, leaves, abstract)
+    return structure[PARTS[kind]]
+
+
+def make_structure(situations: Situations, kind: str, leaves: str, abstract: bool = True) -> Mapping[str, Any]:
+    """Arguments, beside spaces and settings, of an agent that takes this kind of hierarchy.
+
+    Raises:
+        UnknownNameError: no such kind or leaves.
+    """
+    for what, name, known in (("kind of hierarchy", kind, KINDS), ("leaves", leaves, LEAVES)):
+        if name not in known:
+            raise UnknownNameError(what, name, known)
+    planned = leaves == "planned"
+    if kind == "maxq":
+        return {"hierarchy": _make_task_graph(situations, planned, abstract)}
+    see = situations.see_place if planned and abstract else situations.see_all
+    return {"program": _make_program(situations, planned), "see": see, "read": situations.read}
+
+
+def _make_task_graph(rooms: Situations, planned: bool, abstract: bool) -> Hierarchy:
+    """Root -> one task an operator, and the exit -> touch or leave a target -> primitives."""
+    primitives = range(len(make_action_table(rooms.instance.robot.joints)))
+    graph: dict[str, list[str | int]] = {ROOT: [*(operator.name for operator in rooms.operators), EXIT]}
+    until: dict[str, Until] = {EXIT: lambda seen: not seen.state.is_open}
+    goals: dict[str, int | None] = {EXIT: None}
+    for operator in rooms.operators:
+        target = rooms.target_names.index(operator.target)
+        touch, leave = f"touch {operator.target}", f"leave {operator.target}"
+        graph[operator.name] = [touch, leave]
+        until[operator.name] = lambda seen, operator=operator: not operator.is_applicable(seen.state.facts)
+        until[touch] = lambda seen, target=target: rooms.is_touching(seen, target)
+        until[leave] = lambda seen, target=target: not rooms.is_touching(seen, target)
+        goals[touch] = goals[leave] = target
+    graph |= {name: list(primitives) for name in goals}
+    see: dict[str | int | tuple[str, str | int], View] = {name: rooms.see_all for name in graph}
+    if abstract:
+        # Planned, a walk's value is its length; learned, it depends on the pose. A press needs no more than a walk.
+        see |= {name: _make_length_view(rooms, target) if planned else rooms.see_pose for name, target in goals.items()}
+        see |= {operator.name: rooms.see_place for operator in rooms.operators} | {ROOT: rooms.see_place}
+    see |= {primitive: _make_primitive_view(rooms, primitive, planned) if abstract else rooms.see_all
+            for primitive in primitives}
+    policies = {name: _make_policy(rooms, target) for name, target in goals.items()} if planned else {}
+    return maxq(graph, until, see, policies=policies, read=rooms.read, source="synthesised",
+                privileges=("planner",) if planned else ())
+
+
+def _make_policy(rooms: Situations, target: int | None) -> Callable[[Seen], int | None]:
+    goal = rooms.get_goal(target)
+    return lambda seen: next(iter(rooms.plan(seen, goal)), None)
+
+
+def _make_length_view(rooms: Situations, target: int | None) -> View:
+    goal = rooms.get_goal(target)
+    return lambda seen: len(rooms.plan(seen, goal))
+
+
+def _make_primitive_view(rooms: Situations, primitive: int, planned: bool) -> View:
+    """A primitive earns the same everywhere but where it escapes; learned leaves must find out where that is."""
+
+    def see(seen: Seen) -> Any:
+        if not seen.state.is_open:
+            return None
+        return rooms.can_escape(seen, primitive) if planned else rooms.see_pose(seen)
+
+    return see
+
+
+def _make_program(rooms: Situations, planned: bool) -> Machine:
+    """Choose an operator that may be applied, or the open exit; touch its target until it has worked."""
+    primitives = range(len(make_action_table(rooms.instance.robot.joints)))
+    targets = [rooms.target_names.index(operator.target) for operator in rooms.operators]
+
+    @machine
+    def step(seen: Callable[[], Seen], target: int | None) -> Any:
+        if planned:
+            plan = rooms.plan(seen(), rooms.get_goal(target))
+            yield do(plan[0] if plan else BASE_ACTIONS.wait)
+        else:
+            yield do((yield choose(primitives)))
+
+    @machine
+    def touch(seen: Callable[[], Seen], target: int) -> Any:
+        while rooms.is_touching(seen(), target):
+            yield from step(target)
+        while not rooms.is_touching(seen(), target):
+            yield from step(target)
+
+    @machine
+    def apply(seen: Callable[[], Seen], number: int) -> Any:
+        while rooms.operators[number].is_applicable(seen().state.facts):
+            yield from touch(targets[number])
+
+    @machine
+    def leave_room(seen: Callable[[], Seen]) -> Any:
+        while seen().state.is_open:
+            yield from step(None)
+
+    @machine
+    def escape(seen: Callable[[], Seen]) -> Any:
+        while True:
+            here = seen().state
+            open_tasks = [number for number, operator in enumerate(rooms.operators)
+                          if operator.is_applicable(here.facts)]
+            chosen = yield choose([*open_tasks, *([-1] if here.is_open else [])])
+            yield from leave_room() if chosen < 0 else apply(chosen)
+
+    return escape

@@ -1,0 +1,170 @@
+"""Hierarchies made from rooms: what they reach at once, what they learn exactly, and what they refuse."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+
+from hrl_escape.agents.hierarchy.machine import Do, MachineRun
+from hrl_escape.agents.hierarchy.price import compute_price
+from hrl_escape.agents.hierarchy.tabular_model import enumerate_model
+from hrl_escape.agents.hierarchy.task import Seen
+from hrl_escape.agents.registry import make_agent
+from hrl_escape.agents.training.train import load_agent, load_env, train
+from hrl_escape.checks import check_hierarchy
+from hrl_escape.env.config import ExitConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.base import Panels, Place
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import AgentSettingsError, UnknownNameError, UnsupportedError
+from hrl_escape.planning import best_known_return
+from hrl_escape.synthesis import HierarchyEnv, synthesise
+from hrl_escape.synthesis.kinds import KINDS, LEAVES
+from hrl_escape.synthesis.situation import Situations
+
+TINY = RoomConfig(
+    name="tiny", room=ShapeConfig(width=5, depth=5), robot=RobotConfig(body_radius=0.4, turn_step_deg=90),
+    puzzle=ButtonsConfig(2, graph=GraphConfig(relabel=False),
+                         buttons=Panels(places=(Place(-2.5, 1, 90), Place(2.5, -1, 90)))),
+    start=StartConfig(place="fixed"), exit=ExitConfig(place="fixed", x=1.5, y=2.0, width=1, depth=1), horizon=60,
+)
+"""Few enough poses to enumerate: quarter turns, two buttons on opposite walls, an exit in the corner."""
+
+AGENTS = {"maxq": "maxq-q", "ham": "hamq"}
+
+
+def make_env(config="paper-two-button", kind="maxq", leaves="planned", **arguments):
+    return HierarchyEnv(EscapeRoomEnv(config), kind, leaves, **arguments)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("preset", ["paper-two-button", "four-button-chain"])
+def test_with_planned_leaves_an_agent_is_near_the_best_known_after_a_few_episodes(kind, preset):
+    env = make_env(preset, kind)
+    result = train(AGENTS[kind], env, primitives=500, eval_episodes=1, eval_every=500, progress=False)
+    best = best_known_return(generate(get_preset(preset), 0))
+    assert result.evaluations[-1].success_rate == 1.0
+    assert result.evaluations[-1].mean_return >= best - 0.1 * (best + 1000), "within a tenth of the whole range"
+
+
+@pytest.mark.parametrize("leaves", LEAVES)
+@pytest.mark.parametrize("abstract", [True, False])
+def test_a_synthesised_task_graph_keeps_every_promise(leaves, abstract):
+    check_hierarchy(synthesise(generate(TINY, 0), "maxq", leaves, abstract=abstract),
+                    make_env(TINY, leaves=leaves), primitives=200)
+
+
+@pytest.mark.parametrize("leaves", LEAVES)
+def test_a_synthesised_program_always_has_a_legal_primitive(leaves):
+    env = make_env(TINY, "ham", leaves)
+    program, rng, mask = synthesise(generate(TINY, 0), "ham", leaves), np.random.default_rng(0), np.ones(6, bool)
+    read = env.structure["read"]
+    for seed in range(3):
+        observation, _ = env.reset(seed=seed)
+        run, is_over = MachineRun(program), False
+        run.tell(Seen(observation, mask, read(observation)))
+        while not is_over:
+            while not isinstance(run.request, Do):
+                run.tell(int(rng.integers(len(run.request.things))))
+            observation, _, terminated, truncated, _ = env.step(run.request.primitive)
+            is_over = terminated or truncated
+            if not is_over:
+                run.tell(Seen(observation, mask, read(observation)))
+        assert terminated or leaves == "learned"
+
+
+# --- exactly ------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def model():
+    """The tiny room as every hierarchy sees it."""
+    return enumerate_model(make_env(TINY), lambda state: (round(state.x, 6), round(state.y, 6), state.heading_steps,
+                                                          state.puzzle, state.touching))
+
+
+@pytest.fixture(scope="module")
+def planned(model):
+    return compute_price(model, synthesise(generate(TINY, 0)))
+
+
+def learn_tiny(abstract, leaves="planned", primitives=600):
+    """The value of the start at alpha 1 and gamma 1, and what is greedily earned from there."""
+    env = make_env(TINY, leaves=leaves, abstract=abstract, cell=0.01)
+    agent = make_agent("maxq-0", env.observation_space, env.action_space, 0, structure=env.structure, gamma=1.0,
+                       learning_rate=1.0, epsilon_start=0.3, epsilon_end=0.3)
+    result = train(agent, env, primitives=primitives, eval_episodes=1, eval_every=primitives, progress=False)
+    observation, _ = env.reset(seed=0)
+    seen = agent.hierarchy.see(observation, np.ones(6, bool))
+    return agent.compute_task_value(agent.hierarchy.root, seen), result.evaluations[-1].mean_return
+
+
+def test_abstraction_changes_no_value_and_the_value_is_the_exact_one(planned):
+    assert learn_tiny(abstract=True) == learn_tiny(abstract=False) == (pytest.approx(planned.recursive),) * 2
+    assert planned.recursive <= planned.hierarchical <= planned.flat
+
+
+def test_a_program_with_planned_leaves_is_worth_as_much_as_the_task_graph(model, planned):
+    """Both leave the order of presses open, and the planner walks in both."""
+    structure = make_env(TINY, "ham").structure
+    program = compute_price(model, structure["program"], read=structure["read"])
+    assert program.hierarchical == pytest.approx(planned.hierarchical)
+
+
+def test_learned_leaves_may_walk_any_way_so_that_the_graph_costs_nothing(model):
+    learned = compute_price(model, synthesise(generate(TINY, 0), leaves="learned"))
+    assert learned.recursive <= learned.hierarchical == pytest.approx(learned.flat)
+
+
+# --- what an observation holds -------------------------------------------------------------
+
+
+@pytest.mark.parametrize("preset", ["paper-two-button", "arm-two-button", "bit-flip"])
+def test_a_situation_is_read_back_from_its_observation(preset):
+    env = EscapeRoomEnv(preset)
+    rooms = Situations(env.instance)
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    for _ in range(150):
+        env.step(env.action_space.sample())
+        state = env.get_state()
+        read = rooms.read(rooms.pack(state))
+        assert read.state.has_pose_of(state) and read.state.touching == state.touching
+        assert read.facts == env.instance.puzzle.get_facts(state.puzzle)
+        assert read.is_open == env.instance.puzzle.is_solved(state.puzzle)
+
+
+def test_a_folder_brings_back_agent_and_hierarchy(tmp_path):
+    env = make_env(TINY, "ham")
+    result = train("hamq", env, primitives=200, eval_episodes=1, out=tmp_path / "run", progress=False)
+    agent, again = load_agent(tmp_path / "run"), load_env(tmp_path / "run")
+    assert isinstance(again, HierarchyEnv) and again.structure.keys() == env.structure.keys()
+    assert agent.state_dict()["table"]["keys"] == result.agent.state_dict()["table"]["keys"]
+    same = train("hamq", env, primitives=200, eval_episodes=1, out=tmp_path / "run", progress=False)
+    assert same.evaluations == result.evaluations
+    other = train("hamq", make_env(TINY, "ham", "learned"), primitives=200, eval_episodes=1, progress=False)
+    assert other.evaluations != result.evaluations
+
+
+# --- what is refused -------------------------------------------------------------------------
+
+
+def test_what_cannot_be_synthesised_is_refused_in_words():
+    with pytest.raises(UnsupportedError, match="must be pushed"):
+        synthesise(generate(get_preset("push-block"), 0))
+    with pytest.raises(UnknownNameError, match="kind of hierarchy"):
+        synthesise(generate(TINY, 0), "maxx")
+    with pytest.raises(UnknownNameError, match="leaves"):
+        make_env(TINY, leaves="plan")
+    with pytest.raises(AgentSettingsError, match="hierarchy, which this agent takes"):
+        train("maxq-q", make_env(TINY, "ham"), primitives=10)
+    with pytest.raises(AgentSettingsError, match="acts by no given hierarchy"):
+        train("q-learning", make_env(TINY, "maxq"), primitives=10)
+    env = HierarchyEnv(gymnasium.make("hrl_escape/EscapeRoom-v1", config="paper-random", resample_instance=True))
+    with pytest.raises(UnsupportedError, match="train on one instance"):
+        env.reset(seed=1)
+        env.reset(seed=2)
