@@ -51,8 +51,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return code
     except _Ended as ended:
         return _report(f"ended by {signal.Signals(ended.number).name}", 128 + ended.number)
-    except KeyboardInterrupt:
-        return _report("interrupted", 128 + signal.SIGINT)
+    except KeyboardInterrupt as stop:
+        return _report(str(stop) or "interrupted", 128 + signal.SIGINT)
     except BrokenPipeError:  # whoever read our output has seen enough
         _drop_output()
         return 128 + signal.SIGPIPE

@@ -15,6 +15,7 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.observations import list_observations
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.robot import load_urdf
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.files import read_json, read_toml
@@ -38,7 +39,7 @@ class RoomChoice:
     config: Path | None = None
     """Schematic in a TOML or JSON file, in place of a preset."""
     set: tuple[str, ...] = ()
-    """Fields of the schematic to change, as path=value: room.width=30 obstacles.count=40."""
+    """Fields of the schematic to change, as path=value: room.width=30 obstacles.count=40; robot.urdf takes a file."""
     seed: int = 0
     """Instance seed: selects one room of the schematic."""
     load: Path | None = None
@@ -57,13 +58,16 @@ class RoomChoice:
             raise UnsupportedError("--arguments belong to a preset: with --config use --set")
         else:
             read = read_toml if self.config.suffix.lower() == ".toml" else read_json
-            config = RoomConfig.from_dict({"name": self.config.stem} | _require_table(read(self.config, "schematic")))
+            table = {"name": self.config.stem} | _require_table(read(self.config, "schematic"))
+            _read_urdf(table, self.config.parent)
+            config = RoomConfig.from_dict(table)
         if not self.set:
             return config
         fields = config.to_dict()
         for text in self.set:
             path, value = split_assignment(text, "--set", "room.width=30")
             _change(fields, path, value)
+        _read_urdf(fields, Path())
         return RoomConfig.from_dict(fields)
 
     def make_instance(self) -> RoomInstance:
@@ -83,6 +87,14 @@ def _require_table(value: Any) -> dict[str, Any]:
     if not isinstance(value, dict):
         raise ConfigError("config", value, "a table of fields")
     return value
+
+
+def _read_urdf(fields: dict[str, Any], folder: Path) -> None:
+    """Put the text of a URDF file, and the paths of its meshes, in place of the file's path."""
+    robot = fields.get("robot")
+    urdf = robot.get("urdf") if isinstance(robot, dict) else None
+    if isinstance(robot, dict) and isinstance(urdf, str) and not urdf.lstrip().startswith("<"):
+        robot["urdf"] = load_urdf(folder / urdf)
 
 
 def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:

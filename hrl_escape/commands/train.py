@@ -138,4 +138,7 @@ def _print(result: TrainResult, best: float) -> None:
                   f"{result.seconds:.1f} s of training")
     if evaluations:
         console.print(f"return {evaluations[-1].mean_return:.1f} at the end; the best known is {best:g}")
-    console.print(f"log, checkpoint and result: {result.folder}", markup=False)
+        top = max(evaluations, key=lambda evaluation: evaluation.mean_return)
+        console.print(f"best evaluation: return {top.mean_return:.1f} after {top.primitives:,} primitives; best.npz "
+                      "keeps its agent")
+    console.print(f"log, checkpoints and result: {result.folder}", markup=False)

@@ -221,7 +221,7 @@ def make_robot(config: RobotConfig) -> Robot:
     """Build the robot of a schematic; the same config gives the same object.
 
     Raises:
-        RobotError: the arm's URDF lacks the hand link, or has fewer moving joints than asked for.
+        RobotError: the arm's URDF lacks the hand link, a mesh, or as many moving joints as are asked for.
     """
     if config.kind in _SHIPPED:
         file, hand = _SHIPPED[config.kind]
@@ -229,6 +229,10 @@ def make_robot(config: RobotConfig) -> Robot:
         hand = config.hand_link or hand
     elif config.kind == "urdf":
         arm = _parse(config.urdf or "", "robot.urdf")
+        for name in (mesh.get("filename", "") for mesh in arm.iter("mesh")):
+            if not (Path(name).is_absolute() and Path(name).is_file()):
+                raise RobotError(f"robot.urdf shows the mesh {name!r}, which is no file on this machine. load_urdf(path) "
+                                 "or --set robot.urdf=PATH finds a URDF's meshes in its folder and those above")
         hand = config.hand_link or arm.findall("link")[-1].get("name", "")
     else:
         arm = _make_arm(config)

@@ -40,8 +40,11 @@ if TYPE_CHECKING:
 __all__ = ["METHODS", "PrimitiveSearch", "SearchResult"]
 
 METHODS = ("auto", "fields", "corridor")
-LARGE = 6_400.0
-"""Floor area beyond which a cost-to-go field is dearer than several queries of a path planner, m^2."""
+LARGE = 3_000.0
+"""Floor area beyond which the grid of a room's fields is dearer than the first few places asked for by corridors, m^2.
+
+From `hrl-escape bench planners`: on 20 x 20 m the first query along fields costs as much as one in a corridor and every
+later one less, on 60 x 60 m and above it costs twice as much."""
 EXPANSIONS = 300_000
 SCHEDULE = ((0, 1.0, 3_000), (-1, 1.05, 6_000), (-2, 1.1, 20_000), (-4, 1.5, EXPANSIONS))
 """Weighted-A* schedule: (heuristic offset, weight, node budget), from the fewest primitives to any plan at all."""
@@ -177,13 +180,12 @@ class PrimitiveSearch:
     def choose_method(self, goal: Goal, keep_out: Sequence[Footprint]) -> str:
         """Method by what a query costs: a function of room and goal, never of earlier queries.
 
-        Targets and the exit are gone to again and again, so their fields pay. A place is asked for once, and on
-        a large floor a field takes longer than all queries of an episode.
+        Targets and the exit are gone to again and again, so their fields pay on any floor. A place is asked for
+        once; on a large floor its field, and the grid under it, take longer than a path and its corridor.
         """
+        is_once = isinstance(goal, (PoseGoal, RegionGoal)) and not keep_out
         is_large = 4.0 * self.instance.reach_x * self.instance.reach_y > LARGE
-        if keep_out or (isinstance(goal, PressGoal) and self.instance.dynamics.press_with == "hand"):
-            return "fields"
-        return "corridor" if is_large or isinstance(goal, (PoseGoal, RegionGoal)) else "fields"
+        return "corridor" if is_once and is_large else "fields"
 
     def _solve(self, problem: SearchProblem, method: str, planner: str, avoid: bool, refine: bool, budget: int
                 ) -> SearchResult:

@@ -43,8 +43,8 @@ class RoomPlanner(RouteFinder):
     Args:
         instance: the room. Under noise, slip or physics, plans are for the kinematic room without these.
         method: `fields` (cost-to-go fields); a path planner round whose path to search, such as `RRTConnect`
-            (see `list_planners`), with `corridor` for the default one; or `auto`, which takes fields for targets and
-            the exit, and the corridor for places and on large floors.
+            (see `list_planners`), with `corridor` for the default one; or `auto`, which takes the corridor for places
+            on floors of more than 3,000 m^2, and fields for everything else.
         budget: search nodes of a plan; the same budget finds the same plan anywhere.
         time_limit: limit of one whole call of `plan`, `solve`, `order_goals` or `find_ancestors`, s. None, the default,
             leaves the decision to the budget, so that plans do not depend on the machine.

@@ -75,6 +75,43 @@ def test_fields_presets_and_files_say_which_room(capsys, tmp_path):
     assert code == 2 and "not TOML" in err
 
 
+URDF = """<robot name="boom"><link name="foot"/>
+<link name="boom"><visual><geometry><mesh filename="{mesh}"/></geometry></visual></link>
+<joint name="lift" type="revolute"><parent link="foot"/><child link="boom"/><axis xyz="0 -1 0"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint><link name="tip"/>
+<joint name="end" type="fixed"><parent link="boom"/><child link="tip"/><origin xyz="0.8 0 0"/></joint></robot>"""
+MESH = "v 0 0 0\nv 0.8 0 0\nv 0 0.1 0\nv 0 0 0.1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+ARM = ("robot.kind=urdf", "robot.joints=1", "robot.body_radius=0.4", "dynamics.press_with=hand",
+       "puzzle.buttons.centre_height=1.0")
+
+
+def test_the_robot_s_urdf_is_given_by_its_path(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "boom.obj").write_text(MESH)
+    (tmp_path / "arm4.urdf").write_text(URDF.format(mesh="package://boom.obj"))
+    code, out, _ = call(capsys, "room", "--set", *ARM, "robot.urdf=arm4.urdf", "--drive", "joint-1-increment*2",
+                        "--json", "--save", "room.json", "--draw", "end.png", "--camera", "chase")
+    assert code == 0 and json.loads(out)["drive"]["primitives"] == ["joint-1-increment"] * 2
+    room = RoomInstance.load(tmp_path / "room.json")
+    assert str(tmp_path / "boom.obj") in (room.robot.urdf or "") and room.robot.joints == 1
+    (tmp_path / "robots").mkdir()
+    (tmp_path / "arm4.urdf").rename(tmp_path / "robots" / "arm4.urdf")
+    (tmp_path / "mine.json").write_text(json.dumps(
+        get_preset("paper-two-button").to_dict() | {"robot": {"kind": "urdf", "joints": 1, "urdf": "arm4.urdf"}}))
+    assert_refused(capsys, ["room", "--config", str(tmp_path / "mine.json")], "cannot read the URDF")
+    (tmp_path / "mine.json").rename(tmp_path / "robots" / "mine.json")
+    assert call(capsys, "room", "--config", tmp_path / "robots" / "mine.json")[0] == 0, "beside the schematic"
+
+
+@pytest.mark.parametrize("mesh", ["package://boom/boom.obj", "boom.obj", "/gone/boom.obj"])
+def test_a_mesh_that_is_not_there_is_refused_before_a_room_is_sampled(capsys, tmp_path, mesh):
+    (tmp_path / "arm4.urdf").write_text(URDF.format(mesh=mesh))
+    assert_refused(capsys, ["room", "--set", *ARM, f"robot.urdf={tmp_path / 'arm4.urdf'}"], f"the mesh {mesh!r}")
+    robot = {"kind": "urdf", "joints": 1, "urdf": URDF.format(mesh=mesh)}
+    (tmp_path / "mine.json").write_text(json.dumps({"robot": robot}))
+    assert_refused(capsys, ["room", "--config", str(tmp_path / "mine.json")], f"the mesh {mesh!r}")
+
+
 def test_driving_nine_strafes_left_escapes_with_return_91(capsys, tmp_path):
     code, out, _ = call(capsys, "room", "--preset", "paper-one-button", "--drive", "strafe-left*20", "--json",
                         "--draw", tmp_path / "drive.gif", tmp_path / "end.png", "--camera", "overhead")

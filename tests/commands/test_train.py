@@ -1,10 +1,14 @@
 """`hrl-escape train` through the command line."""
 
 import json
+import signal
+import subprocess
+import time
 
 import pytest
 
-from tests.command_line import assert_refused, call
+from hrl_escape.agents.training.checkpoint import load_checkpoint
+from tests.command_line import PROGRAM, assert_refused, call
 
 
 def test_a_run_leaves_its_description_log_and_checkpoint_and_reports_them(capsys, tmp_path):
@@ -14,6 +18,30 @@ def test_a_run_leaves_its_description_log_and_checkpoint_and_reports_them(capsys
     assert code == 0 and report["folder"] == str(tmp_path / "run")
     assert report["best_known"] == 66
     assert {"run.json", "log.jsonl", "checkpoint.npz"} <= {path.name for path in (tmp_path / "run").iterdir()}
+
+
+def test_ctrl_c_saves_the_run_and_the_same_command_goes_on_with_it(tmp_path):
+    command = [PROGRAM, "train", "smdp-q-learning", "--eval-episodes", "1", "--eval-every", "500", "--out", "run"]
+    log = tmp_path / "run" / "log.jsonl"
+    begun = subprocess.Popen([*command, "--primitives", "4000"], cwd=tmp_path, text=True, stdout=subprocess.PIPE,
+                             stderr=subprocess.PIPE, preexec_fn=heed_ctrl_c)
+    while not log.exists() or log.read_bytes().count(b"\n") < 3:
+        assert begun.poll() is None
+        time.sleep(0.01)
+    begun.send_signal(signal.SIGINT)
+    error = begun.communicate(timeout=60)[1]
+    assert begun.returncode == 130 and error.count("\n") == 1 and "run holds the run" in error
+    saved, length = load_checkpoint(tmp_path / "run" / "checkpoint.npz")["primitives"], log.stat().st_size
+    assert f"after {saved:,} primitives" in error and 0 < saved < 4000
+    head = log.read_bytes()
+    done = subprocess.run([*command, "--primitives", "4000"], cwd=tmp_path, text=True, capture_output=True)
+    assert done.returncode == 0 and log.read_bytes()[:length] == head, "nothing was trained twice"
+    assert "best evaluation: return" in done.stdout and (tmp_path / "run" / "best.npz").exists()
+
+
+def heed_ctrl_c():
+    """A shell starts what runs in its background with Ctrl-C ignored."""
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 SHORT = ["train", "smdp-random", "--preset", "four-button-chain", "--primitives", "50", "--eval-episodes", "0"]

@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 
-from hrl_escape.commands.bench.planner_contenders import FIELDS, FLOORS, make_queries, measure
+from hrl_escape.commands.bench.planner_contenders import make_queries
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import DynamicsConfig, ExitConfig, ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.geometry import Solid, compute_distance, make_footprint
@@ -73,20 +73,26 @@ def test_predicted_states_are_the_executed_ones(name, method):
 # --- how few ---------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(("floor", "most"), [("empty", 1.03), ("10 obstacles", 1.03), ("40 obstacles", 1.05),
-                                              ("interior walls", 1.05)])
+def find_ratios(queries, method):
+    """Primitives over those of the reference, a query."""
+    results = [query.search.search(query.state, query.goal, method=method) for query in queries]
+    assert all(result.is_reached and (result.method == "fields") == (method == "fields") for result in results)
+    return [len(result.primitives) / query.fewest for result, query in zip(results, queries, strict=True)]
+
+
+FLOORS = {"empty": 1.03, "10 obstacles": 1.03, "40 obstacles": 1.05, "interior walls": 1.05}
+
+
+@pytest.mark.parametrize(("floor", "most"), FLOORS.items())
 def test_primitives_are_within_a_few_percent_of_the_near_exact_reference(floor, most):
-    rows = measure(make_queries(floor, range(3), 8), [FIELDS])
-    ratios = [row.primitives / row.fewest for row in rows]
-    assert all(row.reached for row in rows)
+    ratios = find_ratios(make_queries(floor, range(3), 8), "fields")
     assert np.mean(ratios) <= most
     assert np.quantile(ratios, 0.95) <= 1.15
 
 
 def test_corridors_reach_every_goal_a_little_longer():
-    rows = measure([q for floor in FLOORS for q in make_queries(floor, range(1), 6)], ["RRTConnect"])
-    assert all(row.reached for row in rows)
-    assert np.mean([row.primitives / row.fewest for row in rows]) < 1.2
+    queries = [q for floor in (*FLOORS, "narrow passages") for q in make_queries(floor, range(1), 6)]
+    assert np.mean(find_ratios(queries, "corridor")) < 1.2
 
 
 def count_fewest(rules, state, goal, most):

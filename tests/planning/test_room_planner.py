@@ -315,22 +315,25 @@ def test_what_is_remembered_belongs_to_the_whole_pose_and_the_door():
 
 
 def test_a_plan_names_the_search_that_found_it(planner, start):
-    assert planner.solve(start).planner == "fields", "targets and the exit come again"
-    assert planner.plan(start, "3,-4").planner == "RRTConnect", "a place is asked for once"
+    assert planner.solve(start).planner == planner.plan(start, "3,-4").planner == "fields"
     assert planner.solve(start, "BITstar").planner == "BITstar"
-    assert planner.plan(start, "3,-4", "fields").planner == "fields"
+    assert planner.plan(start, "3,-4", "corridor").planner == "RRTConnect"
     with pytest.raises(UnknownNameError, match="BITstar"):
         planner.solve(start, "BITster")
 
 
-def test_a_large_floor_is_crossed_round_a_path_without_a_field_of_all_of_it():
-    config = RoomConfig(room=ShapeConfig(width=100, depth=100))
-    instance = generate(config, 0)
-    planner = RoomPlanner(instance)
-    start = planner.rules.make_state(instance.starts[0])
-    plan = planner.solve(start)
-    assert plan.planner == "RRTConnect" and not planner._search._makers
-    assert plan.cost <= 1.1 * RoomPlanner(instance, "fields").solve(start).cost
+@pytest.mark.parametrize(("side", "way"), [(50, "fields"), (60, "corridor")])
+def test_a_place_on_a_large_floor_is_reached_round_a_path_and_targets_by_fields(side, way):
+    planner = RoomPlanner(generate(RoomConfig(room=ShapeConfig(width=side, depth=side)), 0))
+    start = planner.rules.make_state(planner.instance.starts[0])
+    place, search = PoseGoal(-side / 3, side / 3), planner._search
+    assert search.choose_method(place, ()) == search.choose_method(RegionGoal(0, 2, 0, 2), ()) == way
+    assert search.choose_method(PressGoal(0), ()) == search.choose_method(ExitGoal(), ()) == "fields"
+    assert search.choose_method(place, (planner.instance.solids[0].footprint,)) == "fields"
+    plan = planner.plan(start, place)
+    assert plan.planner == ("RRTConnect" if way == "corridor" else "fields")
+    assert bool(search._makers) == (way == "fields"), "no grid of the whole floor is made for one place"
+    assert plan.cost <= 1.1 * RoomPlanner(planner.instance, "fields").plan(start, place).cost
 
 
 def test_planners_survive_pickling(planner, start):

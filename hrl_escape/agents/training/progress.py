@@ -51,14 +51,22 @@ def show_progress(name: str, total: int, done: int, show: bool | None) -> Iterat
     with Progress(*columns, console=console) as progress:
         task = progress.add_task(name, total=total, completed=done, rate="", words="")
         started = last = time.monotonic()
+        latest = done, ""
 
-        def report(primitives: int, words: str) -> None:
-            nonlocal last
-            now = time.monotonic()
-            if now - last < REFRESH_SECONDS and primitives < total:
-                return
-            last = now
-            rate = (primitives - done) / max(now - started, 1e-9)
+        def refresh() -> None:
+            primitives, words = latest
+            rate = (primitives - done) / max(last - started, 1e-9)
             progress.update(task, completed=min(primitives, total), rate=f"{rate:,.0f}/s", words=words)
 
-        yield report
+        def report(primitives: int, words: str) -> None:
+            nonlocal last, latest
+            now, latest = time.monotonic(), (primitives, words)
+            if now - last >= REFRESH_SECONDS:
+                last = now
+                refresh()
+
+        try:
+            yield report
+        finally:  # the line that stays
+            last = time.monotonic()
+            refresh()

@@ -10,7 +10,7 @@ import json
 import os
 import time
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, cast
@@ -29,6 +29,7 @@ from hrl_escape.agents.agent import (
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts
 from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
+from hrl_escape.agents.training.interrupt import deferring_interrupts
 from hrl_escape.agents.training.probe import Probe
 from hrl_escape.agents.training.progress import Reporter
 from hrl_escape.agents.training.results import EpisodeRecord, TrainResult, make_evaluation_row, read_row
@@ -128,12 +129,17 @@ class Run:
 
         Raises:
             DivergenceError: a loss became NaN; names run and primitive.
+            KeyboardInterrupt: Ctrl-C was pressed; a run with a folder has saved the episode that was running.
         """
         folder = self._folder
         if folder is not None and folder.state is not None and (finished := folder.result) is not None:
             return dataclasses.replace(finished, agent=self.agent)
         try:
-            self._train(folder, checkpoint_seconds, report)
+            if folder is None:
+                self._train(None, checkpoint_seconds, report)
+            else:
+                with deferring_interrupts() as is_interrupted:
+                    self._train(folder, checkpoint_seconds, report, is_interrupted)
         except DivergenceError as error:
             where = f", {folder.path}" if folder is not None else ""
             label = f"{self.arguments.name}, seed {self.arguments.seed}{where}"
@@ -144,11 +150,13 @@ class Run:
             folder.finish(result.to_json())
         return result
 
-    def _train(self, folder: RunFolder | None, checkpoint_seconds: float, report: Reporter) -> None:
+    def _train(self, folder: RunFolder | None, checkpoint_seconds: float, report: Reporter,
+               is_interrupted: Callable[[], bool] = lambda: False) -> None:
         """Run episodes until the budget is spent, evaluating and saving between them."""
         last_save = time.monotonic()
         if not self.episodes:
             self._evaluate(folder)
+            report(self.primitives, self._describe())
         next_evaluation = self._next_evaluation()
         while not self.is_over:
             row = self._run_episode(report)
@@ -158,10 +166,15 @@ class Run:
                 self.probe.after_episode(self.agent, self.episodes[-1])
             if self.is_over or self.primitives >= next_evaluation:
                 self._evaluate(folder)
+                report(self.primitives, self._describe())
                 next_evaluation = self._next_evaluation()
-            if folder is not None and (self.is_over or time.monotonic() - last_save >= checkpoint_seconds):
+            stops = self.is_over or is_interrupted()
+            if folder is not None and (stops or time.monotonic() - last_save >= checkpoint_seconds):
                 folder.save(self.state_dict())
                 last_save = time.monotonic()
+            if folder is not None and is_interrupted() and not self.is_over:
+                raise KeyboardInterrupt(f"interrupted after {self.primitives:,} primitives; {folder.path} holds the "
+                                        "run, and the same command goes on from there")
 
     @property
     def is_over(self) -> bool:
@@ -244,9 +257,12 @@ class Run:
             primitives=self.primitives,
             decisions=self.decisions,
         )
+        is_best = all(evaluation.mean_return > earlier.mean_return for earlier in self.evaluations)
         self.evaluations.append(evaluation)
         if folder is not None:
             folder.log(make_evaluation_row(evaluation))
+            if is_best:
+                folder.save_best(self.state_dict())
 
     def make_result(self, settings: Mapping[str, Any]) -> TrainResult:
         """Build the result."""

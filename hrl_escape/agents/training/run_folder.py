@@ -1,8 +1,9 @@
 """Folder of one training run: identity, log, checkpoint and result.
 
 `run.json` holds the identity, `log.jsonl` one line an episode and an evaluation, `checkpoint.npz` the latest state,
-`result.json` the result of a finished run. A checkpoint records the length of the log, and resuming cuts the log back
-to it. So a run killed at any moment leaves the files of an uninterrupted one.
+`best.npz` that of the best evaluation (the first of equals), `result.json` the result of a finished run. A checkpoint
+records the length of the log, and resuming cuts the log back to it. So a run killed at any moment leaves the files of
+an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -39,10 +40,13 @@ from hrl_escape.files import (
     write_json,
 )
 
-__all__ = ["FORMAT", "RunFolder", "read_run"]
+__all__ = ["BEST", "FORMAT", "LAST", "RunFolder", "read_run"]
 
 FORMAT = 2
 """Version of `run.json`."""
+
+LAST, BEST = "checkpoint.npz", "best.npz"
+"""Checkpoints of a run: the latest, and that of its best evaluation."""
 
 MOST_NAMED = 8
 """Differences that a message names."""
@@ -113,7 +117,12 @@ class RunFolder:
         """Make the log durable, then replace the checkpoint."""
         with self._writing_log():
             os.fsync(self._log.fileno())
-        save_checkpoint(self.path / "checkpoint.npz", {"key": self.key, "log_bytes": self._log.tell(), **state})
+        save_checkpoint(self.path / LAST, {"key": self.key, "log_bytes": self._log.tell(), **state})
+
+    def save_best(self, state: StateTree) -> None:
+        """Replace the checkpoint of the best evaluation."""
+        with self._writing_log():
+            save_checkpoint(self.path / BEST, {"key": self.key, **state})
 
     def finish(self, result: Mapping[str, Any]) -> None:
         """Write the result, which marks the run as finished."""
@@ -169,7 +178,7 @@ class RunFolder:
         """Write the identity, or compare it with the one that is there."""
         path = self.path / "run.json"
         if not path.exists():
-            left = [name for name in ("result.json", "checkpoint.npz", "log.jsonl") if (self.path / name).exists()]
+            left = [name for name in ("result.json", LAST, BEST, "log.jsonl") if (self.path / name).exists()]
             if left:
                 raise CheckpointError(f"{self.path / left[0]}: this folder is damaged: its run.json is gone. Choose "
                                       "another folder, or delete this one")
@@ -190,7 +199,7 @@ class RunFolder:
 
     def _restore(self) -> int:
         """Read checkpoint and log; return the length of the log at the checkpoint, in bytes."""
-        path = self.path / "checkpoint.npz"
+        path = self.path / LAST
         if not path.exists():
             return 0
         self.state = load_checkpoint(path)

@@ -23,7 +23,7 @@ from hrl_escape.agents.training.probe import Probe
 from hrl_escape.agents.training.progress import show_progress
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.run import Run, RunArguments, load_agent_state, refusing_damage
-from hrl_escape.agents.training.run_folder import read_run
+from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
 from hrl_escape.errors import AgentSettingsError, CheckpointError
 
 __all__ = ["load_agent", "load_env", "train"]
@@ -67,7 +67,8 @@ def train(
         eval_seed: fixes the evaluation episodes; use one value for all runs that are compared.
         out: folder for log, checkpoints and result; `{key}` in its name becomes a hash of everything that decides
             the run's numbers. The same run found there goes on from its last checkpoint, to the same bits; a
-            finished one is returned at once; any other run is refused.
+            finished one is returned at once; any other run is refused. Ctrl-C saves the run at the end of the
+            episode that is running. The agent of the best evaluation is kept beside the last.
         checkpoint_seconds: least wall time between checkpoints; 0 makes one after every episode.
         tensorboard: also write event files (needs `out` and the extra `tensorboard`).
         progress: show a progress line; by default on a terminal only.
@@ -116,19 +117,20 @@ def train(
         run.close()
 
 
-def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None) -> Agent:
+def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None, *, best: bool = False) -> Agent:
     """Load the agent of a run as of its last checkpoint; in a finished run, the trained one.
 
     Args:
         folder: folder of a run of a named agent.
         env: environment with the spaces of the training; None makes the run's own, see `load_env`.
+        best: load the agent of the evaluation with the highest mean return so far, the first of equals.
 
     Raises:
         FileReadError: no checkpoint or description there.
         CheckpointError: the description or the checkpoint is damaged or does not fit.
     """
     described = read_run(folder)
-    state = load_checkpoint(Path(folder) / "checkpoint.npz")
+    state = load_checkpoint(Path(folder) / (BEST if best else LAST))
     if state.get("key") != compute_digest(hash_large_parts(described)):
         raise CheckpointError(f"{folder}: the checkpoint belongs to another run than the run.json beside it")
     own = load_env(folder) if env is None else None

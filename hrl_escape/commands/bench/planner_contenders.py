@@ -1,16 +1,18 @@
 """All planners on the same queries: number of primitives beside a near-exact reference, and time. Not a command.
 
 The idea is OMPL's Planner Arena (Moll, Sucan and Kavraki 2015). Queries are drawn without any
-planner's help: from certified free places of generated rooms to the rooms' own goals. Measured
-are the search along cached fields and the corridor search round each path planner's path.
+planner's help: from certified free places of generated rooms to the rooms' own goals, or to other
+free places. Measured are the search along cost-to-go fields, the corridor search round each path
+planner's path, and `auto`, which chooses between the two. Each query is timed three times: in a room
+that nobody has asked anything yet, in a room that knows another goal, and with its own goal known.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -21,35 +23,63 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.free_space import FreeSpace
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.files import write_text
-from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, describe_goal, is_reached
+from hrl_escape.kernels import read_clock
+from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, describe_goal, is_reached
 from hrl_escape.planning.lattice.areas import compute_goal_area
 from hrl_escape.planning.lattice.reference import find_fewest_primitives
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.paths.registry import list_planners
-from hrl_escape.planning.primitive_search import PrimitiveSearch
+from hrl_escape.planning.primitive_search import METHODS, PrimitiveSearch, SearchResult
 
-__all__ = ["FIELDS", "FLOORS", "QueryResult", "Query", "Score", "draw_scores", "list_contenders", "make_queries",
-           "measure", "score_contenders", "write_csv"]
+__all__ = ["AUTO", "FIELDS", "FLOORS", "Floor", "Query", "QueryResult", "Score", "draw_scores", "list_contenders",
+           "make_queries", "measure", "score_contenders", "write_csv"]
 
+AUTO = "auto"
+"""Name of the contender that chooses between fields and a corridor, as planners do by default."""
 FIELDS = "fields"
 """Name of the contender that needs no path planner."""
 
 
-def _floor(obstacles: int, rooms: int, largest: float = 2.0) -> RoomConfig:
+@dataclasses.dataclass(frozen=True)
+class Floor:
+    """A kind of queries.
+
+    Attributes:
+        config: schematic of the rooms.
+        goals: goals asked for: the room's buttons and exit in turn, or free places.
+        has_reference: the near-exact reference fits into memory.
+    """
+
+    config: RoomConfig
+    goals: Literal["targets", "places"] = "targets"
+    has_reference: bool = True
+
+
+def _make_config(obstacles: int, rooms: int, largest: float = 2.0, doorway: float = 2.4, side: float = 20.0
+                 ) -> RoomConfig:
     return RoomConfig(
-        room=ShapeConfig(rooms=rooms), robot=RobotConfig(body_radius=0.5),
-        puzzle=ButtonsConfig(count=3, buttons=Panels(width=1.5)),
+        room=ShapeConfig(width=side, depth=side, rooms=rooms, doorway_width=doorway),
+        robot=RobotConfig(body_radius=0.5), puzzle=ButtonsConfig(count=3, buttons=Panels(width=1.5)),
         obstacles=ObstaclesConfig(count=obstacles, size_max=largest),
     )
 
 
+_WIDE = {side: _make_config(60, 9, 4.0, 3.0, side) for side in (60.0, 200.0)}
+
 FLOORS = {
-    "empty": _floor(0, 1),
-    "10 obstacles": _floor(10, 1),
-    "40 obstacles": _floor(40, 1, 1.5),
-    "interior walls": _floor(15, 3),
+    "empty": Floor(_make_config(0, 1)),
+    "10 obstacles": Floor(_make_config(10, 1)),
+    "40 obstacles": Floor(_make_config(40, 1, 1.5)),
+    "interior walls": Floor(_make_config(15, 3)),
+    "narrow passages": Floor(_make_config(20, 6, 1.5, 1.6)),
+    "60 m": Floor(_WIDE[60.0]),
+    "200 m": Floor(_WIDE[200.0], has_reference=False),
+    "places, 10 obstacles": Floor(_make_config(10, 1), "places"),
+    "places, interior walls": Floor(_make_config(15, 3), "places"),
+    "places, 60 m": Floor(_WIDE[60.0], "places"),
+    "places, 200 m": Floor(_WIDE[200.0], "places", has_reference=False),
 }
-"""Schematics, 20 x 20 m each, on which planners are compared."""
+"""Kinds of queries on which planners are compared, on floors of 20 x 20 m unless the name says otherwise."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -61,13 +91,15 @@ class Query:
         search: primitive search of the room.
         state: first state.
         goal: the goal.
-        fewest: number of primitives that the near-exact reference needs.
+        other: another goal of the room.
+        fewest: number of primitives that the near-exact reference needs; 0 where there is no reference.
     """
 
     floor: str
     search: PrimitiveSearch
     state: RoomState
     goal: Goal
+    other: Goal
     fewest: int
 
 
@@ -76,14 +108,16 @@ class QueryResult:
     """Result of one contender on one query.
 
     Attributes:
-        contender: `FIELDS` or a path planner.
+        contender: `AUTO`, `FIELDS` or a path planner.
         floor: name of the schematic.
         instance: id of the room.
         goal: the goal in words.
         reached: the goal was reached, confirmed by replay, without falling back on another contender.
         primitives: number of primitives.
-        fewest: number of primitives of the reference.
-        milliseconds: wall time, without preparing the room.
+        fewest: number of primitives of the reference, or of the best contender where there is none.
+        cold_ms: time of the first query that the room is asked, with all that it prepares.
+        new_ms: time in a room that has been asked for another goal before.
+        milliseconds: time in a room that has been asked for this goal before.
     """
 
     contender: str
@@ -93,12 +127,14 @@ class QueryResult:
     reached: bool
     primitives: int
     fewest: int
+    cold_ms: float
+    new_ms: float
     milliseconds: float
 
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """Summary of a contender on one floor; ratios are to the reference, over the goals that it reached."""
+    """Summary of a contender on one kind of queries; ratios are to the fewest, over the goals that it reached."""
 
     contender: str
     floor: str
@@ -107,13 +143,15 @@ class Score:
     primitives: float
     ratio: float
     ratio_p95: float
+    cold_ms: float
+    new_ms: float
     median_ms: float
     p99_ms: float
 
 
 def list_contenders() -> tuple[str, ...]:
-    """All contenders: `FIELDS` and every path planner."""
-    return (FIELDS, *list_planners())
+    """All contenders: `AUTO`, `FIELDS` and every path planner."""
+    return (AUTO, FIELDS, *list_planners())
 
 
 def make_queries(floor: str, seeds: Iterable[int], each: int, config: RoomConfig | None = None) -> list[Query]:
@@ -122,24 +160,29 @@ def make_queries(floor: str, seeds: Iterable[int], each: int, config: RoomConfig
     Args:
         floor: one of `FLOORS`, or any name if `config` is given.
         seeds: instance seeds, one room each.
-        each: number of queries in a room; their goals cycle through its buttons and exit.
+        each: number of queries in a room; their goals cycle through its buttons and exit, or are free places.
         config: another schematic; its buttons are pressed by the body and its exit has no door.
     """
+    kind = Floor(config) if config else FLOORS[floor]
     queries: list[Query] = []
     for seed in seeds:
-        instance = generate(config or FLOORS[floor], seed)
+        instance = generate(kind.config, seed)
         search = PrimitiveSearch(instance)
         rules, rng = search.kinematics, np.random.default_rng([seed, 3])
         space = FreeSpace(instance.reach_x, instance.reach_y, instance.robot.body_radius, instance.solids)
         begin = rules.make_state(instance.starts[0])
         cells = space.get_cells(space.find_label(begin.x, begin.y))
         goals: list[Goal] = [*(PressGoal(i) for i in range(len(instance.targets))), ExitGoal()]
+        if kind.goals == "places":
+            goals = [PoseGoal(*place) for place in space.get_centres(rng.choice(cells, each + 1)).tolist()]
         for number in range(each):
-            goal = goals[number % len(goals)]
+            goal, other = goals[number % len(goals)], goals[(number + 1) % len(goals)]
             state = _draw_state(rules, space, cells, begin, goal, rng)
-            found = find_fewest_primitives(rules, state, goal, *compute_goal_area(goal, instance))
+            found: tuple[int, ...] | None = ()
+            if kind.has_reference:
+                found = find_fewest_primitives(rules, state, goal, *compute_goal_area(goal, instance))
             if found is not None:
-                queries.append(Query(floor, search, state, goal, len(found)))
+                queries.append(Query(floor, search, state, goal, other, len(found)))
     return queries
 
 
@@ -157,7 +200,7 @@ def _draw_state(rules: Kinematics, space: FreeSpace, cells: np.ndarray, begin: R
 
 def measure(queries: Sequence[Query], contenders: Sequence[str],
             report: Callable[[str], None] = lambda _: None) -> list[QueryResult]:
-    """Run every contender on every query; preparation in a room is not timed.
+    """Run every contender on every query.
 
     Args:
         queries: from `make_queries`.
@@ -165,25 +208,34 @@ def measure(queries: Sequence[Query], contenders: Sequence[str],
         report: called with each contender's name before its turn at a query.
     """
     rows: list[QueryResult] = []
-    prepared: set[tuple[str, int]] = set()
     for query in queries:
+        answers: list[QueryResult] = []
         for contender in contenders:
             report(contender)
-            planner = DEFAULT_PLANNER if contender == FIELDS else contender
-            method = "fields" if contender == FIELDS else "corridor"
-            if (contender, id(query.search)) not in prepared:
-                prepared.add((contender, id(query.search)))
-                query.search.prepare()
-                query.search.search(query.state, query.goal, method=method, planner=planner)
-            began = time.perf_counter()
-            result = query.search.search(query.state, query.goal, method=method, planner=planner)
-            seconds = time.perf_counter() - began
-            instance = query.search.instance
-            rows.append(QueryResult(
-                contender, query.floor, instance.id, describe_goal(query.goal, instance),
-                result.is_reached and result.method == contender, len(result.primitives), query.fewest, 1e3 * seconds,
-            ))
+            answers.append(_measure_query(query, contender))
+        best = min((answer.primitives for answer in answers if answer.reached), default=0)
+        rows += [dataclasses.replace(answer, fewest=query.fewest or best) for answer in answers]
     return rows
+
+
+def _measure_query(query: Query, contender: str) -> QueryResult:
+    """Ask a contender in a new room, again, and in another new room after another goal."""
+    instance = query.search.instance
+    method, planner = (contender, DEFAULT_PLANNER) if contender in METHODS else ("corridor", contender)
+
+    def ask(search: PrimitiveSearch, goal: Goal) -> tuple[SearchResult, float]:
+        began = read_clock()
+        result = search.search(query.state, goal, method=method, planner=planner)
+        return result, 1e3 * (read_clock() - began)
+
+    one, other = (PrimitiveSearch(instance, query.search.kinematics) for _ in range(2))
+    result, cold = ask(one, query.goal)
+    _, again = ask(one, query.goal)
+    ask(other, query.other)
+    _, new = ask(other, query.goal)
+    is_own = contender == AUTO or result.method == contender
+    return QueryResult(contender, query.floor, instance.id, describe_goal(query.goal, instance),
+                       result.is_reached and is_own, len(result.primitives), 0, cold, new, again)
 
 
 def score_contenders(rows: Sequence[QueryResult]) -> list[Score]:
@@ -195,11 +247,12 @@ def score_contenders(rows: Sequence[QueryResult]) -> list[Score]:
     for (floor, contender), group in groups.items():
         reached = [row for row in group if row.reached]
         ratios = np.array([row.primitives / row.fewest for row in reached] or [np.nan])
-        times = np.array([row.milliseconds for row in group])
+        times = np.array([(row.cold_ms, row.new_ms, row.milliseconds) for row in group])
+        cold, new, again = np.median(times, axis=0).tolist()
         scores.append(Score(
             contender, floor, len(group), len(reached) / len(group),
             float(np.mean([row.primitives for row in reached] or [np.nan])), float(ratios.mean()),
-            float(np.quantile(ratios, 0.95)), float(np.median(times)), float(np.quantile(times, 0.99)),
+            float(np.quantile(ratios, 0.95)), cold, new, again, float(np.quantile(times[:, 2], 0.99)),
         ))
     return scores
 

@@ -1,11 +1,12 @@
-"""BitFlip (Diuk, Strehl and Littman 2006) on a wall: a binary counter's worth of order.
+"""BitFlip (Diuk, Strehl and Littman 2006) on a wall: bits that are flipped in one order.
 
-Bit i can be flipped only while all lower bits are on; flipped too early, it and all lower
-bits go off. All bits on open the exit. The rule is the one that public implementations of
-the domain restate ("flip from left to right; the penalty is a reset of all bits to the
-left"), among them that of Mehta et al. 2008 ("Automatic discovery and transfer of MAXQ
-hierarchies"), whose additional parity condition on the last bit is left out. Unlike the button
-puzzle it is not monotone: a press can undo many. The state is an integer whose bit i is bit i.
+Bit i can be flipped only while all lower bits are on; flipped too early, it and all lower bits go
+off. All bits on open the exit: n presses at the fewest, from the lowest bit to the highest. The
+rule is the one that public implementations of the domain restate ("flip from left to right; the
+penalty is a reset of all bits to the left"), among them that of Mehta et al. 2008 ("Automatic
+discovery and transfer of MAXQ hierarchies"), whose additional parity condition on the last bit is
+left out. Unlike the button puzzle it is not monotone: a press can undo many. The state is an
+integer whose bit i is bit i.
 """
 
 from __future__ import annotations

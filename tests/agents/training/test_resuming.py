@@ -18,6 +18,7 @@ from hypothesis.extra import numpy as hnp
 from hrl_escape.agents import load_agent, load_result, make_agent, train
 from hrl_escape.agents.registry import list_agents, list_recipes
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
+from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.errors import CheckpointError, FileReadError, RunBusyError, RunMismatchError
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid
@@ -129,6 +130,14 @@ def test_a_state_tree_with_something_else_is_refused_with_its_place(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.fixture
+def heeding_ctrl_c():
+    """A shell starts what runs in its background with Ctrl-C ignored."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 # --- runs ---------------------------------------------------------------------------------
 
 
@@ -199,8 +208,54 @@ def test_a_run_killed_again_and_again_gives_the_same_bits(tmp_path):
     assert start(pieces, pause=0).wait(120) == start(whole, pause=0).wait(120) == 0
     assert load_result(pieces) == load_result(whole)
     assert read_log(pieces) == read_log(whole)
-    one, other = (load_checkpoint(folder / "checkpoint.npz")["agent"] for folder in (pieces, whole))
-    assert flatten(one) == flatten(other)
+    for name in ("checkpoint.npz", "best.npz"):
+        one, other = (load_checkpoint(folder / name)["agent"] for folder in (pieces, whole))
+        assert flatten(one) == flatten(other)
+
+
+class Pressing(ButtonGrid):
+    """Ctrl-C is pressed once, or at every step, from the n-th step of its life on."""
+
+    def __init__(self, after, again=False):
+        super().__init__(trace=True, horizon=40)
+        self.left, self.again = after, again
+
+    def step(self, action):
+        self.left -= 1
+        if self.left == 0 or (self.left < 0 and self.again):
+            os.kill(os.getpid(), signal.SIGINT)
+        return super().step(action)
+
+
+def test_ctrl_c_saves_the_episode_that_is_running_and_the_run_goes_on_from_its_end(tmp_path, heeding_ctrl_c):
+    with pytest.raises(KeyboardInterrupt, match="goes on from there"):
+        run("q-learning", "corrected", {}, Pressing(13), tmp_path, checkpoint_seconds=1e9, eval_episodes=0)
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    saved, rows = load_checkpoint(tmp_path / "checkpoint.npz"), read_log(tmp_path)
+    assert 0 < saved["primitives"] == rows[-1]["primitives"] < 300
+    assert rows[-1]["train/end"] in ("terminated", "truncated"), "the episode that ran has ended"
+    resumed = run("q-learning", "corrected", {}, Pressing(10**9), tmp_path, eval_episodes=0)
+    assert resumed == run("q-learning", "corrected", {}, make_env(), eval_episodes=0)
+
+
+def test_a_second_ctrl_c_stops_at_once(tmp_path, heeding_ctrl_c):
+    env = Pressing(13, again=True)
+    with pytest.raises(KeyboardInterrupt):
+        run("q-learning", "corrected", {}, env, tmp_path, checkpoint_seconds=1e9, eval_episodes=0)
+    assert env.left == -1 and not (tmp_path / "checkpoint.npz").exists()
+
+
+def test_the_best_checkpoint_is_that_of_the_best_evaluation(tmp_path):
+    env = ButtonGrid(trace=True)
+    whole = run("q-learning", "corrected", {}, env, tmp_path, primitives=2500, eval_every=250)
+    returns = [evaluation.mean_return for evaluation in whole.evaluations]
+    best = whole.evaluations[returns.index(max(returns))]
+    assert 0 < best.primitives < whole.primitives, "neither the first evaluation nor the last"
+    assert load_checkpoint(tmp_path / "best.npz")["primitives"] == best.primitives
+    again = evaluate(load_agent(tmp_path, env, best=True), env, 2, 0, primitives=best.primitives,
+                     decisions=best.decisions)
+    assert again == best
+    assert flatten(load_agent(tmp_path, env).state_dict()) == flatten(whole.agent.state_dict())
 
 
 def test_a_finished_run_is_returned_without_training_again(tmp_path):

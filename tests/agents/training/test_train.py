@@ -208,6 +208,14 @@ def test_tensorboard_files_hold_the_logged_numbers(tmp_path):
     assert points == [(e.primitives, pytest.approx(e.mean_return)) for e in result.evaluations]
 
 
+def test_the_progress_line_ends_with_the_last_evaluation(capsys):
+    result = train("q-learning", ButtonGrid(trace=True), primitives=1_750, seed=3, eval_every=250, eval_episodes=2,
+                   progress=True)
+    before, last = (f"eval {evaluation.mean_return:.1f}" for evaluation in result.evaluations[-2:])
+    final = capsys.readouterr().err.rstrip().splitlines()[-1]
+    assert last != before and last in final and "1,750/1,750" in final
+
+
 def test_progress_shows_rate_returns_and_time_left_and_is_silent_by_default(capsys):
     run(progress=None)
     assert capsys.readouterr().err == ""

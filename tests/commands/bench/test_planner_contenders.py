@@ -1,5 +1,6 @@
 """The comparison of planners: honest queries, scores that add up, files, and the command."""
 
+import dataclasses
 import json
 
 import numpy as np
@@ -8,7 +9,9 @@ from PIL import Image
 
 from hrl_escape.cli import main
 from hrl_escape.commands.bench.planner_contenders import (
+    AUTO,
     FIELDS,
+    FLOORS,
     QueryResult,
     list_contenders,
     make_queries,
@@ -36,24 +39,46 @@ def test_the_same_seeds_give_the_same_queries():
 
 
 def test_scores_are_those_of_the_measurements(tmp_path):
-    rows = [QueryResult("fields", "empty", "a", "exit", True, 11, 10, 2.0),
-            QueryResult("fields", "empty", "a", "exit", True, 10, 10, 4.0),
-            QueryResult("fields", "empty", "a", "exit", False, 0, 10, 90.0),
-            QueryResult("RRT", "empty", "a", "exit", False, 0, 10, 1.0)]
+    rows = [QueryResult("fields", "empty", "a", "exit", True, 11, 10, 30.0, 5.0, 2.0),
+            QueryResult("fields", "empty", "a", "exit", True, 10, 10, 50.0, 7.0, 4.0),
+            QueryResult("fields", "empty", "a", "exit", False, 0, 10, 60.0, 9.0, 90.0),
+            QueryResult("RRT", "empty", "a", "exit", False, 0, 10, 1.0, 1.0, 1.0)]
     fields, rrt = score_contenders(rows)
     assert (fields.success, fields.ratio, fields.primitives, fields.median_ms) == (2 / 3, 1.05, 10.5, 4.0)
+    assert (fields.cold_ms, fields.new_ms) == (50.0, 7.0)
     assert rrt.success == 0.0 and np.isnan(rrt.ratio)
     write_csv(tmp_path / "rows.csv", rows)
     lines = (tmp_path / "rows.csv").read_text().splitlines()
     assert lines[0].startswith("contender,floor,instance,goal,reached") and len(lines) == 5
-    assert lines[1] == "fields,empty,a,exit,True,11,10,2"
+    assert lines[1] == "fields,empty,a,exit,True,11,10,30,5,2"
 
 
 def test_everything_that_plans_is_a_contender():
-    assert list_contenders() == (FIELDS, *list_planners())
+    assert list_contenders() == (AUTO, FIELDS, *list_planners())
     rows = measure(make_queries("interior walls", range(1), 1), list_contenders())
     assert [row.contender for row in rows] == list(list_contenders())
     assert sum(row.reached for row in rows) >= len(rows) - 1
+
+
+def test_a_room_costs_more_at_first_and_least_for_a_goal_that_it_knows():
+    queries = make_queries("places, 10 obstacles", range(1), 5)
+    assert len({query.goal for query in queries}) == 5 and all(query.other != query.goal for query in queries)
+    rows = measure(queries, (FIELDS,))
+    assert sum(row.cold_ms > row.new_ms > row.milliseconds for row in rows) >= 4
+
+
+def test_what_auto_finds_is_what_one_of_its_two_ways_finds():
+    for floor in ("10 obstacles", "places, 10 obstacles"):
+        rows = measure(make_queries(floor, range(1), 3), (AUTO, FIELDS, "RRTConnect"))
+        for auto, *ways in zip(rows[::3], rows[1::3], rows[2::3], strict=True):
+            assert auto.reached and auto.primitives in [way.primitives for way in ways]
+
+
+def test_without_a_reference_the_best_contender_has_the_ratio_one():
+    assert not FLOORS["200 m"].has_reference
+    query = dataclasses.replace(make_queries("empty", range(1), 1)[0], fewest=0)
+    rows = measure([query], (FIELDS, "RRTConnect", "BITstar"))
+    assert {row.fewest for row in rows} == {min(row.primitives for row in rows)}
 
 
 def test_the_command_prints_writes_and_draws(tmp_path, capsys):
@@ -67,7 +92,7 @@ def test_the_command_prints_writes_and_draws(tmp_path, capsys):
     with Image.open(plot) as picture:
         assert picture.width > 800 and len(picture.getcolors(1 << 24)) > 50
     assert main(words) == 0
-    assert "median ms" in capsys.readouterr().out
+    assert "again ms" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(("words", "complaint"), [
