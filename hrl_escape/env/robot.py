@@ -231,7 +231,7 @@ def make_robot(config: RobotConfig) -> Robot:
         arm = _parse(config.urdf or "", "robot.urdf")
         for name in (mesh.get("filename", "") for mesh in arm.iter("mesh")):
             if not (Path(name).is_absolute() and Path(name).is_file()):
-                raise RobotError(f"robot.urdf shows the mesh {name!r}, which is no file on this machine. load_urdf(path) "
+                raise RobotError(f"robot.urdf shows the mesh {name!r}, which is no file here. load_urdf(path) "
                                  "or --set robot.urdf=PATH finds a URDF's meshes in its folder and those above")
         hand = config.hand_link or arm.findall("link")[-1].get("name", "")
     else:
