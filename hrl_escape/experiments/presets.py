@@ -86,6 +86,18 @@ GRIDS: dict[str, Grid] = {
             runs=10,
             primitives=50_000,
         ),
+        Grid(
+            name="hierarchies",
+            description="Task graphs and programs synthesised from a room: what does their structure bring alone, and "
+            "what do planned leaves?",
+            agents=_parse_agents("random", "q-learning", "maxq-q+learned", "hamq+learned", "maxq-q+planned",
+                                 "hamq+planned", "smdp-random", "smdp-q-learning", *REFERENCES),
+            rooms=_parse_rooms("paper-two-button", "four-button-chain"),
+            runs=10,
+            primitives=10_000,
+            eval_every=2_500,
+            eval_episodes=2,
+        ),
     )
 }
 """Name -> grid."""
