@@ -22,6 +22,7 @@ from hrl_escape.errors import DiscountMismatchError, StepContractError, Unsuppor
 
 __all__ = [
     "Agent",
+    "RunningCall",
     "SMDPTransition",
     "StateTree",
     "check_observation",
@@ -66,6 +67,24 @@ class SMDPTransition(NamedTuple):
     terminated: bool
     truncated: bool
     trace: Sequence[Any] = ()
+
+
+class RunningCall(NamedTuple):
+    """One running call of a hierarchical agent, for display.
+
+    Attributes:
+        task: its name.
+        context: what its caller told it; None without one.
+        primitives: run since the call.
+        ends: probability that it is over at the moment of the choice.
+        place: x and y of its goal on the floor, m; None where it has no place.
+    """
+
+    task: str
+    context: Any
+    primitives: int
+    ends: float
+    place: tuple[float, float] | None = None
 
 
 class Agent(ABC):
@@ -139,6 +158,10 @@ class Agent(ABC):
     def compute_state_value(self, observation: Any) -> float | None:
         """V(s) of a critic, in units of return; None without one."""
         return None
+
+    def list_calls(self) -> tuple[RunningCall, ...]:
+        """Calls behind the latest choice, in learning or evaluation, the outermost first; none where nothing nests."""
+        return ()
 
     def get_graph(self) -> frozenset[tuple[int, int]] | None:
         """Edges (parent, child) of a learned dependency graph, by component of the observation; None without one."""

@@ -51,7 +51,7 @@ class CompareArgs:
     """Options of `hrl-escape compare`."""
 
     what: Annotated[str, tyro.conf.Positional] = DEFAULT
-    """quickstart, paper, ladder, hierarchies or paper-figure-1 to -3; or a .toml or .json file with a grid of your own."""
+    """quickstart, paper, ladder, hierarchies or paper-figure-1 to -3; or a .toml or .json file with your own grid."""
     agents: tuple[str, ...] = ()
     """Other agents: names, smdp- in front for those that choose options, @paper behind for another recipe, +planned or
     +learned behind for a hierarchy synthesised from the room."""

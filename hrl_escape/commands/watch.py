@@ -2,6 +2,7 @@
 
     hrl-escape watch
     hrl-escape watch smdp-dqn --preset clutter --seed 3
+    hrl-escape watch maxq-q --leaves planned
     hrl-escape watch runs/smdp-dqn-paper-two-button-0-5a1d3f0c
 
 Without a name the planner drives. An agent's name trains that agent while you watch. The folder of a run (see
@@ -41,6 +42,8 @@ class WatchArgs(PageAddress, RoomChoice):
     """Meta-actions: press one button, or press first those that must be on before it."""
     options_only: bool = False
     """Let an agent to train choose among options only."""
+    leaves: Literal["planned", "learned"] | None = None
+    """Train with a hierarchy synthesised from the room, for agents such as maxq-q; the page lists its running calls."""
     recipe: str = "corrected"
     """Recipe of an agent to train: corrected or paper."""
     episode_seed: int = 0
@@ -52,7 +55,8 @@ def run(args: WatchArgs) -> None:
     torch.set_num_threads(1)
     instance = (None if args.load else find_run_room(args.driver)) or args.make_instance()
     driver = open_driver(args.driver, instance, observation=args.observation, flavour=args.flavour,
-                         include_primitives=not args.options_only, recipe=args.recipe, seed=args.episode_seed)
+                         include_primitives=not args.options_only, recipe=args.recipe, seed=args.episode_seed,
+                         leaves=args.leaves)
     gate = Gate(args.pace or None, args.paused)
     server = args.open_server()
     page = WatchPage(server, Watch(driver, gate, args.episode_seed))

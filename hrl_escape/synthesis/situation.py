@@ -133,6 +133,12 @@ class Situations:
         """The planner's goal: to press a target, or without one to leave by the exit."""
         return ExitGoal() if target is None else PressGoal(target)
 
+    def get_place(self, target: int | None) -> tuple[float, float]:
+        """Centre of a target, or without one of the exit, on the floor, m."""
+        if target is None:
+            return self.instance.exit.centre
+        return self.instance.targets[target].x, self.instance.targets[target].y
+
     # --- views --------------------------------------------------------------------------
 
     def see_place(self, seen: Seen) -> Hashable:

@@ -87,8 +87,10 @@ def _make_task_graph(rooms: Situations, planned: bool, abstract: bool) -> Hierar
         see |= {operator.name: rooms.see_place for operator in rooms.operators} | {ROOT: rooms.see_place}
     see |= {primitive: _make_primitive_view(rooms, primitive, planned) if abstract else rooms.see_all
             for primitive in primitives}
+    places = {name: rooms.get_place(target) for name, target in goals.items()}
+    places |= {operator.name: places[f"touch {operator.target}"] for operator in rooms.operators}
     policies = {name: _make_policy(rooms, target) for name, target in goals.items()} if planned else {}
-    return maxq(graph, until, see, policies=policies, read=rooms.read, source="synthesised",
+    return maxq(graph, until, see, policies=policies, places=places, read=rooms.read, source="synthesised",
                 privileges=("planner",) if planned else ())
 
 

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree
+from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, StateTree
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.hierarchy.call_stack import Return, arrive, descend, load_stack, save_stack
 from hrl_escape.agents.hierarchy.task import Frame, Hierarchy, Seen, Stack, Step, Task
@@ -61,6 +61,8 @@ class CallRunner(Agent):
         self._chosen: tuple[Stack, Seen, int] | None = None
         """After `act`: the stack down to the primitive, and the moment. Asking again chooses anew."""
         self._evaluation: tuple[np.random.Generator, Stack, Seen, int] | None = None
+        self._latest: tuple[Stack, Seen] | None = None
+        """Of the latest choice, in learning or evaluation."""
 
     @property
     def stack(self) -> Stack:
@@ -103,7 +105,7 @@ class CallRunner(Agent):
         """Let the running calls choose down to a primitive."""
         seen = self.hierarchy.see(observation, action_mask)
         stack, action = descend(self._stack or self._begin(seen), seen, self.choose)
-        self._chosen = stack, seen, action
+        self._chosen, self._latest = (stack, seen, action), (stack, seen)
         return action
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
@@ -119,8 +121,17 @@ class CallRunner(Agent):
             return self.choose_greedy(running, view, legal, moment, rng)
 
         stack, action = descend(stack or self._begin(seen), seen, choose)
-        self._evaluation = rng, stack, seen, action
+        self._evaluation, self._latest = (rng, stack, seen, action), (stack, seen)
         return action
+
+    def list_calls(self) -> tuple[RunningCall, ...]:
+        """Calls behind the latest choice, the root first."""
+        stack, seen = self._latest or ((), None)
+        return tuple(
+            RunningCall(frame.task.name, frame.context, frame.primitives, frame.task.ends(frame, seen),
+                        frame.task.place)
+            for frame in stack if seen is not None
+        )
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Pay the running calls, end those that are over, and learn.

@@ -140,6 +140,8 @@ class Task(Protocol):
     """Of its choices."""
     view_space: gymnasium.Space | None
     """Of its views; None is the environment's observation space."""
+    place: tuple[float, float] | None
+    """x and y of its goal on the floor, m, for drawings; None where it has no place."""
 
     def view(self, seen: Seen, stack: Stack) -> Any:
         """View that its learner has; `stack` holds the running calls, its own last."""
@@ -178,6 +180,8 @@ class BaseTask:
         choices: how many it has.
         view_space: of its views; None is the environment's observation space.
     """
+
+    place: tuple[float, float] | None = None
 
     def __init__(self, name: str, choices: int, view_space: gymnasium.Space | None = None) -> None:
         self.name, self.view_space = name, view_space

@@ -97,6 +97,7 @@ def maxq(
     pseudo: Mapping[str, Pseudo] | None = None,
     *,
     policies: Mapping[str, Policy] | None = None,
+    places: Mapping[str, tuple[float, float]] | None = None,
     spaces: Mapping[str, gymnasium.Space] | None = None,
     learners: Mapping[str, LearnerSpec] | None = None,
     read: Callable[[Any], Any] | None = None,
@@ -112,6 +113,7 @@ def maxq(
             completion of that one choice, MAXQ's finer abstraction; primitive -> to what it earns by itself.
         pseudo: task -> pseudo-reward of the state it ended in.
         policies: task -> its policy, where that is known and nothing is to be learned.
+        places: task -> x and y of its goal on the floor, m, for drawings.
         spaces: task -> space of its views, for `StackAgent`.
         learners: task -> its learner, for `StackAgent`.
         read: makes `Seen.state` of an observation.
@@ -122,10 +124,10 @@ def maxq(
         UnknownNameError: a child or a key names no task.
         AgentSettingsError: a task below the root has no `until`, or tasks call each other in a circle.
     """
-    see, pseudo, spaces, policies = see or {}, pseudo or {}, spaces or {}, policies or {}
+    see, pseudo, spaces, policies, places = see or {}, pseudo or {}, spaces or {}, policies or {}, places or {}
     names = list(graph)
     for where, mentioned in (("until", until), ("pseudo", pseudo), ("spaces", spaces),
-                             ("policies", policies),
+                             ("policies", policies), ("places", places),
                              ("see", [_get_name(key) for key in see if not isinstance(key, int)])):  # fmt: skip
         for name in mentioned:
             if name not in graph:
@@ -141,6 +143,7 @@ def maxq(
             name, until.get(name, _never), views, primitive_views, pseudo.get(name), len(children), spaces.get(name),
             policies.get(name),
         )
+        tasks[name].place = places.get(name)
     for name, children in graph.items():
         for child in children:
             if isinstance(child, str) and child not in tasks:

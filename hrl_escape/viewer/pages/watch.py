@@ -95,6 +95,8 @@ class WatchPage:
             )
         with tabs.add_tab("SMDP"):
             self._table = gui.add_html("")
+        with tabs.add_tab("Calls"):
+            self._calls = gui.add_html("")
         with tabs.add_tab("Log"):
             self._log = gui.add_html("")
         with tabs.add_tab("What if"):
@@ -178,6 +180,7 @@ class WatchPage:
         if watch.states:
             self.page.show(watch.states[-1])
             self.page.scene.draw_trail(watch.states)
+        self.page.scene.draw_goals([(each.name, *each.call.place) for each in watch.calls if each.call.place])
         if self._planned is None or watch.plan is not self._planned[0]:
             self._planned = (watch.plan,)
             self._show_plan()
@@ -214,6 +217,10 @@ class WatchPage:
                  _ENDED.get(done.ended, done.ended)) for done in reversed(watch.decisions)]
         header = ("decision", "k", "R", GAMMA_K, "sum of r", "")
         self._table.content = make_table(header, rows, "smdp", "no decision is complete yet") + make_lines([SMDP_NOTE])
+        calls = [(f"{'  ' * depth}{each.name}", str(each.call.primitives), f"{each.reward:g}", each.ending)
+                 for depth, each in enumerate(watch.calls)]
+        self._calls.content = make_table(("running call", "primitives", "reward", ""), calls, "calls",
+                                         "this agent runs no calls")
         self._log.content = make_lines(list(reversed(watch.events))[:24], "log")
         if len(watch.values) > 1:
             xs, ys = zip(*watch.values, strict=True)

@@ -62,6 +62,7 @@ class RoomScene:
             self._props = [self._add_prop(i) for i in range(len(instance.props))]
             self._robot = _RobotModel(self._scene, f"{ROOT}/robot", self.rules.robot, instance.robot)
             self._ghosts: dict[str, _RobotModel] = {}
+            self._goals: dict[_Point, tuple[str, viser.LabelHandle]] = {}
         self._lit: Any = None
         self._set_initial_camera()
 
@@ -116,6 +117,22 @@ class RoomScene:
     def draw_path(self, points: Sequence[tuple[float, float]]) -> None:
         """Draw a path planner's path for the body's axis."""
         self._draw_line("path", points, palette.MUTED, 6 * LAYER)
+
+    def draw_goals(self, goals: Sequence[tuple[str, float, float]]) -> None:
+        """Label the places (name, x, y) of running calls' goals; calls with one place share a label."""
+        height = self.instance.frame.wall_height / 2
+        words: dict[_Point, list[str]] = {}
+        for name, x, y in goals:
+            words.setdefault((x, y, height), []).append(name)
+        shown = {place: ", ".join(names) for place, names in words.items()}
+        for place, (text, label) in list(self._goals.items()):
+            if shown.get(place) != text:
+                label.remove()
+                del self._goals[place]
+        for place, text in shown.items():
+            if place not in self._goals:
+                label = self._scene.add_label(f"{ROOT}/goals/{place[0]:g}/{place[1]:g}", text, position=place)
+                self._goals[place] = text, label
 
     def _draw_future(self, name: str, states: Sequence[RoomState], colour: str, height: float) -> None:
         self._draw_line(name, [(s.x, s.y) for s in states], colour, height)

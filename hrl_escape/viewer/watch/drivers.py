@@ -13,7 +13,7 @@ from typing import Any
 import gymnasium
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, make_agent
+from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, make_agent, read_structure
 from hrl_escape.agents.training.env_description import make_described_env
 from hrl_escape.agents.training.run_folder import read_run
 from hrl_escape.agents.training.train import load_agent
@@ -22,6 +22,8 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import FileReadError, RunMismatchError
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.room_planner import get_planner
+from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
+from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.viewer.step_hooks import StepHooks
 from hrl_escape.viewer.watch.planner_agent import PlannerAgent
 
@@ -63,7 +65,7 @@ class Driver:
 
 def open_driver(text: str, instance: RoomInstance, *, observation: str = "features", flavour: str = "press",
                 include_primitives: bool = True, recipe: str = "corrected", seed: int = 0,
-                settings: Mapping[str, Any] | None = None) -> Driver:
+                settings: Mapping[str, Any] | None = None, leaves: str | None = None) -> Driver:
     """Open the driver that a user names.
 
     Args:
@@ -75,12 +77,14 @@ def open_driver(text: str, instance: RoomInstance, *, observation: str = "featur
         recipe: recipe of an agent to train.
         seed: seed of an agent to train.
         settings: settings to change of an agent to train.
+        leaves: leaves of the hierarchy that is synthesised for an agent to train; None for none.
 
     Raises:
         UnknownNameError: neither a folder nor an agent has this name.
         FileReadError: the folder holds no run.
         CheckpointError: the run is damaged.
         RunMismatchError: the run was made in a room with other spaces.
+        UnsupportedError: no hierarchy is synthesised for this agent.
     """
     if text == PLANNER_NAME:
         env, hooks = _make_env(instance, observation, True, False, flavour, False)
@@ -93,7 +97,9 @@ def open_driver(text: str, instance: RoomInstance, *, observation: str = "featur
     over_options = text.startswith(SMDP_PREFIX)
     trace = over_options and agent_class.needs_trace
     env, hooks = _make_env(instance, observation, over_options, include_primitives, flavour, trace)
-    agent = make_agent(text, env.observation_space, env.action_space, seed, recipe, **(settings or {}))
+    env = env if leaves is None else HierarchyEnv(env, find_kind(text), leaves)
+    agent = make_agent(text, env.observation_space, env.action_space, seed, recipe, read_structure(env),
+                       **(settings or {}))
     return _make_driver(f"{text}, learning", agent, env, hooks, flavour, trains=True)
 
 

@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, make_transition
+from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, make_transition
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.train import train
 from hrl_escape.env.kinematics import RoomState
@@ -24,7 +24,7 @@ from hrl_escape.viewer.watch.drivers import Driver
 from hrl_escape.viewer.watch.gate import Gate, Stopped
 from hrl_escape.viewer.watch.preview import Preview, Previewer
 
-__all__ = ["ObservedChoice", "CompletedDecision", "Watch"]
+__all__ = ["CompletedDecision", "ObservedChoice", "ShownCall", "Watch"]
 
 KEPT_DECISIONS, KEPT_EVENTS, KEPT_VALUES = 12, 200, 80
 ENDLESS = 10**9
@@ -75,6 +75,32 @@ class CompletedDecision:
     ended: str
 
 
+@dataclasses.dataclass(frozen=True)
+class ShownCall:
+    """One running call of a hierarchical agent.
+
+    Attributes:
+        call: the call.
+        began: primitives of the episode when it was called.
+        reward: undiscounted reward of the room since then.
+    """
+
+    call: RunningCall
+    began: int
+    reward: float
+
+    @property
+    def name(self) -> str:
+        """Task and context."""
+        context = "" if self.call.context is None else f"({self.call.context})"
+        return f"{self.call.task}{context}"
+
+    @property
+    def ending(self) -> str:
+        """Termination at the latest choice, in words."""
+        return "goes on" if self.call.ends == 0.0 else f"ends with {self.call.ends:.0%}"
+
+
 class Watch:
     """Record of a driver while it drives.
 
@@ -86,10 +112,12 @@ class Watch:
     Attributes:
         choice: the last choice.
         plan: predicted course of the running option, from where it began; None for primitives.
+        calls: running calls behind the last choice, the outermost first; none for agents without a stack.
         decisions: the last completed decisions, oldest first.
         events: log lines, oldest first; each begins with episode and primitive.
         values: (primitives so far, V) at decisions.
         states: states of the present episode.
+        rewards: its rewards, one a primitive.
         episode: number of the present episode, from 1.
         total: undiscounted return of the present episode so far.
         primitives: primitives of all episodes.
@@ -103,10 +131,12 @@ class Watch:
         self._seed = seed
         self.choice: ObservedChoice | None = None
         self.plan: Preview | None = None
+        self.calls: tuple[ShownCall, ...] = ()
         self.decisions: deque[CompletedDecision] = deque(maxlen=KEPT_DECISIONS)
         self.events: deque[str] = deque(maxlen=KEPT_EVENTS)
         self.values: deque[tuple[int, float]] = deque(maxlen=KEPT_VALUES)
         self.states: list[RoomState] = []
+        self.rewards: list[float] = []
         self.episode = self.primitives = self.in_decision = 0
         self.total = 0.0
         self.on_change: Callable[[PrimitiveStep | None], None] = lambda step: None
@@ -151,12 +181,27 @@ class Watch:
     def note_choice(self, choice: ObservedChoice) -> None:
         """Record a choice, and predict the course of a chosen option."""
         self.choice, self.in_decision = choice, 0
+        self._note_calls()
         if choice.state_value is not None:
             self.values.append((self.primitives, choice.state_value))
         name = self.driver.names[choice.action]
         is_option = choice.action >= self.driver.primitives and name in self.previewer.options
         self.plan = self.previewer.preview(name, choice.state) if is_option else None
         self.on_change(None)
+
+    def _note_calls(self) -> None:
+        """Record the running calls, and log those that are over."""
+        here = len(self.rewards)
+        calls = tuple(
+            ShownCall(call, here - call.primitives, sum(self.rewards[here - call.primitives :]))
+            for call in self.driver.agent.list_calls()
+        )
+        running = {(call.name, call.began) for call in calls}
+        for call in reversed(self.calls):
+            if here and (call.name, call.began) not in running:
+                self._log(f"{call.name} is over: {here - call.began} primitives, reward "
+                          f"{sum(self.rewards[call.began :]):g}")
+        self.calls = calls
 
     def note_end(self, transition: SMDPTransition, info: Mapping[str, Any]) -> None:
         """Record a completed decision."""
@@ -171,7 +216,7 @@ class Watch:
         self.gate.end_decision()
 
     def _note_reset(self, state: RoomState) -> None:
-        self.states, self.total = [state], 0.0
+        self.states, self.rewards, self.total = [state], [], 0.0
         self.episode += 1
         self._log("a new episode")
 
@@ -181,6 +226,7 @@ class Watch:
 
     def _note_step(self, step: PrimitiveStep) -> None:
         self.states.append(step.after)
+        self.rewards.append(step.reward)
         self.total += step.reward
         self.primitives += 1
         self.in_decision += 1

@@ -1,0 +1,92 @@
+"""Watch mode lists the running calls of an agent that has a stack, and labels their goals."""
+
+from __future__ import annotations
+
+import pytest
+
+from hrl_escape.agents.training.train import train
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.synthesis import HierarchyEnv
+from hrl_escape.viewer.pages.watch import WatchPage
+from hrl_escape.viewer.server import Server
+from hrl_escape.viewer.watch.drivers import open_driver
+from hrl_escape.viewer.watch.gate import Gate
+from hrl_escape.viewer.watch.watch import ShownCall, Watch
+
+
+@pytest.fixture(scope="module")
+def maxq_run(tmp_path_factory, two_buttons):
+    folder = tmp_path_factory.mktemp("runs") / "maxq"
+    env = HierarchyEnv(EscapeRoomEnv(instance=two_buttons), "maxq", "planned")
+    train("maxq-q", env, primitives=150, out=folder, eval_episodes=0, progress=False)
+    return folder
+
+
+def watch_calls(watch: Watch) -> list[tuple[int, tuple[ShownCall, ...]]]:
+    """(primitives of the episode, running calls) at every choice of one episode."""
+    seen = []
+    watch.on_change = lambda step: seen.append((len(watch.rewards), watch.calls)) if step is None else None
+    watch.run(1)
+    return seen
+
+
+def check_calls(seen, rewards):
+    for at, calls in seen:
+        assert [call.name for call in calls][0] == "escape" and len(calls) in (2, 3)
+        assert calls[0].call.primitives == at, "the root runs for the whole episode"
+        for outer, inner in zip(calls, calls[1:], strict=False):
+            assert outer.began <= inner.began and outer.call.primitives >= inner.call.primitives
+        for call in calls:
+            assert call.began + call.call.primitives == at
+            assert call.reward == sum(rewards[call.began : at])
+            assert call.ending == "goes on", "a call that is over runs no more"
+
+
+def test_a_trained_stack_is_shown_with_lengths_and_rewards(maxq_run, two_buttons):
+    watch = Watch(open_driver(str(maxq_run), two_buttons), Gate(None))
+    seen = watch_calls(watch)
+    check_calls(seen, watch.rewards)
+    names = [[call.name for call in calls] for _, calls in seen]
+    assert names[0] == ["escape", "press-button-1", "touch button-1"]
+    assert ["escape", "press-button-2", "touch button-2"] in names and names[-1] == ["escape", "exit"]
+    over = [event for event in watch.events if "is over" in event]
+    assert any("press-button-1 is over" in event for event in over)
+    length = names.index(["escape", "press-button-2", "touch button-2"])
+    assert any(event.endswith(f"press-button-1 is over: {length} primitives, reward {-length}") for event in over)
+
+
+def test_an_agent_that_learns_with_a_hierarchy_shows_its_calls(two_buttons):
+    watch = Watch(open_driver("maxq-q", two_buttons, leaves="planned"), Gate(None))
+    seen = []
+
+    def note(step):
+        if step is None:
+            seen.append((len(watch.rewards), watch.calls))
+        if watch.primitives == 60:
+            watch.gate.stop()
+
+    watch.on_change = note
+    watch.run()
+    check_calls(seen[:30], [-1.0] * 30)
+
+
+def test_an_agent_without_a_stack_shows_no_calls(two_buttons, run):
+    watch = Watch(open_driver(str(run), two_buttons), Gate(None))
+    assert all(calls == () for _, calls in watch_calls(watch))
+
+
+def test_the_page_lists_the_calls_and_labels_their_goals(server: Server, maxq_run, two_buttons):
+    view = WatchPage(server, Watch(open_driver(str(maxq_run), two_buttons), Gate(None)))
+    shown = []
+    refresh = view._refresh
+
+    def note():
+        refresh()
+        shown.append((view._calls.content, {text for text, _ in view.page.scene._goals.values()}))
+
+    view._refresh = note  # type: ignore[method-assign]
+    view._is_due = lambda: True  # type: ignore[method-assign]
+    view.run(episodes=1)
+    assert any("press-button-1" in page and "touch button-1" in page for page, _ in shown)
+    assert {"press-button-1, touch button-1"} in [goals for _, goals in shown]
+    assert shown[-1][1] == {"exit"}
