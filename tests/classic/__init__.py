@@ -9,6 +9,7 @@ Each domain is a plain Gymnasium environment with a finite number of states:
 | `chain` | `Chain(visited)` | 12 | Kulkarni et al. 2016 |
 | `empty_room` | `EmptyRoom(goal)` | 121 | McGovern, Sutton and Fagg 1997 |
 | `key_door` | `KeyDoor(aliased)` | 98 | a small key-and-door maze, after Wiering and Schmidhuber 1997 |
+| `winding_maze` | `WindingMaze(turns, aliased)` | 11 or 17 | a corridor that turns back, after the same |
 | `barrier_maze` | `BarrierMaze(goal)` | 53 | a barrier round the goal, after Dayan and Hinton 1993 |
 | `parr_maze` | `ParrMaze(blocks, noise)` | 297 at 3 blocks | hallways with obstacles, after Parr and Russell 1998 |
 
@@ -21,8 +22,8 @@ Every environment is a `tabular.TabularEnv`:
     env.outcomes(state, action)                             # the rule, a list of `Outcome`
     tables = env.make_tables()                              # the same as arrays: probability, ending, rewards, starts
 
-The observation is the state's number, but in `Chain(visited=False)` and `KeyDoor(aliased=True)`. At the horizon
-`truncated` is true, and the observation is that of the state reached, to bootstrap from.
+The observation is the state's number, but in `Chain(visited=False)`, `KeyDoor(aliased=True)` and `WindingMaze()`. At
+the horizon `truncated` is true, and the observation is that of the state reached, to bootstrap from.
 
 `exact` computes every number that a test compares with:
 

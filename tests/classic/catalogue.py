@@ -13,6 +13,7 @@ from tests.classic.key_door import KeyDoor
 from tests.classic.parr_maze import ParrMaze
 from tests.classic.tabular import TabularEnv
 from tests.classic.taxi import Taxi
+from tests.classic.winding_maze import WindingMaze
 
 ENVIRONMENTS: dict[str, Callable[..., TabularEnv]] = {
     "four-rooms": partial(FourRooms, slip="none"),
@@ -30,5 +31,7 @@ ENVIRONMENTS: dict[str, Callable[..., TabularEnv]] = {
     "key-door-aliased": partial(KeyDoor, aliased=True),
     "parr-maze": ParrMaze,
     "barrier-maze": BarrierMaze,
+    "winding-maze": WindingMaze,
+    "winding-maze-open": partial(WindingMaze, turns=2, aliased=False),
 }
 """Each also takes `horizon`."""

@@ -1,0 +1,258 @@
+"""HQ-learning: a fixed sequence of reactive agents, each handing over at a subgoal that it learns to choose.
+
+Wiering and Schmidhuber (1997), HQ-learning, Adaptive Behavior 6. Where observations alias, one reactive
+policy is not enough; which agent acts is the only memory. A museum piece: its page says what does not reproduce.
+"""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_actions
+from hrl_escape.agents.components.exploration import (
+    EpsilonSettings,
+    choose_best,
+    compute_epsilon,
+    make_rng,
+    sample_index,
+    sample_legal,
+)
+from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
+from hrl_escape.agents.hierarchy.value_table import ValueTable
+from hrl_escape.settings import Range
+
+__all__ = ["HqLearning", "HqLearningSettings"]
+
+
+@dataclass(frozen=True)
+class HqLearningSettings(EpsilonSettings):
+    """Settings of `hq-learning`; defaults are those of the paper's key-and-door maze."""
+
+    epsilon_start: Annotated[float, Range(0, 1)] = 0.6
+    """Epsilon at the beginning; the paper's p_max is 1 - epsilon."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.2
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 100_000
+    """Primitives over which epsilon falls linearly."""
+    agents: Annotated[int, Range(1)] = 3
+    """Reactive agents in the sequence."""
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive."""
+    learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.05
+    """Step size of values of primitives."""
+    subgoal_learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
+    """Step size of values of subgoals."""
+    trace: Annotated[float, Range(0, 1)] = 0.9
+    """Lambda of the returns of both."""
+    temperature: Annotated[float, Range(0, open_low=True)] = 0.2
+    """Temperature of the Boltzmann draws, which replace the best primitive with probability epsilon."""
+    bins: Annotated[int, Range(2)] = 11
+    """Points that a component of the observation with bounds is rounded to."""
+    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
+    """A component without bounds is rounded to multiples of this."""
+
+
+class _Acted(NamedTuple):
+    """One decision of the running trial."""
+
+    agent: int
+    key: bytes
+    action: int
+    reward: float
+    discount: float
+
+
+class _Turn(NamedTuple):
+    """An agent's turn: which agent, and its subgoal; None for the last agent, and before any observation was met."""
+
+    agent: int
+    subgoal: bytes | None
+
+
+class HqLearning(Agent):
+    """Values of primitives by agent and observation, and of subgoals by agent.
+
+    Agent i acts until it observes its subgoal g_i after at least one primitive; then i + 1 takes over, and the last one
+    acts to the end. A trial is learned from when it is over, backwards, with V_j of the agent j that acts next:
+
+        T_t = r_t + gamma [(1 - lambda) V_j(o_{t+1}) + lambda T_{t+1}],   Q_i(o_t, a_t) <- Q_i + alpha [T_t - Q_i]
+
+    With R_i what i earned in its turn of n_i primitives, and W_i the largest HQ_i:
+
+        H_i = R_i + gamma^n_i [(1 - lambda) W_{i+1} + lambda H_{i+1}],    HQ_i(g_i) <- HQ_i + beta [H_i - HQ_i]
+
+    Where i + 1 is the last agent, H_i = R_i + gamma^n_i R_{i+1}; where i never handed over, H_i = R_i. A trial that
+    the time limit cut bootstraps Q, not HQ: not to have handed over in time counts as failure, as in the paper.
+    Subgoals are chosen among the observations met so far.
+
+    Args:
+        observation_space: what agents react to.
+        action_space: Discrete.
+        seed: fixes exploration.
+        settings: see `HqLearningSettings`.
+    """
+
+    Settings: ClassVar[type] = HqLearningSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: HqLearningSettings | None = None,
+    ) -> None:
+        self.settings = settings = settings or HqLearningSettings()
+        actions = count_actions(action_space, "hq-learning")
+        table = TabularSettings(bins=settings.bins, resolution=settings.resolution,
+                                learning_rate=settings.learning_rate)  # fmt: skip
+        self._discretise = make_discretiser(observation_space, table, "hq-learning")
+        self.tables = [QTable(actions, table) for _ in range(settings.agents)]
+        self.subgoals = ValueTable(settings.subgoal_learning_rate)
+        """HQ by (agent, observation)."""
+        self._met: list[bytes] = []
+        self._rng = make_rng(seed, "actions")
+        self._steps = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        """Nothing runs: a new trial."""
+        self._turn: _Turn | None = None
+        self._trial: list[_Acted] = []
+        self._turns: list[tuple[_Turn, int]] = []
+        """Turns of this trial, each with the number of decisions before it."""
+        self._evaluation: tuple[np.random.Generator, _Turn] | None = None
+
+    @property
+    def last(self) -> int:
+        """Number of the last agent, which has no subgoal."""
+        return self.settings.agents - 1
+
+    def compute_subgoal_values(self, agent: int) -> NDArray[np.float64]:
+        """HQ of an agent, (observations met,)."""
+        return np.array([self.subgoals.get((agent, key)) for key in self._met])
+
+    def _take_over(self, agent: int, rng: np.random.Generator | None) -> _Turn:
+        """Begin an agent's turn; with a generator, explore."""
+        if agent == self.last or not self._met:
+            return _Turn(agent, None)
+        if rng is not None and rng.random() < compute_epsilon(self.settings, self._steps):
+            return _Turn(agent, self._met[int(rng.integers(len(self._met)))])
+        return _Turn(agent, self._met[int(self.compute_subgoal_values(agent).argmax())])
+
+    # --- the agent --------------------------------------------------------------------
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """The agent's best primitive, any among equals; with probability epsilon a Boltzmann draw."""
+        key = self._discretise(observation)
+        if self._turn is None:
+            self._meet(key)
+            self._turn = self._take_over(0, self._rng)
+            self._turns = [(self._turn, 0)]
+        values = self.tables[self._turn.agent].get_values(key)
+        if self._rng.random() >= compute_epsilon(self.settings, self._steps):
+            legal = np.where(action_mask, values, -np.inf)
+            return sample_legal(legal == legal.max(), self._rng)
+        scaled = np.where(action_mask, values, -np.inf) / self.settings.temperature
+        return sample_index(np.exp(scaled - scaled.max()), self._rng)
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The best primitive of the agent whose turn it is in the evaluation that belongs to `rng`."""
+        key = self._discretise(observation)
+        if self._evaluation is None or self._evaluation[0] is not rng:
+            turn = self._take_over(0, None)
+        else:
+            turn = self._evaluation[1]
+            if key == turn.subgoal:
+                turn = self._take_over(turn.agent + 1, None)
+        self._evaluation = rng, turn
+        return choose_best(self.tables[turn.agent].get_values(key), action_mask)
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Note a decision, hand over at the subgoal, and learn at the end of the trial."""
+        assert self._turn is not None
+        key, after = self._discretise(transition.observation), self._discretise(transition.next_observation)
+        self._trial.append(
+            _Acted(self._turn.agent, key, transition.action, transition.reward, transition.discount)
+        )
+        self._steps += transition.duration
+        self._meet(after)
+        if transition.terminated or transition.truncated:
+            error = self._learn(after, transition)
+            self._begin()
+            return {"td_error": error, "epsilon": compute_epsilon(self.settings, self._steps)}
+        if after == self._turn.subgoal:
+            self._turn = self._take_over(self._turn.agent + 1, self._rng)
+            self._turns.append((self._turn, len(self._trial)))
+        return {}
+
+    def _meet(self, key: bytes) -> None:
+        if key not in self._met:
+            self._met.append(key)
+
+    def _learn(self, after: bytes, transition: SMDPTransition) -> float:
+        """Learn from the trial that is over; returns the largest error of a primitive's value."""
+        legal = transition.next_action_mask
+        values = self.tables[self._trial[-1].agent].get_values(after)
+        followed = value = 0.0 if transition.terminated else float(np.where(legal, values, -np.inf).max())
+        targets = []
+        for acted in reversed(self._trial):
+            mixed = (1 - self.settings.trace) * value + self.settings.trace * followed
+            followed = acted.reward + acted.discount * mixed
+            targets.append(followed)
+            value = float(self.tables[acted.agent].get_values(acted.key).max())
+        self._learn_subgoals()
+        return max(
+            abs(self.tables[acted.agent].update(acted.key, acted.action, target))
+            for acted, target in zip(self._trial, reversed(targets), strict=True)
+        )
+
+    def _learn_subgoals(self) -> None:
+        """Learn HQ of every turn of the trial, the last one first."""
+        followed: float | None = None
+        end = len(self._trial)
+        targets = []
+        for turn, begun in reversed(self._turns):
+            earned, discount = 0.0, 1.0
+            for acted in self._trial[begun:end]:
+                earned += discount * acted.reward
+                discount *= acted.discount
+            if followed is not None:
+                largest = followed if turn.agent + 1 == self.last else self.compute_subgoal_values(turn.agent + 1).max()
+                earned += discount * ((1 - self.settings.trace) * largest + self.settings.trace * followed)
+            followed, end = earned, begun
+            targets.append((turn, earned))
+        for turn, target in targets:
+            if turn.subgoal is not None:
+                self.subgoals.update((turn.agent, turn.subgoal), target)
+
+    def state_dict(self) -> StateTree:
+        """Tables, observations met, counter, generator, and the trial that runs."""
+        return {
+            "tables": [table.state_dict() for table in self.tables],
+            "subgoals": self.subgoals.state_dict(),
+            "met": repr(self._met),
+            "steps": self._steps,
+            "rng": self._rng.bit_generator.state,
+            "trial": repr([tuple(acted) for acted in self._trial]),
+            "turns": repr([(tuple(turn), begun) for turn, begun in self._turns]),
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore what `state_dict` gave."""
+        self._begin()
+        for table, saved in zip(self.tables, state["tables"], strict=True):
+            table.load_state_dict(saved)
+        self.subgoals.load_state_dict(state["subgoals"])
+        self._met = ast.literal_eval(state["met"])
+        self._steps = int(state["steps"])
+        self._rng.bit_generator.state = state["rng"]
+        self._trial = [_Acted(*acted) for acted in ast.literal_eval(state["trial"])]
+        self._turns = [(_Turn(*turn), begun) for turn, begun in ast.literal_eval(state["turns"])]
+        self._turn = self._turns[-1][0] if self._turns else None
