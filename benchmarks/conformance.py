@@ -21,7 +21,7 @@ import torch
 
 from benchmarks.findings import list_batched_rooms, load_findings
 from hrl_escape.env.batched.engine import Outcome, TensorRoom
-from hrl_escape.env.batched.puzzles import as_signed
+from hrl_escape.env.batched.puzzles.base import as_signed
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, Transition
 from hrl_escape.env.sampling.generation import generate

@@ -20,10 +20,13 @@ from hrl_escape.env.config import (
     ShapeConfig,
     StartConfig,
 )
-from hrl_escape.env.puzzles.base import Panels, Place
+from hrl_escape.env.puzzles.base import Panels, Place, PuzzleConfig
 from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.code_lock import CodeLockConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.puzzles.hanoi import HanoiConfig
+from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 from hrl_escape.env.puzzles.push_block import PushBlockConfig
 from hrl_escape.errors import ConfigError, UnknownNameError
 
@@ -140,6 +143,11 @@ def push_block() -> RoomConfig:
                       room=ShapeConfig(width=10, depth=10), dynamics=DynamicsConfig(kind="physics"))
 
 
+def _panel_puzzle(name: str, puzzle: PuzzleConfig) -> RoomConfig:
+    return RoomConfig(name=name, puzzle=puzzle, robot=RobotConfig(body_radius=0.4),
+                      room=ShapeConfig(width=12, depth=12))
+
+
 PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "paper-one-button": lambda: paper_room(1),
     "paper-two-button": lambda: paper_room(2),
@@ -151,6 +159,9 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "ten-button": lambda: ladder_room("ten-button", 10, GraphConfig(kind="layered", max_parents=2)),
     "twenty-button": lambda: ladder_room("twenty-button", 20, GraphConfig(kind="layered", max_parents=2), 30.0),
     "bit-flip": bit_flip,
+    "lights-out": lambda: _panel_puzzle("lights-out", LightsOutConfig(scramble=4)),
+    "hanoi": lambda: _panel_puzzle("hanoi", HanoiConfig()),
+    "code-lock": lambda: _panel_puzzle("code-lock", CodeLockConfig()),
     "push-block": push_block,
 }
 

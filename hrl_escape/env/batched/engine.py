@@ -18,7 +18,7 @@ from torch import Tensor
 from hrl_escape.env.batched.devices import check_compiler, find_device
 from hrl_escape.env.batched.observations import TensorObservation, compute_bounds, load_observation, observe
 from hrl_escape.env.batched.poses import TensorState
-from hrl_escape.env.batched.puzzles import as_signed, get_tensor_puzzle, unpack_bits
+from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle, unpack_bits
 from hrl_escape.env.batched.rules import begin, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables, make_layout, map_tensors, pick, stack_instances
 from hrl_escape.env.instance import RoomInstance

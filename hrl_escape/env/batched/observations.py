@@ -17,7 +17,7 @@ from torch import Tensor
 
 from hrl_escape.env.batched.geometry import Shapes, cast_rays
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_heading, compute_rotation
-from hrl_escape.env.batched.puzzles import get_tensor_puzzle, unpack_bits
+from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle, unpack_bits
 from hrl_escape.env.batched.tables import INSTEAD, Layout, Tables, pick
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Rules

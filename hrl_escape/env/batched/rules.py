@@ -15,7 +15,7 @@ from torch import Tensor
 from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact
 from hrl_escape.env.batched.noise import compute_noise, draw_words, scale_word
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching
-from hrl_escape.env.batched.puzzles import get_tensor_puzzle
+from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.primitives import BASE_ACTIONS

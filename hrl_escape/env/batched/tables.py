@@ -16,7 +16,7 @@ from torch import Tensor
 
 from hrl_escape.env.batched.arm import Arm, make_arm
 from hrl_escape.env.batched.geometry import Shapes, stack_shapes
-from hrl_escape.env.batched.puzzles import as_signed, get_tensor_puzzle
+from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle
 from hrl_escape.env.config import DynamicsConfig, RewardConfig, RobotConfig
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Rules

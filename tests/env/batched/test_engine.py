@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from hrl_escape.env.batched.engine import TensorRoom
-from hrl_escape.env.batched.puzzles import as_signed, get_tensor_puzzle
+from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle
 from hrl_escape.env.batched.tables import map_tensors
 from hrl_escape.env.config import DynamicsConfig, ObstaclesConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.kinematics import Kinematics

@@ -1,8 +1,4 @@
-"""Puzzles in tensors: each kind's rules over 64-bit words, one word a room.
-
-A tensor form repeats the rules of the puzzle's own file without branches; conformance tests
-hold the two together. Third parties add theirs with `register_tensor_puzzle`.
-"""
+"""Contract and registry of tensor forms: a puzzle's rules over 64-bit words, one word a room."""
 
 from __future__ import annotations
 
@@ -10,19 +6,15 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import Any
 
-import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.env.puzzles.base import Puzzle
-from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
-from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.errors import UnsupportedError
 
 __all__ = [
-    "BitFlipTensorPuzzle",
-    "ButtonsTensorPuzzle",
+    "PuzzleTables",
     "TensorPuzzle",
     "as_signed",
     "get_tensor_puzzle",
@@ -91,57 +83,6 @@ def as_signed(bits: int) -> int:
     return bits - 2**64 if bits >= 2**63 else bits
 
 
-class ButtonsTensorPuzzle(TensorPuzzle):
-    """`puzzles.buttons.ButtonsPuzzle`."""
-
-    def make_tables(self, puzzles: Sequence[ButtonsPuzzle], targets: int) -> dict[str, NDArray[Any]]:
-        """Parents' bits (buttons, instances), and each puzzle's goal and rules (instances,)."""
-        parents = np.zeros((len(puzzles), targets), dtype=np.uint64)
-        for row, puzzle in zip(parents, puzzles, strict=True):
-            row[: puzzle.count] = puzzle.parent_masks
-        return {
-            "parents": np.ascontiguousarray(parents.T).view(np.int64),
-            "goal": np.array([puzzle.goal for puzzle in puzzles], dtype=np.int64),
-            "resets": np.array([puzzle.on_violation == "reset" for puzzle in puzzles]),
-            "allow_off": np.array([puzzle.allow_off for puzzle in puzzles]),
-        }
-
-    def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
-        """Each press turns its button on if its parents are, one after the other."""
-        for button in range(targets):
-            bit = as_signed(1 << button)
-            is_ready = (tables["parents"][button] & ~state) == 0
-            when_off = torch.where(is_ready, state | bit, torch.where(tables["resets"], 0, state))
-            when_on = torch.where(tables["allow_off"], state & ~bit, state)
-            after = torch.where((state & bit) != 0, when_on, when_off)
-            state = torch.where((pressed & bit) != 0, after, state)
-        return state
-
-    def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """The goal button is on."""
-        return ((state >> tables["goal"]) & 1) != 0
-
-
-class BitFlipTensorPuzzle(TensorPuzzle):
-    """`puzzles.bit_flip.BitFlipPuzzle`."""
-
-    def make_tables(self, puzzles: Sequence[BitFlipPuzzle], targets: int) -> dict[str, NDArray[Any]]:
-        """The word with all bits on (instances,)."""
-        return {"all_on": np.array([as_signed((1 << puzzle.count) - 1) for puzzle in puzzles], dtype=np.int64)}
-
-    def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
-        """Each press flips its bit if all lower ones are on, and else clears it and them."""
-        for number in range(targets):
-            bit, lower = as_signed(1 << number), (1 << number) - 1
-            after = torch.where((state & lower) == lower, state ^ bit, state & ~(lower | bit))
-            state = torch.where((pressed & bit) != 0, after, state)
-        return state
-
-    def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """All bits are on."""
-        return state == tables["all_on"]
-
-
 _FORMS: dict[str, TensorPuzzle] = {}
 
 
@@ -162,7 +103,3 @@ def get_tensor_puzzle(kind: str) -> TensorPuzzle:
             "(gymnasium.make, or make_vec with vectorization_mode='sync'), or register_tensor_puzzle"
         )
     return _FORMS[kind]
-
-
-register_tensor_puzzle(ButtonsPuzzle, ButtonsTensorPuzzle())
-register_tensor_puzzle(BitFlipPuzzle, BitFlipTensorPuzzle())

@@ -1,0 +1,50 @@
+"""The button puzzle in tensors: bit i is button i."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorPuzzle, as_signed, register_tensor_puzzle
+from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+
+__all__ = ["ButtonsTensorPuzzle"]
+
+
+class ButtonsTensorPuzzle(TensorPuzzle):
+    """`env.puzzles.buttons.ButtonsPuzzle`."""
+
+    def make_tables(self, puzzles: Sequence[ButtonsPuzzle], targets: int) -> dict[str, NDArray[Any]]:
+        """Parents' bits (buttons, instances), and each puzzle's goal and rules (instances,)."""
+        parents = np.zeros((len(puzzles), targets), dtype=np.uint64)
+        for row, puzzle in zip(parents, puzzles, strict=True):
+            row[: puzzle.count] = puzzle.parent_masks
+        return {
+            "parents": np.ascontiguousarray(parents.T).view(np.int64),
+            "goal": np.array([puzzle.goal for puzzle in puzzles], dtype=np.int64),
+            "resets": np.array([puzzle.on_violation == "reset" for puzzle in puzzles]),
+            "allow_off": np.array([puzzle.allow_off for puzzle in puzzles]),
+        }
+
+    def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
+        """Each press turns its button on if its parents are, one after the other."""
+        for button in range(targets):
+            bit = as_signed(1 << button)
+            is_ready = (tables["parents"][button] & ~state) == 0
+            when_off = torch.where(is_ready, state | bit, torch.where(tables["resets"], 0, state))
+            when_on = torch.where(tables["allow_off"], state & ~bit, state)
+            after = torch.where((state & bit) != 0, when_on, when_off)
+            state = torch.where((pressed & bit) != 0, after, state)
+        return state
+
+    def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        """The goal button is on."""
+        return ((state >> tables["goal"]) & 1) != 0
+
+
+register_tensor_puzzle(ButtonsPuzzle, ButtonsTensorPuzzle())

@@ -1,0 +1,147 @@
+"""A combination lock: press the panels in the order of a hidden code.
+
+With `memory="reset"` a wrong press loses all progress. With `"slide"` the last presses count whatever came before them,
+as on the pads of Director's Pin Pad (Hafner et al. 2022), where wrong order is forgiven. The state is the number of
+digits entered: the longest beginning of the code with which the presses end.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel, register_puzzle
+from hrl_escape.errors import ConfigError
+from hrl_escape.settings import Range
+
+__all__ = ["CodeLockConfig", "CodeLockPuzzle"]
+
+LockMemory = Literal["reset", "slide"]
+
+
+@dataclasses.dataclass(frozen=True)
+class CodeLockConfig(PuzzleConfig):
+    """Schematic of the lock; the instance seed draws the code."""
+
+    kind = "code-lock"
+    digits: Annotated[int, Range(2, 16)] = 4
+    """Number of panels."""
+    length: Annotated[int, Range(1, 32)] = 4
+    """Number of presses in the code; no digit comes twice in a row."""
+    memory: LockMemory = "reset"
+    """A wrong press loses all progress, or only the last presses count."""
+    shown: bool = True
+    """Observations tell how much of the code has been entered."""
+    buttons: Panels = Panels(width=1.5)
+    """Sizes and places of the digits' panels."""
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        self.buttons.check_places(self.digits)
+
+    @property
+    def panels(self) -> Panels:
+        """Sizes and places of the digits' panels."""
+        return self.buttons
+
+    def make_puzzle(self, rng: np.random.Generator) -> CodeLockPuzzle:
+        """Draw the code, all codes alike."""
+        code = [int(rng.integers(self.digits))]
+        while len(code) < self.length:
+            code.append((code[-1] + 1 + int(rng.integers(self.digits - 1))) % self.digits)
+        return CodeLockPuzzle(self.digits, tuple(code), self.memory, self.shown)
+
+
+@dataclasses.dataclass(frozen=True)
+class CodeLockPuzzle(Puzzle):
+    """A concrete lock. Digit i is called `digit-<i+1>`."""
+
+    kind = "code-lock"
+    digits: Annotated[int, Range(2, 16)] = 2
+    """Number of panels."""
+    code: tuple[Annotated[int, Range(0, 15)], ...] = (0,)
+    """Numbers of the panels to press, in order."""
+    memory: LockMemory = "reset"
+    """A wrong press loses all progress, or only the last presses count."""
+    shown: bool = True
+    """Observations tell how much of the code has been entered."""
+
+    def check(self) -> None:
+        """Check that the code can be entered."""
+        if not 1 <= len(self.code) <= 32 or max(self.code) >= self.digits:
+            raise ConfigError("puzzle.code", self.code, f"1 to 32 digits below puzzle.digits = {self.digits}")
+        if any(one == other for one, other in zip(self.code, self.code[1:], strict=False)):
+            raise ConfigError("puzzle.code", self.code, "no digit twice in a row")
+
+    @cached_property
+    def next_progress(self) -> tuple[tuple[int, ...], ...]:
+        """For each progress below the code's length and each digit, the progress after its press."""
+        return tuple(tuple(self._advance(progress, digit) for digit in range(self.digits))
+                     for progress in range(len(self.code)))
+
+    def _advance(self, progress: int, digit: int) -> int:
+        if self.code[progress] == digit:
+            return progress + 1
+        if self.memory == "reset":
+            return 0
+        ending = (*self.code[:progress], digit)
+        return max(n for n in range(progress + 1) if self.code[:n] == ending[len(ending) - n:])
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """`digit-1` to `digit-<digits>`."""
+        return tuple(f"digit-{i + 1}" for i in range(self.digits))
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Every number is 0 or 1."""
+        return ((0.0, 1.0),) * len(self.code)
+
+    def make_state(self) -> int:
+        """Nothing entered."""
+        return 0
+
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside is a number of digits entered."""
+        return type(state) is int and 0 <= state <= len(self.code)
+
+    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+        """Enter each press in index order; an open lock stays open."""
+        for digit in contacts.pressed:
+            if state < len(self.code):
+                state = self.next_progress[state][digit]
+        return state
+
+    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+        """The whole code has been entered."""
+        return state == len(self.code)
+
+    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
+        """One number a digit of the code: 1 once it is entered; all 0 while that is hidden."""
+        seen = state if self.shown or self.is_solved(state) else 0
+        return tuple(float(i < seen) for i in range(len(self.code)))
+
+    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
+        """The panel pressed last, where progress is shown and there is some; all once the lock is open."""
+        if self.is_solved(state):
+            return (True,) * self.digits
+        last = self.code[state - 1] if self.shown and state else None
+        return tuple(digit == last for digit in range(self.digits))
+
+    def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]
+        """`entered(i)` for the first i digits of the code."""
+        return frozenset(f"entered({i + 1})" for i in range(state))
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """One operator a digit of the code: enter it next."""
+        facts = [f"entered({i + 1})" for i in range(len(self.code))]
+        operators = (Operator(f"enter-{i + 1}", self.target_names[digit], "press", frozenset(facts[:i]),
+                              frozenset(facts[i:]), frozenset({facts[i]}), frozenset())
+                     for i, digit in enumerate(self.code))
+        return SymbolicModel(tuple(facts), tuple(operators), frozenset(facts))
+
+
+register_puzzle(CodeLockConfig, CodeLockPuzzle)

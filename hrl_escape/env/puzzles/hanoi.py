@@ -1,0 +1,139 @@
+"""Towers of Hanoi on three panels: a press lifts the top disc of a peg, the next puts it down.
+
+A larger disc is never put onto a smaller one: such a press does nothing. All discs on the last peg open the exit, after
+2^n - 1 moves at the fewest, two presses each. The state is a word of four bits a disc: on peg 1, 2, 3, and in the hand;
+disc 0 is the smallest.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Annotated, Any
+
+import numpy as np
+
+from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel, register_puzzle
+from hrl_escape.settings import Range
+
+__all__ = ["HAND", "PEGS", "HanoiConfig", "HanoiPuzzle"]
+
+PEGS = 3
+HAND = PEGS
+"""Place of a disc that is lifted; pegs are places 0 to 2."""
+
+
+@dataclasses.dataclass(frozen=True)
+class HanoiConfig(PuzzleConfig):
+    """Schematic of the Towers of Hanoi."""
+
+    kind = "hanoi"
+    discs: Annotated[int, Range(1, 8)] = 3
+    """Number of discs."""
+    buttons: Panels = Panels(width=1.5)
+    """Sizes and places of the pegs' panels."""
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        self.buttons.check_places(PEGS)
+
+    @property
+    def panels(self) -> Panels:
+        """Sizes and places of the pegs' panels."""
+        return self.buttons
+
+    def make_puzzle(self, rng: np.random.Generator) -> HanoiPuzzle:
+        """Nothing is random."""
+        return HanoiPuzzle(self.discs)
+
+
+@dataclasses.dataclass(frozen=True)
+class HanoiPuzzle(Puzzle):
+    """A concrete puzzle. Pegs are called `peg-1` to `peg-3`; all discs begin on the first."""
+
+    kind = "hanoi"
+    discs: Annotated[int, Range(1, 8)] = 1
+    """Number of discs."""
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """`peg-1` to `peg-3`."""
+        return tuple(f"peg-{i + 1}" for i in range(PEGS))
+
+    @property
+    def goal_targets(self) -> tuple[int, ...]:
+        """The last peg."""
+        return (PEGS - 1,)
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Every number is 0 or 1."""
+        return ((0.0, 1.0),) * (4 * self.discs)
+
+    def encode(self, places: tuple[int, ...]) -> int:
+        """The state in which each disc, smallest first, is on a peg from 0 or in the `HAND`."""
+        return sum(1 << 4 * disc + place for disc, place in enumerate(places))
+
+    def decode(self, state: int) -> tuple[int, ...]:
+        """Place of each disc, smallest first."""
+        return tuple((state >> 4 * disc & 15).bit_length() - 1 for disc in range(self.discs))
+
+    def make_state(self) -> int:
+        """All discs on the first peg."""
+        return self.encode((0,) * self.discs)
+
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside gives each disc one place, at most one of them the hand."""
+        if type(state) is not int or not 0 <= state < 1 << 4 * self.discs:
+            return False
+        places = self.decode(state)
+        return -1 not in places and self.encode(places) == state and places.count(HAND) <= 1
+
+    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+        """Lift or put down at each pressed peg, in index order."""
+        for peg in contacts.pressed:
+            places = self.decode(state)
+            top = places.index(peg) if peg in places else self.discs
+            held = places.index(HAND) if HAND in places else self.discs
+            if held < top:
+                state ^= 1 << 4 * held + HAND | 1 << 4 * held + peg
+            elif held == self.discs and top < self.discs:
+                state ^= 1 << 4 * top + HAND | 1 << 4 * top + peg
+        return state
+
+    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+        """All discs are on the last peg."""
+        return state == self.encode((PEGS - 1,) * self.discs)
+
+    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
+        """Four numbers a disc, smallest first: 1 for its place, on peg 1, 2, 3 or in the hand."""
+        return tuple(float(state >> i & 1) for i in range(4 * self.discs))
+
+    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
+        """Pegs on which all discs are."""
+        return tuple(state == self.encode((peg,) * self.discs) for peg in range(PEGS))
+
+    def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]
+        """`at(disc-i,peg-j)` or `held(disc-i)` for every disc."""
+        return frozenset(self._list_facts(disc)[place] for disc, place in enumerate(self.decode(state)))
+
+    def _list_facts(self, disc: int) -> list[str]:
+        return [*(f"at(disc-{disc + 1},{peg})" for peg in self.target_names), f"held(disc-{disc + 1})"]
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """Two operators a disc and peg: lift it there, put it down there; no smaller disc may be on that peg."""
+        facts = [self._list_facts(disc) for disc in range(self.discs)]
+        hands = frozenset(names[HAND] for names in facts)
+        operators = []
+        for disc, names in enumerate(facts):
+            for peg, target in enumerate(self.target_names):
+                smaller = frozenset(facts[other][peg] for other in range(disc))
+                here, held = frozenset({names[peg]}), frozenset({names[HAND]})
+                operators.append(Operator(f"lift-disc-{disc + 1}-from-{target}", target, "press", here, smaller | hands,
+                                          held, here))
+                operators.append(Operator(f"put-disc-{disc + 1}-on-{target}", target, "press", held, smaller,
+                                          here, held))
+        goal = frozenset(names[PEGS - 1] for names in facts)
+        return SymbolicModel(tuple(fact for names in facts for fact in names), tuple(operators), goal)
+
+
+register_puzzle(HanoiConfig, HanoiPuzzle)

@@ -1,0 +1,117 @@
+"""Rooms against published domains that know nothing of rooms, and against such with one planted difference."""
+
+import itertools
+
+import gymnasium
+import numpy as np
+import pytest
+
+import hrl_escape
+from hrl_escape.checks import check_isomorphism
+from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
+from hrl_escape.env.puzzles.code_lock import CodeLockConfig
+from hrl_escape.env.puzzles.lights_out import LightsOutConfig
+from hrl_escape.errors import ContractError
+
+assert hrl_escape  # registers the environments
+
+
+class Hanoi:
+    """Pegs as tuples of discs, largest first, and the disc in the hand or None."""
+
+    def list_states(self):
+        for places in itertools.product(range(3), repeat=3):
+            yield tuple(tuple(d for d in (2, 1, 0) if places[d] == peg) for peg in range(3)), None
+
+    def step(self, state, action):
+        pegs, hand = [list(peg) for peg in state[0]], state[1]
+        if hand is None and pegs[action]:
+            hand = pegs[action].pop()
+        elif hand is not None and (not pegs[action] or pegs[action][-1] > hand):
+            pegs[action].append(hand)
+            hand = None
+        return tuple(map(tuple, pegs)), hand
+
+    def is_over(self, state):
+        return state == (((), (), (2, 1, 0)), None)
+
+    def encode(self, state):
+        pegs, hand = state
+        places = [3 if disc == hand else next(i for i, peg in enumerate(pegs) if disc in peg) for disc in range(3)]
+        return sum(1 << 4 * disc + place for disc, place in enumerate(places))
+
+
+class Board:
+    """OGBench's board of 3 x 3, its first task, as an array of 0 and 1."""
+
+    goal = (1, 1, 0, 1, 0, 1, 0, 1, 1)
+
+    def list_states(self):
+        return itertools.product((0, 1), repeat=9)
+
+    def step(self, state, action):
+        board = np.array(state).reshape(3, 3)
+        for i, j in ((0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)):
+            row, column = action // 3 + i, action % 3 + j
+            if 0 <= row < 3 and 0 <= column < 3:
+                board[row, column] = (board[row, column] + 1) % 2
+        return tuple(board.ravel().tolist())
+
+    def is_over(self, state):
+        return state == self.goal
+
+    def encode(self, state):
+        return sum(on << i for i, on in enumerate(state))
+
+
+class Wrapping(Board):
+    """A board whose rows have no ends."""
+
+    def step(self, state, action):
+        left = 3 * (action // 3) + (action - 1) % 3
+        after = list(super().step(state, action))
+        if action % 3 == 0:
+            after[left] ^= 1
+        return tuple(after)
+
+
+def make_env(puzzle):
+    return gymnasium.make("hrl_escape/EscapeRoom-v1", config=RoomConfig(
+        puzzle=puzzle, robot=RobotConfig(body_radius=0.4), room=ShapeConfig(width=12, depth=12)))
+
+
+def test_the_towers_of_hanoi_are_those_of_three_stacks():
+    assert check_isomorphism(gymnasium.make("hrl_escape/Hanoi-v1"), Hanoi()) == 27 * 3
+
+
+def test_lights_out_is_ogbenchs_board():
+    env = make_env(LightsOutConfig(task=1))
+    assert check_isomorphism(env, Board(), pairs=150) == 150
+    with pytest.raises(ContractError, match="a press does what the action does"):
+        check_isomorphism(env, Wrapping(), pairs=150)
+
+
+def test_another_goal_is_another_domain():
+    env = make_env(LightsOutConfig(task=2))
+    with pytest.raises(ContractError, match="both are over, or neither"):
+        check_isomorphism(env, Board(), pairs=10_000)
+
+
+def test_a_lock_is_its_state_machine():
+    env = make_env(CodeLockConfig())
+    code = env.unwrapped.instance.puzzle.code
+
+    class Lock:
+        def list_states(self):
+            return range(4)
+
+        def step(self, state, action):
+            return state + 1 if code[state] == action else 0
+
+        def is_over(self, state):
+            return state == 4
+
+        def encode(self, state):
+            return state
+
+    assert check_isomorphism(env, Lock()) == 16
