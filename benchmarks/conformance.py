@@ -103,7 +103,6 @@ def _compare_step(found: Agreement, batch: TensorRoom, outcome: Outcome, scalar:
     bent = np.array([s.joint_offsets or (0.0,) * count for s in after]).reshape(len(after), count)
     other |= (np.abs(now.joint_offsets.numpy().T - bent) > TOLERANCE).any(axis=1)
     targets = range(outcome.info.pressed.shape[1])
-    puzzle = scalar[0].instance.puzzle
     for mine, theirs in (
         (now.heading_steps, [s.heading_steps for s in after]),
         (now.primitives, [s.primitives for s in after]),
@@ -117,7 +116,7 @@ def _compare_step(found: Agreement, batch: TensorRoom, outcome: Outcome, scalar:
     for table, rows in (
         (now.joint_steps.T, [s.joint_steps for s in after]),
         (outcome.info.pressed, [[i in t.pressed for i in targets] for t in transitions]),
-        (outcome.info.buttons_on, [puzzle.get_lit(s.puzzle) for s in after]),
+        (outcome.info.buttons_on, [_list_lit(k, s, len(targets)) for k, s in zip(scalar, after, strict=True)]),
     ):
         other |= (table.numpy() != np.array(rows).reshape(table.shape)).any(axis=1)
     wrong = other | (off > TOLERANCE)
@@ -132,6 +131,12 @@ def _compare_step(found: Agreement, batch: TensorRoom, outcome: Outcome, scalar:
                 f"{batch.get_room_state(room)}, scalar rules {transitions[room]}"
             )
         batch.set_room_state(room, transitions[room].state)
+
+
+def _list_lit(scalar: Kinematics, state: RoomState, targets: int) -> tuple[bool, ...]:
+    """Targets that are on; those that this instance lacks are off."""
+    lit = scalar.instance.puzzle.get_lit(state.puzzle)
+    return lit + (False,) * (targets - len(lit))
 
 
 def is_close_call(scalar: Kinematics, state: RoomState, action: int, done: Transition) -> bool:
