@@ -14,6 +14,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 from rich.console import Console
@@ -72,7 +73,7 @@ class Round:
             name=f"scaling--{self.agent}--{self.seed}",
             description="How does learning over options scale with the number of buttons?",
             agents=(AgentSpec(self.agent, options=OptionsView(include_primitives=False)),),
-            rooms=tuple(RoomSpec(config=make_room(task).to_dict(), seed=self.seed) for task in self.tasks),
+            rooms=tuple(dict(zip(self.rooms.values(), self._specs, strict=True)).values()),
             runs=1,
             first_seed=self.seed,
             primitives=primitives,
@@ -80,6 +81,16 @@ class Round:
             eval_episodes=1,  # each room has one start, so all episodes of an evaluation are the same
             until_solved=SolvedRule(score=NEAR_BEST, check_every=500, graph_every=100),
         )
+
+
+    @cached_property
+    def _specs(self) -> tuple[RoomSpec, ...]:
+        return tuple(RoomSpec(config=make_room(task).to_dict(), seed=self.seed) for task in self.tasks)
+
+    @cached_property
+    def rooms(self) -> dict[RoomKind, str]:
+        """Task -> content hash of its room. With two buttons a chain and a tree may be one room, which is run once."""
+        return {task: spec.make_instance().id for task, spec in zip(self.tasks, self._specs, strict=True)}
 
 
 def make_room(task: RoomKind) -> RoomConfig:
@@ -125,7 +136,7 @@ def run_scaling(
     launcher = LocalLauncher(workers, begin_until=time.monotonic() + 60 * minutes)
     for comparison in run_grids(make_grids(), out, launcher, console):
         refuse_failures(comparison)
-        for run in collect_scaling_runs(comparison, rounds[-1].tasks):
+        for run in collect_scaling_runs(comparison, rounds[-1].rooms):
             finished[run.task, run.agent, run.run] = run
     return list(finished.values())
 

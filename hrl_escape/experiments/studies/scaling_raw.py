@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -76,27 +76,27 @@ class ScalingRun:
         return RoomKind(self.graph, self.buttons, self.rule)
 
 
-def collect_scaling_runs(comparison: Comparison, tasks: Sequence[RoomKind]) -> list[ScalingRun]:
+def collect_scaling_runs(comparison: Comparison, tasks: Mapping[RoomKind, str]) -> list[ScalingRun]:
     """Read the finished runs of a round.
 
     Args:
         comparison: a round's.
-        tasks: one a room, in the grid's order.
+        tasks: task -> content hash of its room; tasks that share a room share its run.
 
     Raises:
         FileReadError: a run's log is missing or damaged.
     """
-    of_room = {instance.id: task for instance, task in zip(comparison.instances, tasks, strict=True)}
     found = []
     for run, result in comparison.runs:
         training = load_result(get_training_folder(comparison.out, run))
         assert result.solution is not None, "these grids have a rule for what is solved"
-        found.append(ScalingRun(
-            *of_room[run.instance_id], agent=run.agent.name, run=run.seed, room=run.instance_id,
-            best=float(np.mean(result.score_range.reachable)), worst=result.score_range.worst,
-            primitives=result.primitives, decisions=result.decisions, seconds=round(training.seconds, 1),
-            first_escape=find_first_escape(training.episodes), **vars(result.solution),
-        ))  # fmt: skip
+        measured: dict[str, Any] = {
+            "agent": run.agent.name, "run": run.seed, "room": run.instance_id,
+            "best": float(np.mean(result.score_range.reachable)), "worst": result.score_range.worst,
+            "primitives": result.primitives, "decisions": result.decisions, "seconds": round(training.seconds, 1),
+            "first_escape": find_first_escape(training.episodes), **vars(result.solution),
+        }  # fmt: skip
+        found += [ScalingRun(*task, **measured) for task, room in tasks.items() if room == run.instance_id]
     return found
 
 

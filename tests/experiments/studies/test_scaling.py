@@ -46,7 +46,7 @@ def run_rounds(out: Path, primitives: int, *rounds: Round, **launcher: object) -
     comparisons = run_grids(grids, out, LocalLauncher(**launcher), make_console())  # type: ignore[arg-type]
     for round_, comparison in zip(rounds, comparisons, strict=True):
         assert not comparison.failures, comparison.failures[0].message
-        found += collect_scaling_runs(comparison, round_.tasks)
+        found += collect_scaling_runs(comparison, round_.rooms)
     return found
 
 
@@ -71,6 +71,16 @@ def test_a_run_gives_the_numbers_that_version_0_1_gave(tmp_path):
     rounds = [Round((run.task,), run.agent, run.run) for run in chosen]
     assert len(rounds) == 2
     assert forget_time(run_rounds(tmp_path, 20_000, *rounds)) == forget_time(chosen)
+
+
+def test_kinds_that_are_one_room_share_its_run(tmp_path):
+    """Two buttons have one edge at most, so that families of graphs coincide."""
+    tasks = tuple(RoomKind(graph, 2, "ignore") for graph in scaling.GRAPHS)
+    round_ = Round(tasks, "smdp-random", 0)
+    assert len(set(round_.rooms.values())) < len(tasks)
+    runs = run_rounds(tmp_path, 60, round_)
+    assert sorted(run.task for run in runs) == sorted(tasks)
+    assert len({(run.room, run.primitives, run.first_escape) for run in runs}) == len(set(round_.rooms.values()))
 
 
 def test_every_agent_runs(tmp_path):
