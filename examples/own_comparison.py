@@ -8,7 +8,8 @@ from pathlib import Path
 import tyro
 
 from hrl_escape.experiments.comparison import run_grid
-from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec
+from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView
+from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.reporting.report import write_report
 from hrl_escape.experiments.verdict import write_verdict
 

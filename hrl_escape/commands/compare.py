@@ -5,6 +5,8 @@
     hrl-escape compare ladder --rooms clutter clutter#1 --runs 5
     hrl-escape compare --agents dqn smdp-dqn smdp-dqn@paper smdp-random --rooms four-button-chain
     hrl-escape compare my-grid.toml --out runs/mine
+    hrl-escape compare --agents smdp-dqn smdp-random --observation objects \
+        --train-rooms ladder-1/pair/train[:16] --test-rooms ladder-1/pair/test
 
 Finished runs are kept: the same command goes on where it was stopped, however it was stopped. In a grid's file, agents
 and rooms are tables or the same short texts:
@@ -32,9 +34,10 @@ from rich.text import Text
 
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.experiments.comparison import Comparison, run_grid
-from hrl_escape.experiments.grid import AgentSpec, Grid, RoomSpec, load_grid
+from hrl_escape.experiments.grid import AgentSpec, Grid, load_grid
 from hrl_escape.experiments.launching.local import Launcher, LocalLauncher
 from hrl_escape.experiments.launching.ray import RayLauncher
+from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.presets import GRIDS, get_grid
 from hrl_escape.experiments.reporting.report import write_report
 from hrl_escape.experiments.reporting.tables import format_first_escape
@@ -53,10 +56,15 @@ class CompareArgs:
     what: Annotated[str, tyro.conf.Positional] = DEFAULT
     """quickstart, paper, ladder, hierarchies or paper-figure-1 to -3; or a .toml or .json file with your own grid."""
     agents: tuple[str, ...] = ()
-    """Other agents: names, smdp- in front for those that choose options, @paper behind for another recipe, +planned or
-    +learned behind for a hierarchy synthesised from the room."""
+    """Other agents: names, smdp- in front for those that choose options, @paper behind for another recipe, +objects,
+    +memory or +no-primitives behind for what they see and choose, +planned or +learned behind for a hierarchy
+    synthesised from the room."""
     rooms: tuple[str, ...] = ()
-    """Other rooms: presets, #3 behind for instance 3, or .json files of instances."""
+    """Other rooms: presets, #3 behind for instance 3, .json files of instances, or ladder-1/lattice/test[3]."""
+    train_rooms: tuple[str, ...] = ()
+    """Sets of rooms to train in, such as ladder-1/lattice/train[:64], clutter#0..15 or a .json file of a set."""
+    test_rooms: tuple[str, ...] = ()
+    """Sets of rooms to be tested in: one for all --train-rooms, or one for each."""
     runs: int | None = None
     """Runs of each agent in each room. Ten or more in a published table."""
     first_seed: int | None = None
@@ -100,7 +108,9 @@ class CompareArgs:
             changes["agents"] = tuple(map(AgentSpec.parse, self.agents))
         if self.rooms:
             changes["rooms"] = tuple(map(RoomSpec.parse, self.rooms))
-        if self.what == DEFAULT and (self.agents or self.rooms):
+        if self.train_rooms:
+            changes |= {"rooms": (), "train_rooms": self.train_rooms, "test_rooms": self.test_rooms}
+        if self.what == DEFAULT and (self.agents or self.rooms or self.train_rooms):
             changes |= {"name": "comparison", "description": ""}
         return dataclasses.replace(grid, **changes)
 
@@ -179,6 +189,7 @@ def _to_json(summary: Summary, comparison: Comparison) -> dict[str, Any]:
             {
                 "label": agent.label,
                 "runs": agent.runs,
+                "seen": None if agent.seen is None else agent.seen._asdict(),
                 **{name: getattr(agent, name)._asdict() for name in
                    ("efficiency", "progress", "success", "first_escape", "length", "score", "area")},
                 "escaped_runs": agent.escaped_runs,
@@ -187,7 +198,7 @@ def _to_json(summary: Summary, comparison: Comparison) -> dict[str, Any]:
             }
             for agent in summary.agents
         ],
-        "rooms": [{"name": room.name, "id": room.instance.id, "best": room.best, "fewest": room.fewest}
+        "rooms": [{"name": room.name, "id": room.place.id, "best": room.best, "fewest": room.fewest}
                   for room in summary.rooms],
         "failures": [{"run": failure.run.name, "message": failure.message} for failure in comparison.failures],
         "report": str(comparison.out / "report.html"),

@@ -1,5 +1,6 @@
 from .comparison import run_grid
-from .grid import AgentSpec, Grid, RoomSpec
+from .grid import AgentSpec, Grid
+from .places import RoomSpec
 from .reporting.report import write_report
 from .verdict import write_verdict
 

@@ -15,12 +15,12 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import FileReadError, FileWriteError, RunBusyError
 from hrl_escape.experiments.grid import Grid, GridRun
 from hrl_escape.experiments.launching.local import Failure, Launcher, LocalLauncher, count_cores
 from hrl_escape.experiments.launching.monitor import Monitor
-from hrl_escape.experiments.runs import RunResult, get_room_file, get_run_folder, load_run_result
+from hrl_escape.experiments.places import Place
+from hrl_escape.experiments.runs import RunResult, get_run_folder, load_run_result
 from hrl_escape.files import clear_unfinished, describe_write_failure, write_json
 
 __all__ = ["Comparison", "run_grid", "run_grids"]
@@ -32,14 +32,14 @@ class Comparison:
 
     Attributes:
         grid: the settings.
-        instances: the rooms, in the grid's order.
+        places: rooms, or sets of rooms, in the grid's order.
         runs: finished runs with their results, in the grid's order.
         failures: runs that failed.
         out: its folder.
     """
 
     grid: Grid
-    instances: tuple[RoomInstance, ...]
+    places: tuple[Place, ...]
     runs: tuple[tuple[GridRun, RunResult], ...]
     failures: tuple[Failure, ...]
     out: Path
@@ -87,24 +87,24 @@ def _make_console() -> Console:
 
 
 class _Plan(NamedTuple):
-    """A grid with its rooms and runs; making it refuses impossible grids."""
+    """A grid with its places and runs; making it refuses impossible grids."""
 
     grid: Grid
-    instances: tuple[RoomInstance, ...]
+    places: tuple[Place, ...]
     runs: list[GridRun]
 
     @classmethod
     def make(cls, grid: Grid) -> _Plan:
-        instances = tuple(room.make_instance() for room in grid.rooms)
-        return cls(grid, instances, grid.make_runs(instances))
+        places = grid.make_places()
+        return cls(grid, places, grid.make_runs(places))
 
 
 def _run(plan: _Plan, out: Path, launcher: Launcher, console: Console) -> Comparison:
     for folder in (out, out / "rooms", *(get_run_folder(out, run) for run in plan.runs)):
         clear_unfinished(folder)
     write_json(out / "grid.json", plan.grid.to_dict())
-    for instance in plan.instances:
-        instance.save(get_room_file(out, instance.id))
+    for place in plan.places:
+        place.save(out / "rooms")
     monitor = Monitor(plan.runs, getattr(launcher, "workers", None) or count_cores(), console)
     unfinished = []
     for run in plan.runs:
@@ -120,7 +120,7 @@ def _run(plan: _Plan, out: Path, launcher: Launcher, console: Console) -> Compar
     order = {run.folder: number for number, run in enumerate(plan.runs)}
     finished = sorted(monitor.results, key=lambda result: order[result[0].folder])
     failures = sorted(monitor.failures, key=lambda failure: order[failure.run.folder])
-    return Comparison(plan.grid, plan.instances, tuple(finished), tuple(failures), out)
+    return Comparison(plan.grid, plan.places, tuple(finished), tuple(failures), out)
 
 
 @contextmanager

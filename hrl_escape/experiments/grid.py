@@ -17,22 +17,21 @@ from typing import Annotated, Any, Literal
 from typing_extensions import Self
 
 from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe
-from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.observations import get_observation
-from hrl_escape.env.presets import get_preset
-from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import EscapeError, GridError
+from hrl_escape.errors import EscapeError, GridError, UnknownNameError
+from hrl_escape.experiments.places import Place, RoomSpec
 from hrl_escape.experiments.references import REFERENCES
 from hrl_escape.files import read_json, read_toml
+from hrl_escape.ladder.room_sets import parse_room_set
 from hrl_escape.names import make_file_name
 from hrl_escape.settings import Range, Settings, replace_settings
 from hrl_escape.synthesis.kinds import find_kind, list_privileges
 from hrl_escape.version import __version__, find_versions
 
-__all__ = ["AgentSpec", "Grid", "GridRun", "OptionsView", "RoomSpec", "SolvedRule", "load_grid"]
+__all__ = ["AgentSpec", "Grid", "GridRun", "OptionsView", "SolvedRule", "load_grid"]
 
 LARGEST = 100_000_000
+DEFAULT_ROOMS = (RoomSpec("paper-two-button"),)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -48,6 +47,16 @@ class OptionsView(Settings):
     """Options return to the agent after every primitive."""
     max_duration: Annotated[int, Range(1, LARGEST)] | None = None
     """Primitives after which an option is stopped."""
+    memory: bool = False
+    """Append an episode's failures and successes to the rows of the observation `objects`; see `DecisionMemory`."""
+
+
+TRAITS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
+    "objects": ({"network": "objects"}, {}),
+    "memory": ({}, {"memory": True}),
+    "no-primitives": ({}, {"include_primitives": False}),
+}
+"""Words behind + in an agent's short text: settings and fields of `OptionsView` that they change."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,54 +132,21 @@ class AgentSpec(Settings):
 
     @classmethod
     def parse(cls, text: str) -> Self:
-        """Read `dqn`, `smdp-dqn`, `smdp-dqn@paper` or `maxq-q+planned`."""
-        agent, plus, leaves = text.partition("+")
-        name, _, recipe = agent.partition("@")
-        return cls.from_dict({"name": name, "recipe": recipe or "corrected"} | ({"leaves": leaves} if plus else {}))
-
-
-@dataclasses.dataclass(frozen=True)
-class RoomSpec(Settings):
-    """One room: an instance of a preset or of a schematic, or one from a file."""
-
-    _section = "room"
-    preset: str | None = None
-    """Name of a preset."""
-    arguments: dict[str, Any] = dataclasses.field(default_factory=dict)
-    """Arguments of the preset, if it takes any."""
-    config: dict[str, Any] | None = None
-    """Schematic, as RoomConfig.to_dict() gives it."""
-    file: str | None = None
-    """File of a saved instance."""
-    seed: Annotated[int, Range(0, 2**63 - 1)] = 0
-    """Instance seed."""
-
-    def check(self) -> None:
-        """Require exactly one source."""
-        if sum(source is not None for source in (self.preset, self.config, self.file)) != 1:
-            raise GridError(f"a room is one of preset, config or file, not {self.to_dict()}")
-
-    def make_instance(self) -> RoomInstance:
-        """Sample the instance, or read it from its file.
-
-        Raises:
-            EscapeError: no such preset, an impossible schematic, a damaged file.
-        """
-        if self.file is not None:
-            return RoomInstance.load(self.file)
-        if self.preset is not None:
-            return generate(get_preset(self.preset, **self.arguments), self.seed)
-        return generate(RoomConfig.from_dict(self.config), self.seed)
-
-    @classmethod
-    def parse(cls, text: str) -> Self:
-        """Read `clutter`, `clutter#3` (instance 3) or `room.json`."""
-        if text.endswith(".json"):
-            return cls(file=text)
-        preset, _, seed = text.partition("#")
-        if seed and not seed.isdecimal():
-            raise GridError(f"room {text!r}: after # comes the number of the instance, such as {preset}#3")
-        return cls(preset=preset, seed=int(seed or 0))
+        """Read `dqn`, `smdp-dqn@paper`, `maxq-q+planned` or `smdp-dqn+objects+memory`; see `TRAITS`."""
+        words, *traits = text.split("+")
+        name, _, recipe = words.partition("@")
+        settings: dict[str, Any] = {}
+        options: dict[str, Any] = {}
+        for trait in traits:
+            settings |= TRAITS.get(trait, ({}, {}))[0]
+            options |= TRAITS.get(trait, ({}, {}))[1]
+        leaves = [trait for trait in traits if trait not in TRAITS]
+        if len(leaves) > 1:
+            raise UnknownNameError("trait of an agent", leaves[0], TRAITS)
+        return cls.from_dict({
+            "name": name, "recipe": recipe or "corrected", "settings": settings, "options": options,
+            **({"label": text} if len(leaves) < len(traits) else {}), **({"leaves": leaves[0]} if leaves else {}),
+        })
 
 
 @dataclasses.dataclass(frozen=True)
@@ -201,8 +177,12 @@ class Grid(Settings):
     """Purpose, in one sentence."""
     agents: tuple[AgentSpec, ...] = (AgentSpec("random"),)
     """Agents to compare."""
-    rooms: tuple[RoomSpec, ...] = (RoomSpec("paper-two-button"),)
-    """Rooms to train in."""
+    rooms: tuple[RoomSpec, ...] = DEFAULT_ROOMS
+    """Rooms to train and be tested in, one after another; empty with `train_rooms`."""
+    train_rooms: tuple[str, ...] = ()
+    """Sets of rooms, each to be trained in as a whole, such as ladder-1/lattice/train[:64] or clutter#0..15."""
+    test_rooms: tuple[str, ...] = ()
+    """Sets of rooms to be tested in: one for all `train_rooms`, or one for each."""
     runs: Annotated[int, Range(1, 10_000)] = 10
     """Training seeds in each room; ten or more in a published table."""
     first_seed: Annotated[int, Range(0, 2**31)] = 0
@@ -224,12 +204,37 @@ class Grid(Settings):
 
     def check(self) -> None:
         """Require agents, rooms, and labels that tell the agents apart."""
-        for what, members in (("agents", self.agents), ("rooms", self.rooms)):
+        if self.train_rooms or self.test_rooms:
+            self._check_sets()
+        for what, members in (("agents", self.agents), ("rooms", self.rooms or self.train_rooms)):
             if not members:
                 raise GridError(f"grid {self.name!r} has no {what}: give at least one")
         _refuse_twins("agent label", [agent.label for agent in self.agents])
         if not get_observation(self.observation).is_vector:
             raise GridError(f"grid {self.name!r}: agents learn from vectors, not from {self.observation!r}")
+
+    def _check_sets(self) -> None:
+        if self.rooms == DEFAULT_ROOMS:
+            object.__setattr__(self, "rooms", ())
+        if self.rooms:
+            raise GridError(f"grid {self.name!r}: give rooms, or train_rooms with test_rooms, not both")
+        if len(self.test_rooms) not in (1, len(self.train_rooms)):
+            raise GridError(f"grid {self.name!r}: {len(self.train_rooms)} train_rooms go with one set of test_rooms, "
+                            f"or as many, not {len(self.test_rooms)}")
+        if self.until_solved is not None:
+            raise GridError(f"grid {self.name!r}: until_solved is about one room, not about train_rooms")
+
+    def make_places(self) -> tuple[Place, ...]:
+        """Rooms, or sets of rooms, in which the runs are made.
+
+        Raises:
+            EscapeError: no such preset, set or file; an impossible schematic.
+        """
+        if not self.train_rooms:
+            return tuple(room.make_place() for room in self.rooms)
+        tests = self.test_rooms * (len(self.train_rooms) if len(self.test_rooms) == 1 else 1)
+        return tuple(Place.of_split(parse_room_set(train), parse_room_set(test))
+                     for train, test in zip(self.train_rooms, tests, strict=True))
 
     @property
     def evaluation_step(self) -> int:
@@ -246,34 +251,28 @@ class Grid(Settings):
                     data[key] = [kind.parse(item).to_dict() if isinstance(item, str) else item for item in data[key]]
         return super().from_dict(data)
 
-    def make_runs(self, instances: Sequence[RoomInstance]) -> list[GridRun]:
+    def make_runs(self, places: Sequence[Place]) -> list[GridRun]:
         """All runs, in the order they are best run: seed by seed, so that early results compare everybody.
 
         Args:
-            instances: one a room, in order.
+            places: from `make_places`.
 
         Raises:
             GridError: two rooms, or two agents, are the same.
             EscapeError: an agent or one of its settings does not exist.
         """
-        _refuse_twins("room", [instance.id for instance in instances])
-        names = [name_room(instance) for instance in instances]
-        names = [f"{name}-{instance.id[:6]}" if names.count(name) > 1 else name
-                 for name, instance in zip(names, instances, strict=True)]
+        _refuse_twins("room", [place.id for place in places])
+        names = [place.name for place in places]
+        names = [f"{name}-{place.id[:6]}" if names.count(name) > 1 else name
+                 for name, place in zip(names, places, strict=True)]
         resolved = [agent.resolve_settings() for agent in self.agents]
         runs = [
-            GridRun(self, number, resolved[number], instance.id, room, seed)
+            GridRun(self, number, resolved[number], place.id, room, seed)
             for seed in range(self.first_seed, self.first_seed + self.runs)
-            for (room, instance), number in itertools.product(
-                zip(names, instances, strict=True), range(len(self.agents)))
+            for (room, place), number in itertools.product(zip(names, places, strict=True), range(len(self.agents)))
         ]
         _refuse_twins("agent with the same settings", [run.key for run in runs])
         return runs
-
-
-def name_room(instance: RoomInstance) -> str:
-    """`clutter`, or `clutter#3` for another than the first instance."""
-    return f"{instance.name}#{instance.seed}" if instance.seed else instance.name
 
 
 @dataclasses.dataclass(frozen=True)
@@ -284,15 +283,15 @@ class GridRun:
         grid: what it is a part of.
         number: which agent.
         settings: that agent's settings, resolved.
-        instance_id: the room's content hash.
-        room: the room's name in tables.
+        place_id: content hash of the room, or of the sets of rooms.
+        room: its name in tables.
         seed: training seed.
     """
 
     grid: Grid
     number: int
     settings: dict[str, Any]
-    instance_id: str
+    place_id: str
     room: str
     seed: int
 
@@ -320,7 +319,7 @@ class GridRun:
             "agent": self.agent.name,
             "settings": self.settings,
             "options": self.agent.options.to_dict() if self.agent.chooses_options else None,
-            "room": self.instance_id,
+            "room": self.place_id,
             "observation": self.grid.observation,
             "primitives": self.grid.primitives,
             "decisions": self.grid.decisions,

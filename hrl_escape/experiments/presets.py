@@ -5,7 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from hrl_escape.errors import UnknownNameError
-from hrl_escape.experiments.grid import AgentSpec, Grid, RoomSpec
+from hrl_escape.experiments.grid import AgentSpec, Grid
+from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.references import REFERENCES
 
 __all__ = ["GRIDS", "get_grid"]

@@ -47,8 +47,8 @@ class IndexOrder(Reference):
 
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
         super().__init__(env, recorder)
-        names = self._env.action_names
-        self._order = range(len(names) - len(self._env.options), len(names))
+        names, options = (self._env.get_wrapper_attr(name) for name in ("action_names", "options"))
+        self._order = range(len(names) - len(options), len(names))
         self._next = 0
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:

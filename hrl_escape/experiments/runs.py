@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import platform
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -25,11 +25,13 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.experiments.episodes import StateRecorder, record_episode
 from hrl_escape.experiments.grid import AgentSpec, GridRun
+from hrl_escape.experiments.places import Place, RoomSchedule
 from hrl_escape.experiments.references import make_reference
 from hrl_escape.experiments.score_range import ScoreRange, compute_score_range
 from hrl_escape.experiments.solved_probe import Solution, SolvedProbe
 from hrl_escape.experiments.statistics import compute_efficiency, compute_final
 from hrl_escape.files import read_json, write_json
+from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.settings import read_record
 from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.version import __version__, find_versions
@@ -55,6 +57,8 @@ class RunResult:
         score_range: best known and worst results, by which its scores are measured.
         planner_seconds: of training, in planners; left out of comparisons.
         versions: of the packages that made it; left out of comparisons.
+        seen: last evaluation in rooms that were trained in, where others were tested in.
+        seen_range: its scale.
     """
 
     budget: int
@@ -69,6 +73,8 @@ class RunResult:
     seconds: tuple[float, ...] = dataclasses.field(compare=False)
     planner_seconds: float = dataclasses.field(compare=False)
     versions: Mapping[str, str] = dataclasses.field(compare=False)
+    seen: Evaluation | None = None
+    seen_range: ScoreRange | None = None
 
     @classmethod
     def make(cls, budget: int, result: TrainResult, score_range: ScoreRange, solution: Solution | None) -> RunResult:
@@ -96,6 +102,13 @@ class RunResult:
                              for found in self.evaluations])
         return np.array([getattr(evaluation, metric) for evaluation in self.evaluations], dtype=np.float64)
 
+    @property
+    def seen_efficiency(self) -> float | None:
+        """Efficiency at the end in rooms that were trained in; None without others to be tested in."""
+        if self.seen is None or self.seen_range is None:
+            return None
+        return float(compute_efficiency(self.seen.successes, self.seen.lengths, self.seen_range.fewest).mean())
+
     def get_final(self, metric: str) -> float:
         """Mean of a curve over the last fifth of the budget; see `compute_final`."""
         return compute_final(self.get_curve("primitives"), self.get_curve(metric), self.budget)
@@ -106,12 +119,23 @@ class RunResult:
         return self.get_final("success_rate") == 0.0
 
 
-def make_env(agent: AgentSpec, instance: RoomInstance, observation: str) -> tuple[gymnasium.Env, StateRecorder]:
-    """The environment an agent acts in, and the recorder inside it."""
+def make_env(agent: AgentSpec, rooms: RoomInstance | InstanceSet, observation: str,
+             schedule: Mapping[str, int] | None = None) -> tuple[gymnasium.Env, StateRecorder]:
+    """The environment an agent acts in, and the recorder inside it.
+
+    Args:
+        agent: of the comparison.
+        rooms: one room, or a set of which every episode draws one.
+        observation: by name.
+        schedule: rooms of a set by the episode's seed; see `RoomSchedule`.
+    """
     import hrl_escape  # noqa: F401  # registers the environment
 
-    flat = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=instance, observation=observation,
-                          disable_env_checker=True)
+    if isinstance(rooms, InstanceSet):
+        flat = RoomSchedule(rooms.make_env(observation=observation), schedule or {})
+    else:
+        flat = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=rooms, observation=observation,
+                              disable_env_checker=True)
     recorder = StateRecorder(flat)
     if agent.leaves is not None:
         from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
@@ -119,9 +143,13 @@ def make_env(agent: AgentSpec, instance: RoomInstance, observation: str) -> tupl
         return HierarchyEnv(recorder, find_kind(agent.name), agent.leaves), recorder
     if not agent.chooses_options:
         return recorder, recorder
+    from hrl_escape.options.memory import DecisionMemory
     from hrl_escape.options.options_env import OptionsEnv  # brings the planners in
 
-    return OptionsEnv(recorder, trace=agent.needs_trace, **agent.options.to_dict()), recorder
+    arguments = agent.options.to_dict()
+    has_memory = arguments.pop("memory")
+    env = OptionsEnv(recorder, trace=agent.needs_trace, **arguments)
+    return (DecisionMemory(env) if has_memory else env), recorder
 
 
 def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
@@ -132,36 +160,58 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
         out: the comparison's folder; it holds the room.
         checkpoint_seconds: between checkpoints of the training run.
     """
-    folder = get_run_folder(out, run)
-    instance = RoomInstance.load(get_room_file(out, run.instance_id))
-    env, recorder = make_env(run.agent, instance, run.grid.observation)
-    seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(run.grid.eval_episodes)]
+    folder, place = get_run_folder(out, run), Place.load(out / "rooms", run.place_id)
+    agent, grid = run.agent, run.grid
+    seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(grid.eval_episodes)]
+    order = None if place.split is None else {str(seed): n % len(place.split.test) for n, seed in enumerate(seeds)}
+    env, recorder = make_env(agent, place.split.test if place.split else place.instance, grid.observation, order)
     try:
-        score_range = compute_score_range(instance, run.agent, [_find_start(env, recorder, seed) for seed in seeds])
-        if run.agent.is_reference:
-            agent: Agent = make_reference(run.agent.name, env, recorder)
-            evaluation = evaluate(agent, env, len(seeds), run.eval_seed, run.grid.primitives)
-            value = RunResult.make_reference(run.grid.primitives, evaluation, score_range)
+        score_range = compute_score_range(_find_starts(env, recorder, seeds), agent, out / "references")
+        if agent.is_reference:
+            player: Agent = make_reference(agent.name, env, recorder)
+            evaluation = evaluate(player, env, len(seeds), run.eval_seed, grid.primitives)
+            value = RunResult.make_reference(grid.primitives, evaluation, score_range)
+        elif place.split is None:
+            player, value = _train(run, out, env, env, place, score_range, checkpoint_seconds)
         else:
-            agent, value = _train(run, out, env, instance, score_range, checkpoint_seconds)
-        episodes = [record_episode(agent, env, recorder, seed) for seed in seeds]
+            player, value = _train_in_set(run, out, env, place, score_range, checkpoint_seconds)
+        drawn = seeds if order is None else [seed for seed in seeds if order[str(seed)] == 0]  # of the room in pictures
+        episodes = [record_episode(player, env, recorder, seed) for seed in drawn]
     finally:
         env.close()
     write_json(folder / "episodes.json", episodes, indent=None)
     write_json(folder / "run_result.json", {"identity": run.identity, "result": dataclasses.asdict(value)}, indent=None)
 
 
-def _train(run: GridRun, out: Path, env: gymnasium.Env, instance: RoomInstance, score_range: ScoreRange,
+def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: Place, score_range: ScoreRange,
+                  checkpoint_seconds: float) -> tuple[Agent, RunResult]:
+    """Train in one set of rooms, with evaluations in another, and evaluate in rooms of the first at the end."""
+    assert place.split is not None
+    seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(run.grid.eval_episodes)]
+    order = {str(seed): n % len(place.split.train) for n, seed in enumerate(seeds)}
+    env, recorder = make_env(run.agent, place.split.train, run.grid.observation)
+    again, again_recorder = make_env(run.agent, place.split.train, run.grid.observation, order)
+    try:
+        agent, value = _train(run, out, env, eval_env, place, score_range, checkpoint_seconds)
+        seen_range = compute_score_range(_find_starts(again, again_recorder, seeds), run.agent, out / "references")
+        seen = evaluate(agent, again, len(seeds), run.eval_seed, value.primitives, value.decisions)
+    finally:
+        env.close()
+        again.close()
+    return agent, dataclasses.replace(value, seen=seen, seen_range=seen_range)
+
+
+def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env, place: Place, score_range: ScoreRange,
            checkpoint_seconds: float) -> tuple[Agent, RunResult]:
     from hrl_escape.agents.training.train import train
 
     rule = run.grid.until_solved
-    probe = None if rule is None else SolvedProbe(rule, env, instance, run.agent, score_range)
+    probe = None if rule is None else SolvedProbe(rule, env, place.instance, run.agent, score_range)
     result = train(
         run.agent.name, env, primitives=run.grid.primitives, decisions=run.grid.decisions, seed=run.seed,
-        settings=run.settings, eval_every=run.grid.evaluation_step, eval_episodes=run.grid.eval_episodes,
-        eval_seed=run.eval_seed, out=get_training_folder(out, run), checkpoint_seconds=checkpoint_seconds,
-        progress=False, probe=probe,
+        settings=run.settings, eval_env=eval_env, eval_every=run.grid.evaluation_step,
+        eval_episodes=run.grid.eval_episodes, eval_seed=run.eval_seed, out=get_training_folder(out, run),
+        checkpoint_seconds=checkpoint_seconds, progress=False, probe=probe,
     )
     assert result.agent is not None, "a run that this process finished or loaded has its agent"
     solution = None if probe is None else probe.solution
@@ -169,10 +219,15 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, instance: RoomInstance, 
     return result.agent, RunResult.make(budget, result, score_range, solution)
 
 
-def _find_start(env: gymnasium.Env, recorder: StateRecorder, seed: int) -> RoomState:
-    """State in which an episode begins."""
-    env.reset(seed=seed)
-    return recorder.states[0]
+def _find_starts(env: gymnasium.Env, recorder: StateRecorder, seeds: Sequence[int]
+                 ) -> list[tuple[RoomInstance, RoomState]]:
+    """Room and first state of the episodes of these seeds."""
+    room: Any = env.unwrapped
+    starts = []
+    for seed in seeds:
+        env.reset(seed=seed)
+        starts.append((room.instance, recorder.states[0]))
+    return starts
 
 
 def load_run_result(out: Path, run: GridRun) -> RunResult | None:

@@ -5,13 +5,19 @@ Each is computed for the starts of a run's evaluation episodes, by the planners 
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.errors import EscapeError
+from hrl_escape.errors import EscapeError, FileReadError
 from hrl_escape.experiments.grid import AgentSpec
+from hrl_escape.files import read_json, write_json
+from hrl_escape.version import __version__
 
 __all__ = ["CEILING", "PLANNER", "ScoreRange", "compute_score_range"]
 
@@ -24,7 +30,8 @@ class ScoreRange:
 
     Attributes:
         worst: return of an episode without escape.
-        starts: pose at the start of each episode: x, y (m), heading (turn steps, and rad beyond them).
+        starts: pose at the start of each episode: x, y (m), heading (turn steps, and rad beyond them); where rooms
+            differ, also a number that tells them apart.
         best: best known return of each.
         reachable: best known return of each by the actions the agent has.
         fewest: primitives of the best known escape of each.
@@ -42,25 +49,65 @@ class ScoreRange:
     source: str
 
 
-def compute_score_range(instance: RoomInstance, agent: AgentSpec, states: Sequence[RoomState]) -> ScoreRange:
-    """Compute the range for episodes that begin in these states."""
+def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent: AgentSpec, cache: Path) -> ScoreRange:
+    """Compute the range for episodes that begin in these states of these rooms.
+
+    Args:
+        starts: room and first state of each episode.
+        agent: says which actions there are.
+        cache: folder that keeps what planners have found, for other runs.
+    """
+    is_limited = agent.chooses_options and not agent.options.include_primitives
+    ends = [_find_ends(*start, agent.options.flavour if is_limited else None, cache) for start in starts]
+    instance = starts[0][0]
+    worst = instance.horizon * instance.reward.step
+    several = len({room.id for room, _ in starts}) > 1
+    poses = tuple((state.x, state.y, state.heading_steps, state.heading_offset,
+                   *((float(int(room.digest[:12], 16)),) if several else ())) for room, state in starts)
+    if any(end is None for end in ends):
+        reward = instance.reward
+        at_once = (reward.exit if reward.exit_replaces_step else reward.step + reward.exit,) * len(starts)
+        ones = (1,) * len(starts)
+        return ScoreRange(worst, poses, at_once, at_once, ones, ones, CEILING)
+    best, fewest, reachable, fewest_reachable = zip(*(end for end in ends if end), strict=True)
+    return ScoreRange(worst, poses, best, reachable, fewest, fewest_reachable, PLANNER)
+
+
+Ends = tuple[float, int, float, "int | None"]
+"""Best known return and its primitives; the same by the options alone, whose escape may be None."""
+
+
+def _find_ends(instance: RoomInstance, state: RoomState, flavour: str | None, cache: Path) -> Ends | None:
+    """Best known results from one state, from the cache if it has them; None where no planner knows an escape.
+
+    Args:
+        instance: the room.
+        state: first of an episode.
+        flavour: of the options, where they are the only actions.
+        cache: see `compute_score_range`.
+    """
+    start = [__version__, flavour, state.x, state.y, state.heading_steps, state.heading_offset, state.joint_steps]
+    path = cache / instance.id / f"{hashlib.sha256(json.dumps(start).encode()).hexdigest()[:12]}.json"
+    if path.exists():
+        with contextlib.suppress(FileReadError, TypeError):  # damaged: computed again
+            known = read_json(path, "best known results")["ends"]
+            return None if known is None else (known[0], known[1], known[2], known[3])
+    ends = _compute_ends(instance, state, flavour)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_json(path, {"start": start, "ends": ends}, indent=None)
+    return ends
+
+
+def _compute_ends(instance: RoomInstance, state: RoomState, flavour: str | None) -> Ends | None:
     from hrl_escape.options.best_with_options import find_best_with_options  # these bring the planners in
     from hrl_escape.planning.best_known import find_best_known
 
     worst = instance.horizon * instance.reward.step
-    starts = tuple((state.x, state.y, state.heading_steps, state.heading_offset) for state in states)
     try:
-        known = [find_best_known(instance, state) for state in states]
+        known = find_best_known(instance, state)
     except EscapeError:  # a puzzle that planners cannot do
-        known = []
-    fewest = tuple(found.primitives for found in known if found.primitives is not None and found.value > worst)
-    if len(fewest) < len(states):
-        reward = instance.reward
-        at_once = (reward.exit if reward.exit_replaces_step else reward.step + reward.exit,) * len(states)
-        ones = (1,) * len(states)
-        return ScoreRange(worst, starts, at_once, at_once, ones, ones, CEILING)
-    best, reachable = tuple(found.value for found in known), known
-    if agent.chooses_options and not agent.options.include_primitives:
-        reachable = [find_best_with_options(instance, state, agent.options.flavour) for state in states]
-    return ScoreRange(worst, starts, best, tuple(found.value for found in reachable), fewest,
-                      tuple(found.primitives if found.value > worst else None for found in reachable), PLANNER)
+        return None
+    if known.primitives is None or known.value <= worst:
+        return None
+    reachable = known if flavour is None else find_best_with_options(instance, state, flavour)
+    return known.value, known.primitives, reachable.value, reachable.primitives if reachable.value > worst else None

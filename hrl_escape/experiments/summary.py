@@ -21,6 +21,7 @@ from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.grid import AgentSpec, Grid, GridRun
 from hrl_escape.experiments.inference import Estimate, Statistic, compute_interval, compute_wilson_interval
 from hrl_escape.experiments.pairs import Pair, compare_agents
+from hrl_escape.experiments.places import Place
 from hrl_escape.experiments.references import PLANNER
 from hrl_escape.experiments.runs import RunResult
 from hrl_escape.experiments.score_range import ScoreRange
@@ -73,6 +74,7 @@ class AgentSummary:
         settings: its settings.
         efficiencies: final efficiency (runs,) a room; a room without a finished run has none.
         efficiency: interquartile mean of them, the primary score.
+        seen: the same at the end in rooms that were trained in, where others were tested in; else None.
         progress: share of the goal's ancestors lit at best in an episode of the last fifth, rooms weighing the same.
         success: share of evaluation episodes in the last fifth that escaped, rooms weighing the same; Wilson's
             interval, a run counting as one try.
@@ -98,6 +100,7 @@ class AgentSummary:
     settings: dict[str, object]
     efficiencies: tuple[Floats, ...]
     efficiency: Estimate
+    seen: Estimate | None
     progress: Estimate
     success: Estimate
     first_escape: Estimate
@@ -134,10 +137,10 @@ class AgentSummary:
 
 @dataclass(frozen=True)
 class RoomSummary:
-    """A room and the ends of its scales.
+    """A room, or rooms to be tested in, and the ends of its scales.
 
     Attributes:
-        instance: the room.
+        place: the room, or the sets of rooms.
         name: in tables.
         worst: return without escape.
         best: best known return, mean over the evaluation episodes.
@@ -145,12 +148,17 @@ class RoomSummary:
         source: finder of the best: `planner`, `ceiling`, or the label of the agent that beat the planner.
     """
 
-    instance: RoomInstance
+    place: Place
     name: str
     worst: float
     best: float
     fewest: float
     source: str
+
+    @property
+    def instance(self) -> RoomInstance:
+        """Room; of a set, the first to be tested in."""
+        return self.place.instance
 
 
 @dataclass(frozen=True)
@@ -188,14 +196,14 @@ def summarise(comparison: Comparison) -> Summary:
     if not comparison.runs:
         reasons = "; ".join(sorted({failure.message for failure in comparison.failures})) or "none was run"
         raise ComparisonError(f"{comparison.out}: no run has finished, so there is nothing to report: {reasons}")
-    runs = [run for instance in comparison.instances for run in _raise_ranges(
-        [run for run in comparison.runs if run[0].instance_id == instance.id], instance)]
-    rooms = [_summarise_room(instance, runs) for instance in comparison.instances]
+    runs = [run for place in comparison.places for run in _raise_ranges(
+        [run for run in comparison.runs if run[0].place_id == place.id], place.instance)]
+    rooms = [_summarise_room(place, runs) for place in comparison.places]
     agents = [
         _summarise_agent(comparison, [run for run in runs if run[0].number == number])
         for number in sorted({run.number for run, _ in runs})
     ]
-    finals = [{(run.instance_id, run.seed): result.get_final("efficiency") for run, result in runs
+    finals = [{(run.place_id, run.seed): result.get_final("efficiency") for run, result in runs
                if run.agent.label == agent.label} for agent in agents]
     pairs = compare_agents(finals, [agent.spec.name != PLANNER for agent in agents], _make_rng())
     return Summary(comparison.grid, tuple(rooms), tuple(agents), tuple(runs), pairs, _join_versions(runs))
@@ -250,15 +258,15 @@ def _score(result: RunResult, returns: ArrayLike) -> Floats:
     return compute_score(returns, result.score_range.worst, np.mean(result.score_range.best))
 
 
-def _summarise_room(instance: RoomInstance, runs: Sequence[FinishedRun]) -> RoomSummary:
-    here = [(run, result) for run, result in runs if run.instance_id == instance.id]
+def _summarise_room(place: Place, runs: Sequence[FinishedRun]) -> RoomSummary:
+    here = [(run, result) for run, result in runs if run.place_id == place.id]
     if not here:
-        return RoomSummary(instance, instance.name, math.nan, math.nan, math.nan, "nothing")
+        return RoomSummary(place, place.name, math.nan, math.nan, math.nan, "nothing")
     ranges = [result.score_range for _, result in here]
     sources = dict.fromkeys(source for found in ranges for source in found.source.split(", "))
     best, fewest = (float(np.mean([np.mean(values) for values in ends]))
                     for ends in ([found.best for found in ranges], [found.fewest for found in ranges]))
-    return RoomSummary(instance, here[0][0].room, ranges[0].worst, best, fewest, ", ".join(sources))
+    return RoomSummary(place, here[0][0].room, ranges[0].worst, best, fewest, ", ".join(sources))
 
 
 def _compute_reachable_efficiency(result: RunResult) -> float:
@@ -270,7 +278,7 @@ def _compute_reachable_efficiency(result: RunResult) -> float:
 
 def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun]) -> AgentSummary:
     budget, run = max(result.budget for _, result in runs), runs[0][0]
-    rooms = [[result for run, result in runs if run.instance_id == instance.id] for instance in comparison.instances]
+    rooms = [[result for run, result in runs if run.place_id == place.id] for place in comparison.places]
     occupied = [room for room in rooms if room]
     results = [result for _, result in runs]
 
@@ -285,7 +293,7 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun]) -> Age
     reachable = float(compute_mean(collect(_compute_reachable_efficiency)))
     success = float(compute_mean(collect(lambda result: result.get_final("success_rate"))))
     first = collect(lambda result: float(budget if result.first_escape is None else min(result.first_escape, budget)))
-    horizon = max(instance.horizon for instance in comparison.instances)
+    horizon = max(place.instance.horizon for place in comparison.places)
     returns = collect(lambda result: _score(result, result.get_final("mean_return")))
     areas = collect(lambda result: compute_area(result.get_curve("primitives"), result.get_curve("efficiency"), budget))
     filled = iter(efficiencies)
@@ -294,6 +302,7 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun]) -> Age
         settings=run.settings,
         efficiencies=tuple(next(filled) if room else np.zeros(0) for room in rooms),
         efficiency=efficiency,
+        seen=_summarise_seen(occupied),
         progress=describe("mean_progress", compute_mean),
         success=Estimate(success, *compute_wilson_interval(success, len(results))),
         first_escape=_estimate(compute_mean, first, (0.0, float(budget))),
@@ -312,6 +321,12 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun]) -> Age
         seconds=float(np.mean([result.seconds[-1] for result in results])),
         planner_seconds=float(np.mean([result.planner_seconds for result in results])),
     )
+
+
+def _summarise_seen(rooms: Sequence[Sequence[RunResult]]) -> Estimate | None:
+    seen = [np.array([result.seen_efficiency for result in room if result.seen_efficiency is not None])
+            for room in rooms]
+    return _estimate(compute_iqm, seen) if all(map(len, seen)) else None
 
 
 def _make_rng() -> np.random.Generator:

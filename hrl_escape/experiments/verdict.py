@@ -6,11 +6,13 @@ test says so after correction for all pairs of agents (`pairs.py`). Labels of ag
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from hrl_escape.experiments import references
+from hrl_escape.experiments.grid import OptionsView
 from hrl_escape.experiments.pairs import FEWEST_PAIRS, is_better
 from hrl_escape.experiments.score_range import CEILING, PLANNER
 from hrl_escape.experiments.summary import AgentSummary, Summary
@@ -38,8 +40,8 @@ class Sentence:
 def write_verdict(summary: Summary) -> list[Sentence]:
     """Write the verdict: one headline, then findings, then cautions."""
     findings = [*_compare_views(summary), *_compare_with_chance(summary), *_compare_with_index_order(summary),
-                *_describe_speed(summary), *_describe_gap(summary), *_describe_stuck(summary),
-                *_describe_better_ways(summary)]
+                *_describe_generalisation(summary), *_describe_speed(summary), *_describe_gap(summary),
+                *_describe_stuck(summary), *_describe_better_ways(summary)]
     return [Sentence("headline", _write_headline(summary)), *(Sentence("finding", text) for text in findings),
             *(Sentence("caution", text) for text in _write_cautions(summary))]
 
@@ -195,6 +197,15 @@ def _describe_stuck(summary: Summary) -> list[str]:
     return [f"Stuck, without any escape in the last fifth of training: {_join(some)}."] if some else []
 
 
+def _describe_generalisation(summary: Summary) -> list[str]:
+    """Rooms that were tested in against rooms that were trained in."""
+    learners = [(agent, agent.seen) for agent in summary.agents if agent.spec.learns and agent.seen is not None]
+    if not learners:
+        return []
+    words = [f"`{agent.label}` {agent.efficiency.value:.2f} against {seen.value:.2f}" for agent, seen in learners]
+    return [f"Efficiency in rooms tested in against rooms trained in: {_join(words)}."]
+
+
 def _describe_better_ways(summary: Summary) -> list[str]:
     sentences, labels = [], {agent.label for agent in summary.agents if agent.spec.name != references.PLANNER}
     for room in summary.rooms:
@@ -210,7 +221,7 @@ def _describe_better_ways(summary: Summary) -> list[str]:
 
 def _write_cautions(summary: Summary) -> list[str]:
     grid, cautions = summary.grid, []
-    expected = len(grid.rooms) * grid.runs
+    expected = len(summary.rooms) * grid.runs
     short = [agent for agent in summary.agents if agent.runs < expected]
     if short or len(summary.agents) < len(grid.agents):
         lost = [f"`{agent.label}` {expected - agent.runs} of {expected}" for agent in short]
@@ -225,9 +236,9 @@ def _write_cautions(summary: Summary) -> list[str]:
     if told:
         cautions.append(f"Privileged, by a hierarchy that is synthesised from the room: {_join(told)}.")
     learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
-    chance = [agent.spec.options for agent in summary.agents
+    chance = [_get_choices(agent) for agent in summary.agents
               if agent.spec.chooses_options and agent.spec.algorithm == "random"]
-    unmatched = [f"`{agent.label}`" for agent in learners if agent.spec.options not in chance]
+    unmatched = [f"`{agent.label}`" for agent in learners if _get_choices(agent) not in chance]
     if unmatched:
         cautions.append(f"No random policy over the same options was run beside {_join(unmatched)}, so how much of the "
                         "score the options' planners bring is not known.")
@@ -235,6 +246,9 @@ def _write_cautions(summary: Summary) -> list[str]:
         cautions.append(f"`{references.INDEX_ORDER}` was not run beside the learners, so what pressing all buttons in "
                         "the order of their numbers brings is not known.")
     for room in summary.rooms:
+        if room.place.split is not None and (known := room.place.split.room_overlap):
+            cautions.append(f"{known:.0%} of the rooms tested in by {room.name} are trained in too, so that efficiency "
+                            "there is not that in unseen rooms.")
         if CEILING in room.source.split(", "):
             cautions.append(f"No plan is known for {room.name}: its scores are measured by an escape at once, which no "
                             "agent can do, so that efficiency there is near 0.")
@@ -244,6 +258,11 @@ def _write_cautions(summary: Summary) -> list[str]:
     if mixed:
         cautions.append(f"The runs were made with different versions of {_join(mixed)}.")
     return cautions
+
+
+def _get_choices(agent: AgentSummary) -> OptionsView:
+    """Options that an agent chooses among, whatever it remembers."""
+    return dataclasses.replace(agent.spec.options, memory=False)
 
 
 # --- words -----------------------------------------------------------------------------

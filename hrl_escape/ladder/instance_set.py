@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
 import gymnasium
@@ -14,7 +15,8 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ConfigError
+from hrl_escape.errors import ConfigError, FileReadError, describe_damage
+from hrl_escape.files import read_json, write_json
 
 if TYPE_CHECKING:
     from hrl_escape.env.vector_env import EscapeRoomVectorEnv
@@ -174,6 +176,23 @@ class InstanceSet(Sequence[RoomInstance]):
     def from_description(cls, content: Mapping[str, Any]) -> InstanceSet:
         """Make a set from the content of its description."""
         return cls(content["name"], RoomConfig.from_dict(content["config"]), [int(seed) for seed in content["seeds"]])
+
+    def save(self, path: str | Path) -> None:
+        """Write the set as a JSON file of a few kB: its name, schematic and seeds."""
+        write_json(path, self.describe()["content"], indent=1)
+
+    @classmethod
+    def load(cls, path: str | Path) -> InstanceSet:
+        """Load a set from its file.
+
+        Raises:
+            FileReadError: the file is missing or holds no set.
+        """
+        content = read_json(path, "set of rooms")
+        try:
+            return cls.from_description(content)
+        except (KeyError, TypeError, ValueError) as error:
+            raise FileReadError(f"{path}: this is no set of rooms ({describe_damage(error)})") from error
 
 
 class InstanceSetEnv(EscapeRoomEnv):

@@ -11,7 +11,8 @@ import tyro
 
 from hrl_escape.cli import main
 from hrl_escape.commands.compare import CompareArgs
-from hrl_escape.experiments.grid import AgentSpec, RoomSpec
+from hrl_escape.experiments.grid import AgentSpec
+from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.presets import get_grid
 
 

@@ -9,8 +9,9 @@ from hrl_escape.agents.training.evaluation import Evaluation
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.experiments.comparison import Comparison
-from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec
+from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView
 from hrl_escape.experiments.launching.local import Failure
+from hrl_escape.experiments.places import Place, RoomSpec
 from hrl_escape.experiments.runs import RunResult
 from hrl_escape.experiments.score_range import ScoreRange
 
@@ -60,7 +61,8 @@ def compare(agents: dict[str, Sequence[Sequence[float] | RunResult | None]], roo
     instances = (ROOM, OTHER_ROOM)[:rooms]
     runs = runs or max(map(len, agents.values())) // rooms
     grid = Grid("made-up", agents=specs, rooms=tuple(RoomSpec(i.name) for i in instances), runs=runs, primitives=budget)
-    by_place = {(run.number, run.instance_id, run.seed): run for run in grid.make_runs(instances)}
+    places = tuple(Place.of_room(instance) for instance in instances)
+    by_place = {(run.number, run.place_id, run.seed): run for run in grid.make_runs(places)}
     found, failures = [], []
     for number, results in enumerate(agents.values()):
         for index, result in enumerate(results):
@@ -71,4 +73,4 @@ def compare(agents: dict[str, Sequence[Sequence[float] | RunResult | None]], roo
             else:
                 made = result if isinstance(result, RunResult) else make_result(result, budget=budget)
                 found.append((run, made))
-    return Comparison(grid, instances, tuple(found), tuple(failures), Path("nowhere"))
+    return Comparison(grid, places, tuple(found), tuple(failures), Path("nowhere"))

@@ -11,8 +11,9 @@ from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig, StartCon
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.experiments.comparison import Comparison, run_grid
-from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec
+from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView
 from hrl_escape.experiments.launching.local import LocalLauncher
+from hrl_escape.experiments.places import RoomSpec
 
 SCHEMATIC = RoomConfig(
     name="small",

@@ -148,7 +148,7 @@ def test_no_process_outlives_a_comparison_that_is_stopped(tmp_path: Path, signal
     grid = change(primitives=1_000_000, runs=1)
     write_json(tmp_path / "long.json", grid.to_dict())
     process = start_cli(tmp_path / "long.json", tmp_path / "out")
-    runs = grid.make_runs([room.make_instance() for room in grid.rooms])
+    runs = grid.make_runs(grid.make_places())
     try:
         assert wait_until(lambda: any(read_progress(tmp_path / "out", run) for run in runs), 60)
         if signal_ == signal.SIGINT:  # reaches every process of the terminal
@@ -215,7 +215,7 @@ def test_failed_runs_are_told_with_their_error_and_stop_no_others(tmp_path: Path
 
 def test_a_failed_run_is_tried_again_the_next_time(finished: Comparison, tmp_path: Path):
     grid = change(agents=SMALL.agents[:1], runs=1)
-    (run,) = grid.make_runs([room.make_instance() for room in grid.rooms])
+    (run,) = grid.make_runs(grid.make_places())
     (get_run_folder(tmp_path, run) / "training").mkdir(parents=True)
     broken = get_run_folder(tmp_path, run) / "training" / "checkpoint.npz"
     broken.write_bytes(b"no checkpoint")

@@ -10,13 +10,14 @@ import pytest
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EscapeError, FileReadError, GridError, UnknownNameError
-from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec, load_grid
+from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, load_grid
+from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.presets import GRIDS, get_grid
 from tests.experiments.small import SMALL, change
 
 
 def make_runs(grid: Grid):
-    return grid.make_runs([room.make_instance() for room in grid.rooms])
+    return grid.make_runs(grid.make_places())
 
 
 # --- reading ---------------------------------------------------------------------------
@@ -139,7 +140,7 @@ def test_an_impossible_grid_is_refused_with_its_reason(changes: dict, message: s
     [
         ("runs = ", "mine.toml: .*TOML"),
         ("run = 3", "mine.toml: unknown grid field .run.; did you mean .runs."),
-        ('rooms = [{ preset = "clutter", file = "x.json" }]', "one of preset, config or file"),
+        ('rooms = [{ preset = "clutter", file = "x.json" }]', "one of preset, config, file or set"),
         ('agents = [{ nam = "dqn" }]', "unknown agent field .nam.; did you mean .name."),
     ],
 )

@@ -60,8 +60,8 @@ def choose_replays(comparison: Comparison) -> list[dict[str, Any]]:
     """
     chosen = []
     for number, spec in enumerate(comparison.grid.agents):
-        for room, instance in enumerate(comparison.instances):
-            runs = [run for run, _ in comparison.runs if run.number == number and run.instance_id == instance.id]
+        for room, place in enumerate(comparison.places):
+            runs = [run for run, _ in comparison.runs if run.number == number and run.place_id == place.id]
             episodes = [
                 {"agent": spec.label, "room": room, "seed": run.seed, "episode": index, **episode}
                 for run in runs for index, episode in enumerate(read_episodes(comparison.out, run))

@@ -26,10 +26,10 @@ from hrl_escape.experiments.pairs import ALPHA, Pair
 from hrl_escape.experiments.reporting.agent_style import AgentStyle, choose_styles
 from hrl_escape.experiments.reporting.figures import save_figures
 from hrl_escape.experiments.reporting.page_data import MEDIAN, choose_replays, make_page_data
-from hrl_escape.experiments.reporting.tables import format_first_escape, write_markdown, write_tables
+from hrl_escape.experiments.reporting.tables import describe_place, format_first_escape, write_markdown, write_tables
 from hrl_escape.experiments.runs import get_room_file, get_training_folder
 from hrl_escape.experiments.statistics import compute_iqm
-from hrl_escape.experiments.summary import AgentSummary, Summary, summarise
+from hrl_escape.experiments.summary import AgentSummary, RoomSummary, Summary, summarise
 from hrl_escape.experiments.verdict import find_leader, write_verdict
 from hrl_escape.files import write_text
 
@@ -127,11 +127,11 @@ def _describe_hero(replay: dict[str, Any], chip: Markup) -> Markup:
 
 def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
     """The commands that show a replay's run in 3D: with what it thinks, and as a page that plays offline."""
-    instance = comparison.instances[replay["room"]]
-    run = next(run for run, _ in comparison.runs if (run.agent.label, run.instance_id, run.seed)
-               == (replay["agent"], instance.id, replay["seed"]))
+    place = comparison.places[replay["room"]]
+    run = next(run for run, _ in comparison.runs if (run.agent.label, run.place_id, run.seed)
+               == (replay["agent"], place.id, replay["seed"]))
     arguments = shlex.join([str(get_training_folder(comparison.out, run)),
-                            "--load", str(get_room_file(comparison.out, instance.id))])
+                            "--load", str(get_room_file(comparison.out, place.instance.id))])
     flavour = run.agent.options.flavour
     arguments += f" --flavour {flavour}" if run.agent.chooses_options and flavour != "press" else ""
     return [f"hrl-escape watch {arguments}", f"hrl-escape record {arguments} --out escape.html"]
@@ -158,7 +158,7 @@ def _list_facts(summary: Summary) -> list[tuple[str, str]]:
     hours = sum(agent.seconds * agent.runs for agent in summary.agents)
     return [
         ("agents", str(len(grid.agents))),
-        ("rooms", str(len(grid.rooms))),
+        ("rooms", str(len(summary.rooms))),
         ("runs each", str(grid.runs)),
         ("training budget", f"{grid.primitives:,} primitives"),
         ("evaluated", f"every {grid.evaluation_step:,}, {grid.eval_episodes} episodes"),
@@ -180,6 +180,7 @@ def _make_row(agent: AgentSummary, look: AgentStyle, chip: Markup, leads: bool) 
         "low": f"{min(low, 99):.2f}",
         "width": f"{max(high - low, 0):.2f}",
         "colour": look.colour,
+        "seen": "" if agent.seen is None else f"{agent.seen.value:.3f}",
         "success": f"{agent.success.value:.0%}",
         "wilson": f"{agent.success.low:.0%} to {agent.success.high:.0%}",
         "length": f"{agent.length.value:,.0f}",
@@ -250,7 +251,7 @@ def _list_settings(summary: Summary) -> list[tuple[str, str]]:
         ("observation", grid.observation),
     ]
     for room in summary.rooms:
-        rows.append((f"room {room.name}", f"instance {room.instance.id}; best known escape {room.fewest:g} "
+        rows.append((f"room {room.name}", f"{describe_place(room.place)}; best known escape {room.fewest:g} "
                                           f"primitives, return {room.best:g}, found by {room.source}; worst return "
                                           f"{room.worst:g}"))
     return rows
@@ -278,10 +279,14 @@ def _describe_room(summary: Summary, number: int, agent_styles: Sequence[AgentSt
     return {
         "name": room.name,
         "id": instance.id,
-        "words": f"{'; '.join(words)}.{ends}",
+        "words": f"{'; '.join(words)}.{ends}{_describe_split(room)}",
         "picture": _embed_picture(instance),
         "ranks": sorted(ranks, key=lambda row: row["rank"]),
     }
+
+
+def _describe_split(room: RoomSummary) -> str:
+    return "" if room.place.split is None else f" One of the rooms tested in: {describe_place(room.place)}."
 
 
 def _embed_picture(instance: Any) -> str:

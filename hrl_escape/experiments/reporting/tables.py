@@ -13,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
+from hrl_escape.experiments.places import Place
 from hrl_escape.experiments.runs import RunResult
 from hrl_escape.experiments.statistics import compute_score
 from hrl_escape.experiments.summary import AgentSummary, Summary
 from hrl_escape.experiments.verdict import Sentence
 from hrl_escape.files import write_text
 
-__all__ = ["format_first_escape", "write_markdown", "write_tables"]
+__all__ = ["describe_place", "format_first_escape", "write_markdown", "write_tables"]
 
 MEASURES = ("efficiency", "mean_progress", "success_rate", "mean_length")
 HEADINGS = ("efficiency", "progress", "success", "length")
@@ -33,12 +34,13 @@ def write_tables(summary: Summary, folder: Path) -> None:
     """
     results, curves, timings = [], [], []
     for run, result in summary.runs:
-        head = (run.agent.label, run.room, run.instance_id, run.seed)
+        head = (run.agent.label, run.room, run.place_id, run.seed)
         worst, top = result.score_range.worst, float(np.mean(result.score_range.best))
         final = result.get_final("mean_return")
         results.append((*head, *map(result.get_final, MEASURES), float(compute_score(final, worst, top)), final,
                         "" if result.first_escape is None else result.first_escape, int(result.is_stuck), worst, top,
-                        *_describe_reach(result), result.primitives, result.decisions, result.episodes,
+                        *_describe_reach(result), "" if (seen := result.seen_efficiency) is None else seen,
+                        result.primitives, result.decisions, result.episodes,
                         result.planner_calls, run.key))
         lines = [result.get_curve(measure) for measure in MEASURES]
         for evaluation, seconds, *values in zip(result.evaluations, result.seconds, *lines, strict=True):
@@ -48,8 +50,8 @@ def write_tables(summary: Summary, folder: Path) -> None:
             timings.append((*head, evaluation.primitives, seconds, evaluation.seconds))
     names = ("agent", "room", "instance", "seed")
     _write(folder / "results.csv", (*names, *HEADINGS, "return_score", "return", "first_escape", "stuck", "worst",
-                                    "best", "reachable", "fewest", "fewest_reachable", "primitives", "decisions",
-                                    "episodes", "planner_calls", "key"), results)
+                                    "best", "reachable", "fewest", "fewest_reachable", "seen_efficiency",
+                                    "primitives", "decisions", "episodes", "planner_calls", "key"), results)
     _write(folder / "curves.csv", (*names, "primitives", "decisions", *HEADINGS, "return_score", "return"), curves)
     _write(folder / "timings.csv", (*names, "primitives", "training_seconds", "evaluation_seconds"), timings)
 
@@ -79,27 +81,45 @@ def write_markdown(summary: Summary, verdict: Sequence[Sentence], command: str, 
     grid = summary.grid
     lines = [f"# {grid.name}", "", f"**{verdict[0].text}**", ""]
     lines += [f"- {sentence.text}" for sentence in verdict[1:] if sentence.kind == "finding"]
-    rooms = f"each of {len(grid.rooms)} rooms" if len(grid.rooms) > 1 else "one room"
+    count, are_sets = len(summary.rooms), bool(grid.train_rooms)
+    kind = "set of rooms" if are_sets else "room"
+    rooms = f"each of {count} {kind.replace('set', 'sets') if are_sets else 'rooms'}" if count > 1 else f"one {kind}"
     lines += ["", f"After {grid.primitives:,} primitives, {grid.runs} runs in {rooms}. Efficiency is "
               "0 without escape, else the fewest primitives known over those taken.", ""]
-    lines += ["| agent | efficiency (IQM, 95 % interval) | progress | escapes (Wilson) | primitives an episode "
+    seen = "| in rooms trained in " * are_sets
+    lines += [f"| agent | efficiency (IQM, 95 % interval) {seen}| progress | escapes (Wilson) | primitives an episode "
               "| first escape | return score | stuck runs | missing: options + learning |",
-              "|---|---|---|---|---|---|---|---|---|"]
-    lines += [_make_row(agent) for agent in summary.agents]
+              "|---|---|---|---|---|---|---|---|---|" + "---|" * are_sets]
+    lines += [_make_row(agent, are_sets) for agent in summary.agents]
     cautions = [f"- {sentence.text}" for sentence in verdict if sentence.kind == "caution"]
     lines += ["", *(["Read with care:", "", *cautions, ""] if cautions else []), "Rooms: " + "; ".join(
-        f"{room.name}, instance `{room.instance.id}`, best known escape {room.fewest:g} primitives, return "
+        f"{room.name}, {describe_place(room.place)}, best known escape {room.fewest:g} primitives, return "
         f"{room.best:g}" for room in summary.rooms) + ".",
         "", "```console", command, "```", ""]
     write_text(path, "\n".join(lines))
 
 
-def _make_row(agent: AgentSummary) -> str:
+def _make_row(agent: AgentSummary, are_sets: bool) -> str:
     return (f"| {agent.label} | {agent.efficiency.value:.3f} ({agent.efficiency.low:.3f} to "
-            f"{agent.efficiency.high:.3f}) | {agent.progress.value:.2f} | {agent.success.value:.0%} "
-            f"({agent.success.low:.0%} to {agent.success.high:.0%}) | {agent.length.value:.0f} "
-            f"| {format_first_escape(agent)} | {agent.score.value:.3f} | {agent.stuck:.0%} "
+            f"{agent.efficiency.high:.3f}) | {_format_seen(agent) * are_sets}{agent.progress.value:.2f} "
+            f"| {agent.success.value:.0%} ({agent.success.low:.0%} to {agent.success.high:.0%}) "
+            f"| {agent.length.value:.0f} | {format_first_escape(agent)} | {agent.score.value:.3f} | {agent.stuck:.0%} "
             f"| {agent.gap.options:.3f} + {agent.gap.learning:.3f} |")
+
+
+def _format_seen(agent: AgentSummary) -> str:
+    if agent.seen is None:
+        return "- | "
+    return f"{agent.seen.value:.3f} ({agent.seen.low:.3f} to {agent.seen.high:.3f}) | "
+
+
+def describe_place(place: Place) -> str:
+    """Identity of a room; of a split the numbers of rooms, and how many of the rooms and tasks tested in are known."""
+    if place.split is None:
+        return f"instance `{place.id}`"
+    split = place.split
+    return (f"{len(split.train)} rooms to train in, {len(split.test)} to be tested in, where {split.room_overlap:.0%} "
+            f"of the rooms and {split.task_overlap:.0%} of the tasks are trained in too")
 
 
 def format_first_escape(agent: AgentSummary) -> str:

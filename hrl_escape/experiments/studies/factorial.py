@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec
+from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView
+from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.statistics import compute_final, compute_slope
 from hrl_escape.experiments.studies.contrasts import Analysis, analyse, make_half_fraction
 from hrl_escape.experiments.studies.raw import RawRun

@@ -19,7 +19,8 @@ from hrl_escape.env.drawing.maps import save_figure
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
-from hrl_escape.experiments.grid import AgentSpec, Grid, RoomSpec
+from hrl_escape.experiments.grid import AgentSpec, Grid
+from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.reporting.agent_style import choose_styles
 from hrl_escape.experiments.statistics import compute_final
 from hrl_escape.experiments.studies.measures import Results, get_runs, measure_share_of_runs, share_of_training

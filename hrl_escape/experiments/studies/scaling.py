@@ -22,8 +22,9 @@ from rich.console import Console
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.experiments.comparison import run_grids
-from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, RoomSpec, SolvedRule
+from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView, SolvedRule
 from hrl_escape.experiments.launching.local import LocalLauncher
+from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.statistics import NEAR_BEST
 from hrl_escape.experiments.studies.running import refuse_failures
 from hrl_escape.experiments.studies.scaling_raw import RoomKind, ScalingRun, collect_scaling_runs

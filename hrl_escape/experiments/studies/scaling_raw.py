@@ -91,12 +91,12 @@ def collect_scaling_runs(comparison: Comparison, tasks: Mapping[RoomKind, str]) 
         training = load_result(get_training_folder(comparison.out, run))
         assert result.solution is not None, "these grids have a rule for what is solved"
         measured: dict[str, Any] = {
-            "agent": run.agent.name, "run": run.seed, "room": run.instance_id,
+            "agent": run.agent.name, "run": run.seed, "room": run.place_id,
             "best": float(np.mean(result.score_range.reachable)), "worst": result.score_range.worst,
             "primitives": result.primitives, "decisions": result.decisions, "seconds": round(training.seconds, 1),
             "first_escape": find_first_escape(training.episodes), **vars(result.solution),
         }  # fmt: skip
-        found += [ScalingRun(*task, **measured) for task, room in tasks.items() if room == run.instance_id]
+        found += [ScalingRun(*task, **measured) for task, room in tasks.items() if room == run.place_id]
     return found
 
 

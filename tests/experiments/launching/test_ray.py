@@ -24,7 +24,7 @@ def test_ray_gives_the_results_of_local_processes(finished: Comparison, tmp_path
 
 def test_a_failed_cell_is_told_and_stops_no_others(tmp_path: Path):
     grid = change(runs=1, agents=["random", "dqn"], primitives=200)
-    runs = grid.make_runs([room.make_instance() for room in grid.rooms])
+    runs = grid.make_runs(grid.make_places())
     broken = tmp_path / "runs" / runs[1].folder / "training" / "checkpoint.npz"
     broken.parent.mkdir(parents=True)
     broken.write_bytes(b"no checkpoint")

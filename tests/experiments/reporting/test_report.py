@@ -99,7 +99,7 @@ def test_the_page_begins_with_the_verdict(finished: Comparison, summary: Summary
 
 def test_the_page_names_settings_instances_versions_and_command(finished: Comparison, page: Page):
     assert COMMAND in page.text
-    for instance in finished.instances:
+    for instance in (place.instance for place in finished.places):
         assert instance.id in page.text
     for name in ("hrl-escape", "torch", "pybullet", "ompl", "python"):
         assert re.search(rf"{name} \d+\.\d+", page.text), name
@@ -152,7 +152,7 @@ def test_labels_are_text_never_markup(finished: Comparison, tmp_path: Path):
     agents = tuple(dataclasses.replace(agent, label=nasty if n == 0 else agent.label)
                    for n, agent in enumerate(finished.grid.agents))
     grid = dataclasses.replace(finished.grid, agents=agents)
-    runs = grid.make_runs(finished.instances)
+    runs = grid.make_runs(finished.places)
     by_key = {run.key: run for run in runs}
     for run, _ in finished.runs:
         shutil.copytree(finished.out / "runs" / run.folder, tmp_path / "runs" / by_key[run.key].folder)
@@ -191,7 +191,7 @@ def test_figures_are_svg_and_markdown_has_the_verdict(finished: Comparison, summ
     figures = sorted(path.name for path in (finished.out / "figures").iterdir())
     assert figures == sorted([f"{metric}-against-{axis}.svg" for metric in ("efficiency", "success", "score")
                               for axis in ("primitives", "decisions", "seconds")]
-                             + ["performance-profile.svg", f"room-{finished.instances[0].id}.svg"])
+                             + ["performance-profile.svg", f"room-{finished.places[0].id}.svg"])
     for name in figures:
         assert ElementTree.parse(finished.out / "figures" / name).getroot().tag.endswith("svg")
     text = (finished.out / "summary.md").read_text()

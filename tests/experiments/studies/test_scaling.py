@@ -155,7 +155,7 @@ def test_a_failed_run_ends_the_study_with_its_message(tmp_path, small_study, mon
         run_scaling(tmp_path, 1, 60, 1, 5.0, make_console())
     monkeypatch.undo()
     round_ = Round((RoomKind("chain", 2, "ignore"),), "smdp-r-max", 0)
-    (run,) = round_.make_grid(60).make_runs([room.make_instance() for room in round_.make_grid(60).rooms])
+    (run,) = round_.make_grid(60).make_runs(round_.make_grid(60).make_places())
     damaged = tmp_path / "runs" / run.folder / "training" / "checkpoint.npz"
     damaged.parent.mkdir(parents=True)
     damaged.write_bytes(b"no checkpoint")

@@ -1,0 +1,188 @@
+"""Places of a comparison: one room to train and be tested in, or rooms to train in and others to be tested in."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+from collections.abc import Mapping
+from functools import cached_property
+from pathlib import Path
+from typing import Annotated, Any
+
+import gymnasium
+from gymnasium.utils import RecordConstructorArgs
+from typing_extensions import Self
+
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.env.sampling.ranges import sample_puzzle
+from hrl_escape.errors import GridError
+from hrl_escape.files import read_json, write_json
+from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.ladder.keys import compute_task_key
+from hrl_escape.ladder.room_sets import parse_room_set
+from hrl_escape.settings import Range, Settings
+
+__all__ = ["Place", "RoomSchedule", "RoomSpec", "Split"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Split:
+    """Rooms of one schematic to train in, and rooms to be tested in.
+
+    Attributes:
+        train: rooms to train in.
+        test: rooms to be tested in.
+    """
+
+    train: InstanceSet
+    test: InstanceSet
+
+    def __post_init__(self) -> None:
+        if self.train.config != self.test.config:
+            raise GridError(f"{self.train.name} and {self.test.name} have different schematics, so that what is "
+                            "trained in one cannot act in the other: take sets of one rung")
+
+    @cached_property
+    def id(self) -> str:
+        """Content hash, 16 hexadecimal digits."""
+        parts = self.train.describe()["id"] + self.test.describe()["id"]
+        return hashlib.sha256(parts.encode()).hexdigest()[:16]
+
+    @property
+    def room_overlap(self) -> float:
+        """Share of the rooms to be tested in that are trained in too."""
+        return len(set(self.test.seeds) & set(self.train.seeds)) / len(self.test)
+
+    @cached_property
+    def task_overlap(self) -> float:
+        """Share of the rooms to be tested in whose puzzle, up to the numbers of buttons, is trained on too."""
+        train, test = ([compute_task_key(sample_puzzle(rooms.config, seed)[1]) for seed in rooms.seeds]
+                       for rooms in (self.train, self.test))
+        return sum(task in set(train) for task in test) / len(test)
+
+
+@dataclasses.dataclass(frozen=True)
+class Place:
+    """Surroundings of runs: where they train and where they are tested.
+
+    Attributes:
+        name: in tables.
+        instance: the room; of a split, the first room to be tested in, which stands for all in pictures.
+        split: rooms to train in and to be tested in; None for one room that is both.
+    """
+
+    name: str
+    instance: RoomInstance
+    split: Split | None = None
+
+    @classmethod
+    def of_room(cls, instance: RoomInstance, name: str = "") -> Place:
+        """One room, `clutter`, or `clutter#3` for another than the first instance."""
+        return cls(name or (f"{instance.name}#{instance.seed}" if instance.seed else instance.name), instance)
+
+    @classmethod
+    def of_split(cls, train: InstanceSet, test: InstanceSet) -> Place:
+        """Rooms to train in, and rooms to be tested in."""
+        return cls(f"{train.name} > {test.name}", test[0], Split(train, test))
+
+    @property
+    def id(self) -> str:
+        """Content hash of everything in it."""
+        return self.instance.id if self.split is None else self.split.id
+
+    def save(self, folder: Path) -> None:
+        """Write the instance, and the split, each under its id."""
+        self.instance.save(folder / f"{self.instance.id}.json")
+        if self.split is not None:
+            write_json(folder / f"{self.id}.json", {role: getattr(self.split, role).describe()["content"]
+                                                    for role in ("train", "test")}, indent=None)
+
+    @classmethod
+    def load(cls, folder: Path, place_id: str) -> Place:
+        """Load what `save` wrote."""
+        path = folder / f"{place_id}.json"
+        content = read_json(path, "room")
+        if isinstance(content, Mapping) and content.keys() == {"train", "test"}:
+            return cls.of_split(*(InstanceSet.from_description(content[role]) for role in ("train", "test")))
+        return cls.of_room(RoomInstance.load(path))
+
+
+@dataclasses.dataclass(frozen=True)
+class RoomSpec(Settings):
+    """One room: an instance of a preset or of a schematic, one from a file, or one of a set."""
+
+    _section = "room"
+    preset: str | None = None
+    """Name of a preset."""
+    arguments: dict[str, Any] = dataclasses.field(default_factory=dict)
+    """Arguments of the preset, if it takes any."""
+    config: dict[str, Any] | None = None
+    """Schematic, as RoomConfig.to_dict() gives it."""
+    file: str | None = None
+    """File of a saved instance."""
+    set: str | None = None
+    """Room of a set, such as ladder-1/lattice/test[3]."""
+    seed: Annotated[int, Range(0, 2**63 - 1)] = 0
+    """Instance seed."""
+
+    def check(self) -> None:
+        """Require exactly one source."""
+        if sum(source is not None for source in (self.preset, self.config, self.file, self.set)) != 1:
+            raise GridError(f"a room is one of preset, config, file or set, not {self.to_dict()}")
+
+    def make_instance(self) -> RoomInstance:
+        """Sample the instance, or read it from its file.
+
+        Raises:
+            EscapeError: no such preset, an impossible schematic, a damaged file.
+        """
+        if self.file is not None:
+            return RoomInstance.load(self.file)
+        if self.preset is not None:
+            return generate(get_preset(self.preset, **self.arguments), self.seed)
+        if self.set is not None:
+            rooms = parse_room_set(self.set)
+            if len(rooms) != 1:
+                raise GridError(f"{self.set} is {len(rooms)} rooms: name one, such as {self.set.partition('[')[0]}[0], "
+                                "or give sets as train_rooms and test_rooms")
+            return rooms[0]
+        return generate(RoomConfig.from_dict(self.config), self.seed)
+
+    def make_place(self) -> Place:
+        """The room as a place of a comparison."""
+        return Place.of_room(self.make_instance(), self.set or "")
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read `clutter`, `clutter#3` (instance 3), `room.json` or `ladder-1/lattice/test[3]`."""
+        if text.endswith(".json"):
+            return cls(file=text)
+        if "/" in text:
+            return cls(set=text)
+        preset, _, seed = text.partition("#")
+        if seed and not seed.isdecimal():
+            raise GridError(f"room {text!r}: after # comes the number of the instance, such as {preset}#3")
+        return cls(preset=preset, seed=int(seed or 0))
+
+
+class RoomSchedule(gymnasium.Wrapper, RecordConstructorArgs):
+    """Chooses the room of an episode by its seed, so that evaluations go round a set.
+
+    Args:
+        env: an `InstanceSetEnv`.
+        rooms: episode seed -> number of the room in the set. Other seeds draw a room.
+    """
+
+    def __init__(self, env: gymnasium.Env, rooms: Mapping[str, int]) -> None:
+        RecordConstructorArgs.__init__(self, rooms=dict(rooms))
+        super().__init__(env)
+        self._rooms = {int(seed): number for seed, number in rooms.items()}
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode in the room of its seed."""
+        if seed in self._rooms:
+            options = {"instance_index": self._rooms[seed], **(options or {})}
+        return self.env.reset(seed=seed, options=options)
