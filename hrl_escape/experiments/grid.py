@@ -51,12 +51,14 @@ class OptionsView(Settings):
     """Append an episode's failures and successes to the rows of the observation `objects`; see `DecisionMemory`."""
 
 
-TRAITS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {
-    "objects": ({"network": "objects"}, {}),
-    "memory": ({}, {"memory": True}),
-    "no-primitives": ({}, {"include_primitives": False}),
+TRAITS: dict[str, dict[str, dict[str, Any]]] = {
+    "objects": {"settings": {"network": "objects"}},
+    "memory": {"options": {"memory": True}},
+    "no-primitives": {"options": {"include_primitives": False}},
+    "planned": {"agent": {"leaves": "planned"}},
+    "learned": {"agent": {"leaves": "learned"}},
 }
-"""Words behind + in an agent's short text: settings and fields of `OptionsView` that they change."""
+"""Words behind + in an agent's short text, and what they change: settings, options, or fields of the agent itself."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -135,18 +137,14 @@ class AgentSpec(Settings):
         """Read `dqn`, `smdp-dqn@paper`, `maxq-q+planned` or `smdp-dqn+objects+memory`; see `TRAITS`."""
         words, *traits = text.split("+")
         name, _, recipe = words.partition("@")
-        settings: dict[str, Any] = {}
-        options: dict[str, Any] = {}
+        changes: dict[str, dict[str, Any]] = {"settings": {}, "options": {}}
         for trait in traits:
-            settings |= TRAITS.get(trait, ({}, {}))[0]
-            options |= TRAITS.get(trait, ({}, {}))[1]
-        leaves = [trait for trait in traits if trait not in TRAITS]
-        if len(leaves) > 1:
-            raise UnknownNameError("trait of an agent", leaves[0], TRAITS)
-        return cls.from_dict({
-            "name": name, "recipe": recipe or "corrected", "settings": settings, "options": options,
-            **({"label": text} if len(leaves) < len(traits) else {}), **({"leaves": leaves[0]} if leaves else {}),
-        })
+            if trait not in TRAITS:
+                raise UnknownNameError("trait of an agent", trait, TRAITS)
+            for part, fields in TRAITS[trait].items():
+                changes.setdefault(part, {}).update(fields)
+        own = changes.pop("agent", {"label": text} if traits else {})
+        return cls.from_dict({"name": name, "recipe": recipe or "corrected", **changes, **own})
 
 
 @dataclasses.dataclass(frozen=True)
