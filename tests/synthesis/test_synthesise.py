@@ -8,31 +8,19 @@ import pytest
 
 from hrl_escape.agents.hierarchy.machine import Do, MachineRun
 from hrl_escape.agents.hierarchy.price import compute_price
-from hrl_escape.agents.hierarchy.tabular_model import enumerate_model
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.registry import make_agent
 from hrl_escape.agents.training.train import load_agent, load_env, train
 from hrl_escape.checks import check_hierarchy
-from hrl_escape.env.config import ExitConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.puzzles.base import Panels, Place
-from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import AgentSettingsError, UnknownNameError, UnsupportedError
 from hrl_escape.planning import best_known_return
 from hrl_escape.synthesis import HierarchyEnv, synthesise
 from hrl_escape.synthesis.kinds import KINDS, LEAVES
 from hrl_escape.synthesis.situation import Situations
-
-TINY = RoomConfig(
-    name="tiny", room=ShapeConfig(width=5, depth=5), robot=RobotConfig(body_radius=0.4, turn_step_deg=90),
-    puzzle=ButtonsConfig(2, graph=GraphConfig(relabel=False),
-                         buttons=Panels(places=(Place(-2.5, 1, 90), Place(2.5, -1, 90)))),
-    start=StartConfig(place="fixed"), exit=ExitConfig(place="fixed", x=1.5, y=2.0, width=1, depth=1), horizon=60,
-)
-"""Few enough poses to enumerate: quarter turns, two buttons on opposite walls, an exit in the corner."""
+from tests.synthesis.tiny import TINY, enumerate_tiny
 
 AGENTS = {"maxq": "maxq-q", "ham": "hamq"}
 
@@ -82,9 +70,7 @@ def test_a_synthesised_program_always_has_a_legal_primitive(leaves):
 
 @pytest.fixture(scope="module")
 def model():
-    """The tiny room as every hierarchy sees it."""
-    return enumerate_model(make_env(TINY), lambda state: (round(state.x, 6), round(state.y, 6), state.heading_steps,
-                                                          state.puzzle, state.touching))
+    return enumerate_tiny()
 
 
 @pytest.fixture(scope="module")

@@ -7,12 +7,15 @@ import numpy as np
 from hrl_escape.agents.hierarchy.machine import choose, do, machine
 from hrl_escape.agents.hierarchy.price import HierarchyPrice, compute_price
 from hrl_escape.agents.hierarchy.tabular_model import TabularModel
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.synthesis import synthesise
 from tests.agents.hierarchy import taxi_program
 from tests.agents.hierarchy.four_rooms_tasks import HOME, make_walks
 from tests.agents.hierarchy.taxi_tasks import make_taxi_tasks
 from tests.classic.four_rooms import GRID, HALLWAYS, FourRooms, make_room_mask
 from tests.classic.parr_maze import ParrMaze
 from tests.classic.taxi import Taxi
+from tests.synthesis.tiny import TINY, enumerate_tiny
 
 AWAY = ~make_room_mask("north-west") & ~np.isin(np.arange(len(GRID)), HALLWAYS)
 """Where the task `home` is over."""
@@ -57,4 +60,6 @@ def list_prices() -> list[tuple[str, str, HierarchyPrice]]:
     maze = ParrMaze(2, horizon=None)
     rows.append(("Maze of Parr and Russell, 2 x 2", "program: one hallway after another",
                  compute_price(make_tabular_model(maze), make_traveller(maze.make_hallway_options()))))
+    rows.append(("A room of 5 x 5 m, two buttons", "synthesised task graph, planned leaves",
+                 compute_price(enumerate_tiny(), synthesise(generate(TINY, 0)))))
     return rows
