@@ -1,6 +1,7 @@
 """Shows that the tests of the SMDP traps can fail: each trap is sprung in a copy of the code, and its test sees it.
 
-Every entry names the line that a test guards. Slow: each breaks the code in a folder of its own and runs pytest there.
+Every entry names the line that a test guards. Slow, but for the check that both exist: each breaks the code in a folder
+of its own and runs pytest there.
 """
 
 import shutil
@@ -12,7 +13,6 @@ from typing import NamedTuple
 import pytest
 
 ROOT = Path(__file__).parents[1]
-pytestmark = pytest.mark.slow
 
 
 class Mutation(NamedTuple):
@@ -139,8 +139,8 @@ MUTATIONS = [
     Mutation(
         "14 a free self-loop",
         "agents/agent.py",
-        "elif duration < 1:",
-        "elif duration < 0:",
+        "    if duration < 1:",
+        "    if duration < 0:",
         "agents/test_transition.py::test_trap_14_an_action_that_costs_no_primitive_is_refused",
     ),
     Mutation(
@@ -167,8 +167,8 @@ MUTATIONS = [
     Mutation(
         "17 evaluation episodes follow the training seed",
         "agents/training/run.py",
-        "self.plan.eval_seed,\n            primitives",
-        "self.plan.seed,\n            primitives",
+        "self.arguments.eval_seed,\n            primitives",
+        "self.arguments.seed,\n            primitives",
         "agents/training/test_train.py::test_evaluation_episodes_are_the_same_for_every_agent_and_training_seed",
     ),
     Mutation(
@@ -216,8 +216,8 @@ MUTATIONS = [
     Mutation(
         "5 options step the bare room, past the wrappers below",
         "options/options_env.py",
-        "decision = Decision(self.env, self._room",
-        "decision = Decision(self._room, self._room",
+        "decision = RunningDecision(self.env, self._domain",
+        "decision = RunningDecision(self.env.unwrapped, self._domain",
         "options/test_options_env.py::test_trap_5_a_time_limit_below_counts_primitives_and_cuts_options",
     ),
     Mutation(
@@ -230,33 +230,55 @@ MUTATIONS = [
     Mutation(
         "12 termination is asked at the state left",
         "options/options_env.py",
-        "                decision.do(run.choose(decision.state))\n                run.duration += 1\n"
+        "                run.rewards += decision.do(self._domain.check_action(run.choose(decision.state)))\n"
         "                if run.ends_at(decision.state",
-        "                left = decision.state\n                decision.do(run.choose(left))\n"
-        "                run.duration += 1\n                if run.ends_at(left",
+        "                left = decision.state\n"
+        "                run.rewards += decision.do(self._domain.check_action(run.choose(left)))\n"
+        "                if run.ends_at(left",
         "options/test_options_env.py::test_trap_12_termination_is_asked_at_the_state_reached",
     ),
     Mutation(
         "13 the new episode stands where the state reached belongs",
         "options/options_env.py",
-        "mask = self._compute_mask(decision.state)\n        info",
-        "mask = self._compute_mask(decision.state)\n"
+        "mask = self._compute_mask(decision.state, self._lower_mask)\n        info",
+        "mask = self._compute_mask(decision.state, self._lower_mask)\n"
         "        if decision.is_over:\n            decision.observation = self.env.reset()[0]\n        info",
         "options/test_options_env.py::test_trap_13_autoreset_does_not_replace_the_state_reached",
     ),
     Mutation(
         "14 a failed plan is free",
         "options/options_env.py",
-        "            if not decision.rewards:\n                decision.do(BASE_ACTIONS.wait)",
-        "            pass",
+        "            if not decision.rewards:\n                rewards = decision.do(self._domain.get_idle_action(self._lower_mask))",
+        "            if not decision.rewards:\n                rewards = ()",
         "options/test_options_env.py::test_trap_14_a_failed_plan_costs_one_primitive",
     ),
     Mutation(
         "15 any option counts as consistent",
         "options/options_env.py",
-        "if option.is_markov and option.initiation(state)",
-        "if option.initiation(state)",
+        "if option.is_markov and option.initiation(step.state)",
+        "if option.initiation(step.state)",
         "options/test_options_env.py::test_trap_15_only_options_whose_policy_is_a_function_of_the_state_are_consistent",
+    ),
+    Mutation(
+        "1 a decision of a level below counts as one primitive",
+        "options/execution.py",
+        "    if duration == 1:",
+        "    if True:",
+        "options/test_levels.py::test_durations_discounts_and_rewards_count_the_primitives_of_the_lowest_level",
+    ),
+    Mutation(
+        "2 intra-option learning discounts a decision of a level below as one primitive",
+        "agents/algorithms/intra_option_q.py",
+        "discount * float(primitive_reward), discount * self.gamma",
+        "discount * float(primitive_reward), self.gamma",
+        "options/test_levels.py::test_agents_over_two_levels_learn_the_exact_values",
+    ),
+    Mutation(
+        "9 what the environment itself masks is legal over options",
+        "options/options_env.py",
+        "mask[: self.primitive_count] = lower[: self.primitive_count]",
+        "pass",
+        "options/test_plain_envs.py::test_a_masked_option_costs_the_first_legal_primitive",
     ),
     Mutation(
         "18 a comparison without chance over the same options passes without a word",
@@ -273,15 +295,22 @@ def run_test(folder, test):
     return subprocess.run(command, cwd=folder, capture_output=True, text=True)
 
 
+def test_every_guarded_line_and_its_test_exist():
+    for trap, file, line, _, test in MUTATIONS:
+        count = (ROOT / "hrl_escape" / file).read_text().count(line)
+        assert count == 1, f"{trap}: {line!r} stands {count} times in {file}"
+        path, _, name = test.partition("::")
+        assert f"def {name.partition('[')[0]}(" in (ROOT / "tests" / path).read_text(), f"{trap}: {test}"
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("mutation", MUTATIONS, ids=lambda mutation: mutation.trap)
 def test_a_sprung_trap_is_seen(tmp_path, mutation):
     for name in ("hrl_escape", "tests"):
         shutil.copytree(ROOT / name, tmp_path / name, ignore=shutil.ignore_patterns("__pycache__", "data"))
     shutil.copy(ROOT / "pyproject.toml", tmp_path)
     path = tmp_path / "hrl_escape" / mutation.file
-    source = path.read_text()
-    assert source.count(mutation.line) == 1, f"{mutation.line!r} stands {source.count(mutation.line)} times"
-    path.write_text(source.replace(mutation.line, mutation.broken))
+    path.write_text(path.read_text().replace(mutation.line, mutation.broken))
     done = run_test(tmp_path, mutation.test)
     assert done.returncode == 1, f"not seen:\n{done.stdout}{done.stderr}"
     assert " failed" in done.stdout and "SyntaxError" not in done.stdout

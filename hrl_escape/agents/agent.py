@@ -236,7 +236,8 @@ def make_transition(
     - `trace`: one item per primitive, each a tuple that begins with (observation, action, reward,
       next_observation) and may have the attributes `next_action_mask` and `consistent`: pairs (action, beta)
       of the actions whose policy, a function of the state alone, does this same primitive here, with
-      their termination probability at the next state. A primitive is consistent with itself, beta = 1.
+      their termination probability at the next state. A primitive is consistent with itself, beta = 1. An item
+      may stand for several primitives, a decision of a level below; it then has their `rewards`.
 
     Args:
         observation: at the decision.

@@ -1,36 +1,46 @@
-"""The contract of options: initiation, policy and termination in a room, nested options included."""
+"""The contract of options: initiation, policy and termination in any environment, nested options included."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium import spaces
 
 from hrl_escape.checks.claims import Claims
-from hrl_escape.env.kinematics import RoomState
-from hrl_escape.errors import PlanningFailed
+from hrl_escape.errors import OptionError, PlanningFailed, UnsupportedError
+from hrl_escape.options.domain import OptionDomain, RoomDomain, make_option_domain
 from hrl_escape.options.option import Option
 
 __all__ = ["check_option"]
 
+Place = Callable[[], Any]
+"""Brings the environment to a place and returns the state there."""
 
-def check_option(option: Option, env: gymnasium.Env, runs: int = 10, seed: int = 0,
-                 states: Sequence[RoomState] = ()) -> None:
-    """Check an option by running it in a room from where random play has led.
+
+def check_option(option: Option, env: gymnasium.Env, runs: int = 10, seed: int = 0, states: Sequence[Any] = (),
+                 domain: Callable[[gymnasium.Env], OptionDomain] = make_option_domain, horizon: int = 1000) -> None:
+    """Check an option by running it in an environment from where random play has led.
 
     Args:
         option: any option.
-        env: a flat environment of a room that it suits.
+        env: an environment that it suits: a flat room, or any other. No environment but a room can be set to a state,
+            so others are played there again: their episodes must depend on the seed and the actions alone.
         runs: how many places random play leads to.
         seed: of the random play.
-        states: more places to start from, for an option that starts where random play hardly leads.
+        states: more places of a room to start from, for an option that starts where random play hardly leads.
+        domain: as in `OptionsEnv`.
+        horizon: primitives after which an option must have ended; a room has its own.
 
     Raises:
         ContractError: the first claim that does not hold.
+        UnsupportedError: states are given and the environment is no room.
     """
-    _OptionCheck(option, env, np.random.default_rng(seed)).run(runs, seed, states)
+    made = domain(env)
+    check = _RoomOptionCheck(option, made) if isinstance(made, RoomDomain) else _OptionCheck(option, made, horizon)
+    check.run(runs, seed, states)
 
 
 class _OptionCheck(Claims):
@@ -38,93 +48,123 @@ class _OptionCheck(Claims):
 
     DEEPEST = 8
 
-    def __init__(self, option: Option, env: gymnasium.Env, rng: np.random.Generator) -> None:
+    def __init__(self, option: Option, domain: OptionDomain, horizon: int) -> None:
         super().__init__(f"option {option.name!r}")
-        self.option, self.env, self.rng = option, env, rng
-        self.room: Any = env.unwrapped
-        self.primitives = len(self.room.rules.actions)
+        self.option, self.domain, self.env, self.horizon = option, domain, domain.env, horizon
 
-    def run(self, runs: int, seed: int, states: Sequence[RoomState]) -> None:
+    def run(self, runs: int, seed: int, states: Sequence[Any]) -> None:
         option = self.option
         self.require(isinstance(option.name, str) and bool(option.name), "the name is text", option.name)
-        self.require(option.instance is None or option.instance.id == self.room.instance.id,
-                     "it was made for this room, or for any", option.instance and option.instance.id)
-        started = sum(self.try_from(state) for state in states)
+        self.require(self.suits(option), "it was made for this room, or for any", option.instance)
+        started = sum(self.try_from(self.make_place(state)) for state in states)
+        rng = np.random.default_rng(seed)
         for number in range(runs):
-            self.env.reset(seed=seed + number)
-            if self.wander(10 * number):
-                started += self.try_from(self.room.get_state())
+            place = self.wander(seed + number, 10 * number, rng)
+            started += place is not None and self.try_from(place)
         self.require(started > 0, f"it starts somewhere in {runs} places that random play led to, or in given states",
                      started)
 
-    def wander(self, steps: int) -> bool:
-        """Play at random; false if the episode ended."""
-        for _ in range(steps):
-            *_, terminated, truncated, _ = self.env.step(int(self.rng.integers(self.primitives)))
-            if terminated or truncated:
-                return False
-        return True
+    def suits(self, option: Option) -> bool:
+        """Made for no room."""
+        return option.instance is None
 
-    def try_from(self, state: RoomState) -> bool:
-        """Run it twice from one state; false if it may not start there, or could not be planned."""
+    def make_place(self, state: Any) -> Place:
+        """Make the place of a given state."""
+        raise UnsupportedError(f"{self.env} cannot be set to a state, as rooms can: leave states out, or give a seed "
+                               "whose random play leads where the option starts")
+
+    def wander(self, seed: int, steps: int, rng: np.random.Generator) -> Place | None:
+        """Play at random; returns the way there, none if the episode ended."""
+        self.env.reset(seed=seed)
+        actions = [self.draw(rng) for _ in range(steps)]
+        for action in actions:
+            *_, terminated, truncated, _ = self.env.step(action)
+            if terminated or truncated:
+                return None
+        return self.remember(seed, actions)
+
+    def remember(self, seed: int, actions: Sequence[Any]) -> Place:
+        """The place at the end of a way."""
+        def go() -> Any:
+            observation, _ = self.env.reset(seed=seed)
+            for action in actions:
+                observation, *_ = self.env.step(action)
+            return self.domain.get_state(observation)
+
+        return go
+
+    def draw(self, rng: np.random.Generator) -> Any:
+        """One random primitive."""
+        space = self.env.action_space
+        if isinstance(space, spaces.Discrete):
+            return self.domain.make_action(int(rng.integers(space.n)))
+        space.seed(int(rng.integers(2**31)))
+        return space.sample()
+
+    def try_from(self, place: Place) -> bool:
+        """Run it twice from one place; false if it may not start there, or could not be planned."""
+        state = place()
         allowed = self.option.initiation(state)
         self.require(isinstance(allowed, bool), "initiation gives a bool", allowed)
         self.require(self.option.initiation(state) == allowed, "initiation gives the same answer each time", state)
         if not allowed:
             return False
         try:
-            first, again = self.roll_out(state), self.roll_out(state)
+            first, again = self.roll_out(place), self.roll_out(place)
         except PlanningFailed as failure:
             self.require(bool(str(failure)), "a failed plan says why", failure)
             return False
-        self.require(first == again, "the same state and the same draws give the same run", (first, again))
+        self.require(_is_same(first, again), "the same state and the same draws give the same run", (first, again))
         if self.option.is_markov:
             for at, primitive in first:
-                self.require(self.option.policy(at) == primitive, "is_markov: the policy is a function of the state",
-                             at)
+                self.require(_is_same(self.domain.check_action(self.option.policy(at)), primitive),
+                             "is_markov: the policy is a function of the state", at)
         return True
 
-    def roll_out(self, state: RoomState) -> list[tuple[RoomState, int]]:
+    def roll_out(self, place: Place) -> list[tuple[Any, Any]]:
         """One run to its end: (state, primitive) of each step."""
         option, rng = self.option, np.random.default_rng(0)
-        self.env.reset(seed=0)
-        self.room.set_state(state)
+        state = place()
         option.start(state)
         stack, steps = [option], []
-        touched, ended = 0, False
+        ended = False
         while not ended:
-            self.require(len(steps) <= self.room.instance.horizon, "it ends with the episode at the latest", len(steps))
-            primitive = self.ask(stack, state)
-            *_, terminated, truncated, _ = self.env.step(primitive)
+            self.require(len(steps) <= self.horizon, "it ends with the episode at the latest", len(steps))
+            primitive = self.ask(stack, state, rng)
+            observation, _, terminated, truncated, _ = self.env.step(primitive)
             steps.append((state, primitive))
-            before, state = state, self.room.get_state()
-            touched |= state.touching & ~before.touching
+            state = self.domain.get_state(observation)
             ended = self.ends(stack, state, rng) or terminated or truncated
         report = option.report
         self.require(0 <= report.cache_hits <= report.planner_calls and report.planner_seconds >= 0.0,
                      "the report's counts make sense", report)
-        dynamics = self.room.instance.dynamics
-        if option.targets is not None and dynamics.kind == "kinematic" and not dynamics.noise:
-            told = {*report.unavoidable, *(self.room.instance.targets[i].name for i in option.targets)}
-            names = [target.name for i, target in enumerate(self.room.instance.targets) if touched >> i & 1]
-            others = [name for name in names if name not in told]
-            self.require(not others, "it presses no target but its own and those it reports as unavoidable", others)
+        self.look_back([*(at for at, _ in steps), state])
         return steps
 
-    def ask(self, stack: list[Option], state: RoomState) -> int:
+    def look_back(self, states: Sequence[Any]) -> None:
+        """Claims about the states that a run went through."""
+
+    def ask(self, stack: list[Option], state: Any, rng: np.random.Generator) -> Any:
         """The next primitive, through nested options."""
         while True:
-            decision = stack[-1].policy(state)
+            decision = stack[-1].sample_action(state, rng)
             if not isinstance(decision, Option):
-                self.require(not isinstance(decision, bool) and decision in range(self.primitives),
-                             f"the policy gives a primitive from 0 to {self.primitives - 1}, or an option", decision)
-                return int(decision)
+                return self.check_primitive(decision)
             self.require(len(stack) < self.DEEPEST, f"options nest at most {self.DEEPEST} deep", stack)
             self.require(bool(decision.initiation(state)), "a nested option is entered where it may start", decision)
             decision.start(state)
             stack.append(decision)
 
-    def ends(self, stack: list[Option], state: RoomState, rng: np.random.Generator) -> bool:
+    def check_primitive(self, decision: Any) -> Any:
+        """Bring a policy's choice into the form that the environment takes."""
+        claim = f"the policy gives an action of {self.env.action_space}, or an option"
+        self.require(not isinstance(decision, bool), claim, decision)
+        try:
+            return self.domain.check_action(decision)
+        except OptionError:
+            self.require(False, claim, decision)
+
+    def ends(self, stack: list[Option], state: Any, rng: np.random.Generator) -> bool:
         """Ask terminations at the state reached, from the innermost out."""
         while stack:
             beta = stack[-1].termination(state)
@@ -134,3 +174,59 @@ class _OptionCheck(Claims):
                 return False
             stack.pop()
         return True
+
+
+class _RoomOptionCheck(_OptionCheck):
+    """The same in a room, which can be set to a state and tells what was pressed."""
+
+    def __init__(self, option: Option, domain: RoomDomain) -> None:
+        super().__init__(option, domain, domain.room.instance.horizon)
+        self.room: Any = domain.room
+
+    def suits(self, option: Option) -> bool:
+        """Made for this room, or for any."""
+        return option.instance is None or option.instance.id == self.room.instance.id
+
+    def make_place(self, state: Any) -> Place:
+        """Set the room to the state."""
+        def go() -> Any:
+            self.env.reset(seed=0)
+            self.room.set_state(state)
+            return state
+
+        return go
+
+    def remember(self, seed: int, actions: Sequence[Any]) -> Place:
+        """The place is the state there."""
+        return self.make_place(self.room.get_state())
+
+    def check_primitive(self, decision: Any) -> int:
+        """A number of the action table."""
+        count = len(self.room.rules.actions)
+        self.require(not isinstance(decision, bool) and decision in range(count),
+                     f"the policy gives a primitive from 0 to {count - 1}, or an option", decision)
+        return int(decision)
+
+    def look_back(self, states: Sequence[Any]) -> None:
+        """Only what was meant, or reported as unavoidable, was pressed."""
+        option, instance = self.option, self.room.instance
+        if option.targets is None or instance.dynamics.kind != "kinematic" or instance.dynamics.noise:
+            return
+        touched = 0
+        for before, after in zip(states, states[1:], strict=False):
+            touched |= after.touching & ~before.touching
+        told = {*option.report.unavoidable, *(instance.targets[i].name for i in option.targets)}
+        names = [target.name for i, target in enumerate(instance.targets) if touched >> i & 1]
+        others = [name for name in names if name not in told]
+        self.require(not others, "it presses no target but its own and those it reports as unavoidable", others)
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    """Return whether two values, arrays inside included, are equal."""
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other)
+    if isinstance(one, Mapping) and isinstance(other, Mapping):
+        return one.keys() == other.keys() and all(_is_same(one[key], other[key]) for key in one)
+    if isinstance(one, (list, tuple)) and isinstance(other, (list, tuple)):
+        return len(one) == len(other) and all(map(_is_same, one, other))
+    return bool(one == other)

@@ -1,28 +1,32 @@
 from .batched.env import BatchedOptionsEnv
 from .best_with_options import best_return_with_options, find_best_with_options
-from .closed_loop import ClosedLoopExecution, pursue
-from .degraded import DegradedOption, OptionDegradation
+from .closed_loop import pursue
+from .degraded import OptionDegradation
+from .domain import OptionDomain
 from .flavours import FLAVOURS
+from .learned import LearnedOption
 from .meta_actions import PlannedOption, make_meta_options
-from .option import LearnedOption, Option, ScriptedOption
-from .options_env import OptionsEnv, TraceStep
+from .option import FunctionOption, Option, ScriptedOption, TableOption
+from .options_env import OptionsEnv
 from .pushing import PushOption
 from .skills import PressOption, ReachOption, make_go_to, make_press, make_reach
+from .trace import TraceStep
 
 __all__ = [
     "BatchedOptionsEnv",
-    "ClosedLoopExecution",
-    "DegradedOption",
     "FLAVOURS",
+    "FunctionOption",
     "LearnedOption",
     "Option",
     "OptionDegradation",
+    "OptionDomain",
     "OptionsEnv",
     "PlannedOption",
     "PressOption",
     "PushOption",
     "ReachOption",
     "ScriptedOption",
+    "TableOption",
     "TraceStep",
     "best_return_with_options",
     "find_best_with_options",

@@ -103,13 +103,13 @@ def simulate(option: Option, state: RoomState, rules: Kinematics, most: int) -> 
     here = state
     count = 0
     try:
-        run = OptionExecution(0, option, here)
+        run = OptionExecution(0, option, here, rng)
         while count < most:
-            step = rules.step(here, run.choose(here))
+            step = rules.step(here, int(run.choose(here)))
             here, count = step.state, count + 1
             if step.terminated:
                 return here, count, True
-            if run.ends_at(here, rng):
+            if run.ends_at(here):
                 break
     except PlanningFailed:
         pass

@@ -12,6 +12,8 @@ import time
 import zlib
 from typing import Annotated, Literal
 
+import numpy as np
+
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import philox
@@ -101,13 +103,17 @@ class DegradedOption(Option):
             self.inner.report = self.report  # from now on it reports to this one
 
     def policy(self, state: RoomState) -> OptionAction:
+        """Follow the other option; a detour is no function of the state, so `sample_action` makes it."""
+        return self.inner.policy(state)
+
+    def sample_action(self, state: RoomState, rng: np.random.Generator) -> OptionAction:
         """Waste the detour first, then follow the other option."""
         if self._wasted < self.degradation.detour:
             self._wasted += 1
             return _TO if self._wasted % 2 else _FRO
         if not self._inner_runs and not self.is_markov:
             self._begin(state)
-        return self.inner.policy(state)
+        return self.inner.sample_action(state, rng)
 
     def termination(self, state: RoomState) -> float:
         """1 if it stops early, else the other option's probability."""

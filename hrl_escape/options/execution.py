@@ -7,111 +7,173 @@ masks or discounts.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, Protocol, runtime_checkable
+from collections.abc import Mapping
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
 
-from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState
-from hrl_escape.errors import OptionError
+from hrl_escape.errors import OptionError, StepContractError
+from hrl_escape.options.domain import DomainStep, OptionDomain
 from hrl_escape.options.option import Option
 from hrl_escape.planning.report import PlanningReport
 
-__all__ = ["RunningDecision", "OptionExecution", "DecisionOutcome", "RoomEnv"]
+__all__ = ["DecisionOutcome", "OptionCall", "OptionExecution", "RunningDecision"]
 
 DEEPEST_NESTING = 8
 
 
-@runtime_checkable
-class RoomEnv(Protocol):
-    """Environment that options can run in: it shows its room and its full state."""
+class OptionCall(NamedTuple):
+    """One run of an option, nested or not: an SMDP transition of its level.
+
+    Attributes:
+        name: of the option.
+        level: options that were running above it; 0 is the one that was chosen.
+        state: state where it began.
+        next_state: state where it ended.
+        rewards: one a primitive.
+        ended: as in `info["option"]`; an option that its caller took down with it ended as its caller did.
+    """
+
+    name: str
+    level: int
+    state: Any
+    next_state: Any
+    rewards: tuple[float, ...]
+    ended: str
 
     @property
-    def instance(self) -> RoomInstance:
-        """Present room."""
-        ...
+    def duration(self) -> int:
+        """Primitives that ran."""
+        return len(self.rewards)
 
-    def get_state(self) -> RoomState:
-        """Full state at present."""
-        ...
+
+class _Frame(NamedTuple):
+    """A running option: where it began, and after how many primitives."""
+
+    option: Option
+    state: Any
+    begin: int
 
 
 class OptionExecution:
-    """One option from its start on: the stack of nested options and its duration so far."""
+    """One option from its start on: the stack of nested options and the rewards so far.
 
-    def __init__(self, index: int, option: Option, state: RoomState) -> None:
+    Attributes:
+        index: its action.
+        option: the option.
+        rewards: one a primitive.
+    """
+
+    def __init__(self, index: int, option: Option, state: Any, rng: np.random.Generator) -> None:
         self.index = index
         self.option = option
-        self.duration = 0
-        self._stack = [option]
+        self.rewards: list[float] = []
+        self._ended: list[OptionCall] = []
+        self._rng = rng
+        self._stack = [_Frame(option, state, 0)]
         self._finished = PlanningReport()
         option.start(state)
 
-    def choose(self, state: RoomState) -> int:
+    def choose(self, state: Any) -> Any:
         """Next primitive; lower options are entered as the policies ask."""
         while True:
-            action = self._stack[-1].policy(state)
+            action = self._stack[-1].option.sample_action(state, self._rng)
             if not isinstance(action, Option):
-                return int(action)
+                return action
             if len(self._stack) == DEEPEST_NESTING:
                 raise OptionError(f"option {self.option.name!r} nests deeper than {DEEPEST_NESTING} options")
-            self._stack.append(action)
+            self._stack.append(_Frame(action, state, len(self.rewards)))
             action.start(state)
 
-    def ends_at(self, state: RoomState, rng: np.random.Generator) -> bool:
+    def ends_at(self, state: Any) -> bool:
         """Draw the innermost option's termination at the state reached, then its caller's, up to the outermost."""
         while True:
-            beta = self._stack[-1].termination(state)
-            if beta <= 0.0 or (beta < 1.0 and rng.random() >= beta):
+            beta = self._stack[-1].option.termination(state)
+            if beta <= 0.0 or (beta < 1.0 and self._rng.random() >= beta):
                 return False
             if len(self._stack) == 1:
                 return True
-            self._finished.add(self._stack.pop().report)
+            self._finished.add(self._stack[-1].option.report)
+            self._close(state, "reached")
+
+    def stop(self, state: Any, ended: str) -> None:
+        """End every option that still runs."""
+        while self._stack:
+            self._finished.add(self._stack[-1].option.report)
+            self._close(state, ended)
+
+    def collect(self) -> tuple[OptionCall, ...]:
+        """Runs that ended since the last call of this, innermost first."""
+        ended, self._ended = tuple(self._ended), []
+        return ended
+
+    def _close(self, state: Any, ended: str) -> None:
+        option, first, begin = self._stack.pop()
+        self._ended.append(OptionCall(option.name, len(self._stack), first, state, tuple(self.rewards[begin:]), ended))
 
     def make_report(self) -> PlanningReport:
         """Planning of the option and of all options nested in it."""
         total = PlanningReport()
         total.add(self._finished)
-        for option in self._stack:
-            total.add(option.report)
+        for frame in self._stack:
+            total.add(frame.option.report)
         return total
 
 
 class RunningDecision:
     """One decision while it runs: steps the wrapped environment and records the result."""
 
-    def __init__(self, env: gymnasium.Env, room: RoomEnv, observation: Any) -> None:
-        self._env, self._room = env, room
-        self.state: RoomState = room.get_state()
+    def __init__(self, env: gymnasium.Env, domain: OptionDomain, observation: Any) -> None:
+        self._env, self._domain = env, domain
+        self.state: Any = domain.get_state(observation)
         self.observation = observation
         self.rewards: list[float] = []
-        self.pressed: list[int] = []
-        self.notes: list[tuple[int, RoomState, RoomState, Any]] = []
+        self.steps: list[DomainStep] = []
         self.terminated = self.truncated = False
-        self.info: dict[str, Any] = {}
+        self.info: Mapping[str, Any] = {}
 
     @property
     def is_over(self) -> bool:
         """The episode has ended."""
         return self.terminated or self.truncated
 
-    def do(self, primitive: int) -> None:
-        """Step the wrapped environment once."""
+    def do(self, action: Any) -> tuple[float, ...]:
+        """Step the wrapped environment once; returns the rewards of the primitives that ran."""
         before = self.state
-        self.observation, reward, self.terminated, self.truncated, self.info = self._env.step(primitive)
-        self.rewards.append(float(reward))
-        self.state = self._room.get_state()
-        begun = self.state.touching & ~before.touching
-        if begun:
-            self.pressed.extend(i for i in range(begun.bit_length()) if begun >> i & 1)
-        self.notes.append((primitive, before, self.state, self.observation))
+        self.observation, reward, self.terminated, self.truncated, self.info = self._env.step(action)
+        rewards = _read_rewards(reward, self.info)
+        self.rewards.extend(rewards)
+        self.state = self._domain.get_state(self.observation)
+        self.steps.append(DomainStep(action, before, self.state, self.observation, rewards, self.info))
+        return rewards
 
 
 @dataclasses.dataclass
 class DecisionOutcome:
-    """Ending of a decision, and the reason if planning failed."""
+    """Ending of a decision, and the reason if planning failed.
+
+    Attributes:
+        calls: runs of options that ended in the decision, nested ones included, innermost first.
+    """
 
     ended: str
     reason: str = ""
     report: PlanningReport = dataclasses.field(default_factory=PlanningReport)
+    calls: tuple[OptionCall, ...] = ()
+
+
+def _read_rewards(reward: Any, info: Mapping[str, Any]) -> tuple[float, ...]:
+    """Rewards of a step of the environment below, one a primitive.
+
+    Raises:
+        StepContractError: its step ran several primitives and does not give the reward of each.
+    """
+    duration = info.get("duration", 1)
+    if duration == 1:
+        return (float(reward),)
+    rewards = info.get("rewards", ())
+    if len(rewards) != duration:
+        raise StepContractError(f"a step of the environment below OptionsEnv ran {duration} primitives and "
+                                f"info['rewards'] has {len(rewards)} entries; it must have one a primitive")
+    return tuple(float(each) for each in rewards)

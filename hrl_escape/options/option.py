@@ -1,29 +1,34 @@
-"""Options (I, pi, beta) of Sutton, Precup and Singh (1999), and the kinds that need no planner.
+"""Options (I, pi, beta) of Sutton, Precup and Singh (1999), and the kinds that are written down.
 
 An option starts where its initiation set allows, follows its policy, and ends when its
 termination says so. `options_env.py` runs it and makes one SMDP transition of its primitives;
-options that plan are in `meta_actions.py`.
+options that learned are in `learned.py`, those that plan in `meta_actions.py`.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, TypeAlias
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import OptionError
 from hrl_escape.planning.report import PlanningReport
 
-__all__ = ["LearnedOption", "Option", "OptionAction", "ScriptedOption"]
+__all__ = ["FunctionOption", "Option", "OptionAction", "ScriptedOption", "TableOption"]
 
 
 class Option(ABC):
     """A temporally extended action.
 
-    Its caller calls `start` once, then alternates `policy(s)` and `termination(s')`, where s' is the
-    state that the primitive led to. An option may keep something between these calls (a plan, say),
+    A state is what the domain of the environment shows: the full `RoomState` of a room, the observation of any other
+    environment, or what an `OptionDomain` of your own makes of it.
+
+    Its caller calls `start` once, then alternates `sample_action(s)`, which asks `policy(s)`, and `termination(s')`,
+    where s' is the state that the primitive led to. An option may keep something between these calls (a plan, say),
     but then it is no function of the state and `is_markov` must stay false: intra-option learning
     relies on it.
 
@@ -48,22 +53,27 @@ class Option(ABC):
         self.name = name
         self.report = PlanningReport()
 
-    def initiation(self, state: RoomState) -> bool:
+    def initiation(self, state: Any) -> bool:
         """Return whether the option may start here. Cheap: it is asked at every decision."""
         del state
         return True
 
-    def start(self, state: RoomState) -> None:
+    def start(self, state: Any) -> None:
         """Begin a run here. May raise `PlanningFailed`; the decision then costs one primitive."""
         del state
         self.report = PlanningReport()
 
     @abstractmethod
-    def policy(self, state: RoomState) -> OptionAction:
-        """Choose a primitive, or a lower option to run to its end before asking again."""
+    def policy(self, state: Any) -> Any:
+        """Choose a primitive, as the environment takes it, or a lower option to run to its end before asking again."""
+
+    def sample_action(self, state: Any, rng: np.random.Generator) -> Any:
+        """Draw from a stochastic policy with the caller's generator; here the policy is deterministic."""
+        del rng
+        return self.policy(state)
 
     @abstractmethod
-    def termination(self, state: RoomState) -> float:
+    def termination(self, state: Any) -> float:
         """Probability beta(s') of ending at the state that was reached."""
 
     def __repr__(self) -> str:
@@ -71,69 +81,168 @@ class Option(ABC):
 
 
 OptionAction: TypeAlias = int | Option
-"""An option's action: a primitive, or a lower option to run to its end."""
+"""What an option of a room does: a primitive, or a lower option to run to its end."""
 
 
 class ScriptedOption(Option):
     """Fixed list of primitives, run open loop."""
 
-    def __init__(self, name: str, actions: Sequence[int]) -> None:
+    def __init__(self, name: str, actions: Sequence[Any]) -> None:
         super().__init__(name)
-        if not actions:
+        if not len(actions):
             raise OptionError(f"option {name!r} has no actions: give it at least one primitive")
-        self.actions = tuple(int(action) for action in actions)
+        self.actions = tuple(actions)
         self._done = 0
 
-    def start(self, state: RoomState) -> None:
+    def start(self, state: Any) -> None:
         """Begin with the first primitive."""
         super().start(state)
         self._done = 0
 
-    def policy(self, state: RoomState) -> int:
+    def policy(self, state: Any) -> Any:
         """Next primitive of the list."""
         action = self.actions[self._done]
         self._done += 1
         return action
 
-    def termination(self, state: RoomState) -> float:
+    def termination(self, state: Any) -> float:
         """1 after the last primitive."""
         return float(self._done >= len(self.actions))
 
 
-class LearnedOption(Option):
-    """Learned policy: a function from observation to primitive.
+class FunctionOption(Option):
+    """Option of three functions of the state.
 
     Args:
         name: stable name.
-        policy: observation -> primitive, a deterministic function.
+        policy: state -> primitive or lower option; (state, generator) -> the same if it is stochastic.
         termination: state -> probability of ending there.
-        observe: state -> the observation that the policy was trained on, such as
-            `make_observer(instance, "features")`.
         initiation: state -> whether it may start there; None for anywhere.
+        is_stochastic: the policy draws, from the generator that it is given and from no other.
     """
-
-    is_markov = True
 
     def __init__(
         self,
         name: str,
-        policy: Callable[[Any], int],
-        termination: Callable[[RoomState], float],
-        observe: Callable[[RoomState], Any],
-        initiation: Callable[[RoomState], bool] | None = None,
+        policy: Callable[..., Any],
+        termination: Callable[[Any], float],
+        initiation: Callable[[Any], bool] | None = None,
+        is_stochastic: bool = False,
     ) -> None:
         super().__init__(name)
-        self._policy, self._termination, self._observe = policy, termination, observe
-        self._initiation = initiation
+        self.is_stochastic, self.is_markov = is_stochastic, not is_stochastic
+        self._policy, self._termination, self._initiation = policy, termination, initiation
 
-    def initiation(self, state: RoomState) -> bool:
+    def initiation(self, state: Any) -> bool:
         """Ask the given function; without one, any state will do."""
         return self._initiation is None or bool(self._initiation(state))
 
-    def policy(self, state: RoomState) -> int:
-        """Primitive of the learned policy for the observation here."""
-        return int(self._policy(self._observe(state)))
+    def policy(self, state: Any) -> Any:
+        """Ask the given function.
 
-    def termination(self, state: RoomState) -> float:
+        Raises:
+            OptionError: it is stochastic, so that only `sample_action` can choose.
+        """
+        if self.is_stochastic:
+            raise OptionError(f"option {self.name!r} is stochastic: ask sample_action(state, generator)")
+        return self._policy(state)
+
+    def sample_action(self, state: Any, rng: np.random.Generator) -> Any:
+        """Ask the given function, and give it the generator if it is stochastic."""
+        return self._policy(state, rng) if self.is_stochastic else self.policy(state)
+
+    def termination(self, state: Any) -> float:
         """Probability by the given function."""
         return float(self._termination(state))
+
+    def describe(self) -> Mapping[str, Any]:
+        """Functions by which a run over this option is recognised."""
+        return {"policy": self._policy, "termination": self._termination, "initiation": self._initiation,
+                "is_stochastic": self.is_stochastic}
+
+
+class TableOption(Option):
+    """Option of tables, for environments whose states are numbers or other hashable values.
+
+    Args:
+        name: stable name.
+        policy: state -> primitive, as a mapping or a list by number of the state; or (states, actions) probabilities,
+            with rows of 0 where the option never is.
+        termination: state -> probability of ending there, in the same form; where a mapping has no entry, 1.
+        initiation: states where it may start; None is wherever the policy has an entry and the termination is below 1.
+
+    Raises:
+        OptionError: a number is no probability, or a row of the policy does not sum to 1.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        policy: Mapping[Any, Any] | Sequence[Any] | NDArray[Any],
+        termination: Mapping[Any, float] | Sequence[float] | NDArray[Any],
+        initiation: Collection[Any] | None = None,
+    ) -> None:
+        super().__init__(name)
+        rows = _make_table(policy)
+        is_stochastic = any(np.ndim(row) == 1 for row in rows.values())
+        if is_stochastic:
+            rows = {state: np.asarray(row, np.float64) for state, row in rows.items() if np.any(row)}
+            wrong = [state for state, row in rows.items() if row.min() < 0 or abs(row.sum() - 1) > 1e-9]
+            if wrong:
+                raise OptionError(f"option {name!r}: the probabilities in state {wrong[0]!r} are not those of a choice "
+                                  f"that is made, {rows[wrong[0]].tolist()}")
+        self._actions = {state: int(np.argmax(row)) if is_stochastic else row for state, row in rows.items()}
+        self._rows = rows if is_stochastic and any(np.count_nonzero(row) > 1 for row in rows.values()) else {}
+        self.is_markov = not self._rows
+        self._beta = {state: float(beta) for state, beta in _make_table(termination).items()}
+        wrong = [state for state, beta in self._beta.items() if not 0.0 <= beta <= 1.0]
+        if wrong:
+            raise OptionError(f"option {name!r} ends in state {wrong[0]!r} with {self._beta[wrong[0]]}, no probability")
+        self._starts = frozenset(
+            (state for state in self._actions if self.termination(state) < 1.0) if initiation is None else initiation)
+
+    def initiation(self, state: Any) -> bool:
+        """Look the state up."""
+        return _make_key(state) in self._starts
+
+    def policy(self, state: Any) -> Any:
+        """Primitive of this state, the likeliest one if the policy is stochastic.
+
+        Raises:
+            OptionError: the table has no entry.
+        """
+        try:
+            return self._actions[_make_key(state)]
+        except KeyError:
+            raise OptionError(f"option {self.name!r} has no action for state {state!r}: give it one, or let it end "
+                              "there") from None
+
+    def sample_action(self, state: Any, rng: np.random.Generator) -> Any:
+        """Draw by the probabilities of this state."""
+        action, row = self.policy(state), self._rows.get(_make_key(state))
+        return action if row is None else int(rng.choice(len(row), p=row))
+
+    def termination(self, state: Any) -> float:
+        """Probability of this state; 1 where the table has no entry."""
+        return self._beta.get(_make_key(state), 1.0)
+
+    def describe(self) -> Mapping[str, Any]:
+        """Tables by which a run over this option is recognised."""
+        return {"policy": _list_entries(self._rows or self._actions), "termination": _list_entries(self._beta),
+                "initiation": sorted(map(repr, self._starts))}
+
+
+def _make_table(values: Mapping[Any, Any] | Sequence[Any] | NDArray[Any]) -> dict[Any, Any]:
+    """Mapping of a mapping or of values by number."""
+    entries: Iterable[tuple[Any, Any]] = values.items() if isinstance(values, Mapping) else enumerate(values)
+    return {_make_key(state): value for state, value in entries}
+
+
+def _make_key(state: Any) -> Any:
+    """Key of a state: itself, or the content of an array."""
+    array: NDArray[Any] = np.asarray(state) if isinstance(state, np.ndarray) else np.empty(())
+    return tuple(array.ravel().tolist()) if array.ndim else state
+
+
+def _list_entries(table: Mapping[Any, Any]) -> list[Any]:
+    return [[repr(state), value] for state, value in sorted(table.items(), key=lambda entry: repr(entry[0]))]

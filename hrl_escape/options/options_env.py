@@ -8,7 +8,9 @@ from `sources.py`, the loop inside one decision from `execution.py`.
 from __future__ import annotations
 
 import operator
-from typing import Any, NamedTuple, SupportsFloat
+from collections.abc import Callable, Mapping
+from types import MappingProxyType
+from typing import Any, SupportsFloat
 
 import gymnasium
 import numpy as np
@@ -18,9 +20,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.primitives import BASE_ACTIONS, make_action_table
 from hrl_escape.errors import (
     ActionError,
     ConfigError,
@@ -29,37 +28,14 @@ from hrl_escape.errors import (
     ResetNeededError,
     UnsupportedError,
 )
-from hrl_escape.options.execution import DecisionOutcome, OptionExecution, RoomEnv, RunningDecision
-from hrl_escape.options.sources import OptionsSource, make_meta_source, make_options
+from hrl_escape.options.domain import DomainStep, OptionDomain, make_option_domain
+from hrl_escape.options.execution import DecisionOutcome, OptionExecution, RunningDecision
+from hrl_escape.options.option import Option
+from hrl_escape.options.sources import OptionsSource, make_options
+from hrl_escape.options.trace import TraceStep
 from hrl_escape.spaces import PointingDiscrete
 
-__all__ = ["OptionsEnv", "TraceStep", "make_options_env"]
-
-
-class TraceStep(NamedTuple):
-    """One primitive inside a decision.
-
-    Attributes:
-        observation: observation of the wrapped environment before it.
-        action: the primitive.
-        reward: its reward.
-        next_observation: observation after it.
-        state: the full state before.
-        next_state: the full state after.
-        next_action_mask: int8 (actions,), the actions legal after it.
-        consistent: (action, beta) of the primitive itself and of every option that would have chosen it
-            here, with beta the option's probability of ending after it. Only options whose policy is a
-            function of the state are among them (see `Option.is_markov`).
-    """
-
-    observation: Any
-    action: int
-    reward: float
-    next_observation: Any
-    state: RoomState
-    next_state: RoomState
-    next_action_mask: NDArray[np.int8]
-    consistent: tuple[tuple[int, float], ...]
+__all__ = ["OptionsEnv", "make_options_env"]
 
 
 class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
@@ -67,8 +43,12 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     The action space is a `PointingDiscrete(n)`, whose `about` names the object of each action: first the primitives
     (unless `include_primitives` is false), then the options. Names and numbers stay for the life of the environment;
-    illegal actions are masked. It wraps an `EscapeRoomEnv` with any wrappers between: every primitive passes through
-    them.
+    illegal actions are masked, by the environment's own `info["action_mask"]` too. It wraps any Gymnasium environment,
+    with any wrappers between: every primitive passes through them. In a room options see the full state, elsewhere the
+    observation (see `domain`). Where the action space is not Discrete, there are no primitives to choose.
+
+    Another `OptionsEnv` below makes a hierarchy of levels: its actions are the primitives here. Durations, discounts
+    and rewards count the primitives of the lowest level.
 
     `step(a)` returns the sum of the primitive rewards (or their discounted sum, see `discounted_reward`) and
     adds to the last primitive's `info`:
@@ -79,10 +59,11 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     | `discount` | gamma^k |
     | `rewards` | the k primitive rewards, in order |
     | `discounted_reward` | sum over i < k of gamma^i r_i, whatever `reward` is |
-    | `pressed` | targets pressed by any of the k primitives, in order |
+    | `pressed` | in a room: targets pressed by any of the k primitives, in order |
     | `action_mask` | int8 (n,), the legal actions at the state reached; for `action_space.sample(mask)` |
     | `option` | the option that ran and how it ended, see below |
-    | `trace` | tuple of k `TraceStep`, with `trace=True` |
+    | `trace` | tuple of `TraceStep`, one a step of the wrapped environment, with `trace=True` |
+    | `calls` | tuple of `OptionCall`, the runs of options that ended, nested ones first, with `trace=True` |
 
     `reset` gives `action_mask` too. The backup is `discounted_reward` + `discount` (1 - terminated) max over
     legal o' of Q(s', o').
@@ -90,16 +71,18 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     `info["option"]` has `name`, `index` and `ended`: `reached` (its termination fired; always so for a
     primitive), `interrupted` (see `interruptible`), `timeout` (`max_duration`), `episode-over` (by exit or
     truncation) or `planning-failed`; then `planner_seconds`, `planner_calls`, `cache_hits`, `replans`,
-    `cache_hit_rate` (of all calls of this environment), `also_pressed` (names of other targets pressed on
-    the way), `unavoidable` (those that the plan had to press) and `reason` (why planning failed, else empty).
+    `cache_hit_rate` (of all calls of this environment), `unavoidable` (targets that the plan had to press), `reason`
+    (why planning failed, else empty) and, in a room, `also_pressed` (names of other targets pressed on the way).
 
-    A decision for an option that is masked or whose planning fails costs one primitive: the robot turns left.
+    A decision for an option that is masked or whose planning fails costs one primitive: in a room the robot turns
+    left, elsewhere see `OptionDomain.get_idle_action`.
 
     Args:
-        env: the flat environment, wrapped or not.
+        env: the environment, wrapped or not.
         options: the options, or a function that makes them for an instance (needed where instances are
-            resampled); None synthesises `meta-01` to `meta-NN` and `meta-exit`.
-        include_primitives: whether primitives are actions too.
+            resampled) or, where there is no room, for `env`; None synthesises `meta-01` to `meta-NN` and `meta-exit`
+            of a room.
+        include_primitives: whether primitives are actions too, where the action space is Discrete.
         discount: gamma per primitive, in [0, 1]; readable as `gamma`.
         discounted_reward: return sum gamma^i r_i as the reward instead of sum r_i.
         flavour: with `options=None`: `press` presses one button only, `press-with-ancestors` first those
@@ -113,6 +96,15 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             legal, 1 if it is running (see `interruptible`).
         planner: with `options=None`: method of their plans by name, as in `RoomPlanner`: `auto`, `fields`, or a
             path planner such as `RRTConnect`.
+        domain: env -> its `OptionDomain`, such as a class derived from it; None for that of a room, or of any
+            environment by its observation.
+
+    Attributes:
+        gamma: discount per primitive.
+        options: the options, in the order of their actions.
+        action_names: names of all actions.
+        primitive_count: actions that are primitives; they come first.
+        level: environments of options below this one.
     """
 
     def __init__(
@@ -128,30 +120,39 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         trace: bool = False,
         observation: str = "pass",
         planner: str = "auto",
+        domain: Callable[[gymnasium.Env], OptionDomain] | None = None,
     ) -> None:
+        given: dict[str, Any] = {} if domain is None else {"domain": domain}
         RecordConstructorArgs.__init__(
             self, options=options, include_primitives=include_primitives, discount=discount,
             discounted_reward=discounted_reward, flavour=flavour, interruptible=interruptible,
             max_duration=max_duration, trace=trace, observation=observation, planner=planner,
+            **given,
         )
         super().__init__(env)
-        self._room = self._check(env, discount, max_duration, observation)
+        self._check(discount, max_duration, observation)
+        self._domain = make_option_domain(env) if domain is None else domain(env)
         self.gamma = float(discount)
         self.interruptible, self.max_duration = interruptible, max_duration
         self._discounted, self._tracing = discounted_reward, trace
-        self._source = options if options is not None else make_meta_source(flavour, planner)
+        self._source: OptionsSource = (
+            options if options is not None else self._domain.make_default_options(flavour, planner))
         self._calls = self._hits = 0
         self._run: OptionExecution | None = None
         self._observation: Any = None  # the wrapped environment's, at the present state
         self._shown: Any = None  # the same as the agent saw it
         self._can_step = False
-        self._instance: RoomInstance = self._room.instance
-        names = make_action_table(self._instance.robot.joints).names if include_primitives else ()
-        self._primitives = len(names)
-        self.options = make_options(self._source, self._instance)
-        if not self.options and not include_primitives:
-            raise OptionError("there is nothing to choose: no options, and include_primitives is false")
+        self._rng: np.random.Generator | None = None
+        self._subject = self._domain.subject
+        names = self._domain.action_names if include_primitives else ()
+        self.primitive_count, self.level = len(names), self._domain.level
+        self.options = make_options(self._source, self._subject)
+        if not self.options and not names:
+            raise OptionError("there is nothing to choose: no options, and no primitives (include_primitives is false, "
+                              "or they are not Discrete)")
         self.action_names = (*names, *(option.name for option in self.options))
+        if len(set(self.action_names)) < len(self.action_names):
+            raise OptionError(f"an option has the name of a primitive: {', '.join(self.action_names)}")
         about = [*(None for _ in names), *(option.about for option in self.options)]
         self.action_space = PointingDiscrete(len(about), about)
         self._features = observation == "options"
@@ -159,21 +160,13 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             self.observation_space = self._extend_space(env.observation_space)
 
     @staticmethod
-    def _check(env: gymnasium.Env, discount: float, max_duration: int | None, observation: str) -> RoomEnv:
+    def _check(discount: float, max_duration: int | None, observation: str) -> None:
         if not 0.0 <= discount <= 1.0:
             raise ConfigError("OptionsEnv.discount", discount, "a number from 0 to 1")
         if max_duration is not None and max_duration < 1:
             raise ConfigError("OptionsEnv.max_duration", max_duration, "at least 1, or None for no limit")
         if observation not in ("pass", "options"):
             raise ConfigError("OptionsEnv.observation", observation, "'pass' or 'options'")
-        room = env.unwrapped
-        if not isinstance(room, RoomEnv):
-            raise UnsupportedError(f"options need a room: {room} has no get_state() and instance. "
-                                   "Wrap an hrl_escape environment")
-        if not isinstance(env.action_space, spaces.Discrete):
-            raise UnsupportedError(f"options choose primitives by number, but a wrapper below changed the action "
-                                   f"space to {env.action_space}. Apply that wrapper after OptionsEnv")
-        return room
 
     def _extend_space(self, inner: spaces.Space) -> spaces.Box:
         if not isinstance(inner, spaces.Box) or len(inner.shape) != 1:
@@ -186,38 +179,47 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     # --- Gymnasium ---------------------------------------------------------------------
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; `info` has `action_mask` and an empty `pressed`. Its noise key seeds terminations."""
-        observation, info = self.env.reset(seed=seed, options=options)
-        mask = self._begin(observation)
-        return self._show(observation, mask), {**info, "pressed": (), "action_mask": mask}
+        """Begin an episode; `info` has `action_mask`, and in a room an empty `pressed`.
 
-    def resume(self, observation: Any = None) -> NDArray[np.int8]:
+        The seed, in a room the episode's noise key, also fixes terminations and stochastic policies.
+        """
+        observation, info = self.env.reset(seed=seed, options=options)
+        mask = self._begin(observation, seed, info)
+        info = {**info, "action_mask": mask}
+        self._domain.inform(info, (), None)
+        return self._show(observation, mask), info
+
+    def resume(self, observation: Any = None, info: Mapping[str, Any] = MappingProxyType({})) -> NDArray[np.int8]:
         """Take over an episode that has already begun in the wrapped environment, instead of `reset`.
 
         Args:
-            observation: last observation of the wrapped environment, for the first step's trace.
+            observation: last observation of the wrapped environment; only in a room may it be left out, where it is
+                for the first step's trace.
+            info: last `info` of the wrapped environment, for its `action_mask`.
 
         Returns:
             The legal actions, int8 (actions,).
         """
-        return self._begin(observation)
+        self._shown = observation
+        return self._begin(observation, None, info)
 
-    def _begin(self, observation: Any) -> NDArray[np.int8]:
-        instance = self._room.instance
-        if instance is not self._instance and instance.id != self._instance.id:
-            self._enter(instance)
+    def _begin(self, observation: Any, seed: int | None, info: Mapping[str, Any]) -> NDArray[np.int8]:
+        if self._domain.has_left(self._subject):
+            self._enter(self._domain.subject)
         self._run, self._can_step = None, True
         self._observation = observation
-        state: RoomState = self._room.get_state()
-        self._rng = np.random.default_rng([state.noise_key, state.primitives, 0x0971])
-        return self._compute_mask(state)
+        key = self._domain.make_key(seed)
+        if key is not None or self._rng is None:
+            self._rng = np.random.default_rng(key)
+        self._lower_mask = self._domain.get_mask(info)
+        return self._compute_mask(self._domain.get_state(observation), self._lower_mask)
 
-    def _enter(self, instance: RoomInstance) -> None:
-        made = make_options(self._source, instance)
+    def _enter(self, subject: Any) -> None:
+        made = make_options(self._source, subject)
         if [option.name for option in made] != [option.name for option in self.options]:
             raise OptionError(f"the options of a new room must keep their names: {[o.name for o in self.options]} "
                               f"became {[o.name for o in made]}")
-        self._instance, self.options = instance, made
+        self._subject, self.options = subject, made
 
     def step(self, action: int) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Run one primitive, or one option to its end; see the class for `info`."""
@@ -229,55 +231,59 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             index = -1
         if not 0 <= index < len(self.action_names):
             raise ActionError(action, len(self.action_names))
-        decision = RunningDecision(self.env, self._room, self._observation)
-        if index < self._primitives:
+        decision = RunningDecision(self.env, self._domain, self._observation)
+        if index < self.primitive_count:
             self._run = None
-            decision.do(index)
+            decision.do(self._domain.make_action(index))
             outcome = DecisionOutcome("reached")
         else:
             outcome = self._run_option(index, decision)
         self._can_step, self._observation = not decision.is_over, decision.observation
-        mask = self._compute_mask(decision.state)
+        self._lower_mask = self._domain.get_mask(decision.info)
+        mask = self._compute_mask(decision.state, self._lower_mask)
         info = self._inform(index, decision, outcome, mask)
         reward = info["discounted_reward"] if self._discounted else float(sum(decision.rewards))
         return self._show(decision.observation, mask), reward, decision.terminated, decision.truncated, info
 
     def _run_option(self, index: int, decision: RunningDecision) -> DecisionOutcome:
         """Run an option until it ends, or, if interruptible, for one primitive."""
-        option = self.options[index - self._primitives]
+        option = self.options[index - self.primitive_count]
         run = self._run if self._run is not None and self._run.index == index else None
         self._run = None
         if run is None and not option.initiation(decision.state):
-            decision.do(BASE_ACTIONS.wait)
+            decision.do(self._domain.get_idle_action(self._lower_mask))
             return DecisionOutcome("planning-failed", "the option was masked: it cannot start here")
         ended, reason = "", ""
+        assert self._rng is not None
         try:
-            run = run or OptionExecution(index, option, decision.state)
+            run = run or OptionExecution(index, option, decision.state, self._rng)
             while not ended:
-                decision.do(run.choose(decision.state))
-                run.duration += 1
-                if run.ends_at(decision.state, self._rng):
+                run.rewards += decision.do(self._domain.check_action(run.choose(decision.state)))
+                if run.ends_at(decision.state):
                     ended = "reached"
                 elif decision.is_over:
                     ended = "episode-over"
-                elif self.max_duration is not None and run.duration >= self.max_duration:
+                elif self.max_duration is not None and len(run.rewards) >= self.max_duration:
                     ended = "timeout"
                 elif self.interruptible:
                     ended, self._run = "interrupted", run
         except PlanningFailed as failure:
             ended, reason = "planning-failed", str(failure)
             if not decision.rewards:
-                decision.do(BASE_ACTIONS.wait)
-        return DecisionOutcome(ended, reason, run.make_report() if run else option.report)
+                rewards = decision.do(self._domain.get_idle_action(self._lower_mask))
+                if run is not None:
+                    run.rewards += rewards
+        if run is None:
+            return DecisionOutcome(ended, reason, option.report)
+        if self._run is None:
+            run.stop(decision.state, ended)
+        return DecisionOutcome(ended, reason, run.make_report(), run.collect())
 
     def _inform(self, index: int, decision: RunningDecision, outcome: DecisionOutcome, mask: NDArray[np.int8]
                 ) -> dict[str, Any]:
         discounted = 0.0
         for reward in reversed(decision.rewards):
             discounted = reward + self.gamma * discounted
-        own = self.options[index - self._primitives].targets if index >= self._primitives else None
-        targets = self._instance.targets
-        others = () if own is None else tuple(targets[i].name for i in decision.pressed if i not in own)
         self._calls += outcome.report.planner_calls
         self._hits += outcome.report.cache_hits
         info = {
@@ -286,39 +292,45 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             "discount": self.gamma ** len(decision.rewards),
             "rewards": tuple(decision.rewards),
             "discounted_reward": discounted,
-            "pressed": tuple(decision.pressed),
             "action_mask": mask,
             "option": {"name": self.action_names[index], "index": index, "ended": outcome.ended,
                        **vars(outcome.report), "cache_hit_rate": self._hits / max(self._calls, 1),
-                       "also_pressed": others, "reason": outcome.reason},
+                       "reason": outcome.reason},
         }
+        option = self.options[index - self.primitive_count] if index >= self.primitive_count else None
+        self._domain.inform(info, decision.steps, option)
         if self._tracing:
-            info["trace"] = self._make_trace(decision, mask)
+            info["trace"], info["calls"] = self._make_trace(decision, mask), outcome.calls
         return info
 
     def _make_trace(self, decision: RunningDecision, last_mask: NDArray[np.int8]) -> tuple[TraceStep, ...]:
-        """Add to the decision's notes each state's observation and mask as the agent would have seen them."""
-        steps = []
+        """Add to the decision's steps each state's observation and mask as the agent would have seen them."""
+        made = []
         seen = self._shown
-        for number, (primitive, before, after, observation) in enumerate(decision.notes, 1):
-            is_last = number == len(decision.notes)
-            mask = last_mask if is_last else self._compute_mask(after)
-            shown = self._show(observation, mask, is_last)
-            steps.append(TraceStep(seen, primitive, decision.rewards[number - 1], shown, before, after, mask,
-                                   self._find_consistent(before, primitive, after)))
+        names = self._domain.action_names
+        for number, step in enumerate(decision.steps, 1):
+            is_last = number == len(decision.steps)
+            mask = last_mask if is_last else self._compute_mask(step.next_state, self._domain.get_mask(step.info))
+            shown = self._show(step.observation, mask, is_last)
+            choice = self._domain.find_choice(step.action)
+            made.append(TraceStep(
+                seen, step.action, float(sum(step.rewards)), shown, step.state, step.next_state, mask,
+                self._find_consistent(step, choice), names[choice] if choice is not None else "", step.rewards,
+                step.info.get("trace", ()) if self.level else ()))
             seen = shown
-        return tuple(steps)
+        return tuple(made)
 
     # --- legal actions and observations ---------------------------------------------------
 
     def action_masks(self) -> NDArray[np.bool_]:
         """The legal actions at the present state, bool (n,), under the name that sb3-contrib's MaskablePPO asks for."""
-        return self._compute_mask(self._room.get_state()).astype(np.bool_)
+        return self._compute_mask(self._domain.get_state(self._observation), self._lower_mask).astype(np.bool_)
 
-    def _compute_mask(self, state: RoomState) -> NDArray[np.int8]:
+    def _compute_mask(self, state: Any, lower: NDArray[np.int8]) -> NDArray[np.int8]:
         mask = np.ones(len(self.action_names), dtype=np.int8)
+        mask[: self.primitive_count] = lower[: self.primitive_count]
         running = self._run.index if self._run else -1
-        for index, option in enumerate(self.options, self._primitives):
+        for index, option in enumerate(self.options, self.primitive_count):
             if index != running and not option.initiation(state):
                 mask[index] = 0
         if not mask.any():  # nothing can start: any choice then costs one primitive
@@ -330,19 +342,23 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         if self._features:
             running = np.zeros(len(self.options), dtype=observation.dtype)
             if self._run and is_now:
-                running[self._run.index - self._primitives] = 1
-            observation = np.concatenate([observation, mask[self._primitives :].astype(observation.dtype), running])
+                running[self._run.index - self.primitive_count] = 1
+            observation = np.concatenate([observation, mask[self.primitive_count :].astype(observation.dtype), running])
         if is_now:
             self._shown = observation
         return observation
 
-    def _find_consistent(self, state: RoomState, primitive: int, reached: RoomState) -> tuple[tuple[int, float], ...]:
+    def _find_consistent(self, step: DomainStep, choice: int | None) -> tuple[tuple[int, float], ...]:
         """Actions with a Markov policy that would have chosen this primitive, with their beta."""
-        found = [(primitive, 1.0)] if self._primitives else []
-        for index, option in enumerate(self.options, self._primitives):
-            if option.is_markov and option.initiation(state) and option.policy(state) == primitive:
-                found.append((index, option.termination(reached)))
+        found = [(choice, 1.0)] if choice is not None and self.primitive_count else []
+        for index, option in enumerate(self.options, self.primitive_count):
+            if option.is_markov and option.initiation(step.state) and self._agrees(option, step):
+                found.append((index, option.termination(step.next_state)))
         return tuple(found)
+
+    def _agrees(self, option: Option, step: DomainStep) -> bool:
+        chosen = option.policy(step.state)
+        return not isinstance(chosen, Option) and np.array_equal(self._domain.check_action(chosen), step.action)
 
 
 def make_options_env(

@@ -1,9 +1,9 @@
-"""Options of a room, made from a list, a function of the instance, or a flavour of meta-actions."""
+"""Options of an environment, made from a list, a function, or a flavour of meta-actions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ConfigError, OptionError
@@ -12,23 +12,32 @@ from hrl_escape.options.option import Option
 
 __all__ = ["OptionsSource", "make_meta_source", "make_options"]
 
-OptionsSource: TypeAlias = Sequence[Option] | Callable[[RoomInstance], Sequence[Option]]
+OptionsSource: TypeAlias = Sequence[Option] | Callable[[Any], Sequence[Option]]
+"""Options, or a function that makes them of a room's instance, or of any other environment itself."""
 
 
-def make_options(source: OptionsSource, instance: RoomInstance) -> tuple[Option, ...]:
-    """Make the options of a room and check that they belong to it.
+def make_options(source: OptionsSource, subject: Any) -> tuple[Option, ...]:
+    """Make the options of an environment and check that they belong to it.
+
+    Args:
+        source: the options, or a function of the subject.
+        subject: a room's instance, or any other environment.
 
     Raises:
-        OptionError: two options share a name, or one was made for another room.
+        OptionError: two options share a name, one is no option, or one was made for another room.
     """
-    made = tuple(source(instance) if callable(source) else source)
+    made = tuple(source(subject) if callable(source) else source)
+    for option in made:
+        if not isinstance(option, Option):
+            raise OptionError(f"{option!r} is no option: derive its class from Option, or make a FunctionOption of it")
     names = [option.name for option in made]
     if len(set(names)) < len(names):
         raise OptionError(f"option names must differ: {', '.join(names)}")
+    here = subject.id if isinstance(subject, RoomInstance) else None
     for option in made:
-        if option.instance is not None and option.instance.id != instance.id:
+        if option.instance is not None and option.instance.id != here:
             raise OptionError(f"option {option.name!r} was made for room {option.instance.id}, this one is "
-                              f"{instance.id}: give OptionsEnv a function that makes options for an instance")
+                              f"{here or 'no room'}: give OptionsEnv a function that makes options for an instance")
     return made
 
 

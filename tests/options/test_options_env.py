@@ -23,7 +23,8 @@ from hrl_escape.errors import (
     ResetNeededError,
     UnsupportedError,
 )
-from hrl_escape.options.option import LearnedOption, Option, ScriptedOption
+from hrl_escape.options.learned import LearnedOption
+from hrl_escape.options.option import Option, ScriptedOption
 from hrl_escape.options.options_env import OptionsEnv
 
 GAMMA = 0.9
@@ -454,8 +455,8 @@ def test_impossible_arguments_are_refused(arguments, error):
         OptionsEnv(make_env(), **arguments)
 
 
-def test_an_environment_that_is_no_room_is_refused():
-    with pytest.raises(UnsupportedError, match="get_state"):
+def test_an_environment_that_is_no_room_comes_without_options():
+    with pytest.raises(UnsupportedError, match="is no room, for which a planner makes options"):
         OptionsEnv(gymnasium.make("CartPole-v1"))
 
 

@@ -6,7 +6,7 @@ give traces (see `agent.make_transition`); on a flat environment it is Q-learnin
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
@@ -32,8 +32,9 @@ class IntraOptionQ(TabularAgent):
         Q(s, o) <- Q(s, o) + alpha [r + gamma U(s', o) - Q(s, o)]
         U(s', o) = (1 - beta_o(s')) Q(s', o) + beta_o(s') max over legal o' of Q(s', o')
 
-    and U = 0 where the episode terminated. beta is that of s', the state reached. Only options whose policy is a
-    function of the state are consistent with anything; the executed option, if it is not among them, is learned by
+    and U = 0 where the episode terminated. Where the item is a decision of a level below, of k primitives, r is its
+    discounted reward and gamma^k stands for gamma. beta is that of s', the state reached. Only options whose policy is
+    a function of the state are consistent with anything; the executed option, if it is not among them, is learned by
     the SMDP backup of `q-learning`, once a decision. A trace is worked through from its end, so that one pass
     carries a reward all the way back. Where the trace does not say which actions are legal at a state
     inside an option, no maximum over them can be taken, and updates that need it are left out.
@@ -51,10 +52,11 @@ class IntraOptionQ(TabularAgent):
             StepContractError: an option ran but the environment gave no trace of it.
         """
         trace = transition.trace
-        if transition.duration > 1 and len(trace) != transition.duration:
+        covers = sum(len(_get_rewards(item)) for item in trace)
+        if transition.duration > 1 and covers != transition.duration:
             raise StepContractError(
                 f"intra-option-q needs info['trace'] with one item per primitive; an action of "
-                f"{transition.duration} primitives came with {len(trace)}. Ask the environment for traces "
+                f"{transition.duration} primitives came with {covers}. Ask the environment for traces "
                 "(OptionsEnv(env, trace=True)), or use q-learning"
             )
         for index in range(len(trace) - 1, -1, -1):
@@ -66,7 +68,10 @@ class IntraOptionQ(TabularAgent):
         consistent = _get_consistent(item)
         if not consistent:
             return
-        observation, _, reward, next_observation = item[:4]
+        observation, _, _, next_observation = item[:4]
+        reward, discount = 0.0, 1.0
+        for primitive_reward in _get_rewards(item):
+            reward, discount = reward + discount * float(primitive_reward), discount * self.gamma
         mask = transition.next_action_mask if is_last else getattr(item, "next_action_mask", None)
         key = self._discretise(observation)
         next_values = self.compute_values(next_observation)
@@ -78,8 +83,13 @@ class IntraOptionQ(TabularAgent):
                     continue
                 best = 0.0 if mask is None else float(next_values[np.asarray(mask) != 0].max())
                 value = (1 - beta) * float(next_values[option]) + beta * best
-            self.table.update(key, option, float(reward) + self.gamma * value)
+            self.table.update(key, option, reward + discount * value)
 
 
 def _get_consistent(item: Any) -> tuple[tuple[int, float], ...]:
     return getattr(item, "consistent", ())
+
+
+def _get_rewards(item: Any) -> Sequence[float]:
+    """Rewards of the primitives of an item: one, unless it is a decision of a level below."""
+    return getattr(item, "rewards", ()) or (item[2],)

@@ -2,7 +2,9 @@
 
 A description names the innermost environment and the wrappers around it, each by its class and its arguments. An
 environment with a `describe` method gives its arguments itself; others are described by their Gymnasium spec, or,
-without one, by their class alone. Wrappers give their arguments by Gymnasium's `RecordConstructorArgs`.
+without one, by their class alone. Wrappers give their arguments by Gymnasium's `RecordConstructorArgs`. An argument
+that is an object, such as an option, is described by its class, its name and a hash of what it holds: what its own
+`describe` gives, or its `state_dict` (an agent, a network), or its public values.
 """
 
 from __future__ import annotations
@@ -20,10 +22,11 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo
 
+from hrl_escape.agents.training.checkpoint import compute_state_digest
 from hrl_escape.errors import CheckpointError, describe_damage
 from hrl_escape.settings import Settings
 
-__all__ = ["DescribedEnv", "compute_digest", "describe_env", "make_described_env", "hash_large_parts"]
+__all__ = ["DescribedEnv", "TrainedPart", "compute_digest", "describe_env", "make_described_env", "hash_large_parts"]
 
 PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo)
 """Wrappers that change no number; others say so by the attribute `is_passive`."""
@@ -31,7 +34,7 @@ PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, 
 
 @runtime_checkable
 class DescribedEnv(Protocol):
-    """Environment that gives the arguments by which an equal one is made."""
+    """Environment, or an argument of one, that gives the arguments by which an equal one is made."""
 
     def describe(self) -> Mapping[str, Any]:
         """Return the arguments that decide its numbers, as JSON values.
@@ -39,6 +42,15 @@ class DescribedEnv(Protocol):
         A large argument may be `{"id": hash, "content": value}`: runs are then compared by the hash alone, and the
         environment is made again from the value.
         """
+        ...
+
+
+@runtime_checkable
+class TrainedPart(Protocol):
+    """Object that is known by what it learned, such as an agent or a network."""
+
+    def state_dict(self) -> Mapping[str, Any]:
+        """Everything it learned, as a tree of numbers and arrays."""
         ...
 
 
@@ -116,10 +128,16 @@ def _make_plain(value: Any) -> Any:
         return [_make_plain(part) for part in value]
     if isinstance(value, Settings):
         return {"settings": _name(type(value)), "fields": value.to_dict()}
+    if inspect.ismethod(value) and not isinstance(value.__self__, type):
+        return _describe_object(value, {"name": _name(value), "of": _make_plain(value.__self__)})
     if inspect.isroutine(value) or isinstance(value, type):
         return {"function": _name(value)} if "<" not in _name(value) else _describe_object(value, _list_code(value))
     if isinstance(value, functools.partial):
         return _describe_object(value, {"call": _make_plain([value.func, value.args, value.keywords])})
+    if isinstance(value, TrainedPart):
+        return _describe_object(value, {"learned": compute_state_digest(dict(value.state_dict()))})
+    if isinstance(value, DescribedEnv):
+        return _describe_object(value, {"name": getattr(value, "name", ""), "content": _make_plain(value.describe())})
     if not hasattr(value, "__dict__"):
         return _describe_object(value, {"value": repr(value)})
     return _describe_object(

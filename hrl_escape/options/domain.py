@@ -1,0 +1,313 @@
+"""Domains: an environment as its options see it. One for any Gymnasium environment, one for rooms.
+
+`OptionsEnv` asks its domain for the state that options see, for the names of the primitives, and for what this kind of
+environment adds to `info`. Derive from `OptionDomain` to show options more than the observation.
+"""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.primitives import BASE_ACTIONS, make_action_table
+from hrl_escape.errors import OptionError, StepContractError, UnsupportedError
+from hrl_escape.options.option import Option
+
+__all__ = ["DomainStep", "OptionDomain", "OptionLevel", "RoomDomain", "RoomEnv", "make_option_domain"]
+
+TERMINATIONS = 0x0971
+"""Distinguishes the stream of an episode's terminations from other streams of the same seed."""
+
+
+class DomainStep(NamedTuple):
+    """One step of the wrapped environment inside a decision.
+
+    Attributes:
+        action: what was done.
+        state: what options saw before.
+        next_state: what they see after.
+        observation: of the wrapped environment, after.
+        rewards: one a primitive; one, unless the wrapped environment has options itself.
+        info: of the wrapped environment, after.
+    """
+
+    action: Any
+    state: Any
+    next_state: Any
+    observation: Any
+    rewards: tuple[float, ...]
+    info: Mapping[str, Any]
+
+
+@runtime_checkable
+class RoomEnv(Protocol):
+    """Environment that shows its room and its full state."""
+
+    @property
+    def instance(self) -> RoomInstance:
+        """Present room."""
+        ...
+
+    def get_state(self) -> RoomState:
+        """Full state at present."""
+        ...
+
+
+@runtime_checkable
+class OptionLevel(Protocol):
+    """Environment of options, as another one above it sees it.
+
+    Attributes:
+        action_names: names of its actions, in their order.
+        primitive_count: how many of them are primitives; they come first.
+        level: environments of options below it.
+    """
+
+    action_names: tuple[str, ...]
+    primitive_count: int
+    level: int
+
+
+class OptionDomain:
+    """Any Gymnasium environment: options see its observation.
+
+    Derive from it to show them something else, and give the class to `OptionsEnv(env, options, domain=...)`:
+
+        class Cells(OptionDomain):
+            def get_state(self, observation):
+                return self.env.unwrapped.agent_pos
+
+    Args:
+        env: the environment that options act in, wrapped or not.
+
+    Attributes:
+        env: the same.
+        lower: the nearest environment of options below, if there is one: its actions are the primitives here.
+    """
+
+    def __init__(self, env: gymnasium.Env) -> None:
+        self.env = env
+        self.lower = _find_lower(env)
+        self._discrete = env.action_space if isinstance(env.action_space, spaces.Discrete) else None
+
+    @property
+    def level(self) -> int:
+        """Environments of options below."""
+        return 0 if self.lower is None else self.lower.level + 1
+
+    @property
+    def subject(self) -> Any:
+        """Argument of a function that makes options."""
+        return self.env
+
+    def has_left(self, subject: Any) -> bool:
+        """Return whether the options of a former subject must be made anew."""
+        del subject
+        return False
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the primitives to choose among: of a Discrete action space their numbers, else none."""
+        space = self._discrete
+        if space is None:
+            return ()
+        if self.lower is not None and len(self.lower.action_names) == space.n:
+            return self.lower.action_names
+        return tuple(str(self.make_action(index)) for index in range(int(space.n)))
+
+    def make_default_options(self, flavour: str, planner: str) -> Any:
+        """Make the options of an environment that comes without any, or a function that makes them.
+
+        Raises:
+            UnsupportedError: only rooms have a planner that makes options.
+        """
+        del flavour, planner
+        raise UnsupportedError(f"{self.env} is no room, for which a planner makes options: give "
+                               "OptionsEnv(env, options) a list of them")
+
+    def get_state(self, observation: Any) -> Any:
+        """State that options see at present.
+
+        Args:
+            observation: last observation of the environment.
+        """
+        return observation
+
+    def get_idle_action(self, mask: NDArray[np.int8]) -> Any:
+        """Primitive of a decision that cannot run: the first legal one, or the one nearest to zero.
+
+        Args:
+            mask: int8 (primitives,), the legal ones; empty unless the action space is Discrete.
+        """
+        space = self.env.action_space
+        if self._discrete is not None:
+            return self.make_action(int(np.argmax(mask)))
+        if isinstance(space, spaces.Box):
+            return np.clip(np.zeros(space.shape, space.dtype), space.low, space.high)
+        if isinstance(space, (spaces.MultiDiscrete, spaces.MultiBinary)):
+            return np.zeros(space.shape, space.dtype) + getattr(space, "start", 0)
+        raise UnsupportedError(f"a decision that cannot run costs one primitive, and {space} has none that stands out: "
+                               "give OptionsEnv a domain with get_idle_action")
+
+    def make_action(self, index: int) -> Any:
+        """Primitive of a choice; the numbers of a Discrete space need not begin at 0."""
+        return index if self._discrete is None else index + int(self._discrete.start)
+
+    def find_choice(self, action: Any) -> int | None:
+        """Choice of a primitive; None where the action space is not Discrete."""
+        return None if self._discrete is None else int(action) - int(self._discrete.start)
+
+    def check_action(self, action: Any) -> Any:
+        """Bring an option's primitive into the form that the environment takes.
+
+        Raises:
+            OptionError: it is none.
+        """
+        space = self.env.action_space
+        if self._discrete is not None:
+            try:
+                number = operator.index(np.asarray(action).item())
+            except (TypeError, ValueError):
+                number = None
+            if number is None or not 0 <= number - int(self._discrete.start) < self._discrete.n:
+                raise OptionError(f"an option chose {action!r}, which is no action of {space}")
+            return number
+        if isinstance(space, (spaces.Box, spaces.MultiDiscrete, spaces.MultiBinary)):
+            array = np.asarray(action, space.dtype)
+            if array.shape != space.shape:
+                raise OptionError(f"an option chose {action!r} of shape {array.shape}; {space} has {space.shape}")
+            return array
+        return action
+
+    def get_mask(self, info: Mapping[str, Any]) -> NDArray[np.int8]:
+        """Legal primitives, int8 (primitives,), by the environment's own `info["action_mask"]`; without one, all.
+
+        Raises:
+            StepContractError: the mask has another length.
+        """
+        count = 0 if self._discrete is None else int(self._discrete.n)
+        mask = info.get("action_mask")
+        if mask is None or not count:
+            return np.ones(count, np.int8)
+        legal = (np.asarray(mask) != 0).astype(np.int8)
+        if legal.shape != (count,):
+            raise StepContractError(f"info['action_mask'] has shape {legal.shape}; the action space needs ({count},)")
+        return legal
+
+    def make_key(self, seed: int | None) -> list[int] | None:
+        """Key of the episode's stream of terminations and stochastic policies; None to go on with the last one's.
+
+        Args:
+            seed: of `reset`.
+        """
+        return None if seed is None else [seed, TERMINATIONS, *([self.level] if self.level else [])]
+
+    def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None) -> None:
+        """Add what this kind of environment tells of a decision; nothing here.
+
+        Args:
+            info: of the decision, changed in place; of a reset where there are no steps.
+            steps: those of the decision.
+            option: the option that ran, if any.
+        """
+
+
+class RoomDomain(OptionDomain):
+    """A room: options see its full state, are made for its instance, and are told which targets were pressed.
+
+    Raises:
+        UnsupportedError: a wrapper below changed the action space.
+    """
+
+    def __init__(self, env: gymnasium.Env) -> None:
+        super().__init__(env)
+        room = env.unwrapped
+        assert isinstance(room, RoomEnv)
+        self.room = room
+        if not isinstance(env.action_space, spaces.Discrete):
+            raise UnsupportedError(f"options choose primitives by number, but a wrapper below changed the action "
+                                   f"space to {env.action_space}. Apply that wrapper after OptionsEnv")
+
+    @property
+    def subject(self) -> RoomInstance:
+        """Present instance."""
+        return self.room.instance
+
+    def has_left(self, subject: RoomInstance) -> bool:
+        """Return whether the present instance is another one."""
+        return self.room.instance is not subject and self.room.instance.id != subject.id
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the room's action table, or of the actions of the environment of options below."""
+        if self.lower is not None:
+            return super().action_names
+        return make_action_table(self.room.instance.robot.joints).names
+
+    def make_default_options(self, flavour: str, planner: str) -> Any:
+        """Make the function that synthesises the meta-actions of any room.
+
+        Raises:
+            OptionError: there is an environment of options below, whose actions no planner knows.
+        """
+        from hrl_escape.options.sources import make_meta_source
+
+        if self.lower is not None:
+            raise OptionError("planned options choose primitives, and the actions below are options themselves: give "
+                              "OptionsEnv(env, options) options that choose among them")
+        return make_meta_source(flavour, planner)
+
+    def get_state(self, observation: Any) -> RoomState:
+        """Full state of the room."""
+        return self.room.get_state()
+
+    def get_idle_action(self, mask: NDArray[np.int8]) -> int:
+        """Turn left; over options without primitives, the first legal one."""
+        turns = self.lower is None or self.lower.primitive_count > 0
+        return BASE_ACTIONS.wait if turns else super().get_idle_action(mask)
+
+    def check_action(self, action: Any) -> int:
+        """Bring an option's primitive into the form that the room takes; the room itself refuses others."""
+        return int(action)
+
+    def make_key(self, seed: int | None) -> list[int]:
+        """Key by the state: the episode's noise key and its primitives, so that a taken-over episode has its own."""
+        state = self.room.get_state()
+        return [state.noise_key, state.primitives, TERMINATIONS, *([self.level] if self.level else [])]
+
+    def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None) -> None:
+        """Add `pressed`, and for an option the targets `also_pressed` beside its own."""
+        pressed = tuple(target for step in steps for target in self._list_pressed(step))
+        info["pressed"] = pressed
+        if steps:
+            own = None if option is None else option.targets
+            targets = self.room.instance.targets
+            info["option"]["also_pressed"] = () if own is None else tuple(
+                targets[i].name for i in pressed if i not in own)
+
+    def _list_pressed(self, step: DomainStep) -> Sequence[int]:
+        if self.lower is not None:
+            return step.info["pressed"]
+        begun = step.next_state.touching & ~step.state.touching
+        return [i for i in range(begun.bit_length()) if begun >> i & 1] if begun else ()
+
+
+def make_option_domain(env: gymnasium.Env) -> OptionDomain:
+    """Make the domain of an environment: of a room by its protocol, of any other by its observation."""
+    return RoomDomain(env) if isinstance(env.unwrapped, RoomEnv) else OptionDomain(env)
+
+
+def _find_lower(env: gymnasium.Env) -> OptionLevel | None:
+    while isinstance(env, gymnasium.Wrapper):
+        if isinstance(env, OptionLevel):
+            return env
+        env = env.env
+    return None
