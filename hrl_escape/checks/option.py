@@ -16,7 +16,7 @@ from hrl_escape.options.option import Option
 
 __all__ = ["check_option"]
 
-Place = Callable[[], Any]
+StartPlace = Callable[[], Any]
 """Brings the environment to a place and returns the state there."""
 
 
@@ -68,12 +68,12 @@ class _OptionCheck(Claims):
         """Made for no room."""
         return option.instance is None
 
-    def make_place(self, state: Any) -> Place:
+    def make_place(self, state: Any) -> StartPlace:
         """Make the place of a given state."""
         raise UnsupportedError(f"{self.env} cannot be set to a state, as rooms can: leave states out, or give a seed "
                                "whose random play leads where the option starts")
 
-    def wander(self, seed: int, steps: int, rng: np.random.Generator) -> Place | None:
+    def wander(self, seed: int, steps: int, rng: np.random.Generator) -> StartPlace | None:
         """Play at random; returns the way there, none if the episode ended."""
         self.env.reset(seed=seed)
         actions = [self.draw(rng) for _ in range(steps)]
@@ -83,7 +83,7 @@ class _OptionCheck(Claims):
                 return None
         return self.remember(seed, actions)
 
-    def remember(self, seed: int, actions: Sequence[Any]) -> Place:
+    def remember(self, seed: int, actions: Sequence[Any]) -> StartPlace:
         """The place at the end of a way."""
         def go() -> Any:
             observation, _ = self.env.reset(seed=seed)
@@ -101,7 +101,7 @@ class _OptionCheck(Claims):
         space.seed(int(rng.integers(2**31)))
         return space.sample()
 
-    def try_from(self, place: Place) -> bool:
+    def try_from(self, place: StartPlace) -> bool:
         """Run it twice from one place; false if it may not start there, or could not be planned."""
         state = place()
         allowed = self.option.initiation(state)
@@ -121,7 +121,7 @@ class _OptionCheck(Claims):
                              "is_markov: the policy is a function of the state", at)
         return True
 
-    def roll_out(self, place: Place) -> list[tuple[Any, Any]]:
+    def roll_out(self, place: StartPlace) -> list[tuple[Any, Any]]:
         """One run to its end: (state, primitive) of each step."""
         option, rng = self.option, np.random.default_rng(0)
         state = place()
@@ -187,7 +187,7 @@ class _RoomOptionCheck(_OptionCheck):
         """Made for this room, or for any."""
         return option.instance is None or option.instance.id == self.room.instance.id
 
-    def make_place(self, state: Any) -> Place:
+    def make_place(self, state: Any) -> StartPlace:
         """Set the room to the state."""
         def go() -> Any:
             self.env.reset(seed=0)
@@ -196,7 +196,7 @@ class _RoomOptionCheck(_OptionCheck):
 
         return go
 
-    def remember(self, seed: int, actions: Sequence[Any]) -> Place:
+    def remember(self, seed: int, actions: Sequence[Any]) -> StartPlace:
         """The place is the state there."""
         return self.make_place(self.room.get_state())
 

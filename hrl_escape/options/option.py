@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -240,8 +240,10 @@ def _make_table(values: Mapping[Any, Any] | Sequence[Any] | NDArray[Any]) -> dic
 
 def _make_key(state: Any) -> Any:
     """Key of a state: itself, or the content of an array."""
-    array: NDArray[Any] = np.asarray(state) if isinstance(state, np.ndarray) else np.empty(())
-    return tuple(array.ravel().tolist()) if array.ndim else state
+    if not isinstance(state, np.ndarray):
+        return state
+    array = cast("NDArray[Any]", state)
+    return tuple(array.ravel().tolist()) if array.ndim else array.item()
 
 
 def _list_entries(table: Mapping[Any, Any]) -> list[Any]:

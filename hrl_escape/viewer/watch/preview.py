@@ -59,12 +59,12 @@ class Previewer:
             return Preview(name, (state,), problem="it cannot start here")
         states, pressed, rng = [state], [], np.random.default_rng(0)
         try:
-            run = OptionExecution(0, option, state)
+            run = OptionExecution(0, option, state, rng)
             while len(states) <= MOST:
                 step = rules.step(states[-1], run.choose(states[-1]))
                 states.append(step.state)
                 pressed += [self._instance.targets[i].name for i in step.pressed]
-                if step.terminated or run.ends_at(step.state, rng):
+                if step.terminated or run.ends_at(step.state):
                     return Preview(name, tuple(states), tuple(pressed), step.terminated)
         except EscapeError as error:
             return Preview(name, tuple(states), tuple(pressed), problem=str(error))
