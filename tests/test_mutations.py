@@ -248,8 +248,8 @@ MUTATIONS = [
     Mutation(
         "14 a failed plan is free",
         "options/options_env.py",
-        "            if not decision.rewards:\n                rewards = decision.do(self._domain.get_idle_action(self._lower_mask))",
-        "            if not decision.rewards:\n                rewards = ()",
+        "            if not decision.rewards:\n                rewards",
+        "            if False:\n                rewards",
         "options/test_options_env.py::test_trap_14_a_failed_plan_costs_one_primitive",
     ),
     Mutation(

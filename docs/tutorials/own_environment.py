@@ -76,7 +76,8 @@ stroll = FunctionOption("stroll", lambda state, rng: rng.choice(MOVES), lambda s
 for option in (fetch, to_the_door, stroll):
     check_option(option, Courier())
 
-# `OptionsEnv` makes the SMDP. One `step` runs a primitive, or an option to its end; `info` has what an SMDP agent needs.
+# `OptionsEnv` makes the SMDP. One `step` runs a primitive, or an option to its end; `info` has what an SMDP agent
+# needs.
 
 
 def make_env():
@@ -92,8 +93,8 @@ for name in ("stroll", "fetch", "to-the-door"):
     print(f"{name}: {info['duration']} primitives, {info['option']['ended']}, reward {reward:g}, "
           f"gamma^k {info['discount']:.3f}")
 
-# Any agent learns on it. The same tabular Q-learning chooses primitives in one run and decisions in the other. Both have
-# 8,000 primitives, and both are evaluated on the same five starts.
+# Any agent learns on it. The same tabular Q-learning chooses primitives in one run and decisions in the other. Both
+# have 8,000 primitives, and both are evaluated on the same five starts.
 
 settings = {"learning_rate": 1.0, "epsilon_steps": 4_000}
 for agent, learned_on in (("q-learning", TimeLimit(Courier(), 200)), ("smdp-q-learning", make_env())):
