@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Literal, TypeAlias
 
-from hrl_escape.agents.registry import find_given_part, list_given_agents
+from hrl_escape.agents.registry import SMDP_PREFIX, find_given_part, list_given_agents
 from hrl_escape.errors import UnsupportedError
 
 __all__ = ["KINDS", "LEAVES", "PARTS", "HierarchyKind", "Leaves", "find_kind", "list_privileges"]
@@ -24,8 +24,11 @@ def find_kind(agent: str) -> HierarchyKind:
 
     Raises:
         UnknownNameError: no such agent.
-        UnsupportedError: no hierarchy is synthesised for it.
+        UnsupportedError: no hierarchy is synthesised for it, or it chooses options.
     """
+    if agent.startswith(SMDP_PREFIX):
+        raise UnsupportedError(f"{agent} chooses options, and a synthesised hierarchy calls primitives: take "
+                               f"{agent.removeprefix(SMDP_PREFIX)}, or leave out `leaves`")
     part = find_given_part(agent)
     for kind, name in PARTS.items():
         if name == part:

@@ -184,6 +184,8 @@ def test_an_agent_with_a_synthesised_hierarchy_is_short_text_and_its_privileges_
         AgentSpec.parse("maxq-q+plans")
     with pytest.raises(EscapeError, match="no hierarchy is synthesised for dqn, but for .*maxq-q"):
         AgentSpec.parse("dqn+planned").resolve_settings()
+    with pytest.raises(EscapeError, match="chooses options.*take maxq-q"):
+        AgentSpec.parse("smdp-maxq-q+planned").resolve_settings()
 
 
 def test_leaves_tell_runs_apart_and_change_no_key_of_others():
