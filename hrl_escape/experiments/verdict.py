@@ -188,6 +188,8 @@ def _describe_gap(summary: Summary) -> list[str]:
     if leader.gap.options > 0.0005:
         return [f"{way}; of the rest, {leader.gap.options:.3f} is out of reach of its options and "
                 f"{max(leader.gap.learning, 0):.3f} is left to learn."]
+    if leader.spec.leaves == "planned":
+        return [f"{way}; how much of the rest its planned leaves put out of reach is not measured."]
     return [f"{way}; its actions can reach that."]
 
 
