@@ -9,7 +9,7 @@ from .meta_actions import PlannedOption, make_meta_options
 from .option import FunctionOption, Option, ScriptedOption, TableOption
 from .options_env import OptionsEnv
 from .pushing import PushOption
-from .skills import PressOption, ReachOption, make_go_to, make_press, make_reach
+from .skills import make_go_to, make_press, make_reach
 from .trace import TraceStep
 
 __all__ = [
@@ -22,9 +22,7 @@ __all__ = [
     "OptionDomain",
     "OptionsEnv",
     "PlannedOption",
-    "PressOption",
     "PushOption",
-    "ReachOption",
     "ScriptedOption",
     "TableOption",
     "TraceStep",
