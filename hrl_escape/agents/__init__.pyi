@@ -1,27 +1,38 @@
 from .agent import Agent, SMDPTransition, compute_backup, make_transition
+from .hierarchy.machine import choose, do, machine
+from .hierarchy.stack_agent import StackAgent
+from .hierarchy.task import BaseTask, Call, Hierarchy
+from .hierarchy.task_graph import maxq
 from .registry import get_recipe, list_agents, make_agent
 from .settings import AgentSettings, LearningSettings
 from .training.evaluation import Evaluation, evaluate, play_episode
-from .training.results import EpisodeRecord, TrainResult, load_result
+from .training.results import TrainResult, load_result
 from .training.train import load_agent, load_env, train
 
 __all__ = [
     "Agent",
     "AgentSettings",
-    "EpisodeRecord",
+    "BaseTask",
+    "Call",
     "Evaluation",
+    "Hierarchy",
     "LearningSettings",
     "SMDPTransition",
+    "StackAgent",
     "TrainResult",
+    "choose",
     "compute_backup",
+    "do",
     "evaluate",
     "get_recipe",
     "list_agents",
     "load_agent",
     "load_env",
     "load_result",
+    "machine",
     "make_agent",
     "make_transition",
+    "maxq",
     "play_episode",
     "train",
 ]

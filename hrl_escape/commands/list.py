@@ -1,4 +1,4 @@
-"""List names: presets, environments, puzzles, observations, cameras, primitives, agents, comparisons.
+"""List names: presets, environments, puzzles, observations, cameras, primitives, agents, hierarchical, comparisons.
 
 Examples:
     hrl-escape list
@@ -19,7 +19,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.agents.registry import SMDP_PREFIX, list_agents
+from hrl_escape.agents.registry import SMDP_PREFIX, list_agents, list_given_agents
 from hrl_escape.env.engine import CAMERAS
 from hrl_escape.env.observations import list_observations
 from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset, make_env_name
@@ -28,7 +28,11 @@ from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles
 from hrl_escape.experiments.presets import GRIDS
 
 Kind = Literal["presets", "environments", "puzzles", "observations", "cameras", "primitives",
-               "agents", "comparisons"]
+               "agents", "hierarchical", "comparisons"]
+
+PRIVILEGES = {"hierarchy": "task graph", "program": "program", "goals": "goals", "landmarks": "landmarks",
+              "macros": "macro-actions", "tree": "cells", "simulator": "simulator"}
+"""Arguments of agents that act by a given hierarchy -> what they tell the agent that a flat one is not told."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -51,6 +55,7 @@ def run(args: ListArgs) -> None:
         "cameras": lambda: CAMERAS,
         "primitives": _describe_primitives,
         "agents": lambda: {name: _describe_agent(name) for name in list_agents()},
+        "hierarchical": lambda: {name: _describe_hierarchical(name) for name in list_given_agents()},
         "comparisons": lambda: {grid.name: grid.description for grid in GRIDS.values()},
     }
     lists = {kind: makers[kind]() for kind in args.kinds or makers}
@@ -74,12 +79,28 @@ def _describe_puzzle(name: str) -> str:
 
 
 def _describe_agent(name: str) -> str:
-    """First sentence of the docstring of the agent's module, read without importing it."""
+    """First sentence of the docstring of the agent's module."""
+    return f"{_summarise(_parse_agent(name))}; {SMDP_PREFIX}{name} chooses options"
+
+
+def _describe_hierarchical(name: str) -> str:
+    """The same for an agent on a given hierarchy, and what that tells it."""
+    source = _parse_agent(f"given.{name}")
+    taken = {node.arg for node in ast.walk(source) if isinstance(node, ast.arg)}
+    told = [privilege for part, privilege in PRIVILEGES.items() if part in taken]
+    return f"{_summarise(source)}; privileged: {', '.join(told) or 'nothing'}"
+
+
+def _parse_agent(name: str) -> ast.Module:
+    """The agent's module, read without importing it."""
     spec = find_spec(f"hrl_escape.agents.algorithms.{name.replace('-', '_')}")
     source = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin is not None else ""
-    document = ast.get_docstring(ast.parse(source))
-    about = " ".join((document or "From another package.").split()).split(". ")[0].rstrip(".")
-    return f"{about}; {SMDP_PREFIX}{name} chooses options"
+    return ast.parse(source)
+
+
+def _summarise(module: ast.Module) -> str:
+    """First sentence of a module's docstring."""
+    return " ".join((ast.get_docstring(module) or "From another package.").split()).split(". ")[0].rstrip(".")
 
 
 def _describe_primitives() -> dict[str, str]:

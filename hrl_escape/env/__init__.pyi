@@ -10,8 +10,8 @@ from .config import (
     StartConfig,
 )
 from .escape_room import EscapeRoomEnv
-from .instance import PlacedProp, Rectangle, RoomInstance, SpaceLayout, Start, Target
-from .kinematics import Kinematics, RoomState, Rules, Transition
+from .instance import Rectangle, RoomInstance, Start, Target
+from .kinematics import Kinematics, RoomState, Rules
 from .observations import Observer, make_observer
 from .presets import PRESETS, get_preset
 from .primitives import Primitive
@@ -27,11 +27,11 @@ from .puzzles.base import (
     list_puzzles,
     register_puzzle,
 )
-from .puzzles.bit_flip import BitFlipConfig, BitFlipPuzzle
-from .puzzles.buttons import ButtonsConfig, ButtonsPuzzle
+from .puzzles.bit_flip import BitFlipConfig
+from .puzzles.buttons import ButtonsConfig
 from .puzzles.graphs import GraphConfig
-from .puzzles.push_block import PushBlockConfig, PushBlockPuzzle
-from .robot import Robot, make_robot
+from .puzzles.push_block import PushBlockConfig
+from .robot import Robot
 from .sampling.generation import generate
 from .torchrl_env import EscapeRoomTorchRLEnv
 from .vector_env import EscapeRoomVectorEnv
@@ -39,16 +39,13 @@ from .vector_env import EscapeRoomVectorEnv
 __all__ = [
     "Between",
     "BitFlipConfig",
-    "BitFlipPuzzle",
     "ButtonsConfig",
-    "ButtonsPuzzle",
     "Contacts",
     "DynamicsConfig",
     "EscapeRoomEnv",
     "EscapeRoomTorchRLEnv",
     "EscapeRoomVectorEnv",
     "ExitConfig",
-    "SpaceLayout",
     "GraphConfig",
     "Kinematics",
     "Observer",
@@ -57,11 +54,9 @@ __all__ = [
     "PRESETS",
     "Panels",
     "Place",
-    "PlacedProp",
     "Primitive",
     "Prop",
     "PushBlockConfig",
-    "PushBlockPuzzle",
     "Puzzle",
     "PuzzleConfig",
     "Rectangle",
@@ -77,11 +72,9 @@ __all__ = [
     "StartConfig",
     "SymbolicModel",
     "Target",
-    "Transition",
     "generate",
     "get_preset",
     "list_puzzles",
     "make_observer",
-    "make_robot",
     "register_puzzle",
 ]

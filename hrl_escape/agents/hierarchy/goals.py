@@ -109,7 +109,9 @@ class Worker(BaseTask):
         return float(self.is_reached(frame, step.next_seen))
 
 
-def make_goal_hierarchy(goals: GoalSet, primitives: int, patience: int = 0) -> Hierarchy:
+def make_goal_hierarchy(
+    goals: GoalSet, primitives: int, patience: int = 0, privileges: tuple[str, ...] = ()
+) -> Hierarchy:
     """A manager over a worker."""
     worker = Worker(goals, primitives, patience)
-    return Hierarchy(Manager(goals, worker), (worker,))
+    return Hierarchy(Manager(goals, worker), (worker,), privileges=privileges)

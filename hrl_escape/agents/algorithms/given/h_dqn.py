@@ -130,8 +130,9 @@ class HDqn(CallRunner):
     ) -> None:
         settings = settings or HDqnSettings()
         actions = count_actions(action_space, "h-dqn")
+        privileges = () if goals is None else ("goals",)
         goals = goals or make_goals(observation_space, "h-dqn")
-        super().__init__(make_goal_hierarchy(goals, actions, settings.patience), seed, settings)
+        super().__init__(make_goal_hierarchy(goals, actions, settings.patience, privileges), seed, settings)
         self._action_rng = make_rng(seed, "actions")
         make = _NetworkValues if settings.values == "network" else _TableValues
         self.manager: _Values = make(observation_space, 0, goals.count, settings, make_rng(seed, "manager"))

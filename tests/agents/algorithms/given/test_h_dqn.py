@@ -8,6 +8,7 @@ import pytest
 from hrl_escape.agents.agent import make_transition
 from hrl_escape.agents.algorithms.given.h_dqn import HDqn
 from hrl_escape.agents.algorithms.q_learning import QLearning
+from hrl_escape.agents.hierarchy.goals import GoalSet
 from hrl_escape.checks import check_agent, check_hierarchy
 from tests.agents.running import learn
 from tests.classic.chain import LENGTH, Chain
@@ -129,6 +130,13 @@ def test_tuned_q_learning_solves_the_chain_too_if_it_sees_the_visit():
 def test_it_keeps_the_contract_of_agents(values):
     small = {"hidden": (8,), "batch_size": 8, "worker_warmup": 20, "patience": 7}
     check_agent(HDqn, HDqn.Settings(values=values, **small), decisions=200)
+
+
+def test_goals_that_are_given_are_a_privilege():
+    env = Chain()
+    goals = GoalSet(1, lambda observation, goal: observation == 5)
+    agent = HDqn(env.observation_space, env.action_space, 0, HDqn.Settings(**TABLE), goals)
+    assert agent.privileges == ("goals",) and make(env).privileges == ()
 
 
 def test_its_hierarchy_keeps_every_promise():

@@ -147,7 +147,7 @@ def test_a_task_that_never_ends_leaves_budget_for_its_caller():
     agent = make(env, hierarchy, patience=3, simulations=50, depth=40)
     values = agent.plan(agent.hierarchy.root, Seen(0, BOTH), np.random.default_rng(0))
     assert values[1] == pytest.approx(7.0)
-    assert values[0] > -40
+    assert values[0] > 0, "given up after three primitives, and gone on from there"
 
 
 def test_counts_are_kept_by_task_and_state():

@@ -117,7 +117,8 @@ def test_a_trial_cut_by_the_time_limit_bootstraps_values_of_primitives_alone(mon
 def test_a_subgoal_counts_after_a_primitive_only(monkeypatch):
     agent = make(WindingMaze(), agents=3, **BY_HAND)
     play_by_hand(agent, [(2, 0, 0.0, 1, False, False), (1, 0, 0.0, 2, False, False)], monkeypatch)
-    assert agent._turn.agent == 1, "not at its start, where it saw its subgoal already"
+    assert agent._turn.agent == 1
+    assert [begun for _, begun in agent._turns] == [0, 2], "not at its start, where it saw its subgoal already"
     agent.act(2, ALL)
     assert agent._turn.agent == 1
 

@@ -130,6 +130,7 @@ def test_one_child_of_three_primitives_teaches_the_completion_from_every_state_o
     agent = Maxq0(env.observation_space, env.action_space, 0, Maxq0.Settings(**EXACT), hierarchy)
     root, walk = agent.hierarchy.root, agent.hierarchy.tasks["walk"]
     agent.completion.update(agent.make_key(root, 1, Seen(3, ALL)), 10.0)
+    agent.primitive.update(agent._make_primitive_key(0, Seen(3, ALL)), -7.0)  # what others earn where `walk` is over
     agent.choose = lambda stack, view, legal, seen: 0
     for cell in range(3):
         assert agent.act(cell, ALL) == 0
@@ -207,7 +208,9 @@ def test_taxi_is_solved_in_three_thousand_episodes():
 @pytest.mark.parametrize("dynamics", DYNAMICS)
 @pytest.mark.parametrize("agent_class", [Maxq0, MaxqQ])
 def test_taxi_is_solved_over_ten_seeds_in_all_dynamics(agent_class, dynamics):
+    """A minute or two of one core each."""
     _, recursive = compute_taxi_optima(dynamics)
-    means, errors = zip(*(measure_taxi(agent_class, dynamics, 10_000, seed) for seed in range(10)), strict=True)
-    tolerance = 0.1 + 4 * float(np.sqrt(np.square(errors).sum()) / len(errors))
-    assert np.mean(means) == pytest.approx(recursive, abs=tolerance)
+    means, errors = zip(*(measure_taxi(agent_class, dynamics, 3_000, seed, 500) for seed in range(10)), strict=True)
+    error = float(np.sqrt(np.square(errors).sum()) / len(errors))
+    print(f"{agent_class.__name__}, {dynamics}: {np.mean(means):.2f} +- {error:.2f}, optimum {recursive:.2f}")
+    assert np.mean(means) == pytest.approx(recursive, abs=0.1 + 4 * error)

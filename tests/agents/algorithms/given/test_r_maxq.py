@@ -16,7 +16,7 @@ from tests.agents.running import learn
 from tests.classic.exact import find_recursive_optimum, find_values, make_model
 from tests.classic.four_rooms import FourRooms
 from tests.classic.tabular import Outcome
-from tests.classic.taxi import Taxi
+from tests.classic.taxi import Taxi, make_task_graph
 
 ALL = np.ones(4, np.bool_)
 
@@ -108,11 +108,18 @@ def test_a_task_that_cannot_end_is_hopeless_not_an_error():
     assert agent.plan(agent.hierarchy.tasks["stay"]).model.rewards[0] < -1e6
 
 
-def test_taxi_once_known_is_planned_to_its_exact_optimum():
-    env = Taxi()
+@pytest.mark.parametrize(
+    ("dynamics", "samples"),
+    [({}, 1), ({"noisy": True}, 10), ({"fickle": True}, 10),
+     pytest.param({"noisy": True, "fickle": True}, 100, marks=pytest.mark.slow)],
+    ids=["still", "noisy", "fickle", "both"],
+)  # fmt: skip
+def test_taxi_once_known_is_planned_to_its_exact_recursive_optimum(dynamics, samples):
+    """Each outcome as often as it is probable, so that the model is exact and no seed matters."""
+    env = Taxi(**dynamics)
     agent = make(env, make_taxi_tasks(), gamma=1.0, optimistic_value=20.0)
-    tell_everything(agent, env)
-    exact = find_values(make_model(env.make_tables(), 1.0))
+    tell_everything(agent, env, samples)
+    exact = find_recursive_optimum(env.make_tables(), make_task_graph(env.states), 1.0).values["root"]
     values = agent.plan(agent.hierarchy.root).model.rewards
     order = [agent._numbers[agent._discretise(state)] for state in range(env.states)]
     assert values[order] == pytest.approx(exact, abs=1e-5)
