@@ -33,7 +33,7 @@ from rich.table import Table
 from rich.text import Text
 
 from hrl_escape.errors import UnknownNameError
-from hrl_escape.experiments.comparison import Comparison, run_grid
+from hrl_escape.experiments.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
 from hrl_escape.experiments.grid import AgentSpec, Grid, load_grid
 from hrl_escape.experiments.launching.local import Launcher, LocalLauncher
 from hrl_escape.experiments.launching.ray import RayLauncher
@@ -83,6 +83,13 @@ class CompareArgs:
     """Runs at a time; one a core by default."""
     ray: bool = False
     """Run on a Ray cluster that shares the folder (extra `ray`), or on a Ray started here."""
+    shard: str = ""
+    """Make only a part of the runs, such as 2/8: one part on each of eight machines that share the folder, each
+    resumable. Then --report."""
+    report: bool = False
+    """Run nothing: report what is finished in the folder."""
+    dry_run: bool = False
+    """Run nothing: print how many runs are to be made and about how long they take."""
     open: bool = False
     """Open the report in a browser at the end."""
     json: bool = False
@@ -119,7 +126,7 @@ class CompareArgs:
         words = ["hrl-escape", "compare", self.what]
         for field in dataclasses.fields(self)[1:]:
             value = getattr(self, field.name)
-            if value == field.default or field.name in ("open", "json"):
+            if value == field.default or field.name in ("open", "json", "shard", "report"):
                 continue
             values = value if isinstance(value, tuple) else () if value is True else (value,)
             words += [f"--{field.name.replace('_', '-')}", *map(str, values)]
@@ -130,11 +137,19 @@ def run(args: CompareArgs) -> int:
     """Run, report, and say what came out; the exit code is 1 if runs failed."""
     grid = args.make_grid()
     console = Console(soft_wrap=True, highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH)
+    out = args.out or Path("runs") / make_file_name(grid.name)
+    if args.dry_run:
+        console.print(_describe_work(grid, out))
+        return 0
     try:
-        comparison = run_grid(grid, args.out or Path("runs") / make_file_name(grid.name), _make_launcher(args))
+        comparison = read_comparison(out, grid) if args.report else run_grid(
+            grid, out, _make_launcher(args), shard=Shard.parse(args.shard or "1/1"))
     except KeyboardInterrupt:
         Console(stderr=True).print("Finished runs are kept; the same command goes on from here.")
         raise
+    if args.shard:
+        console.print(f"part {args.shard}: {len(comparison.runs)} runs finished; --report reports all parts")
+        return 1 if comparison.failures else 0
     summary = write_report(comparison, args.format_command())
     page = comparison.out / "report.html"
     if args.json:
@@ -144,6 +159,15 @@ def run(args: CompareArgs) -> int:
     if args.open:
         webbrowser.open(page.as_uri())
     return 1 if comparison.failures else 0
+
+
+def _describe_work(grid: Grid, out: Path) -> str:
+    runs, missing, seconds = count_missing(grid, out)
+    words = f"{runs:,} runs, {missing:,} to be made in {out}"
+    if seconds is None:
+        return f"{words}; none has finished, so how long one takes is not known"
+    return (f"{words}; {seconds:.3g} s of training each in the median of {runs - missing:,}, so about "
+            f"{missing * seconds / 3600:.2g} core hours")
 
 
 def _make_launcher(args: CompareArgs) -> Launcher:

@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import fcntl
 import os
-from collections.abc import Iterable, Iterator
+import statistics
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,15 +16,15 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from hrl_escape.errors import FileReadError, FileWriteError, RunBusyError
-from hrl_escape.experiments.grid import Grid, GridRun
+from hrl_escape.errors import ConfigError, FileReadError, FileWriteError, RunBusyError
+from hrl_escape.experiments.grid import Grid, GridRun, load_grid
 from hrl_escape.experiments.launching.local import Failure, Launcher, LocalLauncher, count_cores
 from hrl_escape.experiments.launching.monitor import Monitor
 from hrl_escape.experiments.places import Place
 from hrl_escape.experiments.runs import RunResult, get_run_folder, load_run_result
 from hrl_escape.files import clear_unfinished, describe_write_failure, write_json
 
-__all__ = ["Comparison", "run_grid", "run_grids"]
+__all__ = ["Comparison", "Shard", "count_missing", "read_comparison", "run_grid", "run_grids"]
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,39 @@ class Comparison:
     out: Path
 
 
+class Shard(NamedTuple):
+    """Static part of a grid's runs: every `count`-th, beginning with number `index`.
+
+    Attributes:
+        index: number of the part, from 1.
+        count: number of parts.
+    """
+
+    index: int
+    count: int
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """Read `2/8`.
+
+        Raises:
+            ConfigError: it is no part.
+        """
+        index, _, count = text.partition("/")
+        if not (index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
+            raise ConfigError("shard", text, "the number of a part and how many there are, such as 2/8")
+        return cls(int(index), int(count))
+
+    def choose(self, runs: Sequence[GridRun]) -> list[GridRun]:
+        """Runs of this part, in order; the parts are disjoint, and together they are all."""
+        return list(runs[self.index - 1 :: self.count])
+
+
+WHOLE = Shard(1, 1)
+
+
 def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None = None,
-             console: Console | None = None) -> Comparison:
+             console: Console | None = None, shard: Shard = WHOLE) -> Comparison:
     """Run what of a grid is not finished in a folder, and return all of it.
 
     Processes are started, so a script that calls this needs `if __name__ == "__main__":` around it.
@@ -56,6 +88,8 @@ def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None 
         out: the folder; made if missing. Runs in it that have the same settings are kept, others left alone.
         launcher: starts the runs; processes on this machine by default.
         console: shows progress; standard error by default.
+        shard: part of the runs to make. Machines that share the folder make one part each; `read_comparison` reads
+            what all have made.
 
     Raises:
         GridError: the grid has nothing to run or the same thing twice.
@@ -65,8 +99,37 @@ def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None 
     """
     plan = _Plan.make(grid)
     out = Path(out).absolute()
-    with _lock(out):
-        return _run(plan, out, launcher or LocalLauncher(), console or _make_console())
+    with _lock(out, shard):
+        chosen = plan._replace(runs=shard.choose(plan.runs))
+        return _run(chosen, out, launcher or LocalLauncher(), console or _make_console(), shard == WHOLE)
+
+
+def read_comparison(out: str | os.PathLike[str], grid: Grid | None = None) -> Comparison:
+    """Read the finished runs of a comparison, made by whomever, without running or changing anything.
+
+    Args:
+        out: its folder.
+        grid: what was compared; None for what the folder says.
+
+    Raises:
+        FileReadError: there is no comparison, or one of its files is damaged.
+    """
+    out = Path(out).absolute()
+    grid = grid or load_grid(out / "grid.json")
+    plan = _Plan.make(grid)
+    found = [(run, result) for run in plan.runs if (result := load_run_result(out, run)) is not None]
+    return Comparison(grid, plan.places, tuple(found), (), out)
+
+
+def count_missing(grid: Grid, out: str | os.PathLike[str]) -> tuple[int, int, float | None]:
+    """Count a grid's runs, those not finished in a folder, and the median seconds of training of those that are.
+
+    Returns:
+        All runs, runs to be made, and the seconds; None where none has finished.
+    """
+    plan, out = _Plan.make(grid), Path(out).absolute()
+    seconds = [result.seconds[-1] for run in plan.runs if (result := load_run_result(out, run)) is not None]
+    return len(plan.runs), len(plan.runs) - len(seconds), statistics.median(seconds) if seconds else None
 
 
 def run_grids(grids: Iterable[Grid], out: str | os.PathLike[str], launcher: Launcher | None = None,
@@ -99,8 +162,9 @@ class _Plan(NamedTuple):
         return cls(grid, places, grid.make_runs(places))
 
 
-def _run(plan: _Plan, out: Path, launcher: Launcher, console: Console) -> Comparison:
-    for folder in (out, out / "rooms", *(get_run_folder(out, run) for run in plan.runs)):
+def _run(plan: _Plan, out: Path, launcher: Launcher, console: Console, is_alone: bool = True) -> Comparison:
+    shared = [out, out / "rooms"] if is_alone else []  # where other parts may be writing at this moment
+    for folder in (*shared, *(get_run_folder(out, run) for run in plan.runs)):
         clear_unfinished(folder)
     write_json(out / "grid.json", plan.grid.to_dict())
     for place in plan.places:
@@ -124,11 +188,12 @@ def _run(plan: _Plan, out: Path, launcher: Launcher, console: Console) -> Compar
 
 
 @contextmanager
-def _lock(out: Path) -> Iterator[None]:
-    """One comparison at a time in a folder; the lock falls with the process, however it ends."""
+def _lock(out: Path, shard: Shard = WHOLE) -> Iterator[None]:
+    """One comparison at a time in a folder, or one of each part; the lock falls with the process, however it ends."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        lock = open(out / "lock", "ab")
+        name = "lock" if shard == WHOLE else f"lock-{shard.index}-of-{shard.count}"
+        lock = open(out / name, "ab")
     except OSError as error:
         raise FileWriteError(describe_write_failure(out, error)) from error
     with lock:

@@ -13,11 +13,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rich.console import Console
 
-from hrl_escape.errors import ComparisonError, FileWriteError, RunBusyError
-from hrl_escape.experiments.comparison import Comparison
+from hrl_escape.errors import ComparisonError, ConfigError, FileWriteError, RunBusyError
+from hrl_escape.experiments.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
 from hrl_escape.experiments.grid import AgentSpec
-from hrl_escape.experiments.launching.local import read_progress
+from hrl_escape.experiments.launching.local import LocalLauncher, read_progress
 from hrl_escape.experiments.reporting.report import write_report
 from hrl_escape.experiments.runs import get_run_folder, load_run_result, read_episodes
 from hrl_escape.experiments.summary import summarise
@@ -277,3 +278,21 @@ def test_one_comparison_at_a_time_in_a_folder(tmp_path: Path):
     finally:
         process.kill()
         process.wait()
+
+
+def test_parts_are_disjoint_resumable_and_together_the_whole(tmp_path: Path):
+    grid = change(agents=("smdp-random", "planner"), runs=2, primitives=60, eval_every=60, eval_episodes=1)
+    runs = grid.make_runs(grid.make_places())
+    parts = [Shard(number, 3).choose(runs) for number in (1, 2, 3)]
+    assert sorted(run.key for part in parts for run in part) == sorted(run.key for run in runs)
+    assert count_missing(grid, tmp_path) == (4, 4, None)
+    with open("/dev/null", "w") as nowhere:
+        for number in (2, 1, 2):
+            made = run_grid(grid, tmp_path, LocalLauncher(1), Console(file=nowhere), Shard(number, 2))
+            assert [run.key for run, _ in made.runs] == [run.key for run in runs[number - 1 :: 2]]
+    assert count_missing(grid, tmp_path)[:2] == (4, 0)
+    whole = read_comparison(tmp_path)
+    assert [run.key for run, _ in whole.runs] == [run.key for run in runs] and whole.grid == grid
+    for text in ("0/2", "3/2", "1", "a/b"):
+        with pytest.raises(ConfigError, match="such as 2/8"):
+            Shard.parse(text)

@@ -53,3 +53,20 @@ def test_a_room_of_the_small_benchmark_can_be_shown(capsys, tmp_path):
     make_manifest().save(tmp_path / "small.json")
     code, out, _ = call(capsys, "show", "five", "--benchmark", str(tmp_path / "small.json"), "--json")
     assert code == 0 and set(json.loads(out)["sets"]) == {"train", "valid", "test", "test_task"}
+
+
+def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
+    options = ["--rung", "doormat", "--protocol", "generalise", "--rooms", "2", "--train-sizes", "2", "--runs", "1",
+               "--primitives", "60", "--workers", "1", "--out", str(tmp_path)]
+    code, out, _ = call(capsys, "run", "smdp-random+no-primitives", "planner", *options)
+    assert code == 0 and "doormat: 2 runs finished, 0 failed" in out
+    code, out, err = call(capsys, "run", "smdp-random+no-primitives", "planner", *options)
+    assert code == 0 and "2 of 2 runs were finished before" in err
+    assert (tmp_path / "generalise" / "doormat" / "report.html").exists()
+    code, out, _ = call(capsys, "report", str(tmp_path), "--protocol", "generalise", "--json")
+    told = json.loads(out)
+    assert code == 0 and told["highest"] == {"smdp-random+no-primitives": "none", "planner": "none"}
+    planner = next(row for row in told["rungs"] if row["agent"] == "planner")
+    assert planner["efficiency"]["value"] == 1.0 and planner["escapes"][0] == 1.0 and not planner["passed"]
+    code, _, err = call(capsys, "report", str(tmp_path), "--protocol", "per-instance")
+    assert code == 2 and "no rung was run here" in err

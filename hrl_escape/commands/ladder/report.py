@@ -1,0 +1,75 @@
+"""Sum up what `hrl-escape ladder run` has finished: efficiency and escapes of every agent on every rung.
+
+A rung is passed where the lower end of the escapes' 95 % interval is 0.9 or more and efficiency 0.5 or more.
+
+Examples:
+    hrl-escape ladder report
+    hrl-escape ladder report runs/ladder --protocol generalise --json
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.table import Table
+
+from hrl_escape.errors import FileReadError
+from hrl_escape.experiments.comparison import read_comparison
+from hrl_escape.experiments.protocols import Protocol, Standing, list_standings
+from hrl_escape.experiments.summary import summarise
+from hrl_escape.ladder.benchmark import load_benchmark
+
+
+@dataclasses.dataclass(frozen=True)
+class ReportArgs:
+    """Options of `hrl-escape ladder report`."""
+
+    folder: Annotated[Path, tyro.conf.Positional] = Path("runs/ladder")
+    """Folder given to `hrl-escape ladder run --out`."""
+    protocol: Protocol = "per-instance"
+    """Protocol to sum up."""
+    benchmark: str = "ladder-1"
+    """Benchmark that comes with the package, or a manifest file."""
+    json: bool = False
+    """Print JSON instead of tables."""
+
+
+def run(args: ReportArgs) -> None:
+    """Print a table with a row an agent and rung, and the highest rung that each agent passed."""
+    rungs = [rung.name for rung in load_benchmark(args.benchmark)]
+    folders = {rung: args.folder / args.protocol / rung for rung in rungs}
+    found = {rung: folder for rung, folder in folders.items() if (folder / "grid.json").exists()}
+    if not found:
+        raise FileReadError(f"{args.folder / args.protocol}: no rung was run here; see hrl-escape ladder run --help")
+    standings = [standing for rung, folder in found.items()
+                 for standing in list_standings(rung, summarise(read_comparison(folder)))]
+    highest = {standing.agent.label: "none" for standing in standings}
+    highest |= {standing.agent.label: standing.rung for standing in standings if standing.is_passed}
+    if args.json:
+        print(json.dumps({"protocol": args.protocol, "highest": highest, "rungs": list(map(_to_json, standings))},
+                         indent=2))
+        return
+    console = Console(width=120, highlight=False)
+    table = Table("rung", "agent", "runs", "efficiency", "trained in", "escapes", "passed", box=None, pad_edge=False)
+    for standing in standings:
+        agent, (share, low, high) = standing.agent, standing.escapes
+        table.add_row(
+            standing.rung, agent.label, str(agent.runs),
+            f"{agent.efficiency.value:.3f} ({agent.efficiency.low:.3f} to {agent.efficiency.high:.3f})",
+            "" if agent.seen is None else f"{agent.seen.value:.3f}", f"{share:.0%} ({low:.0%} to {high:.0%})",
+            "yes" if standing.is_passed else "no")
+    console.print(table)
+    for label, rung in highest.items():
+        console.print(f"Highest rung that {label} passed: {rung}", markup=False)
+
+
+def _to_json(standing: Standing) -> dict[str, object]:
+    agent = standing.agent
+    return {"rung": standing.rung, "agent": agent.label, "runs": agent.runs,
+            "efficiency": agent.efficiency._asdict(), "seen": None if agent.seen is None else agent.seen._asdict(),
+            "escapes": standing.escapes, "passed": standing.is_passed}

@@ -1,0 +1,124 @@
+"""Protocols of the ladder: the grid of a rung under each, and which rungs an agent has passed.
+
+Every protocol is a grid for the same comparison; nothing here runs anything.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, NamedTuple, TypeAlias
+
+from hrl_escape.errors import ConfigError
+from hrl_escape.experiments.grid import AgentSpec, Grid
+from hrl_escape.experiments.inference import compute_wilson_interval
+from hrl_escape.experiments.places import RoomSpec
+from hrl_escape.experiments.summary import AgentSummary, Summary
+from hrl_escape.ladder.benchmark import Benchmark
+
+__all__ = ["LadderSettings", "Protocol", "Standing", "judge", "list_standings", "make_protocol_grid"]
+
+Protocol: TypeAlias = Literal["per-instance", "generalise"]
+"""`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others."""
+
+BUDGETS = {"doormat": 20_000, "pair": 20_000, "chain": 20_000, "house": 500_000}
+"""Primitives of a run, by rung."""
+BUDGET = 100_000
+"""Primitives of a run on any other rung."""
+PASSED_ESCAPES, PASSED_EFFICIENCY = 0.9, 0.5
+"""A rung is passed with escapes above the first, by the lower end of Wilson's interval, and efficiency above the
+second."""
+
+
+class LadderSettings(NamedTuple):
+    """Numbers that may be changed; None for the protocol's own.
+
+    Attributes:
+        runs: training seeds in each room or set.
+        primitives: training budget of a run.
+        rooms: rooms of the test set: to learn in one by one, or to be tested in.
+        train_sizes: with `generalise`: numbers of training rooms, each a set of its own.
+        eval_episodes: episodes in an evaluation.
+        observation: of every agent.
+    """
+
+    runs: int = 10
+    primitives: int | None = None
+    rooms: int | None = None
+    train_sizes: tuple[int, ...] = (64,)
+    eval_episodes: int | None = None
+    observation: str = "objects"
+
+
+def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: Sequence[AgentSpec],
+                       settings: LadderSettings) -> Grid:
+    """Grid of a rung under a protocol.
+
+    Args:
+        bench: the benchmark.
+        rung: name of the rung.
+        protocol: `per-instance` or `generalise`.
+        agents: to be compared.
+        settings: numbers to change.
+
+    Raises:
+        UnknownNameError: no such rung.
+        ConfigError: more rooms than the rung has.
+    """
+    record = bench[rung].record
+    name, test = f"{bench.name}/{rung}", record.test.count
+    count = settings.rooms or (min(10, test) if protocol == "per-instance" else test)
+    if not 1 <= count <= test:
+        raise ConfigError("rooms", count, f"from 1 to {test}, the rooms of {name}/test")
+    primitives = settings.primitives or BUDGETS.get(rung, BUDGET)
+    if protocol == "per-instance":
+        return Grid(
+            name=f"{bench.name}-{rung}-per-instance", description=f"Each of {count} rooms of {name} from nothing.",
+            agents=tuple(agents), rooms=tuple(RoomSpec(set=f"{name}/test[{index}]") for index in range(count)),
+            runs=settings.runs, primitives=primitives, eval_episodes=settings.eval_episodes or 20,
+            observation=settings.observation,
+        )
+    for size in settings.train_sizes:
+        if not 1 <= size <= record.train.count:
+            raise ConfigError("train_sizes", size, f"from 1 to {record.train.count}, the rooms of {name}/train")
+    return Grid(
+        name=f"{bench.name}-{rung}-generalise", description=f"Trained in rooms of {name}, tested in {count} others.",
+        agents=tuple(agents), train_rooms=tuple(f"{name}/train[:{size}]" for size in settings.train_sizes),
+        test_rooms=(f"{name}/test[:{count}]",), runs=settings.runs, primitives=primitives,
+        eval_every=max(1, primitives // 5), eval_episodes=settings.eval_episodes or count,
+        observation=settings.observation,
+    )
+
+
+class Standing(NamedTuple):
+    """Result of one agent on one rung.
+
+    Attributes:
+        rung: name of the rung.
+        agent: its summary.
+        escapes: share of final test episodes that escaped, with Wilson's interval over all of them.
+        is_passed: the rung is passed, see `judge`.
+    """
+
+    rung: str
+    agent: AgentSummary
+    escapes: tuple[float, float, float]
+    is_passed: bool
+
+
+def judge(agent: AgentSummary, episodes: int) -> tuple[tuple[float, float, float], bool]:
+    """Return the share of escapes with Wilson's interval over so many episodes, and whether the rung is passed.
+
+    It is with the interval's lower end at 0.9 or above and an interquartile mean of efficiency of 0.5 or above.
+    """
+    low, high = compute_wilson_interval(agent.success.value, episodes)
+    escapes = (agent.success.value, float(low), float(high))
+    return escapes, escapes[1] >= PASSED_ESCAPES and agent.efficiency.value >= PASSED_EFFICIENCY
+
+
+def list_standings(rung: str, summary: Summary) -> list[Standing]:
+    """Standing of every agent of a comparison on a rung."""
+    found = []
+    for agent in summary.agents:
+        rooms = summary.grid.eval_episodes if summary.grid.train_rooms else 1  # episodes in one room are much alike
+        found.append(Standing(rung, agent, *judge(agent, agent.runs * rooms)))
+    return found

@@ -1,0 +1,52 @@
+"""Protocols of the ladder: grids of a rung, and the judgement of an agent."""
+
+import pytest
+
+from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.experiments.grid import AgentSpec
+from hrl_escape.experiments.protocols import LadderSettings, judge, list_standings, make_protocol_grid
+from hrl_escape.experiments.summary import summarise
+from hrl_escape.ladder.benchmark import load_benchmark
+from tests.experiments.made_up import compare
+
+BENCH = load_benchmark("ladder-1")
+AGENTS = (AgentSpec("smdp-dqn"), AgentSpec("planner"))
+
+
+def test_per_instance_learns_each_of_ten_test_rooms_from_nothing():
+    grid = make_protocol_grid(BENCH, "pair", "per-instance", AGENTS, LadderSettings())
+    assert len(grid.rooms) == 10 and grid.runs == 10 and grid.primitives == 20_000 and grid.eval_episodes == 20
+    assert grid.rooms[3].make_instance() == BENCH["pair"].test[3]
+    assert make_protocol_grid(BENCH, "lattice", "per-instance", AGENTS, LadderSettings()).primitives == 100_000
+    assert make_protocol_grid(BENCH, "house", "per-instance", AGENTS, LadderSettings()).primitives == 500_000
+
+
+def test_generalise_trains_in_sets_of_training_rooms_and_is_tested_once_in_every_test_room():
+    grid = make_protocol_grid(BENCH, "doormat", "generalise", AGENTS, LadderSettings(train_sizes=(1, 16)))
+    assert grid.eval_episodes == BENCH["doormat"].record.test.count and not grid.rooms
+    places = grid.make_places()
+    assert [len(place.split.train) for place in places] == [1, 16]
+    assert all(list(place.split.test.seeds) == list(BENCH["doormat"].test.seeds) for place in places)
+    assert all(place.split.room_overlap == 0 for place in places)
+
+
+@pytest.mark.parametrize(("rung", "changes", "error", "words"), [
+    ("latice", {}, UnknownNameError, "did you mean 'lattice'"),
+    ("pair", {"rooms": 65}, ConfigError, "from 1 to 64"),
+    ("pair", {"train_sizes": (300,)}, ConfigError, "from 1 to 256"),
+])
+def test_what_a_rung_has_not_is_refused(rung, changes, error, words):
+    with pytest.raises(error, match=words):
+        make_protocol_grid(BENCH, rung, "generalise", AGENTS, LadderSettings(**changes))
+
+
+def test_a_rung_is_passed_with_sure_escapes_and_half_the_efficiency():
+    good, poor = [90.0] * 4, [-1000.0] * 4
+    summary = summarise(compare({"dqn": [good] * 40, "sarsa": [poor] * 40}))
+    passed = {standing.agent.label: standing for standing in list_standings("pair", summary)}
+    assert not passed["sarsa"].is_passed and passed["sarsa"].escapes[0] == 0
+    agent = passed["dqn"].agent
+    (share, low, high), is_passed = judge(agent, 40)
+    assert share == 1.0 and low == pytest.approx(40 / (40 + 1.959964**2), abs=1e-6), "Wilson 1927, all of n"
+    assert is_passed == (agent.efficiency.value >= 0.5) == (low >= 0.9 and agent.efficiency.value >= 0.5)
+    assert not judge(agent, 30)[1], "30 of 30 leave the share unsure"
