@@ -28,7 +28,7 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.commands.room_choice import RoomChoice, VectorObservation, split_assignment
 from hrl_escape.errors import ConfigError
 from hrl_escape.experiments.grid import AgentSpec, OptionsView
-from hrl_escape.experiments.places import Place
+from hrl_escape.experiments.places import RunPlace
 from hrl_escape.experiments.runs import make_env
 from hrl_escape.names import make_console_text, make_file_name
 from hrl_escape.planning.best_known import best_known_return
@@ -94,7 +94,7 @@ def run(args: TrainArgs) -> None:
         raise ConfigError("threads", args.threads, "it must be a whole number, 1 or more")
     torch.set_num_threads(args.threads)
     instance = args.make_instance()
-    name = make_file_name(f"{spec.label}-{Place.of_room(instance).name}-{args.training_seed}")
+    name = make_file_name(f"{spec.label}-{RunPlace.of_room(instance).name}-{args.training_seed}")
     out = args.out or Path("runs") / f"{name}-{{key}}"
     env, _ = make_env(spec, instance, args.observation)
     result = train(args.agent, env, primitives=args.primitives, seed=args.training_seed, settings=resolved,

@@ -20,7 +20,7 @@ from hrl_escape.errors import ConfigError, FileReadError, FileWriteError, RunBus
 from hrl_escape.experiments.grid import Grid, GridRun, load_grid
 from hrl_escape.experiments.launching.local import Failure, Launcher, LocalLauncher, count_cores
 from hrl_escape.experiments.launching.monitor import Monitor
-from hrl_escape.experiments.places import Place
+from hrl_escape.experiments.places import RunPlace
 from hrl_escape.experiments.runs import RunResult, get_run_folder, load_run_result
 from hrl_escape.files import clear_unfinished, describe_write_failure, write_json
 
@@ -40,22 +40,22 @@ class Comparison:
     """
 
     grid: Grid
-    places: tuple[Place, ...]
+    places: tuple[RunPlace, ...]
     runs: tuple[tuple[GridRun, RunResult], ...]
     failures: tuple[Failure, ...]
     out: Path
 
 
 class Shard(NamedTuple):
-    """Static part of a grid's runs: every `count`-th, beginning with number `index`.
+    """Static part of a grid's runs: every `parts`-th, beginning with number `number`.
 
     Attributes:
-        index: number of the part, from 1.
-        count: number of parts.
+        number: number of the part, from 1.
+        parts: number of parts.
     """
 
-    index: int
-    count: int
+    number: int
+    parts: int
 
     @classmethod
     def parse(cls, text: str) -> Shard:
@@ -64,14 +64,14 @@ class Shard(NamedTuple):
         Raises:
             ConfigError: it is no part.
         """
-        index, _, count = text.partition("/")
-        if not (index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
+        number, _, parts = text.partition("/")
+        if not (number.isdecimal() and parts.isdecimal() and 1 <= int(number) <= int(parts)):
             raise ConfigError("shard", text, "the number of a part and how many there are, such as 2/8")
-        return cls(int(index), int(count))
+        return cls(int(number), int(parts))
 
     def choose(self, runs: Sequence[GridRun]) -> list[GridRun]:
         """Runs of this part, in order; the parts are disjoint, and together they are all."""
-        return list(runs[self.index - 1 :: self.count])
+        return list(runs[self.number - 1 :: self.parts])
 
 
 WHOLE = Shard(1, 1)
@@ -153,7 +153,7 @@ class _Plan(NamedTuple):
     """A grid with its places and runs; making it refuses impossible grids."""
 
     grid: Grid
-    places: tuple[Place, ...]
+    places: tuple[RunPlace, ...]
     runs: list[GridRun]
 
     @classmethod
@@ -192,7 +192,7 @@ def _lock(out: Path, shard: Shard = WHOLE) -> Iterator[None]:
     """One comparison at a time in a folder, or one of each part; the lock falls with the process, however it ends."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        name = "lock" if shard == WHOLE else f"lock-{shard.index}-of-{shard.count}"
+        name = "lock" if shard == WHOLE else f"lock-{shard.number}-of-{shard.parts}"
         lock = open(out / name, "ab")
     except OSError as error:
         raise FileWriteError(describe_write_failure(out, error)) from error

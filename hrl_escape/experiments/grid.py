@@ -19,7 +19,7 @@ from typing_extensions import Self
 from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe
 from hrl_escape.env.observations import get_observation
 from hrl_escape.errors import EscapeError, GridError, UnknownNameError
-from hrl_escape.experiments.places import Place, RoomSpec
+from hrl_escape.experiments.places import RoomSpec, RunPlace
 from hrl_escape.experiments.references import REFERENCES
 from hrl_escape.files import read_json, read_toml
 from hrl_escape.ladder.room_sets import parse_room_set
@@ -222,7 +222,7 @@ class Grid(Settings):
         if self.until_solved is not None:
             raise GridError(f"grid {self.name!r}: until_solved is about one room, not about train_rooms")
 
-    def make_places(self) -> tuple[Place, ...]:
+    def make_places(self) -> tuple[RunPlace, ...]:
         """Rooms, or sets of rooms, in which the runs are made.
 
         Raises:
@@ -231,7 +231,7 @@ class Grid(Settings):
         if not self.train_rooms:
             return tuple(room.make_place() for room in self.rooms)
         tests = self.test_rooms * (len(self.train_rooms) if len(self.test_rooms) == 1 else 1)
-        return tuple(Place.of_split(parse_room_set(train), parse_room_set(test))
+        return tuple(RunPlace.of_split(parse_room_set(train), parse_room_set(test))
                      for train, test in zip(self.train_rooms, tests, strict=True))
 
     @property
@@ -249,7 +249,7 @@ class Grid(Settings):
                     data[key] = [kind.parse(item).to_dict() if isinstance(item, str) else item for item in data[key]]
         return super().from_dict(data)
 
-    def make_runs(self, places: Sequence[Place]) -> list[GridRun]:
+    def make_runs(self, places: Sequence[RunPlace]) -> list[GridRun]:
         """All runs, in the order they are best run: seed by seed, so that early results compare everybody.
 
         Args:

@@ -25,7 +25,7 @@ from hrl_escape.ladder.keys import compute_task_key
 from hrl_escape.ladder.room_sets import parse_room_set
 from hrl_escape.settings import Range, Settings
 
-__all__ = ["Place", "RoomSchedule", "RoomSpec", "Split"]
+__all__ = ["RunPlace", "RoomSchedule", "RoomSpec", "Split"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Split:
 
 
 @dataclasses.dataclass(frozen=True)
-class Place:
+class RunPlace:
     """Surroundings of runs: where they train and where they are tested.
 
     Attributes:
@@ -79,12 +79,12 @@ class Place:
     split: Split | None = None
 
     @classmethod
-    def of_room(cls, instance: RoomInstance, name: str = "") -> Place:
+    def of_room(cls, instance: RoomInstance, name: str = "") -> RunPlace:
         """One room, `clutter`, or `clutter#3` for another than the first instance."""
         return cls(name or (f"{instance.name}#{instance.seed}" if instance.seed else instance.name), instance)
 
     @classmethod
-    def of_split(cls, train: InstanceSet, test: InstanceSet) -> Place:
+    def of_split(cls, train: InstanceSet, test: InstanceSet) -> RunPlace:
         """Rooms to train in, and rooms to be tested in."""
         return cls(f"{train.name} > {test.name}", test[0], Split(train, test))
 
@@ -101,7 +101,7 @@ class Place:
                                                     for role in ("train", "test")}, indent=None)
 
     @classmethod
-    def load(cls, folder: Path, place_id: str) -> Place:
+    def load(cls, folder: Path, place_id: str) -> RunPlace:
         """Load what `save` wrote."""
         path = folder / f"{place_id}.json"
         content = read_json(path, "room")
@@ -151,9 +151,9 @@ class RoomSpec(Settings):
             return rooms[0]
         return generate(RoomConfig.from_dict(self.config), self.seed)
 
-    def make_place(self) -> Place:
+    def make_place(self) -> RunPlace:
         """The room as a place of a comparison."""
-        return Place.of_room(self.make_instance(), self.set or "")
+        return RunPlace.of_room(self.make_instance(), self.set or "")
 
     @classmethod
     def parse(cls, text: str) -> Self:

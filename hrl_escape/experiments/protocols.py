@@ -15,7 +15,7 @@ from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.summary import AgentSummary, Summary
 from hrl_escape.ladder.benchmark import Benchmark
 
-__all__ = ["LadderSettings", "Protocol", "Standing", "judge", "list_standings", "make_protocol_grid"]
+__all__ = ["LadderSettings", "Protocol", "RungStanding", "judge", "list_standings", "make_protocol_grid"]
 
 Protocol: TypeAlias = Literal["per-instance", "generalise"]
 """`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others."""
@@ -89,7 +89,7 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
     )
 
 
-class Standing(NamedTuple):
+class RungStanding(NamedTuple):
     """Result of one agent on one rung.
 
     Attributes:
@@ -115,10 +115,10 @@ def judge(agent: AgentSummary, episodes: int) -> tuple[tuple[float, float, float
     return escapes, escapes[1] >= PASSED_ESCAPES and agent.efficiency.value >= PASSED_EFFICIENCY
 
 
-def list_standings(rung: str, summary: Summary) -> list[Standing]:
-    """Standing of every agent of a comparison on a rung."""
+def list_standings(rung: str, summary: Summary) -> list[RungStanding]:
+    """RungStanding of every agent of a comparison on a rung."""
     found = []
     for agent in summary.agents:
         rooms = summary.grid.eval_episodes if summary.grid.train_rooms else 1  # episodes in one room are much alike
-        found.append(Standing(rung, agent, *judge(agent, agent.runs * rooms)))
+        found.append(RungStanding(rung, agent, *judge(agent, agent.runs * rooms)))
     return found

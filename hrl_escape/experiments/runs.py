@@ -25,7 +25,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.experiments.episodes import StateRecorder, record_episode
 from hrl_escape.experiments.grid import AgentSpec, GridRun
-from hrl_escape.experiments.places import Place, RoomSchedule
+from hrl_escape.experiments.places import RoomSchedule, RunPlace
 from hrl_escape.experiments.references import make_reference
 from hrl_escape.experiments.score_range import ScoreRange, compute_score_range
 from hrl_escape.experiments.solved_probe import Solution, SolvedProbe
@@ -160,7 +160,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
         out: the comparison's folder; it holds the room.
         checkpoint_seconds: between checkpoints of the training run.
     """
-    folder, place = get_run_folder(out, run), Place.load(out / "rooms", run.place_id)
+    folder, place = get_run_folder(out, run), RunPlace.load(out / "rooms", run.place_id)
     agent, grid = run.agent, run.grid
     seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(grid.eval_episodes)]
     order = None if place.split is None else {str(seed): n % len(place.split.test) for n, seed in enumerate(seeds)}
@@ -183,7 +183,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
     write_json(folder / "run_result.json", {"identity": run.identity, "result": dataclasses.asdict(value)}, indent=None)
 
 
-def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: Place, score_range: ScoreRange,
+def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPlace, score_range: ScoreRange,
                   checkpoint_seconds: float) -> tuple[Agent, RunResult]:
     """Train in one set of rooms, with evaluations in another, and evaluate in rooms of the first at the end."""
     assert place.split is not None
@@ -201,8 +201,8 @@ def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: Place
     return agent, dataclasses.replace(value, seen=seen, seen_range=seen_range)
 
 
-def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env, place: Place, score_range: ScoreRange,
-           checkpoint_seconds: float) -> tuple[Agent, RunResult]:
+def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env, place: RunPlace,
+           score_range: ScoreRange, checkpoint_seconds: float) -> tuple[Agent, RunResult]:
     from hrl_escape.agents.training.train import train
 
     rule = run.grid.until_solved

@@ -21,7 +21,7 @@ from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.grid import AgentSpec, Grid, GridRun
 from hrl_escape.experiments.inference import Estimate, Statistic, compute_interval, compute_wilson_interval
 from hrl_escape.experiments.pairs import Pair, compare_agents
-from hrl_escape.experiments.places import Place
+from hrl_escape.experiments.places import RunPlace
 from hrl_escape.experiments.references import PLANNER
 from hrl_escape.experiments.runs import RunResult
 from hrl_escape.experiments.score_range import ScoreRange
@@ -148,7 +148,7 @@ class RoomSummary:
         source: finder of the best: `planner`, `ceiling`, or the label of the agent that beat the planner.
     """
 
-    place: Place
+    place: RunPlace
     name: str
     worst: float
     best: float
@@ -258,7 +258,7 @@ def _score(result: RunResult, returns: ArrayLike) -> Floats:
     return compute_score(returns, result.score_range.worst, np.mean(result.score_range.best))
 
 
-def _summarise_room(place: Place, runs: Sequence[FinishedRun]) -> RoomSummary:
+def _summarise_room(place: RunPlace, runs: Sequence[FinishedRun]) -> RoomSummary:
     here = [(run, result) for run, result in runs if run.place_id == place.id]
     if not here:
         return RoomSummary(place, place.name, math.nan, math.nan, math.nan, "nothing")

@@ -12,6 +12,7 @@ import shlex
 import typing
 from collections.abc import Sequence
 from importlib import import_module
+from inspect import isroutine
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,7 +58,7 @@ def parse(arguments: Sequence[str]) -> None:
     if "--help" in arguments:
         return
     module, words = "hrl_escape.commands", list(arguments)
-    while words and not hasattr(loaded := import_module(module), "run"):
+    while words and not isroutine(getattr(import_module(module), "run", None)):  # a folder may hold a module `run`
         module = f"{module}.{words.pop(0).replace('-', '_')}"
     loaded = import_module(module)
     tyro.cli(typing.get_type_hints(loaded.run)["args"], args=words, config=(tyro.conf.FlagCreatePairsOff,))

@@ -11,7 +11,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView
 from hrl_escape.experiments.launching.local import Failure
-from hrl_escape.experiments.places import Place, RoomSpec
+from hrl_escape.experiments.places import RoomSpec, RunPlace
 from hrl_escape.experiments.runs import RunResult
 from hrl_escape.experiments.score_range import ScoreRange
 
@@ -61,7 +61,7 @@ def compare(agents: dict[str, Sequence[Sequence[float] | RunResult | None]], roo
     instances = (ROOM, OTHER_ROOM)[:rooms]
     runs = runs or max(map(len, agents.values())) // rooms
     grid = Grid("made-up", agents=specs, rooms=tuple(RoomSpec(i.name) for i in instances), runs=runs, primitives=budget)
-    places = tuple(Place.of_room(instance) for instance in instances)
+    places = tuple(RunPlace.of_room(instance) for instance in instances)
     by_place = {(run.number, run.place_id, run.seed): run for run in grid.make_runs(places)}
     found, failures = [], []
     for number, results in enumerate(agents.values()):

@@ -16,7 +16,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GridError, UnknownNameError
 from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView
-from hrl_escape.experiments.places import Place
+from hrl_escape.experiments.places import RunPlace
 from hrl_escape.experiments.reporting.report import write_report
 from hrl_escape.experiments.runs import make_env
 from hrl_escape.ladder.instance_set import InstanceSet
@@ -78,7 +78,7 @@ def test_a_finished_comparison_of_sets_is_kept_and_its_places_load_again(finishe
     again = run_quietly(finished.grid, finished.out, workers=1)
     assert again.runs == finished.runs
     (place,) = finished.places
-    loaded = Place.load(finished.out / "rooms", place.id)
+    loaded = RunPlace.load(finished.out / "rooms", place.id)
     assert loaded.id == place.id and list(loaded.split.test.seeds) == [4, 5, 6]
 
 
@@ -86,9 +86,9 @@ def test_overlaps_of_rooms_and_tasks_are_counted():
     rooms = InstanceSet("rooms", VARIED, range(3, 9))
     counts = [len(room.targets) for room in rooms]
     assert counts[0] != counts[1], "chains of two and of three buttons: two tasks in all"
-    split = Place.of_split(rooms[:1], rooms).split
+    split = RunPlace.of_split(rooms[:1], rooms).split
     assert split.room_overlap == 1 / 6 and split.task_overlap == counts.count(counts[0]) / 6
-    assert Place.of_split(rooms[:2], rooms[2:]).split.task_overlap == 1.0
+    assert RunPlace.of_split(rooms[:2], rooms[2:]).split.task_overlap == 1.0
 
 
 @pytest.mark.parametrize(("fields", "words"), [

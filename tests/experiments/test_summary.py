@@ -9,7 +9,7 @@ import pytest
 
 from hrl_escape.errors import ComparisonError
 from hrl_escape.experiments.inference import compute_wilson_interval
-from hrl_escape.experiments.places import Place
+from hrl_escape.experiments.places import RunPlace
 from hrl_escape.experiments.runs import RunResult
 from hrl_escape.experiments.summary import summarise
 from tests.experiments.made_up import BEST, WORST, compare, make_result
@@ -125,9 +125,9 @@ def test_a_lucky_episode_in_a_noisy_room_is_no_reference():
     comparison = compare({"dqn": [make_result([90.0], best=50.0)] * 2})
     (room,) = (place.instance for place in comparison.places)
     noisy = dataclasses.replace(room, dynamics=dataclasses.replace(room.dynamics, noise=0.1))
-    planned = comparison.grid.make_runs([Place.of_room(noisy)])
+    planned = comparison.grid.make_runs([RunPlace.of_room(noisy)])
     runs = tuple((run, result) for run, (_, result) in zip(planned, comparison.runs, strict=True))
-    (agent,) = summarise(dataclasses.replace(comparison, places=(Place.of_room(noisy),), runs=runs)).agents
+    (agent,) = summarise(dataclasses.replace(comparison, places=(RunPlace.of_room(noisy),), runs=runs)).agents
     assert agent.score.value > 1 and agent.efficiency.value == 1
 
 

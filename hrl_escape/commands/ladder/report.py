@@ -20,7 +20,7 @@ from rich.table import Table
 
 from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.comparison import read_comparison
-from hrl_escape.experiments.protocols import Protocol, Standing, list_standings
+from hrl_escape.experiments.protocols import Protocol, RungStanding, list_standings
 from hrl_escape.experiments.summary import summarise
 from hrl_escape.ladder.benchmark import load_benchmark
 
@@ -68,7 +68,7 @@ def run(args: ReportArgs) -> None:
         console.print(f"Highest rung that {label} passed: {rung}", markup=False)
 
 
-def _to_json(standing: Standing) -> dict[str, object]:
+def _to_json(standing: RungStanding) -> dict[str, object]:
     agent = standing.agent
     return {"rung": standing.rung, "agent": agent.label, "runs": agent.runs,
             "efficiency": agent.efficiency._asdict(), "seen": None if agent.seen is None else agent.seen._asdict(),

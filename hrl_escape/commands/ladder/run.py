@@ -68,7 +68,7 @@ def run(args: RunArgs) -> int:
     for rung, grid in grids.items():
         comparison = run_grid(grid, args.out / args.protocol / rung, LocalLauncher(args.workers), shard=shard)
         failed += len(comparison.failures)
-        if shard.count == 1:
+        if shard.parts == 1:
             write_report(comparison, f"hrl-escape ladder run {' '.join(args.agents)} --rung {rung} --protocol "
                          f"{args.protocol}")
         console.print(f"{rung}: {len(comparison.runs)} runs finished, {len(comparison.failures)} failed; "

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hrl_escape.experiments.places import Place
+from hrl_escape.experiments.places import RunPlace
 from hrl_escape.experiments.runs import RunResult
 from hrl_escape.experiments.statistics import compute_score
 from hrl_escape.experiments.summary import AgentSummary, Summary
@@ -113,7 +113,7 @@ def _format_seen(agent: AgentSummary) -> str:
     return f"{agent.seen.value:.3f} ({agent.seen.low:.3f} to {agent.seen.high:.3f}) | "
 
 
-def describe_place(place: Place) -> str:
+def describe_place(place: RunPlace) -> str:
     """Identity of a room; of a split the numbers of rooms, and how many of the rooms and tasks tested in are known."""
     if place.split is None:
         return f"instance `{place.id}`"
