@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import StateTree, count_actions
-from hrl_escape.agents.components.exploration import make_rng
+from hrl_escape.agents.components.exploration import make_rng, sample_legal
 from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
@@ -55,8 +55,10 @@ class HUctSettings(StackSettings):
     patience: Annotated[int, Range(0)] = 0
     """Primitives after which a simulated call below the first is given up; 0 never gives up before `depth`."""
     exploration: Annotated[float, Range(0)] = 0.5
-    """Weight c of the bonus for what was seldom tried, in units of the range of returns that the task has met; of
-    1 while all were equal."""
+    """Weight c of the bonus for what was seldom tried, in units of the range of returns."""
+    return_range: Annotated[float, Range(0)] = 0.0
+    """Largest minus smallest return of a task; 0 measures it in each task, which is too little where reward is rare,
+    and takes 1 while all returns were equal."""
     visits: Annotated[int, Range(1)] = 1
     """Without a simulator, samples that make a pair of state and primitive known; 1 is enough where outcomes have no
     chance in them."""
@@ -196,6 +198,9 @@ class _Node:
     def __init__(self, choices: int) -> None:
         self.visits = 0
         self.counts = np.zeros(choices, np.int64)
+        """Times that each was chosen, those of the running simulation included: it may come back to the same state."""
+        self.finished = np.zeros(choices, np.int64)
+        """Times that what followed is known."""
         self.rewards = np.zeros(choices)
         """Mean reward of the child."""
         self.own = np.zeros(choices)
@@ -205,14 +210,14 @@ class _Node:
 
     def record(self, choice: int, reward: float, own: float, told: float) -> None:
         """Move the means of a choice."""
-        self.counts[choice] += 1
-        count = self.counts[choice]
+        self.finished[choice] += 1
+        count = self.finished[choice]
         for means, value in ((self.rewards, reward), (self.own, own), (self.told, told)):
             means[choice] += (value - means[choice]) / count
 
     def compute_values(self, search: _Search, task: GraphTask, seen: Seen) -> NDArray[np.float64]:
         """V(c, s) + D(i, s, c), (choices,); -inf where never tried."""
-        tried = [self.get_reward(search, task, seen, choice) + self.own[choice] if self.counts[choice] else -np.inf
+        tried = [self.get_reward(search, task, seen, choice) + self.own[choice] if self.finished[choice] else -np.inf
                  for choice in range(len(self.counts))]  # fmt: skip
         return np.array(tried)
 
@@ -222,7 +227,7 @@ class _Node:
         if isinstance(child, int):
             return float(self.rewards[choice])
         node = search.get_node(child, seen)
-        if not node.counts.any():  # the caller's view holds several states, and the child ran in another one
+        if not node.finished.any():  # the caller's view holds several states, and the child ran in another one
             return float(self.rewards[choice])
         best = int(node.compute_values(search, child, seen).argmax())
         return node.get_reward(search, child, seen, best) + float(node.told[best])
@@ -245,12 +250,16 @@ class _Search:
         return self.nodes[key]
 
     def select(self, task: GraphTask, seen: Seen, node: _Node, legal: NDArray[np.bool_]) -> int:
-        """A legal child never tried, at random; else the one of the highest upper confidence bound."""
-        fresh = np.flatnonzero(legal & (node.counts == 0))
-        if len(fresh):
-            return int(fresh[self.rng.integers(len(fresh))])
+        """A legal child never tried, at random; else the one of the highest upper confidence bound.
+
+        Where a simulation comes back to a state whose children are not all known, it walks on at random.
+        """
+        fresh = legal & (node.finished == 0)
+        if fresh.any():
+            is_back = bool((node.counts > node.finished).any())
+            return sample_legal(legal if is_back else fresh, self.rng)
         low, high = self.ranges[task.name]
-        bonus = self.agent.settings.exploration * ((high - low) or 1.0)
+        bonus = self.agent.settings.exploration * (self.agent.settings.return_range or (high - low) or 1.0)
         values = node.compute_values(self, task, seen) + bonus * np.sqrt(math.log(node.visits) / node.counts.clip(1))
         return int(np.where(legal, values, -np.inf).argmax())
 
@@ -266,8 +275,8 @@ class _Search:
             if not legal.any():
                 break
             node = self.get_node(task, seen)
-            node.visits += 1
             choice = self.select(task, seen, node, legal)
+            node.visits, node.counts[choice] = node.visits + 1, node.counts[choice] + 1
             child = task.children[choice]
             if isinstance(child, int):
                 sample = self.agent.sample(seen, child, self.rng)

@@ -68,7 +68,7 @@ def solve_chain(gamma):
 
 @pytest.mark.parametrize("gamma", [1.0, 0.9])
 def test_the_chain_is_planned_to_its_exact_value(gamma):
-    agent = make(Chain(), make_chain_tasks(), gamma=gamma, simulations=2_000)
+    agent = make(Chain(), make_chain_tasks(), gamma=gamma, simulations=2_000, return_range=1.0, exploration=0.2)
     exact = solve_chain(gamma).values["root"][START]
     assert gamma < 1 or exact == pytest.approx(0.208)
     values = agent.plan(agent.hierarchy.root, Seen(START, BOTH), np.random.default_rng(0))
@@ -76,7 +76,7 @@ def test_the_chain_is_planned_to_its_exact_value(gamma):
 
 
 def test_the_first_primitives_are_those_of_the_exact_solution():
-    agent = make(Chain(), make_chain_tasks(), gamma=0.9, simulations=800)
+    agent = make(Chain(), make_chain_tasks(), gamma=0.9, simulations=800, return_range=1.0, exploration=0.2)
     rng = np.random.default_rng(0)
     assert [agent.act_greedy(position, BOTH, rng) for position in (START, LAST - 1)] == [1, 1]
     assert [agent.act_greedy(position + LENGTH, BOTH, rng) for position in (START, START + 1)] == [0, 0]
