@@ -150,10 +150,11 @@ def _compare_with_chance(summary: Summary) -> list[str]:
 
 
 def _compare_with_index_order(summary: Summary) -> list[str]:
-    """Learners over options against pressing all buttons in the order of their numbers."""
+    """Learners over options or hierarchies against pressing all buttons in the order of their numbers."""
     sentences = []
     for reference in summary.agents:
-        learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
+        learners = [agent for agent in summary.agents
+                    if (agent.spec.chooses_options or agent.spec.leaves) and agent.spec.learns]
         if reference.spec.name != references.INDEX_ORDER or not learners:
             continue
         best = find_leader(learners)
