@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import operator
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -197,6 +197,8 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
               ) -> tuple[NDArray[Any], dict[str, Any]]:
         """Begin an episode; see the class for `options`."""
         super().reset(seed=seed)
+        if not isinstance(options, Mapping | None):
+            raise ConfigError("reset options", options, "a table of instance_seed, instance_index and state, or None")
         options = dict(options or {})
         room = self._get_room()
         instance_seed, state = options.pop("instance_seed", None), options.pop("state", None)

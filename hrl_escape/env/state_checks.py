@@ -10,7 +10,7 @@ from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.errors import StateError, show_value
 
-__all__ = ["check_state"]
+__all__ = ["check_fields", "check_state"]
 
 _LARGEST_COUNT = 2**31
 _SOFT_CONTACT = 0.1
@@ -31,6 +31,21 @@ def check_state(rules: Rules, state: Any) -> None:
     Raises:
         StateError: it is none, or one of its numbers is impossible; the message names the field.
     """
+    check_fields(rules, state)
+    soft = rules.instance.dynamics.kind == "physics"
+    least = rules.instance.robot.body_radius * (1.0 - _SOFT_CONTACT if soft else 1.0)
+    for solid in rules.instance.solids:
+        if compute_distance(state.x, state.y, solid.footprint) < least:
+            raise StateError(f"x = {state.x:g}, y = {state.y:g} is not possible: the body stands in the {solid.role} "
+                             f"at ({solid.x:g}, {solid.y:g})")
+
+
+def check_fields(rules: Rules, state: RoomState) -> None:
+    """Check a state's fields, each by its own range, wherever the body stands.
+
+    Raises:
+        StateError: it is no state, or one of its numbers is impossible; the message names the field.
+    """
     if not isinstance(state, RoomState):
         raise StateError(f"a state is a RoomState, as get_state() returns it, not {show_value(state)}")
     instance, soft = rules.instance, rules.instance.dynamics.kind == "physics"
@@ -49,15 +64,10 @@ def check_state(rules: Rules, state: Any) -> None:
     if not instance.puzzle.is_state(state.puzzle):
         raise StateError(f"puzzle = {show_value(state.puzzle)} is not possible: a state of this room's "
                          f"{instance.puzzle.kind} puzzle")
-    least = instance.robot.body_radius * (1.0 - _SOFT_CONTACT if soft else 1.0)
-    for solid in instance.solids:
-        if compute_distance(state.x, state.y, solid.footprint) < least:
-            raise StateError(f"x = {state.x:g}, y = {state.y:g} is not possible: the body stands in the {solid.role} "
-                             f"at ({solid.x:g}, {solid.y:g})")
 
 
 def _check_number(name: str, value: Any, low: float, high: float) -> None:
-    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= float(value) <= high:
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= value <= high:
         raise StateError(f"{name} = {show_value(value)} is not possible: a number from {low:g} to {high:g}")
 
 

@@ -15,7 +15,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.options.meta_actions import list_goals, make_meta_options, make_option
 from hrl_escape.options.option import Option
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.planning.goals import ExitGoal, Goal, parse_goal
+from hrl_escape.planning.goals import ExitGoal, Goal, check_goal, parse_goal
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
 
 __all__ = ["ClosedLoopExecution", "pursue"]
@@ -60,6 +60,8 @@ def pursue(env: gymnasium.Env, goal: Goal | str | None = None, planner: RoomPlan
     room: Any = env.unwrapped
     planner = planner or get_planner(room.instance)
     goal = parse_goal(goal, room.instance) if isinstance(goal, str) else goal
+    if goal is not None:
+        check_goal(goal, room.instance)
     options: tuple[Option, ...]
     if goal is None:
         goals = (*list_goals(room.instance), ExitGoal())

@@ -224,7 +224,7 @@ def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: R
     Raises:
         UnknownNameError: no such flavour.
     """
-    if flavour not in FLAVOURS:
+    if not isinstance(flavour, str) or flavour not in FLAVOURS:
         raise UnknownNameError("flavour", flavour, FLAVOURS)
     planner = planner or get_planner(instance)
     goals = list_goals(instance)

@@ -7,6 +7,7 @@ from `sources.py`, the loop inside one decision from `execution.py`.
 
 from __future__ import annotations
 
+import numbers
 import operator
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
@@ -161,9 +162,10 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     @staticmethod
     def _check(discount: float, max_duration: int | None, observation: str) -> None:
-        if not 0.0 <= discount <= 1.0:
+        if isinstance(discount, bool) or not isinstance(discount, numbers.Real) or not 0.0 <= discount <= 1.0:
             raise ConfigError("OptionsEnv.discount", discount, "a number from 0 to 1")
-        if max_duration is not None and max_duration < 1:
+        is_whole = isinstance(max_duration, numbers.Integral) and not isinstance(max_duration, bool)
+        if max_duration is not None and not (is_whole and max_duration >= 1):
             raise ConfigError("OptionsEnv.max_duration", max_duration, "at least 1, or None for no limit")
         if observation not in ("pass", "options"):
             raise ConfigError("OptionsEnv.observation", observation, "'pass' or 'options'")

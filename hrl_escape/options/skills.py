@@ -14,7 +14,7 @@ from hrl_escape.env.primitives import BASE_ACTIONS
 from hrl_escape.errors import PlanningReason, UnknownNameError, UnsupportedError
 from hrl_escape.options.meta_actions import PlannedOption
 from hrl_escape.options.option import Option, OptionAction
-from hrl_escape.planning.goals import Goal, PoseGoal, PressGoal, describe_goal, parse_goal
+from hrl_escape.planning.goals import Goal, PoseGoal, PressGoal, check_goal, describe_goal, parse_goal
 from hrl_escape.planning.room_planner import RoomPlanner
 
 __all__ = ["PressOption", "ReachOption", "make_go_to", "make_press", "make_reach"]
@@ -25,8 +25,13 @@ REMEMBERED = 10_000
 
 
 def make_go_to(planner: RoomPlanner, goal: Goal | str, name: str | None = None) -> PlannedOption:
-    """Make an option that goes to a place, as in `make_go_to(planner, "3,4,90")`, or to any other goal."""
+    """Make an option that goes to a place, as in `make_go_to(planner, "3,4,90")`, or to any other goal.
+
+    Raises:
+        UnknownNameError, GoalError: no such goal in this room.
+    """
     goal = parse_goal(goal, planner.instance) if isinstance(goal, str) else goal
+    check_goal(goal, planner.instance)
     return PlannedOption(name or f"go-to({describe_goal(goal, planner.instance)})", planner, goal)
 
 

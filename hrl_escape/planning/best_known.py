@@ -92,6 +92,7 @@ def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | 
         state: first state of the episode.
         records: see `best_known_return`.
     """
+    get_planner(instance).check_query(state)
     key = (instance.id, get_pose(state))
     with _LOCK:
         found = _KNOWN.get(key)

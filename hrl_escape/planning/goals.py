@@ -8,20 +8,23 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TypeAlias
+import numbers
+from typing import Any, TypeAlias
 
 from hrl_escape.env.instance import Rectangle, RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.puzzles.base import Operator
-from hrl_escape.errors import GoalError, UnknownNameError
+from hrl_escape.errors import GoalError, UnknownNameError, show_value
 
 __all__ = [
+    "FARTHEST",
     "ExitGoal",
     "Goal",
     "PoseGoal",
     "PressGoal",
     "PushGoal",
     "RegionGoal",
+    "check_goal",
     "describe_goal",
     "find_push",
     "get_region",
@@ -89,7 +92,45 @@ class PushGoal:
     destination: int
 
 
+FARTHEST = 1e6
+"""Bound of a goal's numbers, m or rad; one beyond is taken for infinite."""
+
 Goal: TypeAlias = PressGoal | ExitGoal | PoseGoal | RegionGoal | PushGoal
+
+
+def check_goal(goal: Goal, instance: RoomInstance) -> None:
+    """Check that a goal is one, and one of this room.
+
+    Raises:
+        GoalError: it is none; the message says what would be.
+    """
+    if isinstance(goal, PressGoal):
+        _check_index("target", goal.target, len(instance.targets))
+    elif isinstance(goal, PushGoal):
+        _check_index("prop", goal.prop, len(instance.props))
+        _check_index("prop", goal.destination, len(instance.props))
+        find_push(goal, instance)
+    elif isinstance(goal, PoseGoal):
+        heading = 0.0 if goal.heading is None else goal.heading
+        if not (all(map(_is_finite, (goal.x, goal.y, heading, goal.tolerance, goal.heading_tolerance)))
+                and goal.tolerance >= 0.0 and goal.heading_tolerance >= 0.0):
+            raise GoalError(f"{show_value(goal)} is no place: finite numbers, and tolerances of at least 0")
+    elif isinstance(goal, RegionGoal):
+        if not (all(map(_is_finite, (goal.x_min, goal.x_max, goal.y_min, goal.y_max)))
+                and goal.x_min <= goal.x_max and goal.y_min <= goal.y_max):
+            raise GoalError(f"{show_value(goal)} is no region: finite numbers, x_min <= x_max and y_min <= y_max")
+    elif not isinstance(goal, ExitGoal):
+        raise GoalError(f"{show_value(goal)} is no goal: a PressGoal, ExitGoal, PoseGoal, RegionGoal or PushGoal, or "
+                        "its text")
+
+
+def _check_index(kind: str, index: Any, count: int) -> None:
+    if isinstance(index, bool) or not isinstance(index, numbers.Integral) or not 0 <= int(index) < count:
+        raise GoalError(f"there is no {kind} {show_value(index)}: the room has {count}")
+
+
+def _is_finite(value: Any) -> bool:
+    return isinstance(value, numbers.Real) and not isinstance(value, bool) and abs(value) < FARTHEST
 
 
 def parse_goal(text: str, instance: RoomInstance) -> Goal:
@@ -102,8 +143,10 @@ def parse_goal(text: str, instance: RoomInstance) -> Goal:
 
     Raises:
         UnknownNameError: no such target or prop; the message lists the valid names.
-        GoalError: the numbers are no pose.
+        GoalError: the numbers are no pose, or it is no text.
     """
+    if not isinstance(text, str):
+        raise GoalError(f"{show_value(text)} is no text of a goal")
     word = text.strip()
     if word == "exit":
         return ExitGoal()

@@ -75,11 +75,13 @@ class RoomPlanner(RouteFinder):
 
         Raises:
             PlanningFailed: there is no plan; its reason says why.
+            StateError, GoalError: there is no such state or goal in this room.
             UnknownNameError: the text names nothing in this room.
         """
         began = read_clock()
         goal = parse_goal(goal, self.instance) if isinstance(goal, str) else goal
-        check_method(method or self.method)
+        check_method(self.method if method is None else method)
+        self.check_query(state, goal)
         route = self.find_route(state, goal, method=method)
         return self._make_leg(state, goal, route, read_clock() - began)
 
@@ -95,14 +97,15 @@ class RoomPlanner(RouteFinder):
             UnsupportedError: the puzzle needs pushes, whose effect no plan predicts; use `pursue`.
         """
         began, clock = read_clock(), Clock(self.time_limit)
-        method = method or self.method
+        method = self.method if method is None else method
         check_method(method)
+        self.check_query(state)
         plan = self._follow_order(state, self._order_goals(state, clock, method), clock, method)
         return dataclasses.replace(plan, seconds=read_clock() - began, timed_out=clock.has_stopped)
 
     def _follow_order(self, state: RoomState, goals: Sequence[Goal], clock: Clock, method: str | None = None) -> Plan:
         """Escape by goals in order, each planned from the true end of the one before."""
-        method = method or self.method
+        method = self.method if method is None else method
         legs: list[Plan] = []
         here = state
         for goal in goals:
@@ -149,6 +152,7 @@ class RoomPlanner(RouteFinder):
         Raises:
             PlanningFailed: there is no escape; its reason says why.
         """
+        self.check_query(state)
         return self._order_goals(state, Clock(self.time_limit), self.method)
 
     def _order_goals(self, state: RoomState, clock: Clock, method: str) -> tuple[Goal, ...]:
@@ -164,8 +168,9 @@ class RoomPlanner(RouteFinder):
         Raises:
             PlanningFailed: the primitives do not reach the goals.
         """
+        self.check_query(state, *goals)
         legs: list[Plan] = []
-        here, rest = state, tuple(primitives)
+        here, rest = state, self.check_primitives(primitives)
         for goal in goals:
             if isinstance(goal, ExitGoal) and not rest and self.has_escaped(here):
                 break  # by the primitive of the last press
@@ -202,6 +207,7 @@ class RoomPlanner(RouteFinder):
         Raises:
             PlanningFailed: the preconditions cannot be met.
         """
+        self.check_query(state, goal)
         facts = self.instance.puzzle.get_facts(state.puzzle)
         ways = [op for op in self._model.operators if make_goal(op, self.instance) == goal]
         if not ways or any(op.preconditions <= facts for op in ways):
@@ -320,6 +326,7 @@ KEPT_PLANNERS = 8
 
 def get_planner(instance: RoomInstance, method: str = "auto") -> RoomPlanner:
     """Return the planner that this process shares for a room and a method; it keeps the last eight."""
+    check_method(method)
     key = (instance.id, method)
     with _PLANNERS_LOCK:
         planner = _PLANNERS.get(key)

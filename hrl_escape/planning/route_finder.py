@@ -8,19 +8,22 @@ so remembering it saves time and changes nothing. `primitive_search.py` finds a 
 from __future__ import annotations
 
 import dataclasses
+import numbers
 import threading
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError
+from hrl_escape.env.state_checks import check_fields
+from hrl_escape.errors import ActionError, ConfigError, EscapeError, PlanningFailed, PlanningReason, UnknownNameError
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.clock import Clock
-from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, describe_goal, is_reached
+from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, check_goal, describe_goal, is_reached
 from hrl_escape.planning.lattice.cost_to_go import FieldMaker
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.primitive_search import METHODS, PrimitiveSearch
@@ -76,6 +79,10 @@ class RouteFinder:
 
     def __init__(self, instance: RoomInstance, method: str = "auto", budget: int = 300_000,
                  time_limit: float | None = None) -> None:
+        if not isinstance(instance, RoomInstance):
+            raise ConfigError("instance", instance, "a RoomInstance, as generate() and env.unwrapped.instance give")
+        if isinstance(budget, bool) or not isinstance(budget, numbers.Integral) or budget < 1:
+            raise ConfigError("budget", budget, "a whole number of search nodes, at least 1")
         check_method(method)
         Clock(time_limit)  # refuses what is no limit
         self.instance = instance
@@ -116,11 +123,49 @@ class RouteFinder:
         with self._lock:
             return self._search.reacher
 
+    def check_query(self, state: RoomState, *goals: Goal) -> None:
+        """Check a state, wherever the body stands in it, and goals.
+
+        Raises:
+            StateError: a field of the state is impossible in this room.
+            GoalError: the goal is none of this room's.
+        """
+        check_fields(self.rules, state)
+        for goal in goals:
+            check_goal(goal, self.instance)
+
+    def check_primitives(self, primitives: Sequence[int]) -> tuple[int, ...]:
+        """Check primitives of a plan and return them.
+
+        Raises:
+            ActionError: one of them is no index of the room's actions, or they are no sequence.
+        """
+        count = len(self.rules.actions)
+        if not isinstance(primitives, Sequence) or isinstance(primitives, (str, bytes)):
+            raise ActionError(primitives, count)
+        for primitive in primitives:
+            is_whole = isinstance(primitive, numbers.Integral) and not isinstance(primitive, bool)
+            if not (is_whole and 0 <= primitive < count):
+                raise ActionError(primitive, count)
+        return tuple(int(primitive) for primitive in primitives)
+
+    @contextmanager
+    def _explaining(self, state: RoomState, goal: Goal) -> Iterator[None]:
+        """Say what is wrong with a query that raised; one that is right pays nothing."""
+        try:
+            yield
+        except EscapeError:
+            raise
+        except Exception:
+            self.check_query(state, goal)
+            raise
+
     def can_start(self, state: RoomState, goal: Goal) -> bool:
         """Return cheaply whether planning to a goal makes sense: it is not reached yet, and no shut door blocks it."""
-        if isinstance(goal, ExitGoal) and self.instance.door and not self.is_solved(state):
-            return False
-        return isinstance(goal, PressGoal) or not is_reached(goal, state, state, self.rules)
+        with self._explaining(state, goal):
+            if isinstance(goal, ExitGoal) and self.instance.door and not self.is_solved(state):
+                return False
+            return isinstance(goal, PressGoal) or not is_reached(goal, state, state, self.rules)
 
     def find_route(self, state: RoomState, goal: Goal, report: PlanningReport | None = None,
                    clock: Clock | None = None, method: str | None = None) -> Route:
@@ -135,22 +180,24 @@ class RouteFinder:
 
         Raises:
             PlanningFailed: no route; a failure is remembered like a route.
+            StateError, GoalError: what no route can begin at or lead to.
         """
         began = read_clock()
         clock = clock or Clock(self.time_limit)
-        method = method or self.method
-        key = self._make_key(state, goal, method)
+        method = self.method if method is None else method
         with self._lock:
-            found = self._routes.get(key)
+            with self._explaining(state, goal):
+                key = self._make_key(state, goal, method)
+                found = self._routes.get(key)
+            if found is None:
+                self.check_query(state, goal)
             if report is not None:
                 report.planner_calls += 1
                 report.cache_hits += found is not None
             if found is None:
                 found = self._search_round_props(state, goal, clock, method)
                 if not clock.has_stopped:  # what a clock cut short depends on the machine, not on the room alone
-                    self._routes[key] = found
-                    if len(self._routes) > MOST_ROUTES:
-                        self._routes.popitem(last=False)
+                    self._keep(key, found)
             else:
                 self._routes.move_to_end(key)
         if report is not None:
@@ -185,12 +232,20 @@ class RouteFinder:
 
     def remember(self, state: RoomState, goal: Goal, primitives: Sequence[int]) -> bool:
         """Make given primitives the route to a goal from here; False if they do not reach it or press a target."""
+        self.check_query(state, goal)
+        primitives = self.check_primitives(primitives)
         route = self.replay(state, primitives, goal)
         if route is None or len(route.primitives) < len(primitives) or route.also_pressed:
             return False
         with self._lock:
-            self._routes.setdefault(self._make_key(state, goal, self.method), route)
+            self._keep(self._make_key(state, goal, self.method), route)
         return True
+
+    def _keep(self, key: tuple[Goal, str, bool, Pose], found: Route | PlanningFailed) -> None:
+        """Remember what was found, and forget what was not asked for the longest time."""
+        self._routes.setdefault(key, found)
+        if len(self._routes) > MOST_ROUTES:
+            self._routes.popitem(last=False)
 
     def _make_key(self, state: RoomState, goal: Goal, method: str) -> tuple[Goal, str, bool, Pose]:
         """All that a route depends on."""
@@ -292,11 +347,11 @@ class RouteFinder:
 
 def check_method(method: str) -> None:
     """Check that a method is known. Raises `UnknownNameError`."""
-    if method in METHODS:
+    if isinstance(method, str) and method in METHODS:
         return
     from hrl_escape.planning.paths.registry import list_planners  # loads OMPL, which fields do without
 
-    if method not in list_planners():
+    if not isinstance(method, str) or method not in list_planners():
         raise UnknownNameError("planner", method, (*METHODS, *list_planners()))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import os
 import pickle
 import subprocess
@@ -22,9 +23,27 @@ from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import EscapeError, GoalError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
+from hrl_escape.errors import (
+    EscapeError,
+    GoalError,
+    PlanningFailed,
+    PlanningReason,
+    StateError,
+    UnknownNameError,
+    UnsupportedError,
+)
 from hrl_escape.options.closed_loop import pursue
-from hrl_escape.planning.goals import ExitGoal, PoseGoal, PressGoal, RegionGoal, describe_goal, is_reached, parse_goal
+from hrl_escape.planning import route_finder
+from hrl_escape.planning.goals import (
+    ExitGoal,
+    PoseGoal,
+    PressGoal,
+    PushGoal,
+    RegionGoal,
+    describe_goal,
+    is_reached,
+    parse_goal,
+)
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
 from tests.env.rooms import EXTREMES, make_ordered_chain
 
@@ -233,6 +252,39 @@ def test_pushing_cannot_be_planned_ahead():
 def test_a_goal_that_is_none_is_refused(planner, start, text, error):
     with pytest.raises(error):
         planner.plan(start, text)
+
+
+@pytest.mark.parametrize(("field", "value"), [("heading_steps", 36), ("heading_steps", 10**9), ("x", math.nan),
+                                              ("x", 50.0), ("touching", -1), ("puzzle", "on"), ("joint_steps", (1,))])
+def test_a_state_that_cannot_be_is_refused_by_its_field_at_every_door(planner, start, field, value):
+    state = start._replace(**{field: value})
+    for ask in (lambda: planner.plan(state, "button-1"), lambda: planner.solve(state),
+                lambda: planner.order_goals(state), lambda: planner.find_route(state, ExitGoal()),
+                lambda: planner.find_ancestors(state, PressGoal(0)),
+                lambda: planner.make_plan(state, (0,), [ExitGoal()], "mine")):
+        with pytest.raises(StateError, match=field):
+            ask()
+
+
+@pytest.mark.parametrize("goal", [None, 5, PressGoal(9), PressGoal(-1), PressGoal("a"), PoseGoal(math.nan, 0.0),
+                                  PoseGoal(1, 1, tolerance=-1), RegionGoal(3, 1, 0, 0), PushGoal(0, 1)])
+def test_what_is_no_goal_of_this_room_is_refused_at_every_door(planner, start, goal):
+    for ask in (lambda: planner.plan(start, goal), lambda: planner.find_route(start, goal),
+                lambda: planner.find_ancestors(start, goal)):
+        with pytest.raises(GoalError):
+            ask()
+
+
+def test_remembered_routes_are_bounded_however_they_are_learnt(monkeypatch):
+    monkeypatch.setattr(route_finder, "MOST_ROUTES", 20)
+    planner = RoomPlanner(generate(get_preset("paper-two-button"), 0))
+    state = planner.rules.make_state(planner.instance.starts[0])
+    for _ in range(60):
+        after = planner.rules.step(state, 4).state
+        assert planner.remember(state, PoseGoal(after.x, after.y, planner.rules.get_heading(after), 0.1), (4,))
+        planner.find_route(after, PressGoal(0))
+        state = after
+    assert len(planner._routes) == 20
 
 
 def test_a_path_planner_is_chosen_by_name(planner, start):

@@ -2,7 +2,7 @@
 
 The contenders are the search along cost-to-go fields, for each path planner the search in a corridor
 round its path, and the method auto, which chooses between the two. The fewest primitives come from a
-slow, near-exact reference; on floors of 200 m, from the best contender.
+slow, near-exact reference; on floors of 60 m and more, from the best contender.
 Times are those of the first query in a room, of a goal that is new to a known room, and of the same goal
 again; compilation is in none of them.
 

@@ -7,6 +7,7 @@ exactly before returning it.
 from __future__ import annotations
 
 import math
+import numbers
 from collections.abc import Callable
 from functools import partial
 from typing import Any
@@ -15,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.errors import EscapeError, GoalError, PathPlannerError
+from hrl_escape.errors import ConfigError, EscapeError, GoalError, PathPlannerError, show_value
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.clock import Clock, OutOfTime
 from hrl_escape.planning.collision_map import CollisionMap
-from hrl_escape.planning.goals import Goal, PressGoal
+from hrl_escape.planning.goals import FARTHEST, Goal, PressGoal, check_goal
 from hrl_escape.planning.lattice.areas import compute_goal_area, sample_places
 from hrl_escape.planning.paths.problem import (
     CHECKER_CALLS,
@@ -90,11 +91,13 @@ class Navigator:
 
         Raises:
             UnknownNameError: no planner of that name.
-            GoalError: a press by hand, or no such target.
+            GoalError: a press by hand, no such target, or a start or goal that is none.
+            ConfigError: seed or budget is no whole number in its range.
             UnsupportedError: the goal is a push.
             PathPlannerError: the planner failed, or returned no path.
         """
         factory = get_factory(planner)
+        start = self._check_query(start, goal, seed, budget)
         began, clock = read_clock(), clock or Clock(time_limit)
         calls, path, bound = 0, np.zeros((0, 2)), 0.0
         try:
@@ -111,6 +114,24 @@ class Navigator:
             status = "timeout"
         cost = float(np.hypot(*np.diff(path, axis=0).T).sum()) if len(path) else math.inf
         return PathResult(status, path, cost, bound, planner, read_clock() - began, calls)
+
+    def _check_query(self, start: tuple[float, float], goal: Goal | NDArray[np.float64], seed: int, budget: int
+                     ) -> tuple[float, float]:
+        """Check a query and return its start as two numbers. Raises `GoalError`, `ConfigError`."""
+        for name, value, least in (("seed", seed, 0), ("budget", budget, 1)):
+            if isinstance(value, bool) or not isinstance(value, numbers.Integral) or not least <= value < 2**32:
+                raise ConfigError(name, value, f"a whole number from {least} to {2**32 - 1}")
+        try:
+            x, y = (float(number) for number in start)
+        except (TypeError, ValueError):
+            x = y = math.nan
+        if not max(abs(x), abs(y)) < FARTHEST:
+            raise GoalError(f"a path begins at two finite numbers, not at {show_value(start)}")
+        if not isinstance(goal, np.ndarray):
+            check_goal(goal, self.instance)
+        elif goal.dtype.kind not in "fiu" or goal.size % 2 or not (np.abs(goal) < FARTHEST).all():
+            raise GoalError(f"places are finite numbers (n, 2), not {show_value(goal)}")
+        return x, y
 
     def _find_goals(self, collision: CollisionMap, start: tuple[float, float],
                     goal: Goal | NDArray[np.float64], clock: Clock) -> tuple[Status | None, NDArray[np.float64]]:

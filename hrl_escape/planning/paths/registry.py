@@ -41,6 +41,6 @@ def get_factory(name: str) -> PlannerFactory:
     Raises:
         UnknownNameError: there is none.
     """
-    if name not in _FACTORIES:
+    if not isinstance(name, str) or name not in _FACTORIES:
         raise UnknownNameError("path planner", name, _FACTORIES)
     return _FACTORIES[name]

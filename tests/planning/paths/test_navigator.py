@@ -173,8 +173,11 @@ def test_what_is_no_goal_for_a_path_says_so(clutter):
         clutter.plan((0, 0), PressGoal(0), "RRTConect")
     with pytest.raises(GoalError, match="no target 99"):
         clutter.plan((0, 0), PressGoal(99))
-    with pytest.raises(UnsupportedError, match="push"):
+    with pytest.raises(GoalError, match="no prop 0"):
         clutter.plan((0, 0), PushGoal(0, 1))
+    blocks = Navigator(generate(get_preset("push-block"), 0))
+    with pytest.raises(UnsupportedError, match="push"):
+        blocks.plan((0, 0), PushGoal(0, 1))
     with pytest.raises(GoalError, match="hand"):
         Navigator(generate(get_preset("arm-two-button"), 0)).plan((0, 0), PressGoal(0))
 
