@@ -12,6 +12,8 @@ from typing import NamedTuple
 
 import pytest
 
+from tests.mutations import given
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -288,6 +290,8 @@ MUTATIONS = [
         "experiments/test_verdict.py::test_cautions",
     ),
 ]
+
+MUTATIONS += [Mutation(*fields) for fields in given.MUTATIONS]
 
 
 def run_test(folder, test):
