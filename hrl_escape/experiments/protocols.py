@@ -15,7 +15,8 @@ from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.summary import AgentSummary, Summary
 from hrl_escape.ladder.benchmark import Benchmark
 
-__all__ = ["LadderSettings", "Protocol", "RungStanding", "judge", "list_standings", "make_protocol_grid"]
+__all__ = ["LadderSettings", "Protocol", "RungStanding", "find_miscalibration", "judge", "list_standings",
+           "make_protocol_grid"]
 
 Protocol: TypeAlias = Literal["per-instance", "generalise"]
 """`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others."""
@@ -27,6 +28,9 @@ BUDGET = 100_000
 PASSED_ESCAPES, PASSED_EFFICIENCY = 0.9, 0.5
 """A rung is passed with escapes above the first, by the lower end of Wilson's interval, and efficiency above the
 second."""
+
+MOST_CHANCE = 0.5
+"""Efficiency that random choices among the options must stay below."""
 
 
 class LadderSettings(NamedTuple):
@@ -122,3 +126,9 @@ def list_standings(rung: str, summary: Summary) -> list[RungStanding]:
         rooms = summary.grid.eval_episodes if summary.grid.train_rooms else 1  # episodes in one room are much alike
         found.append(RungStanding(rung, agent, *judge(agent, agent.runs * rooms)))
     return found
+
+
+def find_miscalibration(chance: float, planner: float) -> list[str]:
+    """Faults of a rung, in words, by the efficiency of random choices among its options and of the planner."""
+    faults = [f"chance reaches {chance:.2f}, not below {MOST_CHANCE:g}"] if chance >= MOST_CHANCE else []
+    return faults + ([f"the planner reaches {planner:.2f}, not 1"] if planner < 1.0 else [])

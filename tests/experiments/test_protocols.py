@@ -4,7 +4,13 @@ import pytest
 
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.experiments.grid import AgentSpec
-from hrl_escape.experiments.protocols import LadderSettings, judge, list_standings, make_protocol_grid
+from hrl_escape.experiments.protocols import (
+    LadderSettings,
+    find_miscalibration,
+    judge,
+    list_standings,
+    make_protocol_grid,
+)
 from hrl_escape.experiments.summary import summarise
 from hrl_escape.ladder.benchmark import load_benchmark
 from tests.experiments.made_up import compare
@@ -50,3 +56,9 @@ def test_a_rung_is_passed_with_sure_escapes_and_half_the_efficiency():
     assert share == 1.0 and low == pytest.approx(40 / (40 + 1.959964**2), abs=1e-6), "Wilson 1927, all of n"
     assert is_passed == (agent.efficiency.value >= 0.5) == (low >= 0.9 and agent.efficiency.value >= 0.5)
     assert not judge(agent, 30)[1], "30 of 30 leave the share unsure"
+
+
+def test_a_rung_is_calibrated_where_chance_fails_and_the_planner_does_not():
+    assert not find_miscalibration(0.49, 1.0)
+    assert find_miscalibration(0.5, 1.0) == ["chance reaches 0.50, not below 0.5"]
+    assert len(find_miscalibration(0.6, 0.9)) == 2

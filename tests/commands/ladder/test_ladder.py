@@ -70,3 +70,12 @@ def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
     assert planner["efficiency"]["value"] == 1.0 and planner["escapes"][0] == 1.0 and not planner["passed"]
     code, _, err = call(capsys, "report", str(tmp_path), "--protocol", "per-instance")
     assert code == 2 and "no rung was run here" in err
+
+
+def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
+    code, out, _ = call(capsys, "calibrate", "--rung", "doormat", "--rooms", "2", "--workers", "1", "--json", "--out",
+                        str(tmp_path))
+    told = json.loads(out)
+    assert told["efficiency"]["doormat"]["planner"] == 1.0
+    chance = told["efficiency"]["doormat"]["smdp-random+no-primitives"]
+    assert code == int(chance >= 0.5) == len(told["faults"]["doormat"])
