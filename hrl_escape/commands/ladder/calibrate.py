@@ -24,7 +24,7 @@ from hrl_escape.experiments.protocols import LadderSettings, find_miscalibration
 from hrl_escape.experiments.summary import summarise
 from hrl_escape.ladder.benchmark import load_benchmark
 
-REFERENCES = ("smdp-random+no-primitives", "smdp-index-order+no-primitives", "planner")
+_YARDSTICKS = ("smdp-random+no-primitives", "smdp-index-order+no-primitives", "planner")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,14 +52,14 @@ class CalibrateArgs:
 def run(args: CalibrateArgs) -> int:
     """Print a row a rung; the exit code is 1 if a rung is not calibrated."""
     bench = load_benchmark(args.benchmark)
-    agents = tuple(AgentSpec.parse(text) for text in (*REFERENCES, *args.agents))
+    agents = tuple(AgentSpec.parse(text) for text in (*_YARDSTICKS, *args.agents))
     settings = LadderSettings(1, args.primitives, args.rooms, (args.rooms,), args.rooms)
     rows = {}
     for rung in args.rung or [rung.name for rung in bench]:
         grid = make_protocol_grid(bench, rung, "generalise", agents, settings)
         summary = summarise(run_grid(grid, args.out / rung, LocalLauncher(args.workers)))
         rows[rung] = {agent.label: round(agent.efficiency.value, 4) for agent in summary.agents}
-    faults = {rung: find_miscalibration(row[REFERENCES[0]], row[REFERENCES[2]]) for rung, row in rows.items()}
+    faults = {rung: find_miscalibration(row[_YARDSTICKS[0]], row[_YARDSTICKS[2]]) for rung, row in rows.items()}
     if args.json:
         print(json.dumps({"efficiency": rows, "faults": faults}, indent=2))
     else:
