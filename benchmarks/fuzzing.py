@@ -29,7 +29,7 @@ def main() -> int:
 
     @seed(args.seed)
     @settings(max_examples=args.count, deadline=None, database=None, phases=[Phase.generate],
-              suppress_health_check=list(HealthCheck))
+              suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much, HealthCheck.data_too_large])
     @given(call=make_calls())
     def fuzz(call: tuple[str, str, tuple[Any, ...]]) -> None:
         try:

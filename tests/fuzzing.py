@@ -118,7 +118,7 @@ CALLS: dict[str, tuple[Callable[..., Any], Callable[[str], tuple[st.SearchStrate
     "can_start": (lambda name, *a: _PLANNERS[name].can_start(*a), lambda n: (_states(n), _goals | _anything)),
     "remember": (lambda name, *a: _PLANNERS[name].remember(*a),
                  lambda n: (_states(n), _goals | _anything, st.lists(_actions, max_size=4) | _anything)),
-    "make_plan": (lambda name, *a: _PLANNERS[name].make_plan(*a, "fuzz"),
+    "make_plan": (lambda name, *a: _PLANNERS[name].make_plan(*a, planner="fuzz"),
                   lambda n: (_states(n), st.lists(_actions, max_size=4) | _anything, st.lists(_goals, max_size=2))),
     "parse_goal": (lambda name, text: parse_goal(text, ROOMS[name]), lambda n: (_any_goal,)),
     "get_planner": (lambda name, method: get_planner(ROOMS[name], method), lambda n: (_methods,)),

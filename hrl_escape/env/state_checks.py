@@ -67,7 +67,8 @@ def check_fields(rules: Rules, state: RoomState) -> None:
 
 
 def _check_number(name: str, value: Any, low: float, high: float) -> None:
-    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not low <= value <= high:
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    if not is_number or not low <= value <= high:  # pyright: ignore[reportOperatorIssue]
         raise StateError(f"{name} = {show_value(value)} is not possible: a number from {low:g} to {high:g}")
 
 

@@ -130,7 +130,8 @@ def _check_index(kind: str, index: Any, count: int) -> None:
 
 
 def _is_finite(value: Any) -> bool:
-    return isinstance(value, numbers.Real) and not isinstance(value, bool) and abs(value) < FARTHEST
+    is_number = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    return is_number and abs(value) < FARTHEST  # pyright: ignore[reportOperatorIssue]
 
 
 def parse_goal(text: str, instance: RoomInstance) -> Goal:
