@@ -36,6 +36,26 @@ def test_flags_change_the_preset_and_nothing_else():
     assert CompareArgs(agents=("dqn",)).make_grid().name == "comparison"
 
 
+def test_sets_of_rooms_take_the_place_of_rooms():
+    grid = CompareArgs(train_rooms=("clutter#0..3",), test_rooms=("clutter#4..5",)).make_grid()
+    (place,) = grid.make_places()
+    assert not grid.rooms and place.split is not None
+    assert (list(place.split.train.seeds), list(place.split.test.seeds)) == ([0, 1, 2, 3], [4, 5])
+
+
+def test_work_is_told_before_made_in_parts_and_reported_from_the_folder(capsys, tmp_path: Path):
+    words = ("compare", "--agents", "smdp-random", "planner", "--rooms", "paper-two-button", "--runs", "1",
+             "--primitives", "40", "--eval-episodes", "1", "--workers", "1", "--out", tmp_path)
+    code, out, _ = call(capsys, *words, "--dry-run")
+    assert code == 0 and "2 runs, 2 to be made" in out and not list(tmp_path.iterdir()), "nothing was run"
+    code, out, _ = call(capsys, *words, "--shard", "1/2")
+    assert code == 0 and "part 1/2: 1 runs finished" in out and not (tmp_path / "report.html").exists()
+    code, out, _ = call(capsys, *words, "--dry-run")
+    assert "2 runs, 1 to be made" in out and "core hours" in out
+    code, out, _ = call(capsys, *words, "--report")
+    assert code == 0 and (tmp_path / "report.html").exists() and len(list((tmp_path / "runs").iterdir())) == 1
+
+
 @pytest.mark.parametrize(
     "arguments",
     [
