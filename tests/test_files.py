@@ -85,6 +85,26 @@ def test_a_process_killed_while_writing_leaves_a_whole_file(tmp_path):
         path.unlink()
 
 
+def test_content_is_on_the_disk_before_the_name_and_the_name_before_the_end(tmp_path, monkeypatch):
+    events = []
+    sync, replace = os.fsync, os.replace
+
+    def note_sync(descriptor):
+        events.append(("sync", os.fstat(descriptor).st_ino, os.fstat(descriptor).st_size))
+        sync(descriptor)
+
+    def note_replace(source, target):
+        events.append(("replace", os.stat(source).st_ino, 0))
+        replace(source, target)
+
+    monkeypatch.setattr(os, "fsync", note_sync)
+    monkeypatch.setattr(os, "replace", note_replace)
+    write_bytes(tmp_path / "x", b"12345")
+    file, folder = os.stat(tmp_path / "x").st_ino, os.stat(tmp_path).st_ino
+    assert [event[:2] for event in events] == [("sync", file), ("replace", file), ("sync", folder)]
+    assert events[0][2] == 5, "flushed before it is synced"
+
+
 def test_a_folder_in_the_way_is_named(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(FileWriteError, match=r"cannot write .*file/x\.json.*choose a folder"):

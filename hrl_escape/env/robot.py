@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.mesh_files import check_mesh_files
 from hrl_escape.errors import RobotError
 
 __all__ = ["BASE_LINK", "Robot", "load_urdf", "make_robot", "sample_hand_positions", "sample_joint_steps"]
@@ -237,6 +238,7 @@ def make_robot(config: RobotConfig) -> Robot:
     else:
         arm = _make_arm(config)
         hand = config.hand_link or (_HAND if config.joints else BASE_LINK)
+    check_mesh_files(arm)
     whole = _mount(config, arm)
     return _assemble(config, whole, hand)
 

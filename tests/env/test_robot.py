@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ import pybullet
 import pytest
 
 from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.mesh_files import LARGEST_MESHES
 from hrl_escape.env.robot import BASE_LINK, Robot, load_urdf, make_robot, sample_hand_positions
 from hrl_escape.errors import ConfigError, RobotError
 
@@ -268,3 +270,45 @@ def test_load_urdf_finds_meshes_beside_it_and_in_the_package_above(tmp_path: Pat
     file.write_text(file.read_text().replace("link.stl", "gone.stl"))
     with pytest.raises(RobotError, match=r"gone\.stl"):
         load_urdf(file)
+
+
+@pytest.mark.parametrize(("name", "content", "words"), [
+    ("faces.stl", b"\0" * 80 + (3_000_000).to_bytes(4, "little"), "at most"),
+    ("bomb.zip", b"PK", "no known kind"),
+    ("bomb.3mf", b"PK", "no known kind"),
+    ("folder.obj", None, "it is a folder"),
+    ("pipe.dae", "pipe", "a device or a pipe"),
+])
+def test_absurd_meshes_are_refused_before_they_are_opened(tmp_path: Path, name: str, content, words: str):
+    path = tmp_path / name
+    if content is None:
+        path.mkdir()
+    elif content == "pipe":
+        os.mkfifo(path)
+    else:
+        path.write_bytes(content)
+        if name == "faces.stl":
+            os.truncate(path, 84 + 50 * 3_000_000)  # three million faces; the file has holes
+    with pytest.raises(RobotError, match=words) as caught:
+        make_robot(RobotConfig(kind="urdf", urdf=MESH_ARM.format(meshes=make_visual(path)), joints=1))
+    assert str(path) in str(caught.value)
+
+
+def test_many_meshes_are_too_large_together(tmp_path: Path):
+    paths = [tmp_path / f"{number}.stl" for number in range(3)]
+    for path in paths:
+        path.touch()
+        os.truncate(path, LARGEST_MESHES // 2)
+    with pytest.raises(RobotError, match="together"):
+        make_robot(RobotConfig(kind="urdf", urdf=MESH_ARM.format(meshes="".join(map(make_visual, paths))), joints=1))
+    two = "".join(map(make_visual, paths[:2]))
+    assert make_robot(RobotConfig(kind="urdf", urdf=MESH_ARM.format(meshes=two), joints=1)).joint_names == ("turn",)
+
+
+MESH_ARM = """<robot name="r"><link name="base">{meshes}</link><link name="tip"/>
+<joint name="turn" type="revolute"><parent link="base"/><child link="tip"/><axis xyz="0 0 1"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def make_visual(path: Path) -> str:
+    return f'<visual><geometry><mesh filename="{path}"/></geometry></visual>'

@@ -230,6 +230,17 @@ def test_trap_15_only_options_whose_policy_is_a_function_of_the_state_are_consis
         assert actions[learned] == (0.25 if step.next_state.heading_steps == 2 else 0.0), "beta at s'"
 
 
+def test_trap_15_an_option_is_consistent_only_where_it_may_start():
+    turner = LearnedOption("turner", lambda observation: TURN_LEFT, lambda s: 0.0, lambda s: s,
+                           initiation=lambda s: s.heading_steps % 2 == 0)
+    env = OptionsEnv(make_env(), [make_walk(4), turner], trace=True)
+    begin(env)
+    *_, info = env.step(6)
+    assert [7 in dict(step.consistent) for step in info["trace"]] == [
+        step.state.heading_steps % 2 == 0 for step in info["trace"]]
+    assert {7 in dict(step.consistent) for step in info["trace"]} == {True, False}
+
+
 # --- one step is one transition ---------------------------------------------------------------
 
 
@@ -311,6 +322,35 @@ def test_nested_options_run_to_their_end_before_the_outer_policy_is_asked_again(
     begin(env)
     info = env.step(6)[4]
     assert info["duration"] == 12 and info["option"]["ended"] == "reached"
+
+
+@pytest.mark.parametrize("length", [1, 5], ids=["ended", "cut by the episode"])
+def test_planning_of_a_nested_option_is_told_by_the_option_that_called_it(length):
+    class Planning(ScriptedOption):
+        def start(self, state):
+            super().start(state)
+            self.report.planner_calls += 3
+            self.report.cache_hits += 1
+
+    class Caller(Option):
+        def start(self, state):
+            super().start(state)
+            self.report.planner_calls += 1
+            self.left = 2
+
+        def policy(self, state):
+            self.left -= 1
+            return Planning("inner", [TURN_LEFT] * length)
+
+        def termination(self, state):
+            return float(self.left == 0)
+
+    env = OptionsEnv(make_env(horizon=4), [Caller("outer")])
+    begin(env)
+    told = env.step(6)[4]["option"]
+    calls = 7 if length == 1 else 4
+    assert (told["planner_calls"], told["cache_hits"]) == (calls, calls // 3)
+    assert told["cache_hit_rate"] == (calls // 3) / calls
 
 
 def test_endless_nesting_is_an_error():

@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from importlib.resources import files
 from typing import Any
 
-import jinja2
 import matplotlib
 import numpy as np
 from markupsafe import Markup, escape
@@ -32,6 +31,7 @@ from hrl_escape.experiments.statistics import compute_iqm
 from hrl_escape.experiments.summary import AgentSummary, RoomSummary, Summary, summarise
 from hrl_escape.experiments.verdict import find_leader, write_verdict
 from hrl_escape.files import write_text
+from hrl_escape.templates import embed_json, render_template
 
 __all__ = ["write_report"]
 
@@ -74,14 +74,12 @@ def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
     leader = find_leader(summary.agents)
     hero = next((number for number, replay in enumerate(replays)
                  if replay["agent"] == leader.label and MEDIAN in replay["kinds"]), None)
-    data = json.dumps(make_page_data(summary, agent_styles, replays), separators=(",", ":"), allow_nan=False)
-    environment = jinja2.Environment(autoescape=True, trim_blocks=True, lstrip_blocks=True,
-                                     undefined=jinja2.StrictUndefined)
-    return environment.from_string((templates / PAGE).read_text(encoding="utf-8")).render(
+    return render_template(
+        "hrl_escape.experiments.reporting", PAGE,
         grid=summary.grid,
         css=Markup((templates / "report.css").read_text(encoding="utf-8")),
         script=Markup("\n".join((templates / name).read_text(encoding="utf-8") for name in SCRIPTS)),
-        data=Markup(data.replace("<", "\\u003c")),  # noqa: S704  # no tag can open inside a JSON text
+        data=embed_json(make_page_data(summary, agent_styles, replays)),
         headline=verdict[0][1],
         findings=[text for kind, text in verdict if kind == "finding"],
         cautions=[text for kind, text in verdict if kind == "caution"],

@@ -126,8 +126,11 @@ class Episode:
                 self._options.step(primitive)
             self.running = []
             self.moves.append(Move(name, tuple(steps), ended))
-        if abs(self.total - saved.total) > 1e-6 or self.escaped != saved.escaped:
+        if abs(self.total - saved.total) > 1e-6:
             raise EpisodeFileError(f"the replay returns {self.total:g}, the file says {saved.total:g}")
+        if self.escaped != saved.escaped:
+            raise EpisodeFileError(f"the replay {'escapes' if self.escaped else 'does not escape'}, the file says it "
+                                   f"{'does' if saved.escaped else 'does not'}")
 
     def close(self) -> None:
         """Free the engine."""

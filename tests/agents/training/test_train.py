@@ -14,6 +14,7 @@ import pytest
 
 import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents import evaluate, make_agent, play_episode, train
+from hrl_escape.agents.registry import get_agent_class
 from hrl_escape.agents.training.results import METRICS
 from hrl_escape.agents.training.train import TrainResult
 from hrl_escape.errors import AgentSettingsError, DivergenceError, FileWriteError, StepContractError
@@ -94,6 +95,65 @@ def test_is_success_in_info_decides_success():
     assert result.evaluations[-1].success_rate == 0
 
 
+def test_failed_options_and_the_primitives_of_each_are_counted_by_episode(tmp_path):
+    class Told(SmdpEnv):
+        """Every third decision is an option whose plan failed."""
+
+        def reset(self, **arguments):
+            self.decisions = 0
+            return super().reset(**arguments)
+
+        def step(self, action):
+            *rest, info = super().step(action)
+            self.decisions += 1
+            ended = "planning-failed" if self.decisions % 3 == 0 else "reached"
+            return *rest, info | {"option": {"name": "go", "ended": ended}}
+
+    run(env=Told([[[Outcome(1.0, 0, (-1.0,) * 5)]]], horizon=50), primitives=100, out=tmp_path, eval_episodes=0)
+    rows = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [row["option/failures"] for row in rows] == [3, 3]
+    assert [row["option/choices"] for row in rows] == [{"go": 10}] * 2
+    assert [row["option/primitives"] for row in rows] == [{"go": 50}] * 2
+
+
+def test_an_evaluation_episode_without_an_end_is_cut_in_primitives():
+    class Endless(SmdpEnv):
+        def step(self, action):
+            assert self.elapsed < 100, "asked on and on"
+            return super().step(action)
+
+    endless = Endless([[[Outcome(1.0, 0, (-1.0,) * 5)]]], horizon=10**9)
+    agent = make_agent("random", endless.observation_space, endless.action_space, 0)
+    found = evaluate(agent, endless, 2, max_primitives=40)
+    assert (found.lengths, found.decision_counts, found.successes) == ((40, 40), (8, 8), (False, False))
+
+
+def test_progress_of_an_episode_is_the_best_on_its_way():
+    class Slipping(SmdpEnv):
+        def step(self, action):
+            *rest, info = super().step(action)
+            return *rest, info | {"progress": 0.75 if self.elapsed == 2 else 0.25}
+
+    env = Slipping([[[Outcome(1.0, 0, (-1.0,))]]], horizon=5)
+    agent = make_agent("random", env.observation_space, env.action_space, 0)
+    assert evaluate(agent, env, 1).progress == (0.75,)
+
+
+def test_a_logged_metric_is_the_mean_over_the_decisions_that_gave_it(tmp_path):
+    class Sometimes(get_agent_class("random")):
+        decisions = 0
+
+        def observe(self, transition):
+            self.decisions += 1
+            return {"loss": float(self.decisions)} if self.decisions % 2 == 0 else {}
+
+    env = SmdpEnv([[[Outcome(1.0, 0, (-1.0,))]]], horizon=4)
+    train(Sometimes(env.observation_space, env.action_space, 0), env, primitives=8, out=tmp_path, eval_episodes=0)
+    rows = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert [row["train/loss"] for row in rows] == [3.0, 7.0]
+
+
+# --- reproducible ----------------------------------------------------------------------------
 # --- reproducible ----------------------------------------------------------------------------
 
 

@@ -25,6 +25,15 @@ def test_presses_flip_or_reset_as_the_domain_says(count, data):
         assert puzzle.is_solved(state) == all(bits)
 
 
+@pytest.mark.parametrize("count", range(1, 6))
+def test_every_press_in_every_state_does_what_the_domain_says(count):
+    puzzle = BitFlipPuzzle(count)
+    for state in range(1 << count):
+        for bit in range(count):
+            reached = puzzle.update(state, Contacts((bit,)))
+            assert puzzle.get_lit(reached) == tuple(flip_by_hand(list(puzzle.get_lit(state)), bit))
+
+
 @pytest.mark.parametrize("count", range(1, 9))
 def test_from_lowest_to_highest_is_the_only_shortest_solution(count):
     puzzle = BitFlipPuzzle(count)

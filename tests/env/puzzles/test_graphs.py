@@ -38,6 +38,15 @@ def test_every_family_gives_an_acyclic_graph_within_its_parent_limit(kind, count
         assert degree == [0] + [1] * (count - 1)
 
 
+@pytest.mark.parametrize("kind", ["layered", "random"])
+def test_buttons_have_every_number_of_parents_up_to_the_limit(kind):
+    counts = set()
+    for seed in range(50):
+        edges = sample_graph(GraphConfig(kind=kind, max_parents=3), 24, np.random.default_rng(seed))
+        counts |= {sum(child == node for _, child in edges) for node in range(24)}
+    assert counts == {0, 1, 2, 3}
+
+
 def test_order_is_topological_and_prefers_small_numbers():
     assert compute_order(4, ((3, 0), (1, 2))) == (1, 2, 3, 0)
 

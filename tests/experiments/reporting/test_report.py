@@ -20,12 +20,14 @@ import pytest
 from hrl_escape import __version__
 from hrl_escape.cli import main
 from hrl_escape.experiments.comparison import Comparison
+from hrl_escape.experiments.launching.local import Failure
 from hrl_escape.experiments.reporting.page_data import choose_replays
 from hrl_escape.experiments.reporting.report import write_report
 from hrl_escape.experiments.statistics import compute_iqm
 from hrl_escape.experiments.summary import Summary
 from hrl_escape.experiments.verdict import write_verdict
 
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 COMMAND = "hrl-escape compare small.toml --runs 2 --out '/tmp/a b'"
 
 
@@ -147,20 +149,42 @@ def test_replays_are_the_best_and_the_median_episode_of_all_runs(finished: Compa
         assert mine == {"best": returns[0], "median": returns[2]}  # six episodes: the better of the two in the middle
 
 
-def test_labels_are_text_never_markup(finished: Comparison, tmp_path: Path):
-    nasty = "</script><script>alert(1)</script>`<b>"
-    agents = tuple(dataclasses.replace(agent, label=nasty if n == 0 else agent.label)
+NASTY = "</script><script>window.pwned=1</script>`<img src=x onerror=window.pwned=2> @DATA@ {{ data }}"
+
+
+@pytest.fixture(scope="module")
+def nasty(finished: Comparison, tmp_path_factory) -> str:
+    """The page of a comparison whose every name is code."""
+    out = tmp_path_factory.mktemp("nasty")
+    agents = tuple(dataclasses.replace(agent, label=NASTY if n == 0 else agent.label)
                    for n, agent in enumerate(finished.grid.agents))
-    grid = dataclasses.replace(finished.grid, agents=agents)
-    runs = grid.make_runs(finished.places)
-    by_key = {run.key: run for run in runs}
-    for run, _ in finished.runs:
-        shutil.copytree(finished.out / "runs" / run.folder, tmp_path / "runs" / by_key[run.key].folder)
-    runs = tuple((by_key[run.key], result) for run, result in finished.runs)
-    write_report(dataclasses.replace(finished, grid=grid, runs=runs, out=tmp_path), "command")
-    source = (tmp_path / "report.html").read_text()
-    assert "<script>alert" not in source and source.count("</script>") == 2
-    assert json.loads(Page(source).data)["agents"][0]["label"] == nasty
+    grid = dataclasses.replace(finished.grid, agents=agents, name=NASTY, description=NASTY)
+    runs = []
+    for run, result in finished.runs:
+        named = dataclasses.replace(run, grid=grid, room=NASTY)
+        shutil.copytree(finished.out / "runs" / run.folder, out / "runs" / named.folder)
+        runs.append((named, result))
+    failures = (Failure(runs[0][0], NASTY, NASTY),)
+    changed = dataclasses.replace(finished, grid=grid, runs=tuple(runs), out=out, failures=failures)
+    write_report(changed, NASTY)
+    return (out / "report.html").read_text()
+
+
+def test_labels_are_text_never_markup(nasty: str, source: str):
+    assert nasty.count("<script") == source.count("<script") and nasty.count("</script>") == source.count("</script>")
+    assert nasty.count("<title>") == 1
+    page = Page(nasty)
+    assert not [tag for tag, _ in page.tags if tag == "img" and tag not in [found for found, _ in Page(source).tags]]
+    assert not [attributes for _, attributes in page.tags if any(name.startswith("on") for name in attributes)]
+    assert json.loads(page.data)["agents"][0]["label"] == NASTY
+    assert page.text.count("onerror=window.pwned=2>") > 5, "shown as text"
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="needs a Chromium (Debian: apt install chromium)")
+def test_a_page_of_hostile_names_runs_nothing_in_a_browser(nasty: str, tmp_path: Path):
+    told = "<script>addEventListener('load', () => setTimeout(() => {document.title = 'pwned: ' + window.pwned}, 500))"
+    (tmp_path / "page.html").write_text(nasty.replace("</body>", f"{told}</script></body>"))
+    assert "<title>pwned: undefined</title>" in dump_page(tmp_path / "page.html", tmp_path)
 
 
 # --- the files beside it ---------------------------------------------------------------
@@ -201,7 +225,6 @@ def test_figures_are_svg_and_markdown_has_the_verdict(finished: Comparison, summ
 
 # --- it works in a browser -------------------------------------------------------------
 
-CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 PROBE = """
 <script>
 window.addEventListener("load", () => {
@@ -236,18 +259,24 @@ window.addEventListener("load", () => {
 """
 
 
+def dump_page(path: Path, folder: Path) -> str:
+    """The document that a browser without network makes of a page, scripts run."""
+    done = subprocess.run(
+        [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--window-size=1280,800", "--dump-dom",
+         "--proxy-server=127.0.0.1:9", f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=3000",
+         path.as_uri()],
+        capture_output=True, text=True, timeout=120,
+    )
+    return done.stdout
+
+
 @pytest.mark.skipif(CHROMIUM is None, reason="needs a Chromium")
 def test_the_page_works_in_a_browser_without_network(summary: Summary, source: str, tmp_path: Path):
     probed = tmp_path / "probed.html"
     probed.write_text(source.replace("</body>", PROBE + "</body>"))
-    done = subprocess.run(
-        [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--window-size=1280,800", "--dump-dom",
-         "--proxy-server=127.0.0.1:9", f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=3000",
-         probed.as_uri()],
-        capture_output=True, text=True, timeout=120,
-    )
-    found = re.search(r'<pre id="probe">(.*?)</pre>', done.stdout, re.DOTALL)
-    assert found, done.stdout[-2000:] + done.stderr[-2000:]
+    shown = dump_page(probed, tmp_path)
+    found = re.search(r'<pre id="probe">(.*?)</pre>', shown, re.DOTALL)
+    assert found, shown[-2000:]
     report = json.loads(found[1])
     labels = [agent.label for agent in summary.agents]
     assert report["lines"] == len(labels) and sorted(report["names"]) == sorted(labels)

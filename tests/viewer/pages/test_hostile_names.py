@@ -92,6 +92,14 @@ def test_a_recorded_page_of_hostile_names_runs_nothing(recording: Recording, bro
             assert make_replay(at).encode("utf-8")
 
 
+def test_a_recorded_page_holds_no_markup_of_others(recording: Recording):
+    plain = make_replay(dataclasses.replace(recording, driver="planner", decisions=()))
+    hostile = make_replay(dataclasses.replace(recording, driver=HOSTILE[6], end=CODE))
+    for piece in ("<img src=x", "</title><script", "script>window.__pwned"):
+        assert piece not in hostile
+    assert hostile.count("<script") == plain.count("<script") and hostile.count("<title") == plain.count("<title")
+
+
 def test_data_stays_inside_its_script(recording: Recording):
     page = make_replay(recording)
     inside = re.search(r'<script type="application/json" id="r-data">(.*?)</script>', page, re.S)

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from typing import Any
 
-from hrl_escape.viewer.pages.watch import WatchPage
+from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
 from hrl_escape.viewer.scene.poses import make_pose
 from hrl_escape.viewer.server import Server
 from hrl_escape.viewer.watch.drivers import open_driver
 from hrl_escape.viewer.watch.gate import Gate
 from hrl_escape.viewer.watch.watch import Watch
+from tests.viewer.pages.test_clients import wait_until
 
 
 def test_the_scene_never_lags_the_panel(server: Server, two_buttons, monkeypatch):
@@ -26,3 +27,26 @@ def test_the_scene_never_lags_the_panel(server: Server, two_buttons, monkeypatch
     view.run(episodes=3)
     assert view.problem == "all episodes are over" and view.watch.episode == 3
     assert not behind, f"the panel was ahead of the scene after {behind} states"
+
+
+def test_the_buttons_pause_run_and_let_one_step_through(server: Server, two_buttons):
+    gate = Gate(None)
+    view = WatchPage(server, Watch(open_driver("planner", two_buttons), gate))
+    view._turn("Pause")
+    assert gate.is_paused
+    thread = run_in_thread(view)
+    for what, count in (("1 primitive", 1), ("1 primitive", 2)):
+        view._turn(what)
+        wait_until(lambda count=count: view.watch.primitives == count, what)
+        assert gate.is_paused
+    view._turn("1 decision")
+    wait_until(lambda: len(view.watch.decisions) == 1, "one decision")
+    view._turn("toggle")
+    assert not gate.is_paused
+    view._turn("toggle")
+    assert gate.is_paused
+    view._turn("Run")
+    assert not gate.is_paused
+    gate.stop()
+    thread.join(10)
+    assert not thread.is_alive()

@@ -129,6 +129,16 @@ def test_an_episode_that_does_not_play_out_as_it_says_is_refused(two_buttons, tm
         Episode(saved.instance, seed=saved.seed).replay(saved)
 
 
+def test_an_episode_that_does_not_escape_as_it_says_is_refused(two_buttons, tmp_path: Path):
+    episode = Episode(two_buttons)
+    play(episode, ["meta-01"])
+    save_episode(tmp_path / "mine.json", episode.to_saved())
+    _spoil(tmp_path / "mine.json", escaped=True)
+    saved = load_episode(tmp_path / "mine.json")
+    with pytest.raises(EpisodeFileError, match="does not escape, the file says it does"):
+        Episode(saved.instance, seed=saved.seed).replay(saved)
+
+
 def test_a_truncated_episode_names_file_and_place(tmp_path: Path):
     path = tmp_path / "half.json"
     path.write_text('{"kind": "episode", ')

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections.abc import Callable
 
 from hrl_escape.viewer.watch.drivers import open_driver
 from hrl_escape.viewer.watch.gate import Gate
@@ -36,6 +37,33 @@ def test_the_gate_lets_primitives_and_decisions_through_one_at_a_time(two_button
     gate.pause(False)
     thread.join(20)
     assert not thread.is_alive() and watch.decisions[-1].name == "meta-exit"
+
+
+def test_a_running_driver_can_be_paused_and_goes_on(two_buttons):
+    gate = Gate(None)
+    watch = Watch(open_driver("smdp-random", two_buttons), gate)
+    thread = threading.Thread(target=watch.run, daemon=True)
+    thread.start()
+    try:
+        for _ in range(2):
+            before = watch.primitives
+            wait_until(lambda before=before: watch.primitives > before)
+            gate.pause()
+            time.sleep(0.3)  # a primitive that was let through before may still end
+            stands = watch.primitives
+            time.sleep(0.5)
+            assert watch.primitives == stands and gate.is_paused
+            gate.pause(False)
+    finally:
+        gate.stop()
+        thread.join(10)
+
+
+def wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end
+        time.sleep(0.01)
 
 
 def test_stopping_frees_a_driver_that_waits(two_buttons):

@@ -13,7 +13,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.viewer.step_hooks import PrimitiveStep
 from hrl_escape.viewer.watch.drivers import open_driver
 from hrl_escape.viewer.watch.gate import Gate
-from hrl_escape.viewer.watch.watch import ObservedChoice, Watch
+from hrl_escape.viewer.watch.watch import KEPT_DECISIONS, KEPT_EVENTS, KEPT_VALUES, ObservedChoice, Watch
 
 
 def watch_steps(watch: Watch, episodes: int = 1) -> tuple[list[ObservedChoice], list[PrimitiveStep]]:
@@ -100,6 +100,21 @@ def test_policies_without_action_values_show_their_preferences(name: str, one_bu
     best = int(np.argmax(choice.values))
     assert driver.agent.act_greedy(observation, mask, np.random.default_rng(0)) == best
     assert (choice.state_value is None) == (name == "ddpg")
+
+
+def test_what_is_kept_of_a_long_watch_is_bounded(one_button):
+    watch = Watch(open_driver("smdp-q-learning", one_button), Gate(None))
+    longest = {"decisions": 0, "events": 0, "values": 0}
+
+    def note(step: PrimitiveStep | None) -> None:
+        for name in longest:
+            longest[name] = max(longest[name], len(getattr(watch, name)))
+        if watch.episode > 120:
+            watch.gate.stop()
+
+    watch.on_change = note
+    watch.run()
+    assert longest == {"decisions": KEPT_DECISIONS, "events": KEPT_EVENTS, "values": KEPT_VALUES}
 
 
 def test_the_planner_drives_out_of_the_room(clutter):

@@ -1,0 +1,163 @@
+"""Bugs of options and of the environment that runs them."""
+
+from tests.mutations.mutation import Mutation
+
+ENV = "options/options_env.py"
+TESTS = "options/test_options_env.py"
+
+MUTATIONS = [
+    Mutation(
+        "an option counts as consistent where it cannot start",
+        ENV,
+        "if option.is_markov and option.initiation(state) and option.policy(state) == primitive:",
+        "if option.is_markov and option.policy(state) == primitive:",
+        TESTS,
+    ),
+    Mutation(
+        "a consistent option's termination is asked at the state left",
+        ENV,
+        "found.append((index, option.termination(reached)))",
+        "found.append((index, option.termination(state)))",
+        TESTS,
+    ),
+    Mutation(
+        "an option runs one primitive past its longest duration",
+        ENV,
+        "run.duration >= self.max_duration",
+        "run.duration > self.max_duration",
+        TESTS,
+    ),
+    Mutation(
+        "an interrupted option begins anew",
+        ENV,
+        'ended, self._run = "interrupted", run',
+        'ended = "interrupted"',
+        TESTS,
+    ),
+    Mutation(
+        "another option goes on with the one that was interrupted",
+        ENV,
+        "run = self._run if self._run is not None and self._run.index == index else None",
+        "run = self._run",
+        TESTS,
+    ),
+    Mutation(
+        "a running option can be masked",
+        ENV,
+        "if index != running and not option.initiation(state):",
+        "if not option.initiation(state):",
+        TESTS,
+    ),
+    Mutation(
+        "an option's own target is told as pressed on the way",
+        ENV,
+        "for i in decision.pressed if i not in own)",
+        "for i in decision.pressed)",
+        "options/test_options_env.py options/test_meta_actions.py",
+    ),
+    Mutation(
+        "the hit rate is that of the last decision",
+        ENV,
+        "self._calls += outcome.report.planner_calls",
+        "self._calls = outcome.report.planner_calls",
+        "options/test_options_env.py options/test_meta_actions.py",
+    ),
+    Mutation(
+        "options stay those of the first room",
+        ENV,
+        "self._instance, self.options = instance, made",
+        "self._instance = instance",
+        "options/test_options_env.py options/test_make_options_env.py",
+    ),
+    Mutation(
+        "every episode draws the same terminations",
+        ENV,
+        "np.random.default_rng([state.noise_key, state.primitives, 0x0971])",
+        "np.random.default_rng([0x0971])",
+        TESTS,
+    ),
+    Mutation(
+        "planning of a nested option that has ended is lost",
+        "options/execution.py",
+        "self._finished.add(self._stack.pop().report)",
+        "self._stack.pop()",
+        "options/test_options_env.py options/test_option.py options/test_meta_actions.py",
+    ),
+    Mutation(
+        "planning of a nested option that still runs is lost",
+        "options/execution.py",
+        "for option in self._stack:",
+        "for option in self._stack[:1]:",
+        "options/test_options_env.py options/test_option.py options/test_meta_actions.py",
+    ),
+    Mutation(
+        "a nested option's end ends its caller",
+        "options/execution.py",
+        "if len(self._stack) == 1:",
+        "if len(self._stack) >= 1:",
+        "options/test_options_env.py options/test_meta_actions.py",
+    ),
+    Mutation(
+        "a plan mended after noise may press other buttons",
+        "options/meta_actions.py",
+        "if route is not None and set(route.also_pressed) <= set(self._route.also_pressed):",
+        "if route is not None:",
+        "options/test_meta_actions.py",
+    ),
+    Mutation(
+        "one plan more than allowed",
+        "options/meta_actions.py",
+        "if self.report.replans >= self.max_replans:",
+        "if self.report.replans > self.max_replans:",
+        "options/test_meta_actions.py",
+    ),
+    Mutation(
+        "ancestors are pressed in the opposite order",
+        "options/meta_actions.py",
+        "goal = self._order.pop(0)",
+        "goal = self._order.pop()",
+        "options/test_meta_actions.py",
+    ),
+    Mutation(
+        "an option that makes no progress never gives up",
+        "options/meta_actions.py",
+        "if self._waited > self._patience:",
+        "if False:",
+        "options/test_meta_actions.py options/test_option.py",
+    ),
+    Mutation(
+        "an early stop is drawn once an episode",
+        "options/degraded.py",
+        "if self._draw(_STOP, state.noise_key, state.primitives) <",
+        "if self._draw(_STOP, state.noise_key, 0) <",
+        "options/test_degraded.py",
+    ),
+    Mutation(
+        "a detour does not come back",
+        "options/degraded.py",
+        "return _TO if self._wasted % 2 else _FRO",
+        "return _TO",
+        "options/test_degraded.py",
+    ),
+    Mutation(
+        "latency is not counted as planning",
+        "options/degraded.py",
+        "self.report.planner_seconds += self.degradation.latency",
+        "pass",
+        "options/test_degraded.py",
+    ),
+    Mutation(
+        "the hand may reach for what it touches",
+        "options/skills.py",
+        "return not state.touching >> self._target & 1 and bool(self._get_steps(state))",
+        "return bool(self._get_steps(state))",
+        "options/test_option.py options/test_meta_actions.py",
+    ),
+    Mutation(
+        "a press by two options ends with the first",
+        "options/skills.py",
+        "return float(self._is_last)",
+        "return float(self._has_gone or self._is_last)",
+        "options/test_option.py options/test_meta_actions.py",
+    ),
+]
