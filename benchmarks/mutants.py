@@ -103,8 +103,8 @@ def main() -> int:
             difference = difflib.unified_diff(sound.splitlines(), changed.splitlines(), place.file, place.file,
                                               lineterm="", n=0)
             print("\n".join(difference), flush=True)
-    print(f"{len(chosen)} mutants drawn at {len(places):,} places with seed {arguments.seed}: {len(chosen) - survivors} seen, "
-          f"{survivors} survived")
+    print(f"{len(chosen)} mutants drawn at {len(places):,} places with seed {arguments.seed}: "
+          f"{len(chosen) - survivors} seen, {survivors} survived")
     return 0
 
 

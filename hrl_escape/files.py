@@ -12,7 +12,7 @@ import os
 import stat
 import sys
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import IO, Any
@@ -119,6 +119,29 @@ def open_plain(path: str | os.PathLike[str], what: str = "file", largest: int = 
         raise FileReadError(f"{path}: no such {what}") from error
     except (OSError, ValueError) as error:  # a ValueError is a NUL in the path
         raise FileReadError(f"{path}: cannot read this {what}: {getattr(error, 'strerror', None) or error}") from error
+
+
+def check_files(paths: Iterable[str], what: str, endings: Sequence[str], largest: int) -> None:
+    """Check files that a library is to open: plain, of known kinds, and not too large together.
+
+    Args:
+        paths: the files; one named twice counts once.
+        what: kind of file, in words, for the message.
+        endings: endings of the known kinds, such as `.stl`; an archive could unpack to anything.
+        largest: most bytes that they may have together.
+
+    Raises:
+        FileReadError: the message names the file.
+    """
+    left = largest
+    for name in sorted(set(paths)):
+        if Path(name).suffix.lower() not in endings:
+            raise FileReadError(f"{name[:200]}: this {what} is of no known kind: {', '.join(endings)}")
+        with open_plain(name, what, largest) as file:
+            left -= os.fstat(file.fileno()).st_size
+        if left < 0:
+            raise FileReadError(f"{name}: files of this kind ({what}) have more than {largest:,} bytes together; "
+                                "simplify them")
 
 
 def read_bytes(path: str | os.PathLike[str], what: str = "file") -> bytes:

@@ -48,3 +48,8 @@ def test_markup_is_shown_as_it_stands(name: str):
     out = io.StringIO()
     Console(file=out, soft_wrap=True).print(make_console_text(name))
     assert out.getvalue() == f"{name}\n"
+
+
+def test_a_long_name_is_cut_for_the_console():
+    assert make_console_text("x" * 100) == "x" * 100
+    assert make_console_text("x" * 101) == "x" * 97 + "..."

@@ -19,11 +19,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hrl_escape.env.config import RobotConfig
-from hrl_escape.env.mesh_files import check_mesh_files
 from hrl_escape.errors import RobotError
+from hrl_escape.files import check_files
 
 __all__ = ["BASE_LINK", "Robot", "load_urdf", "make_robot", "sample_hand_positions", "sample_joint_steps"]
 
+MESH_ENDINGS, LARGEST_MESHES = (".stl", ".obj", ".dae"), 2**25  # bytes of all together: some 600,000 faces
 BASE_LINK = "mobile-base"
 _MOUNT_JOINT = "mobile-base-mount"
 _HAND = "hand"
@@ -223,6 +224,7 @@ def make_robot(config: RobotConfig) -> Robot:
 
     Raises:
         RobotError: the arm's URDF lacks the hand link, a mesh, or as many moving joints as are asked for.
+        FileReadError: a mesh is of no known kind, or too large.
     """
     if config.kind in _SHIPPED:
         file, hand = _SHIPPED[config.kind]
@@ -238,7 +240,7 @@ def make_robot(config: RobotConfig) -> Robot:
     else:
         arm = _make_arm(config)
         hand = config.hand_link or (_HAND if config.joints else BASE_LINK)
-    check_mesh_files(arm)
+    check_files((mesh.get("filename", "") for mesh in arm.iter("mesh")), "mesh", MESH_ENDINGS, LARGEST_MESHES)
     whole = _mount(config, arm)
     return _assemble(config, whole, hand)
 

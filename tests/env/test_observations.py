@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.env import observations
+from hrl_escape.env.config import ButtonsConfig, RoomConfig
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.observations import (
     get_observation,
@@ -127,3 +128,14 @@ def test_the_registry_loads_no_torch_and_no_engine():
 def test_an_observation_without_a_tensor_function_is_refused_by_the_batched_engine():
     with pytest.raises(UnsupportedError, match="pixels"):
         EscapeRoomVectorEnv(2, "paper-two-button", observation="pixels")
+
+
+def test_what_an_observer_remembers_of_a_puzzle_is_bounded():
+    room = generate(RoomConfig(puzzle=ButtonsConfig(count=13)), 0)
+    rules = Kinematics(room)
+    observer = make_observer("features", rules)
+    state = rules.make_state(room.starts[0])
+    for puzzle in range(5_000):
+        seen = observer.observe(state._replace(puzzle=puzzle))
+        assert seen[-13:].tolist() == [float(puzzle >> button & 1) for button in range(13)]
+    assert 0 < len(observer._seen) <= 4_097

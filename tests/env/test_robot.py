@@ -16,9 +16,8 @@ import pybullet
 import pytest
 
 from hrl_escape.env.config import RobotConfig
-from hrl_escape.env.mesh_files import LARGEST_MESHES
-from hrl_escape.env.robot import BASE_LINK, Robot, load_urdf, make_robot, sample_hand_positions
-from hrl_escape.errors import ConfigError, RobotError
+from hrl_escape.env.robot import BASE_LINK, LARGEST_MESHES, Robot, load_urdf, make_robot, sample_hand_positions
+from hrl_escape.errors import ConfigError, FileReadError, RobotError
 
 # every trap at once: turned and shifted fixed joints, an axis that is not of unit length, a continuous and a
 # prismatic joint, a joint that no primitive moves, a branch beside the chain, limits that leave out zero
@@ -276,7 +275,7 @@ def test_load_urdf_finds_meshes_beside_it_and_in_the_package_above(tmp_path: Pat
     ("faces.stl", b"\0" * 80 + (3_000_000).to_bytes(4, "little"), "at most"),
     ("bomb.zip", b"PK", "no known kind"),
     ("bomb.3mf", b"PK", "no known kind"),
-    ("folder.obj", None, "it is a folder"),
+    ("folder.obj", None, "directory|folder"),
     ("pipe.dae", "pipe", "a device or a pipe"),
 ])
 def test_absurd_meshes_are_refused_before_they_are_opened(tmp_path: Path, name: str, content, words: str):
@@ -289,7 +288,7 @@ def test_absurd_meshes_are_refused_before_they_are_opened(tmp_path: Path, name: 
         path.write_bytes(content)
         if name == "faces.stl":
             os.truncate(path, 84 + 50 * 3_000_000)  # three million faces; the file has holes
-    with pytest.raises(RobotError, match=words) as caught:
+    with pytest.raises(FileReadError, match=words) as caught:
         make_robot(RobotConfig(kind="urdf", urdf=MESH_ARM.format(meshes=make_visual(path)), joints=1))
     assert str(path) in str(caught.value)
 
@@ -299,7 +298,7 @@ def test_many_meshes_are_too_large_together(tmp_path: Path):
     for path in paths:
         path.touch()
         os.truncate(path, LARGEST_MESHES // 2)
-    with pytest.raises(RobotError, match="together"):
+    with pytest.raises(FileReadError, match="together"):
         make_robot(RobotConfig(kind="urdf", urdf=MESH_ARM.format(meshes="".join(map(make_visual, paths))), joints=1))
     two = "".join(map(make_visual, paths[:2]))
     assert make_robot(RobotConfig(kind="urdf", urdf=MESH_ARM.format(meshes=two), joints=1)).joint_names == ("turn",)

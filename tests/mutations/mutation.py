@@ -16,9 +16,12 @@ __all__ = ["ROOT", "Mutation", "PackageCopy"]
 
 ROOT = Path(__file__).parents[2]
 """Folder of the project."""
-LIBRARIES = ("torch", "torchrl", "pybullet", "ompl", "pinocchio", "scipy.optimize", "scipy.stats", "gymnasium", "pytest",
-             "matplotlib.pyplot", "hypothesis", "jinja2", "rich.table", "viser", "PIL.Image")
+LIBRARIES = ("torch", "torchrl", "pybullet", "ompl", "pinocchio", "scipy.optimize", "scipy.stats", "gymnasium",
+             "pytest", "matplotlib.pyplot", "hypothesis", "jinja2", "rich.table", "viser", "PIL.Image")
 """Loaded once; each mutant's tests begin in a fork of the process that has them, and load the package themselves."""
+
+SEEN = (pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED)
+"""A test failed, or its module could not even be loaded."""
 
 
 class Mutation(NamedTuple):
@@ -87,9 +90,9 @@ class PackageCopy:
             process.kill()
             process.join()
             return True
-        if process.exitcode not in (pytest.ExitCode.OK, pytest.ExitCode.TESTS_FAILED):
+        if process.exitcode not in (pytest.ExitCode.OK, *SEEN):
             raise RuntimeError(f"the tests did not run:\n{(self._folder / 'output.txt').read_text()[-3000:]}")
-        return process.exitcode == pytest.ExitCode.TESTS_FAILED
+        return process.exitcode in SEEN
 
 
 def _run_pytest(folder: Path, tests: Sequence[str]) -> None:
@@ -103,4 +106,5 @@ def _run_pytest(folder: Path, tests: Sequence[str]) -> None:
     with open("output.txt", "wb") as output:
         os.dup2(output.fileno(), 1)
         os.dup2(output.fileno(), 2)
-    sys.exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-m", "not slow", *(f"tests/{test}" for test in tests)]))
+    places = [f"tests/{test}" for test in tests]
+    sys.exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-m", "not slow", *places]))

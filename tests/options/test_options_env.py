@@ -402,6 +402,17 @@ def test_interruptible_options_return_after_every_primitive_and_continue_when_ch
     assert env.step(6)[4]["option"]["ended"] == "reached"
 
 
+def test_an_option_that_runs_may_go_on_where_it_could_not_start():
+    class AtFirst(ScriptedOption):
+        def initiation(self, state):
+            return state.primitives == 0
+
+    env = OptionsEnv(make_env(), [AtFirst("once", [TURN_LEFT] * 3)], interruptible=True)
+    begin(env)
+    assert env.step(6)[4]["action_mask"][6] == 1
+    assert env.step(TURN_RIGHT)[4]["action_mask"][6] == 0, "dropped, and it cannot start again"
+
+
 def test_interruptible_max_duration_counts_over_steps():
     env = OptionsEnv(make_env(), [make_walk(10)], interruptible=True, max_duration=3)
     begin(env)

@@ -88,7 +88,8 @@ def test_a_host_that_was_rebound_to_this_machine_is_refused(server: Server, host
             open_socket(server, host=host)
 
 
-@pytest.mark.parametrize("query", ["", "?token=", "?token=guess", "?Token={token}", "?token={token}x"])
+@pytest.mark.parametrize("query", ["", "?token=", "?token=guess", "?Token={token}", "?token={token}x",
+                                   "?token={token:.8}"])
 def test_without_the_token_neither_page_nor_socket_opens(server: Server, query: str):
     query = query.format(token=server.guard.token)
     status, headers, body = fetch(server, f"/{query}")

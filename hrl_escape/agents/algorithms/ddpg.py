@@ -182,6 +182,7 @@ class DDPG(ReplayAgent):
         metrics: dict[str, float] = {}
         if self._steps > self.settings.warmup:
             metrics["loss"] = self._critic_learner.minimise(self.compute_critic_loss(batch))
+            metrics["gradient_norm"] = self._critic_learner.gradient_norm
             self.target_critic.blend(self.critic, self.settings.target_rate)
         if self._steps > self.settings.actor_warmup:
             metrics["actor_loss"] = self._actor_learner.minimise(self.compute_actor_loss(batch))

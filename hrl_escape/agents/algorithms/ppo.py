@@ -191,7 +191,8 @@ class PPO(Agent):
                 count += 1
         names = ("loss", "policy_loss", "value_loss", "entropy")
         mean_value = values.mean().item() / self.settings.reward_scale
-        return dict(zip(names, (totals / count).tolist(), strict=True)) | {"value": mean_value}
+        return dict(zip(names, (totals / count).tolist(), strict=True)) | {
+            "gradient_norm": self._learner.gradient_norm, "value": mean_value}
 
     def compute_loss(
         self,

@@ -118,7 +118,8 @@ class ActionValueAgent(ReplayAgent):
             self.target.blend(self.online, self.settings.target_rate)
         if self.settings.average_rate:
             self.average.blend(self.online, max(self.settings.average_rate, 1 / self._learner.updates))
-        return {"loss": value, "value": values.mean().item() / self.settings.reward_scale}
+        return {"loss": value, "gradient_norm": self._learner.gradient_norm,
+                "value": values.mean().item() / self.settings.reward_scale}
 
     def state_dict(self) -> StateTree:
         """Networks and optimiser beside the replay agent's state."""

@@ -268,6 +268,8 @@ def compute_td_loss(values: torch.Tensor, targets: torch.Tensor, kind: str) -> t
 
 WILD_LOSS = 1e6
 """Loss beyond which values have diverged: in scaled rewards, where losses are a few hundred at most."""
+WILD_GROWTH, GROWTH_EVERY = 100.0, 50
+"""Growth of the weights' norm beyond which steps are too long, and updates between two looks at it."""
 
 
 class Learner:
@@ -281,15 +283,17 @@ class Learner:
 
     Attributes:
         updates: steps made.
+        gradient_norm: Euclidean norm of the last step's gradient, before it was clipped.
     """
 
     def __init__(
         self, name: str, networks: Mapping[str, Network], trained: Iterable[str], settings: NetworkSettings
     ) -> None:
-        self.name, self.updates, self._is_wild = name, 0, False
+        self.name, self.updates, self.gradient_norm, self._is_wild = name, 0, 0.0, False
         self._networks = networks
         self._max_norm = settings.max_grad_norm
         self._trained = [networks[key] for key in trained]
+        self._first_norm = self._measure_weights()
         self._inputs = [parameter for network in self._trained for parameter in network.parameters()]
         vectors = [nn.Parameter(network.weights) for network in self._trained]
         for vector, network in zip(vectors, self._trained, strict=True):
@@ -310,20 +314,32 @@ class Learner:
         for network in self._trained:
             network.gradient.zero_()
         loss.backward(inputs=self._inputs)
-        norm = math.hypot(*(network.gradient.norm().item() for network in self._trained))
+        self.gradient_norm = norm = math.hypot(*(network.gradient.norm().item() for network in self._trained))
         if not math.isfinite(norm):
             raise DivergenceError(self.name, self.updates, loss=value, gradient_norm=norm)
-        if abs(value) > WILD_LOSS and not self._is_wild:
+        if not self._is_wild and (reason := self._find_divergence(value)) is not None:
             self._is_wild = True
-            warnings.warn(f"{self.name} diverges: its loss is {value:.3g} and the norm of its gradient {norm:.3g} "
-                          f"(update {self.updates}). Lower learning_rate, or reward_scale where rewards are large",
-                          stacklevel=2)
+            warnings.warn(f"{self.name} diverges: {reason}its loss is {value:.3g} and the norm of its gradient "
+                          f"{norm:.3g} (update {self.updates}). Lower learning_rate, or reward_scale where rewards are "
+                          "large", stacklevel=2)
         if self._max_norm and norm > self._max_norm:
             for network in self._trained:
                 network.gradient.mul_(self._max_norm / norm)
         self._optimiser.step()
         self.updates += 1
         return value
+
+    def _measure_weights(self) -> float:
+        return math.hypot(*(network.weights.norm().item() for network in self._trained))
+
+    def _find_divergence(self, loss: float) -> str | None:
+        """Reason to say that learning diverges, as the beginning of a sentence; None if there is none."""
+        if abs(loss) > WILD_LOSS:
+            return ""
+        if self.updates % GROWTH_EVERY or not self._first_norm:
+            return None
+        growth = self._measure_weights() / self._first_norm
+        return f"its weights have grown {growth:.0f} times since they were drawn, " if growth > WILD_GROWTH else None
 
     def state_dict(self) -> StateTree:
         """Weights, optimiser moments and the counter, as arrays."""

@@ -32,6 +32,7 @@ METRICS = {
     "train/success": "1 if it succeeded (info['is_success'] if given, else terminated), else 0",
     "train/end": "how it ended: terminated, truncated, or budget where the run's budget cut it",
     "train/loss": "mean loss of the updates in the episode",
+    "train/gradient_norm": "mean norm of the loss's gradient at the last update of a decision, before clipping",
     "train/actor_loss": "mean loss of ddpg's actor",
     "train/policy_loss": "ppo's clipped objective, negated",
     "train/value_loss": "ppo's half squared value error, in scaled rewards",

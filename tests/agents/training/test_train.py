@@ -304,6 +304,32 @@ def test_a_loss_that_is_nan_names_run_and_primitive_and_keeps_the_checkpoint(tmp
     assert caught.value.primitives > 0 and (tmp_path / "run" / "run.json").exists()
 
 
+@pytest.mark.parametrize("name", ["dqn", "sarsa", "ddpg", "ppo"])
+def test_a_learning_rate_that_diverges_is_told_with_loss_and_gradient(tmp_path, name):
+    settings = SMALL[name] | {"learning_rate": 10.0, "updates_per_step": 1.0}
+    if name == "ppo":
+        settings.pop("updates_per_step")
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            run(name, primitives=400, settings=settings, out=tmp_path, eval_episodes=0)
+            told = [str(warning.message) for warning in caught]
+        except DivergenceError as error:
+            told = [str(error)]
+    words = " ".join(told)
+    assert f"{name} diverges: its weights have grown" in words or f"of {name} is no longer" in words, words
+    assert "loss is" in words and "the norm of its gradient" in words and "Lower learning_rate" in words
+    rows = [json.loads(line) for line in (tmp_path / "log.jsonl").read_text().splitlines()]
+    assert any(row.get("train/gradient_norm", 0.0) > 0 for row in rows)
+
+
+@pytest.mark.parametrize("name", ["dqn", "sarsa", "ddpg", "ppo"])
+def test_an_ordinary_learning_rate_is_not_called_divergent(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        run(name, primitives=400, settings=SMALL[name], eval_episodes=0)
+
+
 def test_an_environment_that_offers_no_legal_action_is_named():
     with pytest.raises(StepContractError, match="at least one action must always be legal"):
         run(env=SmdpEnv([[[Outcome(1.0, 1, (-1.0,))]], [[]]]))
