@@ -12,7 +12,8 @@ import pytest
 
 from tests.mutations.mutation import ROOT, Mutation, PackageCopy
 
-PACKAGES = ("smdp_traps", "given", "env", "planning", "options", "agents", "ladder", "experiments", "viewer", "commands")
+PACKAGES = ("smdp_traps", "given", "env", "planning", "options", "agents", "ladder", "experiments", "viewer",
+            "commands")
 MUTATIONS: dict[str, list[Mutation]] = {
     package: [Mutation(*fields) for fields in import_module(f"tests.mutations.{package}").MUTATIONS]
     for package in PACKAGES}
