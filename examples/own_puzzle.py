@@ -1,4 +1,4 @@
-"""Your own puzzle: Lights Out on a wall. Pressing a light toggles it and its neighbours; all on opens the exit.
+"""Your own puzzle: Lights Out in a row. Pressing a light toggles it and its neighbours; all on opens the exit.
 
 A puzzle is a schematic part (`PuzzleConfig`), rules as pure functions of a hashable state (`Puzzle`), and a symbolic
 model from which options, planners and PDDL follow. Publish it under the entry-point group `hrl_escape.puzzles`.
@@ -21,10 +21,10 @@ from hrl_escape.settings import Range
 
 
 @dataclasses.dataclass(frozen=True)
-class LightsOutConfig(PuzzleConfig):
+class LightRowConfig(PuzzleConfig):
     """Schematic: how many lights."""
 
-    kind = "lights-out"
+    kind = "light-row"
     count: Annotated[int, Range(2, 12)] = 4
     """Number of lights, in a row."""
 
@@ -35,14 +35,14 @@ class LightsOutConfig(PuzzleConfig):
 
     def make_puzzle(self, rng):
         """The rules; nothing about them is random."""
-        return LightsOut(self.count)
+        return LightRow(self.count)
 
 
 @dataclasses.dataclass(frozen=True)
-class LightsOut(Puzzle):
+class LightRow(Puzzle):
     """The state is a tuple of bools, one a light; all are off at first."""
 
-    kind = "lights-out"
+    kind = "light-row"
     count: Annotated[int, Range(2, 12)] = 4
     """Number of lights."""
 
@@ -89,10 +89,10 @@ class LightsOut(Puzzle):
         return SymbolicModel(tuple(facts), tuple(operators), frozenset(facts))
 
 
-register_puzzle(LightsOutConfig, LightsOut)
+register_puzzle(LightRowConfig, LightRow)
 
 
-def main(count: int = 4, seed: int = 0, draw: Path = Path("lights-out.svg")) -> None:
+def main(count: int = 4, seed: int = 0, draw: Path = Path("light-row.svg")) -> None:
     """Check the puzzle, make a room with it, let the planner solve it, draw the way.
 
     Args:
@@ -100,8 +100,8 @@ def main(count: int = 4, seed: int = 0, draw: Path = Path("lights-out.svg")) -> 
         seed: instance seed.
         draw: picture to write.
     """
-    check_puzzle(LightsOut(count))
-    schematic = RoomConfig(name="lights-out", puzzle=LightsOutConfig(count), robot=RobotConfig(body_radius=0.5),
+    check_puzzle(LightRow(count))
+    schematic = RoomConfig(name="light-row", puzzle=LightRowConfig(count), robot=RobotConfig(body_radius=0.5),
                            room=ShapeConfig(width=12, depth=12))
     room = generate(schematic, seed)
     plan = RoomPlanner(room).solve(Kinematics(room).make_state(room.starts[0]))

@@ -1,4 +1,4 @@
-"""List names: presets, environments, puzzles, observations, cameras, primitives, agents, hierarchical, comparisons.
+"""List names: presets, environments, puzzles, observations, cameras, primitives, agents, comparisons.
 
 Examples:
     hrl-escape list

@@ -97,7 +97,7 @@ class Scanner:
     def _tabulate(self, ray_x: NDArray[np.float64], ray_y: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
         """Directions, and for each box the metres of ray per metre along its axes and across its half size."""
         along = self._axes[0][:, :, None] * ray_x + self._axes[1][:, :, None] * ray_y  # (axis, boxes, rays)
-        per_metre = 1.0 / np.where(along == 0.0, _TINY, along)
+        per_metre = 1.0 / np.where(np.abs(along) < _TINY, _TINY, along)
         return per_metre, self._half * np.abs(per_metre), ray_x, ray_y
 
     def _meet(self, x: float, y: float, table: tuple[NDArray[np.float64], ...]) -> NDArray[np.float64]:

@@ -277,5 +277,5 @@ def test_what_a_killed_writer_left_is_cleared(whole, tmp_path):
     shutil.copytree(whole, tmp_path / "run")
     (tmp_path / "run" / ".writing-abc").write_bytes(b"half")
     run(tmp_path / "run")
-    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == ["checkpoint.npz", "lock", "log.jsonl",
-                                                                          "result.json", "run.json"]
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
+        "best.npz", "checkpoint.npz", "lock", "log.jsonl", "result.json", "run.json"]
