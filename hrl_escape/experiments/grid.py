@@ -234,6 +234,18 @@ class Grid(Settings):
         return tuple(RunPlace.of_split(parse_room_set(train), parse_room_set(test))
                      for train, test in zip(self.train_rooms, tests, strict=True))
 
+    def _check_transfer(self, resolved: Sequence[Mapping[str, Any]]) -> None:
+        """Require that agents can act in rooms of another schematic than they train in."""
+        if self.observation != "objects":
+            raise GridError(f"grid {self.name!r}: rooms of different schematics have no observation in common but "
+                            f"objects; set observation to objects, not {self.observation}")
+        for agent, settings in zip(self.agents, resolved, strict=True):
+            if agent.learns and settings.get("network") != "objects":
+                cure = (f"set network to objects, in short {agent.label}+objects" if "network" in settings else
+                        "take one with a setting network, such as dqn+objects or ppo+objects")
+                raise GridError(f"{agent.label} cannot act in rooms of another schematic than it trains in: what it "
+                                f"learns is tied to the number of objects; {cure}")
+
     @property
     def evaluation_step(self) -> int:
         """Primitives between evaluations."""
@@ -264,6 +276,8 @@ class Grid(Settings):
         names = [f"{name}-{place.id[:6]}" if names.count(name) > 1 else name
                  for name, place in zip(names, places, strict=True)]
         resolved = [agent.resolve_settings() for agent in self.agents]
+        if any(place.split is not None and place.split.is_transfer for place in places):
+            self._check_transfer(resolved)
         runs = [
             GridRun(self, number, resolved[number], place.id, room, seed)
             for seed in range(self.first_seed, self.first_seed + self.runs)

@@ -30,7 +30,7 @@ __all__ = ["RunPlace", "RoomSchedule", "RoomSpec", "Split"]
 
 @dataclasses.dataclass(frozen=True)
 class Split:
-    """Rooms of one schematic to train in, and rooms to be tested in.
+    """Rooms to train in, and rooms to be tested in, of the same schematic or of another.
 
     Attributes:
         train: rooms to train in.
@@ -41,9 +41,16 @@ class Split:
     test: InstanceSet
 
     def __post_init__(self) -> None:
-        if self.train.config != self.test.config:
-            raise GridError(f"{self.train.name} and {self.test.name} have different schematics, so that what is "
-                            "trained in one cannot act in the other: take sets of one rung")
+        joints = self.train.config.robot.joints, self.test.config.robot.joints
+        if joints[0] != joints[1]:
+            raise GridError(f"the robot of {self.train.name} has {joints[0]} joints and that of {self.test.name} "
+                            f"{joints[1]}, so that what is trained in one cannot act in the other: take sets of rooms "
+                            "with the same robot.joints")
+
+    @property
+    def is_transfer(self) -> bool:
+        """Rooms to be tested in have another schematic than those to train in."""
+        return self.train.config != self.test.config
 
     @cached_property
     def id(self) -> str:
@@ -54,7 +61,8 @@ class Split:
     @property
     def room_overlap(self) -> float:
         """Share of the rooms to be tested in that are trained in too."""
-        return len(set(self.test.seeds) & set(self.train.seeds)) / len(self.test)
+        shared = set() if self.is_transfer else set(self.test.seeds) & set(self.train.seeds)
+        return len(shared) / len(self.test)
 
     @cached_property
     def task_overlap(self) -> float:

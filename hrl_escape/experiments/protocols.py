@@ -16,10 +16,11 @@ from hrl_escape.experiments.summary import AgentSummary, Summary
 from hrl_escape.ladder.benchmark import Benchmark
 
 __all__ = ["LadderSettings", "Protocol", "RungStanding", "find_miscalibration", "judge", "list_standings",
-           "make_protocol_grid"]
+           "make_protocol_grid", "name_protocol"]
 
-Protocol: TypeAlias = Literal["per-instance", "generalise"]
-"""`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others."""
+Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer"]
+"""`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others of the
+same rung. `transfer`: learn in training rooms of one rung, be tested in rooms of another."""
 
 BUDGETS = {"doormat": 20_000, "pair": 20_000, "chain": 20_000, "house": 500_000}
 """Primitives of a run, by rung."""
@@ -40,9 +41,10 @@ class LadderSettings(NamedTuple):
         runs: training seeds in each room or set.
         primitives: training budget of a run.
         rooms: rooms of the test set: to learn in one by one, or to be tested in.
-        train_sizes: with `generalise`: numbers of training rooms, each a set of its own.
+        train_sizes: with `generalise` and `transfer`: numbers of training rooms, each a set of its own.
         eval_episodes: episodes in an evaluation.
         observation: of every agent.
+        source: with `transfer`: rung to train on.
     """
 
     runs: int = 10
@@ -51,6 +53,18 @@ class LadderSettings(NamedTuple):
     train_sizes: tuple[int, ...] = (64,)
     eval_episodes: int | None = None
     observation: str = "objects"
+    source: str | None = None
+
+
+def name_protocol(protocol: Protocol, source: str | None) -> str:
+    """Name of a protocol's folder, such as `generalise` or `transfer-from-chain`.
+
+    Raises:
+        ConfigError: `transfer` without a rung to train on, or another protocol with one.
+    """
+    if (protocol == "transfer") != (source is not None):
+        raise ConfigError("from", source, "the rung to train on with the protocol transfer, and with no other")
+    return protocol if source is None else f"{protocol}-from-{source}"
 
 
 def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: Sequence[AgentSpec],
@@ -60,20 +74,23 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
     Args:
         bench: the benchmark.
         rung: name of the rung.
-        protocol: `per-instance` or `generalise`.
+        protocol: see `Protocol`.
         agents: to be compared.
         settings: numbers to change.
 
     Raises:
         UnknownNameError: no such rung.
-        ConfigError: more rooms than the rung has.
+        ConfigError: more rooms than the rung has, or a rung to train on that does not go with the protocol.
     """
-    record = bench[rung].record
+    label = name_protocol(protocol, settings.source)
+    record, source = bench[rung].record, settings.source or rung
+    if settings.source == rung:
+        raise ConfigError("from", rung, f"another rung than {rung}; the protocol generalise trains and tests on one")
     name, test = f"{bench.name}/{rung}", record.test.count
     count = settings.rooms or (min(10, test) if protocol == "per-instance" else test)
     if not 1 <= count <= test:
         raise ConfigError("rooms", count, f"from 1 to {test}, the rooms of {name}/test")
-    primitives = settings.primitives or BUDGETS.get(rung, BUDGET)
+    primitives = settings.primitives or BUDGETS.get(source, BUDGET)
     if protocol == "per-instance":
         return Grid(
             name=f"{bench.name}-{rung}-per-instance", description=f"Each of {count} rooms of {name} from nothing.",
@@ -81,12 +98,14 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
             runs=settings.runs, primitives=primitives, eval_episodes=settings.eval_episodes or 20,
             observation=settings.observation,
         )
+    train, most = f"{bench.name}/{source}", bench[source].record.train.count
     for size in settings.train_sizes:
-        if not 1 <= size <= record.train.count:
-            raise ConfigError("train_sizes", size, f"from 1 to {record.train.count}, the rooms of {name}/train")
+        if not 1 <= size <= most:
+            raise ConfigError("train_sizes", size, f"from 1 to {most}, the rooms of {train}/train")
+    tested = f"{count} others" if source == rung else f"{count} of {name}, without learning there"
     return Grid(
-        name=f"{bench.name}-{rung}-generalise", description=f"Trained in rooms of {name}, tested in {count} others.",
-        agents=tuple(agents), train_rooms=tuple(f"{name}/train[:{size}]" for size in settings.train_sizes),
+        name=f"{bench.name}-{rung}-{label}", description=f"Trained in rooms of {train}, tested in {tested}.",
+        agents=tuple(agents), train_rooms=tuple(f"{train}/train[:{size}]" for size in settings.train_sizes),
         test_rooms=(f"{name}/test[:{count}]",), runs=settings.runs, primitives=primitives,
         eval_every=max(1, primitives // 5), eval_episodes=settings.eval_episodes or count,
         observation=settings.observation,

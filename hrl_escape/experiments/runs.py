@@ -25,12 +25,13 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.experiments.episodes import StateRecorder, record_episode
 from hrl_escape.experiments.grid import AgentSpec, GridRun
-from hrl_escape.experiments.places import RoomSchedule, RunPlace
+from hrl_escape.experiments.places import RoomSchedule, RunPlace, Split
 from hrl_escape.experiments.references import make_reference
 from hrl_escape.experiments.score_range import ScoreRange, compute_score_range
 from hrl_escape.experiments.solved_probe import Solution, SolvedProbe
 from hrl_escape.experiments.statistics import compute_efficiency, compute_final
 from hrl_escape.files import read_json, write_json
+from hrl_escape.ladder.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.settings import read_record
 from hrl_escape.synthesis.kinds import find_kind
@@ -120,7 +121,8 @@ class RunResult:
 
 
 def make_env(agent: AgentSpec, rooms: RoomInstance | InstanceSet, observation: str,
-             schedule: Mapping[str, int] | None = None) -> tuple[gymnasium.Env, StateRecorder]:
+             schedule: Mapping[str, int] | None = None, common: CommonSpaces | None = None
+             ) -> tuple[gymnasium.Env, StateRecorder]:
     """The environment an agent acts in, and the recorder inside it.
 
     Args:
@@ -128,6 +130,7 @@ def make_env(agent: AgentSpec, rooms: RoomInstance | InstanceSet, observation: s
         rooms: one room, or a set of which every episode draws one.
         observation: by name.
         schedule: rooms of a set by the episode's seed; see `RoomSchedule`.
+        common: spaces to show it in, together with rooms of another schematic.
     """
     import hrl_escape  # noqa: F401  # registers the environment
 
@@ -141,15 +144,30 @@ def make_env(agent: AgentSpec, rooms: RoomInstance | InstanceSet, observation: s
         from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
 
         return HierarchyEnv(recorder, find_kind(agent.name), agent.leaves), recorder
-    if not agent.chooses_options:
-        return recorder, recorder
+    env = _add_options(agent, recorder) if agent.chooses_options else recorder
+    return (env if common is None else CommonSpacesEnv(env, *common)), recorder
+
+
+def _add_options(agent: AgentSpec, recorder: StateRecorder) -> gymnasium.Env:
     from hrl_escape.options.memory import DecisionMemory
     from hrl_escape.options.options_env import OptionsEnv  # brings the planners in
 
     arguments = agent.options.to_dict()
     has_memory = arguments.pop("memory")
     env = OptionsEnv(recorder, trace=agent.needs_trace, **arguments)
-    return (DecisionMemory(env) if has_memory else env), recorder
+    return DecisionMemory(env) if has_memory else env
+
+
+def _find_common_spaces(agent: AgentSpec, split: Split, observation: str) -> CommonSpaces | None:
+    """Spaces of rooms to train in and to be tested in together; None where they are the same already."""
+    if agent.is_reference or not split.is_transfer:
+        return None
+    envs = [make_env(agent, rooms, observation)[0] for rooms in (split.train, split.test)]
+    try:
+        return join_spaces(envs)
+    finally:
+        for env in envs:
+            env.close()
 
 
 def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
@@ -164,7 +182,9 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
     agent, grid = run.agent, run.grid
     seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(grid.eval_episodes)]
     order = None if place.split is None else {str(seed): n % len(place.split.test) for n, seed in enumerate(seeds)}
-    env, recorder = make_env(agent, place.split.test if place.split else place.instance, grid.observation, order)
+    common = _find_common_spaces(agent, place.split, grid.observation) if place.split else None
+    rooms = place.split.test if place.split else place.instance
+    env, recorder = make_env(agent, rooms, grid.observation, order, common)
     try:
         score_range = compute_score_range(_find_starts(env, recorder, seeds), agent, out / "references")
         if agent.is_reference:
@@ -174,7 +194,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
         elif place.split is None:
             player, value = _train(run, out, env, env, place, score_range, checkpoint_seconds)
         else:
-            player, value = _train_in_set(run, out, env, place, score_range, checkpoint_seconds)
+            player, value = _train_in_set(run, out, env, place, common, score_range, checkpoint_seconds)
         drawn = seeds if order is None else [seed for seed in seeds if order[str(seed)] == 0]  # of the room in pictures
         episodes = [record_episode(player, env, recorder, seed) for seed in drawn]
     finally:
@@ -183,14 +203,14 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
     write_json(folder / "run_result.json", {"identity": run.identity, "result": dataclasses.asdict(value)}, indent=None)
 
 
-def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPlace, score_range: ScoreRange,
-                  checkpoint_seconds: float) -> tuple[Agent, RunResult]:
+def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPlace, common: CommonSpaces | None,
+                  score_range: ScoreRange, checkpoint_seconds: float) -> tuple[Agent, RunResult]:
     """Train in one set of rooms, with evaluations in another, and evaluate in rooms of the first at the end."""
     assert place.split is not None
     seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(run.grid.eval_episodes)]
     order = {str(seed): n % len(place.split.train) for n, seed in enumerate(seeds)}
-    env, recorder = make_env(run.agent, place.split.train, run.grid.observation)
-    again, again_recorder = make_env(run.agent, place.split.train, run.grid.observation, order)
+    env, recorder = make_env(run.agent, place.split.train, run.grid.observation, common=common)
+    again, again_recorder = make_env(run.agent, place.split.train, run.grid.observation, order, common)
     try:
         agent, value = _train(run, out, env, eval_env, place, score_range, checkpoint_seconds)
         seen_range = compute_score_range(_find_starts(again, again_recorder, seeds), run.agent, out / "references")

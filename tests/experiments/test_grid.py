@@ -164,11 +164,11 @@ def test_rooms_of_one_name_are_told_apart():
 
 
 def test_another_version_of_a_library_is_another_run(monkeypatch):
-    instances = [room.make_instance() for room in SMALL.rooms]
-    before = SMALL.make_runs(instances)[0].key
-    assert SMALL.make_runs(instances)[0].key == before
+    places = SMALL.make_places()
+    before = SMALL.make_runs(places)[0].key
+    assert SMALL.make_runs(places)[0].key == before
     monkeypatch.setattr("hrl_escape.experiments.grid.find_versions", lambda: {"torch": "99"})
-    assert SMALL.make_runs(instances)[0].key != before
+    assert SMALL.make_runs(places)[0].key != before
 
 
 # --- hierarchies that are synthesised ----------------------------------------------------------
@@ -190,5 +190,5 @@ def test_an_agent_with_a_synthesised_hierarchy_is_short_text_and_its_privileges_
 
 def test_leaves_tell_runs_apart_and_change_no_key_of_others():
     grid = Grid(agents=tuple(map(AgentSpec.parse, ("maxq-q", "maxq-q+planned", "maxq-q+learned"))), runs=1)
-    flat, planned, learned = (run.identity for run in grid.make_runs([grid.rooms[0].make_instance()]))
+    flat, planned, learned = (run.identity for run in make_runs(grid))
     assert "leaves" not in flat and (planned["leaves"], learned["leaves"]) == ("planned", "learned")

@@ -102,10 +102,16 @@ def test_sets_that_do_not_go_together_are_refused(fields, words):
         Grid.from_dict(json.loads(json.dumps(fields)))
 
 
-def test_sets_of_different_schematics_are_refused():
-    grid = Grid(train_rooms=("clutter#0..1",), test_rooms=("four-button-chain#0..1",))
-    with pytest.raises(GridError, match="different schematics"):
-        grid.make_places()
+@pytest.mark.parametrize(("test", "fields", "words"), [
+    ("four-button-chain#0..1", {}, "set observation to objects, not features"),
+    ("four-button-chain#0..1", {"observation": "objects"}, r"set network to objects, in short dqn\+objects"),
+    ("four-button-chain#0", {"observation": "objects", "agents": (AgentSpec("q-learning"),)}, r"such as dqn\+objects"),
+    ("ladder-1/reach/test[0]", {"observation": "objects"}, "has 0 joints and that of .* 3"),
+])
+def test_sets_of_different_schematics_ask_for_what_both_can_show(test, fields, words):
+    grid = Grid(train_rooms=("paper-two-button#0..1",), test_rooms=(test,), **{"agents": (AgentSpec("dqn"),), **fields})
+    with pytest.raises(GridError, match=words):
+        grid.make_runs(grid.make_places())
 
 
 def test_traits_of_agents_are_read_from_short_texts():

@@ -36,6 +36,26 @@ def test_generalise_trains_in_sets_of_training_rooms_and_is_tested_once_in_every
     assert all(place.split.room_overlap == 0 for place in places)
 
 
+def test_transfer_trains_on_one_rung_and_is_tested_on_another():
+    agents = (AgentSpec.parse("smdp-dqn+objects"), AgentSpec("planner"))
+    settings = LadderSettings(source="chain", rooms=5, train_sizes=(16,))
+    grid = make_protocol_grid(BENCH, "lattice-5", "transfer", agents, settings)
+    (place,) = grid.make_places()
+    assert place.split.train.config == BENCH["chain"].config and len(place.split.train) == 16
+    assert list(place.split.test.seeds) == list(BENCH["lattice-5"].test.seeds[:5]) and place.split.is_transfer
+    assert grid.primitives == 20_000, "the budget of chain"
+    assert place.split.room_overlap == 0
+
+
+@pytest.mark.parametrize(("protocol", "source", "words"), [
+    ("transfer", None, "the rung to train on"), ("generalise", "chain", "with no other"),
+    ("transfer", "pair", "another rung than pair"),
+])
+def test_a_rung_to_train_on_goes_with_transfer_and_nothing_else(protocol, source, words):
+    with pytest.raises(ConfigError, match=words):
+        make_protocol_grid(BENCH, "pair", protocol, AGENTS, LadderSettings(source=source))
+
+
 @pytest.mark.parametrize(("rung", "changes", "error", "words"), [
     ("latice", {}, UnknownNameError, "did you mean 'lattice'"),
     ("pair", {"rooms": 65}, ConfigError, "from 1 to 64"),

@@ -5,6 +5,7 @@ A rung is passed where the lower end of the escapes' 95 % interval is 0.9 or mor
 Examples:
     hrl-escape ladder report
     hrl-escape ladder report runs/ladder --protocol generalise --json
+    hrl-escape ladder report runs/ladder --protocol transfer --from chain
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from rich.table import Table
 
 from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.comparison import read_comparison
-from hrl_escape.experiments.protocols import Protocol, RungStanding, list_standings
+from hrl_escape.experiments.protocols import Protocol, RungStanding, list_standings, name_protocol
 from hrl_escape.experiments.summary import summarise
 from hrl_escape.ladder.benchmark import load_benchmark
 
@@ -33,6 +34,8 @@ class ReportArgs:
     """Folder given to `hrl-escape ladder run --out`."""
     protocol: Protocol = "per-instance"
     """Protocol to sum up."""
+    source: Annotated[str | None, tyro.conf.arg(name="from")] = None
+    """Rung that was trained on, with transfer."""
     benchmark: str = "ladder-1"
     """Benchmark that comes with the package, or a manifest file."""
     json: bool = False
@@ -42,10 +45,11 @@ class ReportArgs:
 def run(args: ReportArgs) -> None:
     """Print a table with a row an agent and rung, and the highest rung that each agent passed."""
     rungs = [rung.name for rung in load_benchmark(args.benchmark)]
-    folders = {rung: args.folder / args.protocol / rung for rung in rungs}
+    base = args.folder / name_protocol(args.protocol, args.source)
+    folders = {rung: base / rung for rung in rungs}
     found = {rung: folder for rung, folder in folders.items() if (folder / "grid.json").exists()}
     if not found:
-        raise FileReadError(f"{args.folder / args.protocol}: no rung was run here; see hrl-escape ladder run --help")
+        raise FileReadError(f"{base}: no rung was run here; see hrl-escape ladder run --help")
     standings = [standing for rung, folder in found.items()
                  for standing in list_standings(rung, summarise(read_comparison(folder)))]
     highest = {standing.agent.label: "none" for standing in standings}

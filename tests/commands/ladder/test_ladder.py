@@ -4,6 +4,7 @@ import json
 
 from hrl_escape.cli import main
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.experiments.comparison import read_comparison
 from hrl_escape.ladder.benchmark import load_benchmark
 from tests.ladder.small import make_config, make_manifest
 
@@ -70,6 +71,24 @@ def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
     assert planner["efficiency"]["value"] == 1.0 and planner["escapes"][0] == 1.0 and not planner["passed"]
     code, _, err = call(capsys, "report", str(tmp_path), "--protocol", "per-instance")
     assert code == 2 and "no rung was run here" in err
+
+
+def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
+    options = ["--from", "doormat", "--protocol", "transfer"]
+    budget = ["--rung", "pair", "--rooms", "2", "--train-sizes", "2", "--runs", "1", "--primitives", "60",
+              "--workers", "1", "--out", str(tmp_path)]
+    agents = ["smdp-dqn+objects+memory+no-primitives", "planner"]
+    code, out, err = call(capsys, "run", *agents, *options, *budget)
+    assert code == 0 and "pair: 2 runs finished, 0 failed" in out, err
+    code, out, _ = call(capsys, "report", str(tmp_path), *options, "--json")
+    rows = {row["agent"]: row for row in json.loads(out)["rungs"]}
+    assert rows["planner"]["efficiency"]["value"] == 1.0 and rows["planner"]["seen"] is None
+    assert rows[agents[0]]["rung"] == "pair" and rows[agents[0]]["seen"] is not None
+    (place,) = read_comparison(tmp_path / "transfer-from-doormat" / "pair").places
+    assert {len(room.targets) for room in place.split.train} == {1}
+    assert {len(room.targets) for room in place.split.test} == {2}
+    code, _, err = call(capsys, "run", "smdp-dqn", *options, *budget)
+    assert code == 2 and "smdp-dqn+objects" in err and err.count("\n") == 1
 
 
 def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
