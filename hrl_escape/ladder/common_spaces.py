@@ -21,7 +21,7 @@ from hrl_escape.spaces import ObjectsBox, PointingDiscrete
 
 __all__ = ["CommonSpaces", "CommonSpacesEnv", "join_spaces"]
 
-Place = tuple["str | None", int]
+_Slot = tuple["str | None", int]
 """An action: the object that it is about, and its number among the actions about that object."""
 
 
@@ -68,7 +68,7 @@ def _get_rows(env: gymnasium.Env) -> ObjectsBox:
     return env.observation_space
 
 
-def _list_places(about: Sequence[str | None]) -> tuple[Place, ...]:
+def _list_places(about: Sequence[str | None]) -> tuple[_Slot, ...]:
     seen: Counter[str | None] = Counter()
     places = []
     for name in about:
