@@ -118,40 +118,41 @@ def _make_primitive_view(rooms: Situations, primitive: int, planned: bool) -> Vi
 def _make_program(rooms: Situations, planned: bool) -> Machine:
     """Choose an operator that may be applied, or the open exit; touch its target until it has worked."""
     primitives = range(len(make_action_table(rooms.instance.robot.joints)))
-    targets = [rooms.target_names.index(operator.target) for operator in rooms.operators]
+    operators = {operator.name: operator for operator in rooms.operators}
+    goals = {EXIT: rooms.get_goal(None)} | {name: rooms.get_goal(i) for i, name in enumerate(rooms.target_names)}
 
     @machine
-    def step(seen: Callable[[], Seen], target: int | None) -> Any:
+    def step(seen: Callable[[], Seen], target: str) -> Any:
         if planned:
-            plan = rooms.plan(seen(), rooms.get_goal(target))
+            plan = rooms.plan(seen(), goals[target])
             yield do(plan[0] if plan else BASE_ACTIONS.wait)
         else:
             yield do((yield choose(primitives)))
 
     @machine
-    def touch(seen: Callable[[], Seen], target: int) -> Any:
-        while rooms.is_touching(seen(), target):
+    def touch(seen: Callable[[], Seen], target: str) -> Any:
+        number = rooms.target_names.index(target)
+        while rooms.is_touching(seen(), number):
             yield from step(target)
-        while not rooms.is_touching(seen(), target):
+        while not rooms.is_touching(seen(), number):
             yield from step(target)
 
     @machine
-    def apply(seen: Callable[[], Seen], number: int) -> Any:
-        while rooms.operators[number].is_applicable(seen().state.facts):
-            yield from touch(targets[number])
+    def apply(seen: Callable[[], Seen], name: str) -> Any:
+        while operators[name].is_applicable(seen().state.facts):
+            yield from touch(operators[name].target)
 
     @machine
     def leave_room(seen: Callable[[], Seen]) -> Any:
         while seen().state.is_open:
-            yield from step(None)
+            yield from step(EXIT)
 
     @machine
     def escape(seen: Callable[[], Seen]) -> Any:
         while True:
             here = seen().state
-            open_tasks = [number for number, operator in enumerate(rooms.operators)
-                          if operator.is_applicable(here.facts)]
-            chosen = yield choose([*open_tasks, *([-1] if here.is_open else [])])
-            yield from leave_room() if chosen < 0 else apply(chosen)
+            open_tasks = [name for name, operator in operators.items() if operator.is_applicable(here.facts)]
+            chosen = yield choose([*open_tasks, *([EXIT] if here.is_open else [])])
+            yield from leave_room() if chosen == EXIT else apply(chosen)
 
     return escape

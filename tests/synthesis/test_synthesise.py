@@ -39,6 +39,15 @@ def test_with_planned_leaves_an_agent_is_near_the_best_known_after_a_few_episode
     assert result.evaluations[-1].mean_return >= best - 0.1 * (best + 1000), "within a tenth of the whole range"
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_where_presses_can_be_undone_planned_leaves_learn_to_leave_them(kind):
+    """Bits can be cleared as well as set, so that there is an order to learn, and ways to go round for ever."""
+    env = make_env("bit-flip", kind)
+    result = train(AGENTS[kind], env, seed=1, primitives=3_000, eval_episodes=1, eval_every=3_000, progress=False)
+    best = best_known_return(env.unwrapped.instance)
+    assert best - 10 <= result.evaluations[-1].mean_return <= best
+
+
 @pytest.mark.parametrize("leaves", LEAVES)
 @pytest.mark.parametrize("abstract", [True, False])
 def test_a_synthesised_task_graph_keeps_every_promise(leaves, abstract):

@@ -22,7 +22,7 @@ from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import freeze
 from hrl_escape.errors import StepContractError
 
-__all__ = ["Choose", "Do", "Input", "Machine", "MachineRun", "choose", "do", "machine"]
+__all__ = ["Choose", "Do", "Input", "Machine", "MachineCall", "MachineRun", "choose", "do", "machine"]
 
 
 class Choose(NamedTuple):
@@ -40,6 +40,22 @@ class Do(NamedTuple):
 
 class _Look(NamedTuple):
     """A machine asks for `seen`."""
+
+
+class MachineCall(NamedTuple):
+    """A running machine.
+
+    Attributes:
+        name: of the machine.
+        line: where it waits, counted from its own first.
+        arguments: what it was called with.
+        primitives: done since it was called.
+    """
+
+    name: str
+    line: int
+    arguments: tuple[Any, ...]
+    primitives: int
 
 
 Program = Generator[Any, Any, Any]
@@ -87,6 +103,10 @@ class MachineRun:
         self.inputs: list[Input] = []
         self.request: Choose | Do | None = None
         self._program = root()
+        self._primitives = -1
+        """Done so far; the first moment comes before any."""
+        self._running: list[tuple[Any, int]] = []
+        """Running machines, the outermost first, and the primitives done when each was called."""
         for each in inputs:
             self.tell(each)
 
@@ -99,7 +119,7 @@ class MachineRun:
         """
         answer: Any = None
         if isinstance(told, Seen):
-            self.seen = told
+            self.seen, self._primitives = told, self._primitives + 1
         else:
             assert isinstance(self.request, Choose)
             answer = self.request.things[told]
@@ -113,18 +133,34 @@ class MachineRun:
         if not isinstance(request, (Choose, Do)):
             raise StepContractError(f"a machine yielded {request!r}; it must yield choose(things) or do(primitive)")
         self.request = request
+        self._note_calls()
         if isinstance(request, Choose) and not request.things:
             raise StepContractError(f"a machine has nothing to choose at {self.read_state()}")
 
-    def read_state(self) -> Hashable:
-        """The machine state: (name, line, arguments) of every running machine, the outermost first, and the label."""
-        stack = []
+    def _note_calls(self) -> None:
+        """Keep what runs still, and note what was called since."""
+        programs = []
         program: Any = self._program
         while program is not None:
-            frame = program.gi_frame
-            if frame is not None and frame.f_code.co_filename != __file__:  # not the decorator's own
-                code = frame.f_code
-                arguments = tuple(freeze(frame.f_locals[name]) for name in code.co_varnames[1 : code.co_argcount])
-                stack.append((code.co_name, frame.f_lineno - code.co_firstlineno, arguments))
+            if program.gi_code.co_filename != __file__:  # not the decorator's own
+                programs.append(program)
             program = program.gi_yieldfrom
-        return (*stack, self.request.label if isinstance(self.request, Choose) else "")
+        kept = 0
+        while kept < min(len(programs), len(self._running)) and programs[kept] is self._running[kept][0]:
+            kept += 1
+        self._running[kept:] = [(each, self._primitives) for each in programs[kept:]]
+
+    def list_calls(self) -> tuple[MachineCall, ...]:
+        """Running machines, the outermost first."""
+        calls = []
+        for program, began in self._running:
+            frame, code = program.gi_frame, program.gi_code
+            arguments = tuple(freeze(frame.f_locals[name]) for name in code.co_varnames[1 : code.co_argcount])
+            calls.append(MachineCall(code.co_name, frame.f_lineno - code.co_firstlineno, arguments,
+                                     self._primitives - began))  # fmt: skip
+        return tuple(calls)
+
+    def read_state(self) -> Hashable:
+        """The machine state: (name, line, arguments) of every running machine, the outermost first, and the label."""
+        label = self.request.label if isinstance(self.request, Choose) else ""
+        return (*(call[:3] for call in self.list_calls()), label)

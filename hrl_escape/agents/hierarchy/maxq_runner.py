@@ -43,8 +43,12 @@ class MaxqSettings(StackSettings, TabularSettings, ExplorationSettings):
 class MaxqRunner(CallRunner):
     """Runs a task graph and splits each outcome into what a primitive earned and what completes its callers.
 
+    A task whose policy is given has nothing to choose, so it has no completions: like a primitive it is worth what
+    its calls earned, learned from every state on the way. A call that was cut bootstraps.
+
     Attributes:
         primitive: V(a, s) of the primitives.
+        walk: V(i, s) of the tasks whose policy is given.
     """
 
     settings: MaxqSettings
@@ -54,12 +58,12 @@ class MaxqRunner(CallRunner):
     ) -> None:
         super().__init__(hierarchy, seed, settings)
         self._primitive_views = get_graph(hierarchy, name).primitive_views
-        self.primitive = self.make_table()
+        self.primitive, self.walk = self.make_table(), self.make_table()
         self._discretise = _make_discretiser(name, observation_space, settings, hierarchy)
         self._action_rng = make_rng(seed, "actions")
         self._steps = 0
-        self._way: list[tuple[Seen, int]] = []
-        """Moments of the running root call and how long each one's primitive took."""
+        self._way: list[tuple[Seen, int, float]] = []
+        """Moments of the running root call; how long each one's primitive took, and what it earned."""
 
     # --- what learners say ------------------------------------------------------------
 
@@ -69,15 +73,15 @@ class MaxqRunner(CallRunner):
 
     @abstractmethod
     def compute_task_value(self, task: GraphTask, seen: Seen) -> float:
-        """V(i, s) of a task."""
+        """V(i, s) of a task that chooses."""
 
     @abstractmethod
     def complete(self, returned: Return, task: GraphTask, way: list[tuple[Seen, int]]) -> float:
         """Learn the completion of a choice; `way` holds (moment, primitives from it to the end)."""
 
     @abstractmethod
-    def list_tables(self) -> Mapping[str, ValueTable]:
-        """Tables by name, for the checkpoint."""
+    def list_completions(self) -> Mapping[str, ValueTable]:
+        """Tables of completions by name, for the checkpoint."""
 
     # --- parts ------------------------------------------------------------------------
 
@@ -93,6 +97,9 @@ class MaxqRunner(CallRunner):
     def _make_primitive_key(self, primitive: int, seen: Seen) -> Hashable:
         return primitive, self._show(self._primitive_views.get(primitive), seen)
 
+    def _make_walk_key(self, task: GraphTask, seen: Seen) -> Hashable:
+        return task.name, self._show(task.views.get(None), seen)
+
     def _show(self, view: View | None, seen: Seen) -> Hashable:
         if view is not None:
             return freeze(view(seen))
@@ -100,15 +107,19 @@ class MaxqRunner(CallRunner):
         return self._discretise(seen.observation)
 
     def compute_value(self, child: GraphTask | int, seen: Seen) -> float:
-        """V(c, s) of a child: the table for a primitive, the graph below for a task."""
+        """V(c, s) of a child: a table for a primitive or a given policy, the graph below for a task that chooses."""
         if isinstance(child, int):
             return self.primitive.get(self._make_primitive_key(child, seen))
+        if child.policy is not None:
+            return self.walk.get(self._make_walk_key(child, seen))
         return self.compute_task_value(child, seen)
 
     # --- the agent --------------------------------------------------------------------
 
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
         """Explore by what the task chooses by."""
+        if _get_task(stack).policy is not None:
+            return int(legal.argmax())
         values = self.compute_choice_values(_get_task(stack), seen)
         return sample_action(values, legal, self.settings, self._steps, self._action_rng)
 
@@ -116,17 +127,21 @@ class MaxqRunner(CallRunner):
         self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
     ) -> int:
         """The best choice, the first among equals."""
+        if _get_task(stack).policy is not None:
+            return int(legal.argmax())
         return choose_best(self.compute_choice_values(_get_task(stack), seen), legal)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Learn the primitive's value, then the completions of the choices that came back, the innermost first."""
-        self._way.append((step.seen, step.duration))
+        self._way.append((step.seen, step.duration, step.reward))
         error = abs(self.primitive.update(self._make_primitive_key(step.action, step.seen), step.reward))
         for returned in returns:
+            task = _get_task(returned.stack)
             cut_before_its_end = returned.cut and not (returned.ended or returned.terminated)
-            if not cut_before_its_end:
-                way = self._get_way(returned.decision.duration)
-                error = max(error, self.complete(returned, _get_task(returned.stack), way))
+            if task.policy is not None:
+                error = max(error, self._learn_walk(returned, task) if returned.is_over else 0.0)
+            elif not cut_before_its_end:
+                error = max(error, self.complete(returned, task, self._get_way(returned.decision.duration)))
         if not self._stack:
             self._way = []
         self._steps += step.duration
@@ -135,32 +150,47 @@ class MaxqRunner(CallRunner):
     def _get_way(self, duration: int) -> list[tuple[Seen, int]]:
         """Moments of the last `duration` primitives, the latest first, each with the primitives to the end."""
         way, length = [], 0
-        for seen, took in reversed(self._way):
+        for seen, took, _ in reversed(self._way):
             length += took
             way.append((seen, length))
             if length >= duration:
                 return way if self.settings.all_states else way[-1:]
         return way
 
+    def _learn_walk(self, returned: Return, task: GraphTask) -> float:
+        """Learn a given policy's value from every moment of a call that is over; returns the largest error."""
+        is_complete = returned.ended or returned.stuck or returned.terminated
+        earned = 0.0 if is_complete else self.walk.get(self._make_walk_key(task, returned.seen))
+        length, error = 0, 0.0
+        for seen, took, reward in reversed(self._way):
+            length, earned = length + took, reward + self.gamma**took * earned
+            error = max(error, abs(self.walk.update(self._make_walk_key(task, seen), earned)))
+            if length >= returned.frame.primitives:
+                break
+        return error
+
     def state_dict(self) -> StateTree:
         """Tables, counter, generators, running calls and the way they went."""
         return {
             **super().state_dict(),
-            "tables": {name: table.state_dict() for name, table in self.list_tables().items()},
+            "tables": {name: table.state_dict() for name, table in self._list_tables().items()},
             "steps": self._steps,
             "action_rng": self._action_rng.bit_generator.state,
-            "way": [[seen.observation, seen.mask, duration] for seen, duration in self._way],
+            "way": [[seen.observation, seen.mask, duration, reward] for seen, duration, reward in self._way],
         }
 
     def load_state_dict(self, state: StateTree) -> None:
         """Restore what `state_dict` gave."""
         super().load_state_dict(state)
-        for name, table in self.list_tables().items():
+        for name, table in self._list_tables().items():
             table.load_state_dict(state["tables"][name])
         self._steps = int(state["steps"])
         self._action_rng.bit_generator.state = state["action_rng"]
-        self._way = [(self.hierarchy.see(seen, np.asarray(mask, np.bool_)), int(duration))
-                     for seen, mask, duration in state["way"]]  # fmt: skip
+        self._way = [(self.hierarchy.see(seen, np.asarray(mask, np.bool_)), int(duration), float(reward))
+                     for seen, mask, duration, reward in state["way"]]  # fmt: skip
+
+    def _list_tables(self) -> Mapping[str, ValueTable]:
+        return {**self.list_completions(), "primitive": self.primitive, "walk": self.walk}
 
 
 def _make_discretiser(
@@ -170,7 +200,8 @@ def _make_discretiser(
     graph = [task for task in hierarchy.tasks.values() if isinstance(task, GraphTask)]
     called = {(child, index, task) for task in graph for index, child in enumerate(task.children)}
     is_covered = all(
-        (None in task.views or index in task.views) and (not isinstance(child, int) or child in task.primitive_views)
+        (None in task.views or (task.policy is None and index in task.views))
+        and (not isinstance(child, int) or child in task.primitive_views)
         for child, index, task in called
     )
     return None if is_covered else make_discretiser(space, settings, name)

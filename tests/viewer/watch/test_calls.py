@@ -14,12 +14,15 @@ from hrl_escape.viewer.watch.gate import Gate
 from hrl_escape.viewer.watch.watch import ShownCall, Watch
 
 
+def make_run(folder, agent, kind, room):
+    env = HierarchyEnv(EscapeRoomEnv(instance=room), kind, "planned")
+    train(agent, env, primitives=150, out=folder, eval_episodes=0, progress=False)
+    return folder
+
+
 @pytest.fixture(scope="module")
 def maxq_run(tmp_path_factory, two_buttons):
-    folder = tmp_path_factory.mktemp("runs") / "maxq"
-    env = HierarchyEnv(EscapeRoomEnv(instance=two_buttons), "maxq", "planned")
-    train("maxq-q", env, primitives=150, out=folder, eval_episodes=0, progress=False)
-    return folder
+    return make_run(tmp_path_factory.mktemp("runs") / "maxq", "maxq-q", "maxq", two_buttons)
 
 
 def watch_calls(watch: Watch) -> list[tuple[int, tuple[ShownCall, ...]]]:
@@ -30,9 +33,9 @@ def watch_calls(watch: Watch) -> list[tuple[int, tuple[ShownCall, ...]]]:
     return seen
 
 
-def check_calls(seen, rewards):
+def check_calls(seen, rewards, most=3):
     for at, calls in seen:
-        assert [call.name for call in calls][0] == "escape" and len(calls) in (2, 3)
+        assert [call.name for call in calls][0] == "escape" and 2 <= len(calls) <= most
         assert calls[0].call.primitives == at, "the root runs for the whole episode"
         for outer, inner in zip(calls, calls[1:], strict=False):
             assert outer.began <= inner.began and outer.call.primitives >= inner.call.primitives
@@ -55,8 +58,23 @@ def test_a_trained_stack_is_shown_with_lengths_and_rewards(maxq_run, two_buttons
     assert any(event.endswith(f"press-button-1 is over: {length} primitives, reward {-length}") for event in over)
 
 
-def test_an_agent_that_learns_with_a_hierarchy_shows_its_calls(two_buttons):
-    watch = Watch(open_driver("maxq-q", two_buttons, leaves="planned"), Gate(None))
+def test_the_running_machines_of_a_program_are_shown_with_arguments_lengths_and_rewards(tmp_path, two_buttons):
+    watch = Watch(open_driver(str(make_run(tmp_path / "ham", "hamq", "ham", two_buttons)), two_buttons), Gate(None))
+    seen = watch_calls(watch)
+    check_calls(seen, watch.rewards, most=4)
+    names = [[call.name for call in calls] for _, calls in seen]
+    press = ["escape", "apply(press-button-2)", "touch(button-2)", "step(button-2)"]
+    assert names[0] == [name.replace("2", "1") for name in press]
+    assert press in names and names[-1] == ["escape", "leave_room", "step(exit)"]
+    assert all(calls[-1].call.primitives == 0 for _, calls in seen), "each step is a call of its own"
+    length = names.index(press)
+    assert any(event.endswith(f"apply(press-button-1) is over: {length} primitives, reward {-length}")
+               for event in watch.events)
+
+
+@pytest.mark.parametrize("agent", ["maxq-q", "hamq"])
+def test_an_agent_that_learns_with_a_hierarchy_shows_its_calls(agent, two_buttons):
+    watch = Watch(open_driver(agent, two_buttons, leaves="planned"), Gate(None))
     seen = []
 
     def note(step):
@@ -67,7 +85,7 @@ def test_an_agent_that_learns_with_a_hierarchy_shows_its_calls(two_buttons):
 
     watch.on_change = note
     watch.run()
-    check_calls(seen[:30], [-1.0] * 30)
+    check_calls(seen[:30], [-1.0] * 30, most=4)
 
 
 def test_an_agent_without_a_stack_shows_no_calls(two_buttons, run):

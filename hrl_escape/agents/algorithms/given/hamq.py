@@ -16,7 +16,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_actions
+from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, StateTree, count_actions
 from hrl_escape.agents.components.exploration import (
     ExplorationSettings,
     choose_best,
@@ -107,6 +107,8 @@ class Hamq(Agent):
         """(key, index) -> the choice point that follows without a primitive between."""
         self._rng = make_rng(seed, "actions")
         self._steps = 0
+        self._latest: MachineRun | None = None
+        """Run that made the latest choice, in learning or evaluation."""
         self._begin()
 
     def _begin(self) -> None:
@@ -170,6 +172,7 @@ class Hamq(Agent):
             legal = np.ones(len(values), np.bool_)
             return sample_action(values, legal, self.settings, self._steps, self._rng)
 
+        self._latest = self._run
         self._passed = self._advance(self._run, self._look(observation, action_mask), pick)
         assert isinstance(self._run.request, Do)
         return self._run.request.primitive
@@ -178,11 +181,18 @@ class Hamq(Agent):
         """Run the program of this evaluation, which belongs to `rng`, to its next primitive."""
         if self._evaluation is None or self._evaluation[0] is not rng:
             self._evaluation = rng, MachineRun(self._program)
-        run = self._evaluation[1]
+        run = self._latest = self._evaluation[1]
         self._advance(run, self._look(observation, action_mask),
                       lambda values: choose_best(values, np.ones(len(values), np.bool_)))  # fmt: skip
         assert isinstance(run.request, Do)
         return run.request.primitive
+
+    def list_calls(self) -> tuple[RunningCall, ...]:
+        """Running machines behind the latest choice, the root first; none says beforehand when it will be over."""
+        return tuple(
+            RunningCall(call.name, ", ".join(map(str, call.arguments)) or None, call.primitives, 0.0)
+            for call in (() if self._latest is None else self._latest.list_calls())
+        )
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Learn at the choice points passed, and add the primitive to the choice that is open."""

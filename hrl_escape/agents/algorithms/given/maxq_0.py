@@ -86,6 +86,6 @@ class Maxq0(MaxqRunner):
             error = max(error, abs(update))
         return error
 
-    def list_tables(self) -> Mapping[str, ValueTable]:
-        """Completions and the primitives' values."""
-        return {"completion": self.completion, "primitive": self.primitive}
+    def list_completions(self) -> Mapping[str, ValueTable]:
+        """The one table of completions."""
+        return {"completion": self.completion}

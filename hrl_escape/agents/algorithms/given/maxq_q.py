@@ -94,6 +94,6 @@ class MaxqQ(MaxqRunner):
             self.completion.update(key, discount * after)
         return error
 
-    def list_tables(self) -> Mapping[str, ValueTable]:
-        """Both completions and the primitives' values."""
-        return {"completion": self.completion, "own_completion": self.own_completion, "primitive": self.primitive}
+    def list_completions(self) -> Mapping[str, ValueTable]:
+        """Both tables of completions."""
+        return {"completion": self.completion, "own_completion": self.own_completion}

@@ -135,6 +135,25 @@ def test_a_cut_inside_a_choice_learns_nothing_and_at_a_choice_point_bootstraps()
     assert agent.table.get((first, action)) == pytest.approx(7 + 0.9 * 1 + 0.81 * 10)
 
 
+def test_running_machines_are_listed_in_learning_and_evaluation():
+    agent, mask, rng = make(FourRooms(), two_callers), np.ones(3, np.bool_), np.random.default_rng(0)
+    assert agent.list_calls() == ()
+    shown = []
+    for _ in range(4):
+        action = agent.act(0, mask)
+        shown.append([(call.task, call.context, call.primitives) for call in agent.list_calls()])
+        agent.act_greedy(0, mask, rng)
+        assert [(call.task, call.context, call.primitives) for call in agent.list_calls()] == shown[-1]
+        agent.observe(make_transition(0, action, mask, (0, 0.0, False, False, {}), 0.9))
+    inner = ["two_callers", "step_twice"]
+    assert shown == [[(name, None, count) for name, count in zip(inner, counts, strict=True)]
+                     for counts in ((0, 0), (1, 1), (2, 0), (3, 1))]  # fmt: skip
+    again = make(FourRooms(), two_callers)
+    again.load_state_dict(agent.state_dict())
+    again.act(0, mask)
+    assert [call.primitives for call in again.list_calls()] == [4, 0]
+
+
 def test_a_program_that_returns_or_offers_nothing_is_refused():
     @machine
     def returns(seen):

@@ -154,6 +154,52 @@ def test_a_caller_learns_nothing_from_a_call_that_was_cut(agent_class, learned):
     assert agent.make_key(walk, 0, Seen(1, ALL)) in agent.completion, "the primitive itself came to its end"
 
 
+# --- tasks whose policy is given --------------------------------------------------------
+
+
+def make_walker(agent_class, **settings):
+    """A root that may call `walk`, whose policy is to go on with primitive 0 until position 3."""
+    hierarchy = maxq({"root": ["walk", 1], "walk": [0, 1]}, {"walk": lambda seen: seen.observation >= 3},
+                     {name: lambda seen: int(seen.observation) for name in ("root", "walk", 0, 1)},
+                     policies={"walk": lambda seen: 0})  # fmt: skip
+    env = FourRooms(None, "none")
+    agent = agent_class(env.observation_space, env.action_space, 0, agent_class.Settings(**EXACT | settings), hierarchy)
+    agent.choose = lambda stack, view, legal, seen: 0
+    return agent
+
+
+def walk_to(agent, last, terminated=False, truncated=False):
+    for cell in range(last):
+        assert agent.act(cell, ALL) == 0
+        over = cell == last - 1
+        result = cell + 1, 8.0 if cell == 2 else -1.0, terminated and over, truncated and over, {}
+        agent.observe(make_transition(cell, 0, ALL, result, agent.gamma))
+    walk = agent.hierarchy.tasks["walk"]
+    return [agent.compute_value(walk, Seen(cell, ALL)) for cell in range(3)]
+
+
+@pytest.mark.parametrize("polled", ["never", "always"])
+@pytest.mark.parametrize("agent_class", [Maxq0, MaxqQ])
+def test_one_call_of_a_given_policy_teaches_its_value_from_every_state_on_the_way(agent_class, polled):
+    """Learned one step at a time instead, the end of a walk of 30 primitives would need 30 calls to be felt."""
+    agent = make_walker(agent_class, polled=polled)
+    for _ in range(3 if polled == "always" else 1):  # polled, each call is cut after one primitive, and bootstraps
+        values = walk_to(agent, 3, terminated=True)
+    assert values == pytest.approx([-1 - 0.9 + 0.81 * 8, -1 + 0.9 * 8, 8])
+    again = make_walker(agent_class, polled=polled)
+    again.load_state_dict(agent.state_dict())
+    assert walk_to(again, 0) == values
+
+
+@pytest.mark.parametrize("agent_class", [Maxq0, MaxqQ])
+def test_a_given_policy_that_was_cut_goes_on_with_what_is_known_of_the_rest(agent_class):
+    agent = make_walker(agent_class)
+    assert walk_to(agent, 2, truncated=True) == pytest.approx([-1.9, -1, 0]), "nothing is known of the rest"
+    walk_to(agent, 3)
+    before = walk_to(agent, 0)
+    assert walk_to(agent, 2, truncated=True) == pytest.approx(before), "a cut is no end"
+
+
 def test_without_a_hierarchy_it_is_q_learning():
     env = FourRooms(HOME, "none", horizon=60)
     agent = Maxq0(env.observation_space, env.action_space, 0, Maxq0.Settings(**EXACT))
