@@ -29,10 +29,11 @@ def test_rays_end_on_the_first_outline_they_meet(some, px, py):
     angles = np.linspace(0, math.tau, 16, endpoint=False)
     ranges = np.minimum(Scanner(some, angles).measure(px, py, 1.0, 0.0), 30.0)
     steps = np.linspace(0, 30, 6001)
+    inner = stack_footprints([shape._replace(half_x=shape.half_x - 1e-6, half_y=shape.half_y - 1e-6) for shape in some])
     for angle, found in zip(angles, ranges, strict=True):
         path = np.stack([px + steps * math.cos(angle), py + steps * math.sin(angle)], axis=1)
-        distances = compute_distance_many(path, stack_footprints(some))
-        assert distances[steps < found - 1e-9].min(initial=1.0) > 0  # nothing before it
+        distances = compute_distance_many(path, inner)
+        assert distances[steps < found - 1e-9].min(initial=1.0) > 0  # nothing before it; an edge may be grazed
         if found < 30:
             end = np.array([[px + found * math.cos(angle), py + found * math.sin(angle)]])
             assert compute_distance_many(end, stack_footprints(some))[0] < 1e-6
