@@ -129,7 +129,7 @@ def test_missing_broken_and_binary_files_are_told_apart(tmp_path):
     write_bytes(tmp_path / "binary.json", b"\xff\xfe\x00")
     with pytest.raises(FileReadError, match="not UTF-8"):
         read_json(tmp_path / "binary.json")
-    with pytest.raises(FileReadError, match="cannot read this file"):
+    with pytest.raises(FileReadError, match="cannot read this file: it is a folder, and only plain files are read"):
         read_bytes(tmp_path)
 
 

@@ -72,7 +72,7 @@ class OptionExecution:
         self._ended: list[OptionCall] = []
         self._rng = rng
         self._stack = [_Frame(option, state, 0)]
-        self._finished = PlanningReport()
+        self._finished, self._told = PlanningReport(), PlanningReport()
         option.start(state)
 
     def choose(self, state: Any) -> Any:
@@ -112,13 +112,14 @@ class OptionExecution:
         option, first, begin = self._stack.pop()
         self._ended.append(OptionCall(option.name, len(self._stack), first, state, tuple(self.rewards[begin:]), ended))
 
-    def make_report(self) -> PlanningReport:
-        """Planning of the option and of all options nested in it."""
+    def take_report(self) -> PlanningReport:
+        """Planning of the option and of all options nested in it, since the last call of this."""
         total = PlanningReport()
         total.add(self._finished)
         for frame in self._stack:
             total.add(frame.option.report)
-        return total
+        earlier, self._told = self._told, total
+        return total.count_since(earlier)
 
 
 class RunningDecision:

@@ -279,7 +279,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             return DecisionOutcome(ended, reason, option.report)
         if self._run is None:
             run.stop(decision.state, ended)
-        return DecisionOutcome(ended, reason, run.make_report(), run.collect())
+        return DecisionOutcome(ended, reason, run.take_report(), run.collect())
 
     def _inform(self, index: int, decision: RunningDecision, outcome: DecisionOutcome, mask: NDArray[np.int8]
                 ) -> dict[str, Any]:

@@ -32,3 +32,9 @@ class PlanningReport:
         self.cache_hits += other.cache_hits
         self.replans += other.replans
         self.unavoidable += other.unavoidable
+
+    def count_since(self, earlier: PlanningReport) -> PlanningReport:
+        """Counts and seconds since an earlier report of the same run; `unavoidable` stays that of the whole run."""
+        return PlanningReport(
+            self.planner_seconds - earlier.planner_seconds, self.planner_calls - earlier.planner_calls,
+            self.cache_hits - earlier.cache_hits, self.replans - earlier.replans, self.unavoidable)

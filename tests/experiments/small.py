@@ -51,3 +51,35 @@ def run_quietly(grid: Grid, out: Path, **launcher: object) -> Comparison:
     """Run a grid, silently."""
     with open("/dev/null", "w") as nowhere:
         return run_grid(grid, out, LocalLauncher(**launcher), Console(file=nowhere))  # type: ignore[arg-type]
+
+
+STRANGER = '''
+import os, signal
+from hrl_escape.agents.algorithms.random import RandomAgent
+
+class Stranger(RandomAgent):
+    recipes = {}
+    def observe(self, transition):
+        self._seen = getattr(self, "_seen", 0) + 1
+        if self._seen > 40:
+            self.fall()
+        return {}
+
+class Raiser(Stranger):
+    def fall(self):
+        raise KeyError("what a stranger forgot")
+
+class Crasher(Stranger):
+    def fall(self):
+        os.kill(os.getpid(), signal.SIGSEGV)
+'''
+
+
+def plant_strangers(folder: Path) -> None:
+    """Write an installed package with the agents raiser and crasher; the folder must be on the path."""
+    package = folder / "strangers-1.0.dist-info"
+    package.mkdir()
+    (folder / "strangers.py").write_text(STRANGER)
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: strangers\nVersion: 1.0\n")
+    (package / "entry_points.txt").write_text(
+        "[hrl_escape.agents]\nraiser = strangers:Raiser\ncrasher = strangers:Crasher\n")

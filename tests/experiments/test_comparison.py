@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import resource
+import shutil
 import signal
 import subprocess
 import sys
@@ -15,7 +16,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from hrl_escape.errors import ComparisonError, ConfigError, FileWriteError, RunBusyError
+from hrl_escape.errors import ComparisonError, ConfigError, EscapeError, FileWriteError, RunBusyError
 from hrl_escape.experiments.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
 from hrl_escape.experiments.grid import AgentSpec
 from hrl_escape.experiments.launching.local import LocalLauncher, read_progress
@@ -23,7 +24,7 @@ from hrl_escape.experiments.reporting.report import write_report
 from hrl_escape.experiments.runs import get_run_folder, load_run_result, read_episodes
 from hrl_escape.experiments.summary import summarise
 from hrl_escape.files import write_json
-from tests.experiments.small import SMALL, change, run_quietly
+from tests.experiments.small import SMALL, change, plant_strangers, run_quietly
 
 TABLES = ("results.csv", "curves.csv")
 
@@ -168,36 +169,10 @@ def test_no_process_outlives_a_comparison_that_is_stopped(tmp_path: Path, signal
 
 # --- runs that fail --------------------------------------------------------------------
 
-STRANGER = '''
-import os, signal
-from hrl_escape.agents.algorithms.random import RandomAgent
-
-class Stranger(RandomAgent):
-    recipes = {}
-    def observe(self, transition):
-        self._seen = getattr(self, "_seen", 0) + 1
-        if self._seen > 40:
-            self.fall()
-        return {}
-
-class Raiser(Stranger):
-    def fall(self):
-        raise KeyError("what a stranger forgot")
-
-class Crasher(Stranger):
-    def fall(self):
-        os.kill(os.getpid(), signal.SIGSEGV)
-'''
-
 
 def test_failed_runs_are_told_with_their_error_and_stop_no_others(tmp_path: Path):
     """One raises, one crashes its interpreter, one diverges; all are strangers' or settings' faults."""
-    package = tmp_path / "strangers-1.0.dist-info"
-    package.mkdir()
-    (tmp_path / "strangers.py").write_text(STRANGER)
-    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: strangers\nVersion: 1.0\n")
-    (package / "entry_points.txt").write_text(
-        "[hrl_escape.agents]\nraiser = strangers:Raiser\ncrasher = strangers:Crasher\n")
+    plant_strangers(tmp_path)
     wild = {"reward_scale": 1e38, "loss": "squared", "warmup": 64}
     agents = ["random", "raiser", "crasher", AgentSpec("dqn", label="wild", settings=wild), "q-learning"]
     write_json(tmp_path / "mixed.json", change(runs=1, agents=agents).to_dict())
@@ -265,6 +240,37 @@ def test_a_full_disk_fails_the_runs_that_need_it_and_keeps_what_is_finished(tmp_
     assert "random, small, seed 0: efficiency" in done.stderr
     rerun = run_quietly(change(runs=1, agents=["random", "dqn"]), tmp_path / "out")
     assert not rerun.failures
+
+
+def test_a_folder_deleted_meanwhile_is_told_with_its_reason(tmp_path: Path):
+    grid = change(primitives=1_000_000, runs=1, agents=["random", "smdp-random"])
+    write_json(tmp_path / "long.json", grid.to_dict())
+    process = start_cli(tmp_path / "long.json", tmp_path / "out")
+    runs = grid.make_runs(grid.make_places())
+    try:
+        assert wait_until(lambda: all(read_progress(tmp_path / "out", run) for run in runs), 60)
+        shutil.rmtree(tmp_path / "out")
+        output = process.communicate(timeout=60)[0].decode()
+    finally:
+        process.kill()
+        process.wait()
+    assert process.returncode == 2 and "Traceback" not in output, output
+    told = output.splitlines()
+    assert len(told) == 3 and all("was deleted or moved while its run was writing it" in line for line in told), output
+    assert told[2].startswith("hrl-escape: ") and "no run has finished, so there is nothing to report" in told[2]
+
+
+def test_a_folder_deleted_after_the_last_run_is_told_with_its_reason(tmp_path: Path):
+    class Deleting(LocalLauncher):
+        def run(self, runs, out, listener):
+            super().run(runs, out, listener)
+            shutil.rmtree(out)
+
+    with open("/dev/null", "w") as nowhere:
+        comparison = run_grid(change(runs=1, agents=["random"], primitives=60), tmp_path / "out", Deleting(1),
+                              Console(file=nowhere))
+    with pytest.raises(EscapeError, match="no such"):
+        write_report(comparison, "hrl-escape compare")
 
 
 def test_one_comparison_at_a_time_in_a_folder(tmp_path: Path):

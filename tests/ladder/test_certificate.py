@@ -11,12 +11,12 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError, VerificationError
 from hrl_escape.ladder.benchmark import Benchmark, list_benchmarks, load_benchmark
-from hrl_escape.ladder.certificate import certify_rung, find_overlaps
+from hrl_escape.ladder.certificate import certify_rung, find_overlaps, freeze_manifest
 from hrl_escape.ladder.hidden import compute_commitment, derive_hidden_seed
 from hrl_escape.ladder.keys import RoomKeys, compute_keys, compute_task_key
-from hrl_escape.ladder.manifest import Manifest, SetRecord
+from hrl_escape.ladder.manifest import Manifest, RungRecord, SetRecord
 from hrl_escape.ladder.merkle import check_proof, prove_leaf
-from hrl_escape.ladder.rung import choose_seeds, is_held_out
+from hrl_escape.ladder.rung import Rung, choose_seeds, is_held_out
 from tests.ladder.small import make_manifest
 
 
@@ -101,6 +101,16 @@ def test_a_schematic_that_cannot_vary_is_refused():
         choose_seeds(fixed, ((i, i) for i in range(100)), 2, known)
 
 
+def test_every_frozen_set_avoids_the_layouts_of_all_before_it():
+    """The first room of the test is planted into training; the set between the two does not make it forgotten."""
+    manifest = make_manifest()
+    rung = Benchmark(manifest)["one"]
+    train, valid = (SetRecord(count=1, seeds=(rooms.seeds[0],)) for rooms in (rung.test, rung.valid))
+    planted = dataclasses.replace(manifest.rungs[0], train=train, valid=valid)
+    (frozen,) = freeze_manifest(dataclasses.replace(manifest, rungs=(planted,)), "0").rungs
+    assert manifest.rungs[0].test.skipped == () and frozen.test.skipped == (0,)
+
+
 def test_tasks_held_out_are_decided_by_their_hash():
     rung = Benchmark(make_manifest())["five"]
     tasks = {role: {compute_task_key(room.puzzle) for room in rooms} for role, rooms in rung.sets.items()}
@@ -120,6 +130,14 @@ def test_public_randomness_decides_a_hidden_test_that_meets_no_published_room():
     assert not known & {compute_keys(room).layout for room in hidden}
     with pytest.raises(ConfigError, match="16 characters"):
         derive_hidden_seed("short", "small", "five", 0)
+
+
+def test_a_hidden_test_has_no_published_room():
+    one = SetRecord(count=1)
+    rung = Rung("fixed", RungRecord(name="fixed", config=get_preset("paper-one-button"), train=one, valid=one,
+                                    test=one))
+    with pytest.raises(EscapeError, match="more room to vary"):
+        rung.make_hidden_test("drand round 4242424242", count=1)
 
 
 def test_a_commitment_binds_seeds_salt_and_version():

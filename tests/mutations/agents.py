@@ -59,4 +59,32 @@ MUTATIONS = [
         "self._failures += 0",
         "agents/training/test_train.py",
     ),
+    Mutation(
+        "an evaluation episode without an end goes on for ever",
+        "agents/training/evaluation.py",
+        "while primitives < max_primitives:",
+        "while True:",
+        "agents/training/test_train.py::test_an_evaluation_episode_without_an_end_is_cut_in_primitives",
+    ),
+    Mutation(
+        "progress of an episode is that at its end",
+        "agents/training/evaluation.py",
+        'best = max(best, float(info.get("progress", success)))',
+        'best = float(info.get("progress", success))',
+        "agents/training/test_train.py::test_progress_of_an_episode_is_the_best_on_its_way",
+    ),
+    Mutation(
+        "a budget of decisions ends no run",
+        "agents/training/run.py",
+        "or (most is not None and self.decisions >= most)",
+        "or most == 0",
+        "agents/training/test_train.py::test_a_budget_of_decisions_ends_a_run_whichever_is_spent_first",
+    ),
+    Mutation(
+        "a metric is a mean over all decisions",
+        "agents/training/run.py",
+        "total / self._counts[name] for name",
+        "total / self.decisions for name",
+        "agents/training/test_train.py::test_a_logged_metric_is_the_mean_over_the_decisions_that_gave_it",
+    ),
 ]

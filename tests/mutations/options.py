@@ -97,4 +97,18 @@ MUTATIONS = [
         "pass",
         "options/test_degraded.py",
     ),
+    Mutation(
+        "the cache's hit rate is that of the last decision",
+        "options/options_env.py",
+        "self._hits += outcome.report.cache_hits",
+        "self._hits = outcome.report.cache_hits",
+        "options/test_options_env.py::test_the_caches_hit_rate_is_over_all_calls_of_the_environment",
+    ),
+    Mutation(
+        "planning of a nested option that still runs is not told",
+        "options/execution.py",
+        "for frame in self._stack:",
+        "for frame in self._stack[:1]:",
+        "options/test_options_env.py::test_planning_of_a_nested_option_is_told_while_it_still_runs",
+    ),
 ]

@@ -80,4 +80,11 @@ MUTATIONS = [
         "if False:",
         "viewer/play/test_episode.py viewer/play/test_commands.py",
     ),
+    Mutation(
+        "a trail lacks its first point",
+        "viewer/pages/replay.py",
+        "scene.draw_trail(recording.states[: number + 1])",
+        "scene.draw_trail(recording.states[1 : number + 1])",
+        "viewer/pages/test_replay.py::test_a_page_draws_the_whole_way_from_its_first_point",
+    ),
 ]

@@ -353,6 +353,43 @@ def test_planning_of_a_nested_option_is_told_by_the_option_that_called_it(length
     assert told["cache_hit_rate"] == (calls // 3) / calls
 
 
+class PlansTwice(ScriptedOption):
+    """Plans twice at its start, once from the cache, and walks."""
+
+    def start(self, state):
+        super().start(state)
+        self.report.planner_calls += 2
+        self.report.cache_hits += 1
+
+
+def test_the_caches_hit_rate_is_over_all_calls_of_the_environment():
+    class PlansAnew(ScriptedOption):
+        def start(self, state):
+            super().start(state)
+            self.report.planner_calls += 2
+
+    env = OptionsEnv(make_env(), [PlansTwice("known", [TURN_LEFT]), PlansAnew("new", [TURN_LEFT])])
+    begin(env)
+    rates = [env.step(action)[4]["option"]["cache_hit_rate"] for action in (6, 7, 7, 6)]
+    assert rates == [1 / 2, 1 / 4, 1 / 6, 2 / 8]
+
+
+def test_planning_of_a_nested_option_is_told_while_it_still_runs():
+    class Caller(Option):
+        def policy(self, state):
+            return PlansTwice("inner", [TURN_LEFT] * 3)
+
+        def termination(self, state):
+            return 0.0
+
+    env = OptionsEnv(make_env(), [Caller("outer")], interruptible=True)
+    begin(env)
+    told = [env.step(6)[4]["option"] for _ in range(5)]
+    assert [option["ended"] for option in told] == ["interrupted"] * 5
+    assert [option["planner_calls"] for option in told] == [2, 0, 0, 2, 0], "each plan is told once, when it is made"
+    assert {option["cache_hit_rate"] for option in told} == {0.5}
+
+
 def test_endless_nesting_is_an_error():
     class Endless(Option):
         def policy(self, state):

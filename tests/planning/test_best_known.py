@@ -163,7 +163,10 @@ def test_it_is_the_mean_over_the_starts():
 
 def test_what_no_one_can_do_is_worth_the_horizon():
     instance = generate(get_preset("four-button-chain"), 0)
-    assert best_known_return(dataclasses.replace(instance, horizon=10)) == -10
+    fewest = find_best_known(instance, make_start(instance)).primitives
+    assert fewest is not None
+    for horizon, value in ((10, -10), (fewest - 1, 1 - fewest), (fewest, 100 - fewest)):
+        assert best_known_return(dataclasses.replace(instance, horizon=horizon)) == value
 
 
 def test_a_better_return_is_taken_over_and_said(tmp_path):

@@ -175,7 +175,8 @@ def _describe_death(exit_code: int | None) -> str:
         name = signal.Signals(-exit_code).name
         hint = "; the machine may have run out of memory" if name == "SIGKILL" else ""
         return f"its process was ended by {name}{hint}"
-    return f"its process ended with code {exit_code} and left no result"
+    how = "died" if exit_code is None else f"ended with code {exit_code}"
+    return f"its process {how} and left no result"
 
 
 def _read_tail(path: Path, lines: int = 30) -> str:

@@ -44,7 +44,7 @@ class RoomPage:
 
     def __init__(self, server: Server, instance: RoomInstance, state: RoomState, owns_keys: bool = False) -> None:
         self.server = server
-        self._lock, self._panel = threading.Lock(), threading.Lock()
+        self._lock = threading.Lock()
         self._cameras: dict[int, str] = {}
         self.scene = RoomScene(server, instance)
         server.set_title(instance.name)
@@ -102,9 +102,11 @@ class RoomPage:
 
     # --- cameras -------------------------------------------------------------------------------
 
-    def _welcome(self, client: viser.ClientHandle) -> None:
-        """Give a new client its own camera buttons."""
-        with self._panel, self.view_folder:  # which only one thread may enter, and several clients may come at once
+    async def _welcome(self, client: viser.ClientHandle) -> None:
+        """Give a new client its own camera buttons; on the event loop, so that no client goes in the middle of it."""
+        if client.client_id not in self.server.get_clients():
+            return  # nobody would take its buttons away again
+        with self.view_folder:
             choice = client.gui.add_button_group("camera", VIEWS)
 
         @choice.on_click
@@ -112,12 +114,11 @@ class RoomPage:
             self._choose(client, choice.value)
 
         with self._lock:
-            if client.client_id in self.server.get_clients():  # else it has gone already, and been forgotten
-                self._cameras[client.client_id] = VIEWS[0]
+            self._cameras[client.client_id] = VIEWS[0]
         if _get_aspect(client) < 1.0:
             self._choose(client, VIEWS[0])  # the scene's own first view is for wide screens
 
-    def _forget(self, client: viser.ClientHandle) -> None:
+    async def _forget(self, client: viser.ClientHandle) -> None:
         with self._lock:
             self._cameras.pop(client.client_id, None)
 

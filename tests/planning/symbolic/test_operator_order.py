@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hrl_escape.env.presets import PRESETS, get_preset
-from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.puzzles.base import Contacts, Operator, SymbolicModel
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.sampling.generation import generate
@@ -117,6 +117,17 @@ def test_a_puzzle_that_can_undo_is_solved_too():
     for operator in found.operators:
         state = puzzle.update(state, Contacts((puzzle.target_names.index(operator.target),)))
     assert puzzle.is_solved(state)
+
+
+def test_what_an_operator_undoes_is_done_after_it():
+    """Raising the bridge is cheap, and lowers the gate."""
+    nothing, gate, bridge = frozenset(), frozenset({"gate"}), frozenset({"bridge"})
+    operators = (Operator("gate", "gate", "press", nothing, nothing, gate, nothing),
+                 Operator("bridge", "bridge", "press", nothing, nothing, bridge, gate))
+    found = TaskSearch(SymbolicModel(("gate", "bridge"), operators, gate | bridge)).find_order(
+        nothing, "", lambda place, op: Leg(5.0 if (place, op and op.name) == ("bridge", "gate") else 1.0,
+                                           op.name if op else place))
+    assert [operator.name for operator in found.operators] == ["bridge", "gate"] and found.cost == 7.0
 
 
 @pytest.mark.parametrize("name", [name for name in PRESETS if name != "push-block"])

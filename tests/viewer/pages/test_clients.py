@@ -98,6 +98,22 @@ def test_ten_clients_come_and_go_and_nothing_of_them_stays(server: Server, game:
     wait_until(lambda: len(game.episode.steps) == 8, "every key was taken")
 
 
+def test_a_client_that_goes_while_everything_is_busy_leaves_no_buttons(server: Server, game: PlayPage):
+    """Buttons of a client that had gone before they were made stood in the page's folder for ever, and it with them."""
+    free = threading.Event()
+    busy = [server._thread_executor.submit(free.wait, 60) for _ in range(server._thread_executor._max_workers)]
+    page = open_client(server)
+    wait_until(server.get_clients, "it has come")
+    page.close()
+    wait_until(lambda: not server._websock_server._live_connections and not server.get_clients(), "it has gone")
+    free.set()
+    for each in busy:
+        each.result(60)
+    come_and_go(server, game, rounds=1, clients=2)
+    count_left(server, game)
+    assert not game.page.view_folder._children
+
+
 @pytest.mark.slow
 def test_ten_clients_a_hundred_times_leave_memory_and_threads_as_they_were(server: Server, game: PlayPage):
     come_and_go(server, game, rounds=20)

@@ -8,6 +8,7 @@ import re
 from pathlib import Path
 
 import msgspec
+import numpy as np
 import pytest
 import zstandard
 from PIL import Image
@@ -18,6 +19,19 @@ from hrl_escape.viewer.play.episode import Episode
 from hrl_escape.viewer.play.saved_episode import load_episode, save_episode
 from hrl_escape.viewer.recording import record_driver, record_saved
 from hrl_escape.viewer.watch.drivers import open_driver
+
+
+def read_recorded(page: str) -> tuple[dict, list[bytes]]:
+    """What viser recorded into a page: its messages, each with its time, and the buffers that these point into."""
+    recorded = base64.b64decode(re.search(r'__VISER_EMBED_DATA__="([^"]+)"', page)[1])
+    inner = zstandard.ZstdDecompressor().decompressobj().decompress(recorded[8:])
+    end = 8 + int.from_bytes(inner[:8], "little")
+    content, buffers = msgspec.msgpack.decode(inner[8:end]), []
+    for length in content["binaryBufferLengths"]:
+        begin = end + -end % 8
+        end = begin + length
+        buffers.append(inner[begin:end])
+    return content, buffers
 
 
 def test_a_recorded_driver_is_the_episode_it_drove(two_buttons):
@@ -68,8 +82,17 @@ def test_what_cannot_be_recorded_gives_one_message(arguments, message: str, capf
 def test_a_page_is_named_after_its_room_and_fades_in_no_environment(two_buttons):
     page = make_replay(record_driver(open_driver("planner", two_buttons)))
     assert "<title>paper-two-button, room 0: " in page and "<title>Viser" not in page
-    recorded = base64.b64decode(re.search(r'__VISER_EMBED_DATA__="([^"]+)"', page)[1])
-    inner = zstandard.ZstdDecompressor().decompressobj().decompress(recorded[8:])
-    content = msgspec.msgpack.decode(inner[8 : 8 + int.from_bytes(inner[:8], "little")])
+    content, _ = read_recorded(page)
     maps = [message for _, message in content["messages"] if message["type"] == "EnvironmentMapMessage"]
     assert maps and all(message["hdri_data"] is None for message in maps)
+
+
+def test_a_page_draws_the_whole_way_from_its_first_point(two_buttons):
+    recording = record_driver(open_driver("planner", two_buttons))
+    content, buffers = read_recorded(make_replay(recording))
+    lines = [message["props"] for _, message in content["messages"]
+             if message["type"] == "LineSegmentsMessage" and message["name"] == "/room/trail"]
+    points = np.frombuffer(buffers[lines[-1]["points"]["__binary_index"]], dtype=np.float32).reshape(-1, 2, 3)
+    places = [(state.x, state.y) for state in recording.states]
+    way = [pair for pair in zip(places, places[1:], strict=False) if pair[0] != pair[1]]
+    np.testing.assert_allclose(points[:, :, :2], way, atol=1e-5)
