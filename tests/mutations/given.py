@@ -50,7 +50,7 @@ MUTATIONS = [
           "test_r_maxq.py::test_models_of_tasks_are_those_of_nested_solving"),
     # the stack in the key
     _trap("a machine's state is its innermost machine", "machine",
-          "return (*stack, self.request.label", "return (*stack[-1:], self.request.label",
+          "for call in self.list_calls()), label)", "for call in self.list_calls()[-1:]), label)",
           "test_hamq.py::test_the_whole_stack_is_the_machine_state"),
     _trap("one value for all orders", "feudal_rl",
           "np.int32(-1 if order is None else order)", "np.int32(-1)",
