@@ -7,15 +7,28 @@ from functools import partial
 import numpy as np
 import pytest
 
+from hrl_escape.agents.algorithms.given.feudal_rl import FeudalRl
+from hrl_escape.agents.algorithms.given.h_dqn import HDqn
+from hrl_escape.agents.algorithms.given.macro_q import MacroQ
 from hrl_escape.agents.algorithms.q_learning import QLearning
+from hrl_escape.agents.hierarchy.regions import Quadtree
+from hrl_escape.agents.hierarchy.runner import CallRunner
 from hrl_escape.agents.hierarchy.stack_agent import StackAgent, make_task_transition
 from hrl_escape.agents.hierarchy.task import BaseTask, Call, Hierarchy
 from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, maxq
+from hrl_escape.agents.registry import get_agent_class, list_given_agents
 from hrl_escape.checks import check_hierarchy
 from hrl_escape.errors import ContractError
+from tests.agents.algorithms.given.test_feudal_rl import find_place
+from tests.agents.algorithms.given.test_h_uct import TwoDoors, make_chain_tasks, make_door_tasks
+from tests.agents.hierarchy.four_rooms_tasks import HOME, make_walks
 from tests.agents.hierarchy.taxi_tasks import GRAPH, SEE, UNTIL, make_taxi_tasks
+from tests.agents.hierarchy.wall_macros import make_wall_macros
 from tests.agents.small_envs import ButtonGrid
+from tests.classic.barrier_maze import BarrierMaze
 from tests.classic.chain import Chain
+from tests.classic.empty_room import EDGE, EmptyRoom
+from tests.classic.four_rooms import FourRooms
 from tests.classic.taxi import Taxi, decode
 
 PSEUDO = {"get": lambda seen: 3.0, "navigate 0": lambda seen: 1.0}
@@ -30,8 +43,38 @@ def test_a_graph_with_pseudo_rewards_keeps_every_promise(polled):
     check_hierarchy(make_taxi_tasks(pseudo=PSEUDO), Taxi(), agent_class=Polled)
 
 
-def test_primitives_that_are_options_of_the_environment_keep_every_promise():
-    check_hierarchy(flat(7), ButtonGrid(), primitives=300)
+def _run(agent_class, env, *given, **settings):
+    """The hierarchy that an agent makes of what it is given."""
+    agent = agent_class(env.observation_space, env.action_space, 0, agent_class.Settings(**settings), *given)
+    return agent.hierarchy, env
+
+
+GRAPHS = {
+    "taxi": lambda: (make_taxi_tasks(), Taxi(noisy=True, fickle=True)),
+    "taxi, no abstraction": lambda: (make_taxi_tasks(abstract=False, pseudo=PSEUDO), Taxi()),
+    "four rooms": lambda: (make_walks(), FourRooms(HOME)),
+    "the chain of h-uct": lambda: (make_chain_tasks(), Chain()),
+    "the doors of h-uct": lambda: (make_door_tasks(lambda seen: 10.0 * (seen.observation == 2)), TwoDoors()),
+    "options as primitives": lambda: (flat(7), ButtonGrid()),
+}
+"""For `maxq-0`, `maxq-q`, `r-maxq` and `h-uct`, which run any graph. Those made of rooms are in tests/synthesis."""
+
+OWN = {
+    "macro-q": lambda: _run(MacroQ, EmptyRoom(EDGE), make_wall_macros()),
+    "h-dqn": lambda: _run(HDqn, FourRooms(None), values="table", patience=5),
+    "feudal-rl": lambda: _run(FeudalRl, BarrierMaze(), Quadtree(2, find_place), patience=3),
+}
+"""Agents that make their hierarchy themselves."""
+
+
+@pytest.mark.parametrize("name", [*GRAPHS, *OWN])
+def test_every_hierarchy_keeps_every_promise(name):
+    check_hierarchy(*(GRAPHS | OWN)[name](), primitives=600)
+
+
+def test_no_agent_that_runs_calls_is_left_out():
+    runners = {name for name in list_given_agents() if issubclass(get_agent_class(name), CallRunner)}
+    assert runners == {"maxq-0", "maxq-q", "r-maxq", "h-uct", *OWN}
 
 
 class Told(StackAgent):

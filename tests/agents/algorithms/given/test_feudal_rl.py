@@ -9,7 +9,6 @@ from hrl_escape.agents.agent import make_transition
 from hrl_escape.agents.algorithms.given.feudal_rl import FeudalRl
 from hrl_escape.agents.hierarchy.feudal import SEARCH
 from hrl_escape.agents.hierarchy.regions import DIRECTIONS, Quadtree
-from hrl_escape.checks import check_hierarchy
 from hrl_escape.errors import AgentSettingsError
 from tests.agents.running import interact, learn
 from tests.classic.barrier_maze import BEHIND, BEYOND, GRID, SIDE, BarrierMaze
@@ -191,10 +190,6 @@ def measure_after_move(depth, seed, primitives=3_000):
 def test_after_the_goal_moved_it_is_found_sooner_than_by_q_learning():
     feudal, flat = (np.mean([measure_after_move(depth, seed) for seed in range(2)]) for depth in (2, 0))
     assert feudal < 0.5 * flat, (feudal, flat)
-
-
-def test_its_hierarchy_keeps_every_promise():
-    check_hierarchy(make(2, patience=3).hierarchy, BarrierMaze(), primitives=600)
 
 
 def test_a_place_outside_the_square_is_refused():

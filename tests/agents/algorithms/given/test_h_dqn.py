@@ -9,11 +9,10 @@ from hrl_escape.agents.agent import make_transition
 from hrl_escape.agents.algorithms.given.h_dqn import HDqn
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.hierarchy.goals import GoalSet
-from hrl_escape.checks import check_agent, check_hierarchy
+from hrl_escape.checks import check_agent
 from tests.agents.running import learn
 from tests.classic.chain import LENGTH, Chain
 from tests.classic.exact import evaluate, find_values, make_model
-from tests.classic.four_rooms import FourRooms
 
 BOTH = np.ones(2, np.bool_)
 TABLE = {"values": "table", "worker_warmup": 0, "patience": 0}
@@ -137,11 +136,6 @@ def test_goals_that_are_given_are_a_privilege():
     goals = GoalSet(1, lambda observation, goal: observation == 5)
     agent = HDqn(env.observation_space, env.action_space, 0, HDqn.Settings(**TABLE), goals)
     assert agent.privileges == ("goals",) and make(env).privileges == ()
-
-
-def test_its_hierarchy_keeps_every_promise():
-    env = FourRooms(None)
-    check_hierarchy(make(env, patience=5).hierarchy, env)
 
 
 def test_networks_value_the_way_to_a_goal_near_its_probability():

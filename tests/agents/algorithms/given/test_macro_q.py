@@ -9,7 +9,7 @@ from hrl_escape.agents.agent import make_transition
 from hrl_escape.agents.algorithms.given.macro_q import MacroQ
 from hrl_escape.agents.hierarchy.macros import Macro
 from hrl_escape.agents.training.evaluation import evaluate
-from hrl_escape.checks import check_agent, check_hierarchy
+from hrl_escape.checks import check_agent
 from tests.agents.hierarchy.wall_macros import make_wall_macros
 from tests.agents.running import learn
 from tests.classic.empty_room import CENTRE, CORNER, EDGE, GRID, EmptyRoom, make_macros
@@ -136,11 +136,6 @@ def test_macros_speed_up_learning_where_they_lead():
 
     assert measure(CORNER, True) > measure(CORNER, False) + 0.3
     assert measure(CENTRE, True) < measure(CENTRE, False)
-
-
-def test_its_hierarchy_keeps_every_promise():
-    env = EmptyRoom(EDGE)
-    check_hierarchy(make(env).hierarchy, env)
 
 
 class RunsFirstPrimitive(MacroQ):

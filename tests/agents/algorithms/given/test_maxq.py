@@ -250,13 +250,27 @@ def test_taxi_is_solved_in_three_thousand_episodes():
     assert mean == pytest.approx(recursive, abs=4 * error)
 
 
+def test_without_pseudo_rewards_maxq_q_is_maxq_0_to_the_bit():
+    """What is measured of the one in Taxi holds of the other."""
+    states = []
+    for agent_class in (Maxq0, MaxqQ):
+        env, settings = Taxi(noisy=True, fickle=True, horizon=100), agent_class.Settings()
+        agent = agent_class(env.observation_space, env.action_space, 0, settings, make_taxi_tasks())
+        learn(agent, env, 2_000)
+        states.append(agent.state_dict())
+    zero, q = states
+    assert zero["action_rng"] == q["action_rng"]
+    learned = zero["tables"]["completion"]
+    for table in (q["tables"]["completion"], q["tables"]["own_completion"]):
+        assert all(np.array_equal(learned[part], table[part]) for part in learned)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("dynamics", DYNAMICS)
-@pytest.mark.parametrize("agent_class", [Maxq0, MaxqQ])
-def test_taxi_is_solved_over_ten_seeds_in_all_dynamics(agent_class, dynamics):
-    """A minute or two of one core each."""
+def test_taxi_is_solved_over_ten_seeds_in_all_dynamics(dynamics):
+    """One or two minutes of one core each. 0.1 is left for what 3,000 episodes do not settle."""
     _, recursive = compute_taxi_optima(dynamics)
-    means, errors = zip(*(measure_taxi(agent_class, dynamics, 3_000, seed, 500) for seed in range(10)), strict=True)
+    means, errors = zip(*(measure_taxi(Maxq0, dynamics, 3_000, seed, 500) for seed in range(10)), strict=True)
     error = float(np.sqrt(np.square(errors).sum()) / len(errors))
-    print(f"{agent_class.__name__}, {dynamics}: {np.mean(means):.2f} +- {error:.2f}, optimum {recursive:.2f}")
-    assert np.mean(means) == pytest.approx(recursive, abs=0.1 + 4 * error)
+    print(f"maxq-0, {dynamics}: {np.mean(means):.2f} +- {error:.2f}, optimum {recursive:.2f}")
+    assert -0.1 - 4 * error <= np.mean(means) - recursive <= 4 * error
