@@ -32,11 +32,12 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from hrl_escape.errors import UnknownNameError
+from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.experiments.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
 from hrl_escape.experiments.grid import AgentSpec, Grid, load_grid
 from hrl_escape.experiments.launching.local import Launcher, LocalLauncher
 from hrl_escape.experiments.launching.ray import RayLauncher
+from hrl_escape.experiments.launching.slurm import SlurmLauncher
 from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.presets import GRIDS, get_grid
 from hrl_escape.experiments.reporting.report import write_report
@@ -83,6 +84,11 @@ class CompareArgs:
     """Runs at a time; one a core by default."""
     ray: bool = False
     """Run on a Ray cluster that shares the folder (extra `ray`), or on a Ray started here."""
+    slurm: int | None = None
+    """Run as a Slurm array of so many jobs that share the folder (extra `slurm`); without Slurm, as processes here."""
+    resources: tuple[str, ...] = ()
+    """What each run asks of Ray (num_cpus=2 num_gpus=0.5 memory=4e9), or each job of Slurm through submitit
+    (timeout_min=600 mem_gb=4 cpus_per_task=8 slurm_partition=long)."""
     shard: str = ""
     """Make only a part of the runs, such as 2/8: one part on each of eight machines that share the folder, each
     resumable. Then --report."""
@@ -171,7 +177,26 @@ def _describe_work(grid: Grid, out: Path) -> str:
 
 
 def _make_launcher(args: CompareArgs) -> Launcher:
-    return RayLauncher(args.workers) if args.ray else LocalLauncher(args.workers)
+    resources = {}
+    for text in args.resources:
+        name, sign, value = text.partition("=")
+        if not (name and sign):
+            raise ConfigError("resources", text, "a name and a value, such as num_gpus=1")
+        resources[name] = _parse_value(value)
+    if args.slurm is not None and args.ray:
+        raise ConfigError("slurm", args.slurm, "without --ray: choose one")
+    if resources and not args.ray and args.slurm is None:
+        raise ConfigError("resources", " ".join(args.resources), "with --ray or --slurm")
+    if args.slurm is not None:
+        return SlurmLauncher(args.slurm, resources=resources)
+    return RayLauncher(args.workers, resources=resources) if args.ray else LocalLauncher(args.workers)
+
+
+def _parse_value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
 
 
 # --- what is printed -------------------------------------------------------------------

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import statistics
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,11 +17,12 @@ from rich.console import Console
 
 from hrl_escape.errors import ConfigError, FileReadError, FileWriteError, RunBusyError
 from hrl_escape.experiments.grid import Grid, GridRun, load_grid
-from hrl_escape.experiments.launching.local import Failure, Launcher, LocalLauncher, count_cores
+from hrl_escape.experiments.launching.local import Failure, Launcher, LocalLauncher
 from hrl_escape.experiments.launching.monitor import Monitor
 from hrl_escape.experiments.places import RunPlace
 from hrl_escape.experiments.runs import RunResult, get_run_folder, load_run_result
 from hrl_escape.files import clear_unfinished, describe_write_failure, write_json
+from hrl_escape.processes import take_lock
 
 __all__ = ["Comparison", "Shard", "count_missing", "read_comparison", "run_grid", "run_grids"]
 
@@ -169,7 +169,7 @@ def _run(plan: _Plan, out: Path, launcher: Launcher, console: Console, is_alone:
     write_json(out / "grid.json", plan.grid.to_dict())
     for place in plan.places:
         place.save(out / "rooms")
-    monitor = Monitor(plan.runs, getattr(launcher, "workers", None) or count_cores(), console)
+    monitor = Monitor(plan.runs, console)
     unfinished = []
     for run in plan.runs:
         result = _read_finished(out, run, console)
@@ -197,12 +197,9 @@ def _lock(out: Path, shard: Shard = WHOLE) -> Iterator[None]:
     except OSError as error:
         raise FileWriteError(describe_write_failure(out, error)) from error
     with lock:
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+        if not take_lock(lock):
             raise RunBusyError(
-                f"{out}: another comparison is running in this folder. Wait for it or choose another folder"
-            ) from error
+                f"{out}: another comparison is running in this folder. Wait for it or choose another folder")
         yield
 
 

@@ -10,7 +10,9 @@ import dataclasses
 import hashlib
 import itertools
 import json
+from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -272,9 +274,8 @@ class Grid(Settings):
             EscapeError: an agent or one of its settings does not exist.
         """
         _refuse_twins("room", [place.id for place in places])
-        names = [place.name for place in places]
-        names = [f"{name}-{place.id[:6]}" if names.count(name) > 1 else name
-                 for name, place in zip(names, places, strict=True)]
+        counts = Counter(place.name for place in places)
+        names = [f"{place.name}-{place.id[:6]}" if counts[place.name] > 1 else place.name for place in places]
         resolved = [agent.resolve_settings() for agent in self.agents]
         if any(place.split is not None and place.split.is_transfer for place in places):
             self._check_transfer(resolved)
@@ -345,20 +346,20 @@ class GridRun:
         return identity if self.grid.until_solved is None else {
             **identity, "until_solved": self.grid.until_solved.to_dict()}
 
-    @property
+    @cached_property
     def key(self) -> str:
         """Hash of its identity: the same numbers, the same key, whatever grid it is in."""
         text = json.dumps(self.identity, sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()[:10]
 
-    @property
+    @cached_property
     def folder(self) -> str:
         """Name of its folder: readable, and its key."""
         return f"{make_file_name(f'{self.agent.label}--{self.room}--seed-{self.seed}')}--{self.key}"
 
 
 def _refuse_twins(what: str, names: Sequence[str]) -> None:
-    twins = sorted({name for name in names if names.count(name) > 1})
+    twins = sorted(name for name, count in Counter(names).items() if count > 1)
     if twins:
         raise GridError(f"the same {what} twice: {', '.join(twins)}. Remove one, or change what tells them apart")
 

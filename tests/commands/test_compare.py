@@ -110,6 +110,24 @@ def test_ray_that_is_not_installed_is_named_with_its_extra(capsys: pytest.Captur
     assert code == 2 and "hrl-escape[ray]" in err
 
 
+def test_submitit_that_is_not_installed_is_named_with_its_extra(capsys: pytest.CaptureFixture[str], tmp_path: Path,
+                                                               monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(__import__("sys").modules, "submitit", None)
+    code, _, err = call(capsys, "compare", "--agents", "random", "--runs", 1, "--slurm", 2, "--out", tmp_path)
+    assert code == 2 and "hrl-escape[slurm]" in err
+
+
+@pytest.mark.parametrize(("arguments", "message"), [
+    (["--ray", "--slurm", 2], "without --ray"), (["--slurm", 0], "1 or more"),
+    (["--resources", "num_gpus=1"], "with --ray or --slurm"),
+    (["--ray", "--resources", "num_gpus"], "name and a value"),
+])
+def test_launchers_that_do_not_go_together_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path,
+                                                       arguments: list[object], message: str):
+    code, _, err = call(capsys, "compare", "--agents", "random", "--runs", 1, "--out", tmp_path, *arguments)
+    assert code == 2 and message in err and len(err.splitlines()) == 1
+
+
 # --- train -----------------------------------------------------------------------------
 
 

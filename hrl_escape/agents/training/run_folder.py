@@ -8,7 +8,6 @@ an uninterrupted one.
 
 from __future__ import annotations
 
-import fcntl
 import json
 import math
 import os
@@ -39,6 +38,7 @@ from hrl_escape.files import (
     read_json,
     write_json,
 )
+from hrl_escape.processes import take_lock
 
 __all__ = ["BEST", "FORMAT", "LAST", "RunFolder", "read_run"]
 
@@ -159,13 +159,10 @@ class RunFolder:
         except OSError as error:
             raise FileWriteError(describe_write_failure(self.path, error)) from error
         lock = self._open(self.path / "lock", "ab")
-        try:
-            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)  # falls with the process, however it ends
-        except OSError as error:
+        if not take_lock(lock):
             lock.close()
             raise RunBusyError(
-                f"{self.path}: another process is training into this folder. Wait for it or choose another folder"
-            ) from error
+                f"{self.path}: another process is training into this folder. Wait for it or choose another folder")
         return lock
 
     def _open(self, path: Path, mode: str) -> IO[bytes]:

@@ -1,1 +1,1 @@
-"""Launchers of runs: local processes and a Ray cluster, and the monitor that shows their progress."""
+"""Launchers of runs: local processes, a Ray cluster and Slurm, and the monitor that shows their progress."""

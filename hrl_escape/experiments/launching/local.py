@@ -57,8 +57,13 @@ class Listener(Protocol):
         """Take note of a failed run."""
         ...
 
-    def tick(self, progress: Mapping[str, int]) -> None:
-        """Take note, now and then, of the primitives that running runs have trained for, by folder."""
+    def tick(self, progress: Mapping[str, int], workers: int) -> None:
+        """Take note, now and then, of the primitives that running runs have trained for, and of how many can run.
+
+        Args:
+            progress: primitives by folder.
+            workers: runs at a time.
+        """
         ...
 
 
@@ -103,7 +108,7 @@ class LocalLauncher:
                     process, run, answer = active.pop(sentinel)  # pyright: ignore[reportArgumentType]
                     process.join()
                     report_outcome(out, run, process.exitcode, _receive(answer), listener)
-                listener.tick({run.folder: read_progress(out, run) for _, run, _ in active.values()})
+                listener.tick({run.folder: read_progress(out, run) for _, run, _ in active.values()}, workers)
         finally:
             for process, _, _ in active.values():
                 process.kill()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 import numpy as np
 from rich.console import Console, Group
@@ -21,20 +22,37 @@ from hrl_escape.experiments.statistics import compute_iqm
 __all__ = ["Monitor"]
 
 
+@dataclass
+class _Tally:
+    """Numbers of one agent's runs, kept up to date so that a table costs the same however many have ended."""
+
+    runs: int = 0
+    failed: int = 0
+    efficiencies: list[float] = field(default_factory=list)
+    escapes: list[float] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    @property
+    def left(self) -> int:
+        """Runs that have not ended."""
+        return self.runs - self.failed - len(self.efficiencies)
+
+
 class Monitor:
     """Listener that shows the progress of runs.
 
     Args:
         runs: all of the comparison's.
-        workers: how many run at a time, for the time left.
         console: shows the progress.
     """
 
-    def __init__(self, runs: Sequence[GridRun], workers: int, console: Console) -> None:
-        self.runs, self.workers, self.console = runs, workers, console
+    def __init__(self, runs: Sequence[GridRun], console: Console) -> None:
+        self.runs, self.workers, self.console = {run.folder: run for run in runs}, 1, console
         self.failures: list[Failure] = []
         self.results: list[tuple[GridRun, RunResult]] = []
-        self._seconds: dict[str, list[float]] = {}
+        self._tallies = {run.agent.label: _Tally() for run in runs}
+        for run in runs:
+            self._tallies[run.agent.label].runs += 1
         self._started: dict[str, float] = {}
         self._progress: Mapping[str, int] = {}
         self._live: Live | None = None
@@ -51,12 +69,16 @@ class Monitor:
     def keep(self, run: GridRun, result: RunResult) -> None:
         """Count a run that was finished before."""
         self.results.append((run, result))
+        tally = self._tallies[run.agent.label]
+        tally.efficiencies.append(result.get_final("efficiency"))
+        tally.escapes.append(result.get_final("success_rate"))
 
     def finish(self, run: GridRun, result: RunResult) -> None:
         """Show a finished run."""
-        self.results.append((run, result))
-        seconds = time.monotonic() - self._started.pop(run.folder, time.monotonic())
-        self._seconds.setdefault(run.agent.label, []).append(seconds)
+        self.keep(run, result)
+        started = self._started.pop(run.folder, None)
+        seconds = result.seconds[-1] if started is None else time.monotonic() - started
+        self._tallies[run.agent.label].seconds.append(seconds)
         self._say(run, f"efficiency {result.get_final('efficiency'):.3f}, escapes "
                         f"{result.get_final('success_rate'):.0%}, {result.get_final('mean_length'):.0f} primitives an "
                         "episode", "green")
@@ -65,11 +87,12 @@ class Monitor:
         """Show a failed run."""
         self._started.pop(failure.run.folder, None)
         self.failures.append(failure)
+        self._tallies[failure.run.agent.label].failed += 1
         self._say(failure.run, f"failed: {failure.message}", "red")
 
-    def tick(self, progress: Mapping[str, int]) -> None:
-        """Take note of the primitives that running runs have trained for, by folder."""
-        now = time.monotonic()
+    def tick(self, progress: Mapping[str, int], workers: int) -> None:
+        """Take note of the primitives that running runs have trained for, and of how many run at a time."""
+        now, self.workers = time.monotonic(), max(1, workers)
         for folder in progress:
             self._started.setdefault(folder, now)
         self._progress = progress
@@ -86,16 +109,12 @@ class Monitor:
         table.add_column("agent")
         for heading in ("runs", "efficiency so far", "escapes", "running"):
             table.add_column(heading, justify="right")
-        for label in dict.fromkeys(run.agent.label for run in self.runs):
-            mine = [run for run in self.runs if run.agent.label == label]
-            done = [(run, result) for run, result in self.results if run.agent.label == label]
-            failed = sum(failure.run.agent.label == label for failure in self.failures)
-            running = [f"{self._progress[run.folder] / run.grid.primitives:.0%}" for run in mine
-                       if run.folder in self._progress]
-            finals = [np.array([result.get_final("efficiency") for _, result in done])]
-            score = f"{float(compute_iqm(finals)):.3f}" if done else "-"
-            escapes = f"{np.mean([result.get_final('success_rate') for _, result in done]):.0%}" if done else "-"
-            count = f"{len(done)}/{len(mine)}" + (f", {failed} failed" if failed else "")
+        for label, tally in self._tallies.items():
+            running = [f"{share:.0%}" for run, share in self._list_running() if run.agent.label == label]
+            done = len(tally.efficiencies)
+            score = f"{float(compute_iqm([np.array(tally.efficiencies)])):.3f}" if done else "-"
+            escapes = f"{np.mean(tally.escapes):.0%}" if done else "-"
+            count = f"{done}/{tally.runs}" + (f", {tally.failed} failed" if tally.failed else "")
             table.add_row(label, count, score, escapes, " ".join(running))
         ended = len(self.results) + len(self.failures)
         bar = ProgressBar(len(self.runs), ended, width=40)
@@ -105,17 +124,18 @@ class Monitor:
 
     def _estimate_seconds_left(self) -> float | None:
         """Estimate from the finished runs of the same agent, or of all agents before its first has finished."""
-        every = [seconds for known in self._seconds.values() for seconds in known]
+        every = [seconds for tally in self._tallies.values() for seconds in tally.seconds]
         if not every:
             return None
-        ended = {run.folder for run, _ in self.results} | {failure.run.folder for failure in self.failures}
-        total = 0.0
-        for run in self.runs:
-            if run.folder not in ended:
-                known = self._seconds.get(run.agent.label, every)
-                share = min(1.0, self._progress.get(run.folder, 0) / run.grid.primitives)
-                total += (1 - share) * sum(known) / len(known)
-        return total / self.workers
+        means = {label: float(np.mean(tally.seconds or every)) for label, tally in self._tallies.items()}
+        total = sum(tally.left * means[label] for label, tally in self._tallies.items())
+        total -= sum(share * means[run.agent.label] for run, share in self._list_running())
+        return max(0.0, total) / self.workers
+
+    def _list_running(self) -> list[tuple[GridRun, float]]:
+        """Running runs, and the share of its budget that each has trained for."""
+        runs = [(self.runs[folder], primitives) for folder, primitives in self._progress.items()]
+        return [(run, min(1.0, primitives / run.grid.primitives)) for run, primitives in runs]
 
 
 def _format_seconds(seconds: float) -> str:
