@@ -40,11 +40,11 @@ def summarise(name: str, comparison: Comparison) -> dict:
     curves, best = [], 0.0
     for spec in comparison.grid.agents:
         lines = []
-        for cell, result in comparison.runs:
-            if cell.agent == spec:
+        for run, result in comparison.runs:
+            if run.agent == spec:
                 points = [(e.primitives, np.mean(e.returns)) for e in result.evaluations]
                 lines.append(np.interp(grid, *zip(*points, strict=True)))
-                best = float(np.mean(result.scale.best))
+                best = float(np.mean(result.score_range.reachable))
         curves.append({"agent": spec.name, "primitives": grid.tolist(),
                        **{key: np.round(of(lines, axis=0), 1).tolist()
                           for key, of in (("mean", np.mean), ("low", np.min), ("high", np.max))}})
