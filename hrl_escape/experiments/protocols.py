@@ -86,7 +86,7 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
     record, source = bench[rung].record, settings.source or rung
     if settings.source == rung:
         raise ConfigError("from", rung, f"another rung than {rung}; the protocol generalise trains and tests on one")
-    name, test = f"{bench.name}/{rung}", record.test.count
+    name, test = f"{bench.source}/{rung}", record.test.count
     count = settings.rooms or (min(10, test) if protocol == "per-instance" else test)
     if not 1 <= count <= test:
         raise ConfigError("rooms", count, f"from 1 to {test}, the rooms of {name}/test")
@@ -98,7 +98,7 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
             runs=settings.runs, primitives=primitives, eval_episodes=settings.eval_episodes or 20,
             observation=settings.observation,
         )
-    train, most = f"{bench.name}/{source}", bench[source].record.train.count
+    train, most = f"{bench.source}/{source}", bench[source].record.train.count
     for size in settings.train_sizes:
         if not 1 <= size <= most:
             raise ConfigError("train_sizes", size, f"from 1 to {most}, the rooms of {train}/train")

@@ -18,10 +18,11 @@ class Benchmark:
 
     Args:
         manifest: the benchmark's manifest.
+        source: the name or file that `load_benchmark` finds it by; the manifest's name by default.
     """
 
-    def __init__(self, manifest: Manifest) -> None:
-        self.manifest, self.name = manifest, manifest.name
+    def __init__(self, manifest: Manifest, source: str = "") -> None:
+        self.manifest, self.name, self.source = manifest, manifest.name, source or manifest.name
         self._rungs = {record.name: Rung(manifest.name, record) for record in manifest.rungs}
 
     def __repr__(self) -> str:
@@ -64,4 +65,4 @@ def load_benchmark(name: str | Path) -> Benchmark:
         UnknownNameError: there is none of that name.
         EscapeError: the file is damaged.
     """
-    return Benchmark(load_manifest(name))
+    return Benchmark(load_manifest(name), str(name))

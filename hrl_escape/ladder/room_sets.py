@@ -40,7 +40,7 @@ def parse_room_set(text: str) -> InstanceSet:
         stop = int(form["stop"] or len(rooms)) if form["colon"] else start + 1
         if not start < min(stop, len(rooms)):
             raise ConfigError("rooms", text, f"at least one of the {len(rooms)} rooms of {form['name']}")
-        rooms = InstanceSet(text, rooms.config, rooms.seeds[start:stop])
+        rooms = InstanceSet(rooms.name + text[len(form["name"]):], rooms.config, rooms.seeds[start:stop])
     return rooms
 
 

@@ -5,7 +5,7 @@ import json
 from hrl_escape.cli import main
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.experiments.comparison import read_comparison
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 from tests.ladder.small import make_config, make_manifest
 
 
@@ -71,6 +71,16 @@ def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
     assert planner["efficiency"]["value"] == 1.0 and planner["escapes"][0] == 1.0 and not planner["passed"]
     code, _, err = call(capsys, "report", str(tmp_path), "--protocol", "per-instance")
     assert code == 2 and "no rung was run here" in err
+
+
+def test_a_benchmark_of_one_s_own_is_run_from_its_file(capsys, tmp_path):
+    make_manifest().save(tmp_path / "mine.json")
+    options = ["--protocol", "per-instance", "--rooms", "1", "--runs", "1", "--primitives", "30", "--eval-episodes",
+               "1", "--benchmark", str(tmp_path / "mine.json"), "--out", str(tmp_path / "out"), "--workers", "1"]
+    code, out, err = call(capsys, "run", "random", "--rung", "one", *options)
+    assert code == 0 and "one: 1 runs finished, 0 failed" in out, err
+    (place,) = read_comparison(tmp_path / "out" / "per-instance" / "one").places
+    assert place.instance == Benchmark(make_manifest())["one"].test[0] and place.name.endswith("one/test[0]")
 
 
 def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
