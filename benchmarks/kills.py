@@ -7,6 +7,7 @@ number differs. `compare` is a comparison of six agents, `train` one run of smdp
 from __future__ import annotations
 
 import argparse
+import contextlib
 import dataclasses
 import json
 import subprocess
@@ -25,8 +26,7 @@ from hrl_escape.experiments.presets import get_grid
 from hrl_escape.files import write_json
 
 AGENTS = ("random", "dqn", "smdp-random", "smdp-q-learning", "smdp-dqn", "smdp-ppo")
-LONGEST_SECONDS = 14.0
-"""A process takes some seconds to start, so later moments are needed to meet it at work."""
+LONGEST_SECONDS = 3.0
 TRAIN = """
 import sys, hrl_escape, gymnasium
 from hrl_escape.agents import train
@@ -58,7 +58,7 @@ def read_compare(folder: Path) -> Any:
 
 def make_train(folder: Path) -> list[str]:
     """One run with a checkpoint every half a second."""
-    return ["-c", TRAIN, "12000", str(folder)]
+    return ["-c", TRAIN, "20000", str(folder)]
 
 
 def read_train(folder: Path) -> Any:
@@ -79,9 +79,9 @@ def read_study(folder: Path) -> Any:
     return [file.read_bytes() for file in sorted(folder.glob("docs/raw/*.jsonl"))]
 
 
-WORK = {"compare": Work(make_compare, read_compare, "runs/*/run_result.json"),
+WORK = {"compare": Work(make_compare, read_compare, "runs/*/training/log.jsonl"),
         "train": Work(make_train, read_train, "checkpoint.npz"),
-        "study": Work(make_study, read_study, "runs/*/runs/*/run_result.json")}
+        "study": Work(make_study, read_study, "runs/*/runs/*/training/log.jsonl")}
 
 
 def start(command: list[str]) -> subprocess.Popen[bytes]:
@@ -98,21 +98,33 @@ def run_to_end(command: list[str]) -> float:
     return time.perf_counter() - began
 
 
+def find_newest(folder: Path, signs: str) -> int:
+    """Time of the last change among the signs of progress, ns; 0 where there is none."""
+    times = [0]
+    for path in folder.glob(signs):
+        with contextlib.suppress(FileNotFoundError):  # written anew meanwhile
+            times.append(path.stat().st_mtime_ns)
+    return max(times)
+
+
 def run_killed(command: list[str], folder: Path, signs: str, kills: int, rng: np.random.Generator) -> int:
-    """Start and kill, again and again: while it starts, works and writes; returns how often it was met at work."""
+    """Start and kill, again and again; returns how often it was still at work.
+
+    Every fourth kill comes while it starts, the others up to `LONGEST_SECONDS` after a new sign of progress.
+    """
     met = 0
     for number in range(kills):
-        process = start(command)
-        pause = rng.uniform(1.0, LONGEST_SECONDS)
+        before, process = find_newest(folder, signs), start(command)
+        while number % 4 and process.poll() is None and find_newest(folder, signs) == before:
+            time.sleep(0.02)
         try:
-            process.wait(pause)
+            process.wait(rng.uniform(0.0, LONGEST_SECONDS))
             print(f"  kill {number + 1}: it was already finished", flush=True)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
             met += 1
-            print(f"  kill {number + 1} after {pause:.1f} s: {len(list(folder.glob(signs)))} files of results",
-                  flush=True)
+            print(f"  kill {number + 1}: {len(list(folder.glob(signs)))} signs of progress", flush=True)
     return met
 
 

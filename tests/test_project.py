@@ -314,3 +314,12 @@ def test_changelog_says_of_each_entry_whether_results_are_affected():
     assert entries
     for entry in entries:
         assert re.search(r"\(results affected: (yes|no)\)\s*$", entry.split("\n\n")[0]), entry
+
+
+def test_torch_is_bounded_to_the_minor_version_that_was_tested():
+    """Another version sums in another order, and numbers differ in the last bit."""
+    requirement = re.search(r'"torch>=(\d+)\.(\d+),<(\d+)\.(\d+)"', (ROOT / "pyproject.toml").read_text())
+    pinned = re.search(r"^torch==(\d+)\.(\d+)\.", (ROOT / "constraints.txt").read_text(), re.MULTILINE)
+    assert requirement is not None and pinned is not None
+    major, minor, *beyond = map(int, requirement.groups())
+    assert (major, minor) == tuple(map(int, pinned.groups())) and beyond == [major, minor + 1]

@@ -103,6 +103,19 @@ def test_finished_runs_are_kept_and_new_ones_added(finished: Comparison, tmp_pat
     assert [result for _, result in both.runs] == [result for _, result in finished.runs]
 
 
+def test_what_killed_writers_left_is_cleared_and_other_parts_are_left_alone(tmp_path: Path):
+    grid = change(agents=["random"], runs=2, primitives=60)
+    runs = run_quietly(grid, tmp_path).runs
+    folders = [tmp_path, tmp_path / "rooms", *(get_run_folder(tmp_path, run) for run, _ in runs)]
+    for folder in folders:
+        (folder / ".writing-abc").write_bytes(b"half")
+    with open("/dev/null", "w") as nowhere:
+        run_grid(grid, tmp_path, LocalLauncher(1), Console(file=nowhere), Shard(1, 2))
+    assert [(folder / ".writing-abc").exists() for folder in folders] == [True, True, False, True]
+    run_quietly(grid, tmp_path)
+    assert not list(tmp_path.rglob(".writing-*"))
+
+
 # --- killed ----------------------------------------------------------------------------
 
 
