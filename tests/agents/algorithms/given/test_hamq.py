@@ -175,7 +175,7 @@ def test_a_program_that_returns_or_offers_nothing_is_refused():
 DYNAMICS = {"still": {}, "noisy": {"noisy": True}, "fickle": {"fickle": True}, "both": {"noisy": True, "fickle": True}}
 
 
-def measure_taxi(dynamics, internal, episodes, seed, tests=300):
+def measure_taxi(dynamics, episodes, seed, tests=300):
     env = Taxi(**DYNAMICS[dynamics])
     settings = Hamq.Settings(
         gamma=1.0,
@@ -184,7 +184,7 @@ def measure_taxi(dynamics, internal, episodes, seed, tests=300):
         epsilon_start=0.3,
         epsilon_end=0.1,
         epsilon_steps=100_000,
-        internal=internal,
+        internal=True,
     )
     agent = Hamq(env.observation_space, env.action_space, seed, settings, drive, read=read)
     ended = 0
@@ -197,14 +197,16 @@ def measure_taxi(dynamics, internal, episodes, seed, tests=300):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("dynamics", "internal"), [("still", False), *((name, True) for name in DYNAMICS)])
-def test_taxi_is_solved_over_ten_seeds(dynamics, internal):
-    """To the best that the program allows, which is below the flat optimum where the passenger is fickle.
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize("dynamics", ["still", "noisy"])
+def test_taxi_is_solved_over_ten_seeds(dynamics):
+    """To the best that the program allows.
 
-    Two or three minutes of one core each. 0.25 is left for what 4,000 episodes do not settle.
+    Three minutes of one core each. 0.25 is left for what 5,000 episodes do not settle; benchmarks/README.md has the
+    other dynamics.
     """
     optimum = compute_price(make_tabular_model(Taxi(**DYNAMICS[dynamics])), drive, read=read).hierarchical
-    means, errors = zip(*(measure_taxi(dynamics, internal, 4_000, seed) for seed in range(10)), strict=True)
+    means, errors = zip(*(measure_taxi(dynamics, 5_000, seed) for seed in range(10)), strict=True)
     error = float(np.sqrt(np.square(errors).sum()) / len(errors))
-    print(f"hamq, {dynamics}, internal={internal}: {np.mean(means):.2f} +- {error:.2f}, optimum {optimum:.2f}")
+    print(f"hamq, {dynamics}: {np.mean(means):.2f} +- {error:.2f}, optimum {optimum:.2f}")
     assert -0.25 - 4 * error <= np.mean(means) - optimum <= 4 * error

@@ -266,6 +266,7 @@ def test_without_pseudo_rewards_maxq_q_is_maxq_0_to_the_bit():
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("dynamics", DYNAMICS)
 def test_taxi_is_solved_over_ten_seeds_in_all_dynamics(dynamics):
     """One or two minutes of one core each. 0.1 is left for what 3,000 episodes do not settle."""
