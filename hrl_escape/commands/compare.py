@@ -87,7 +87,7 @@ class CompareArgs:
     slurm: int | None = None
     """Run as a Slurm array of so many jobs that share the folder (extra `slurm`); without Slurm, as processes here."""
     resources: tuple[str, ...] = ()
-    """What each run asks of Ray (num_cpus=2 num_gpus=0.5 memory=4e9), or each job of Slurm through submitit
+    """Resources that each run asks of Ray (num_cpus=2 num_gpus=0.5 memory=4e9), or each job of Slurm through submitit
     (timeout_min=600 mem_gb=4 cpus_per_task=8 slurm_partition=long)."""
     shard: str = ""
     """Make only a part of the runs, such as 2/8: one part on each of eight machines that share the folder, each

@@ -72,7 +72,7 @@ class Solid(Settings):
     height: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 1.0
     """Height above the floor."""
     role: Literal["wall", "obstacle", "door"] = "obstacle"
-    """What it is."""
+    """Part of the room that it is."""
 
     @cached_property
     def footprint(self) -> Footprint:

@@ -110,7 +110,7 @@ class PlacedProp(Settings):
 
     _section = "prop"
     prop: Prop = Prop()
-    """What it is."""
+    """Kind and size."""
     x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
     """Position."""
     y: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
@@ -164,13 +164,13 @@ class RoomInstance(Settings):
     door: Solid | None = None
     """Stands in the exit's doorway until the puzzle is solved."""
     targets: tuple[Target, ...] = ()
-    """What can be pressed, in the puzzle's order."""
+    """Things to press, in the puzzle's order."""
     props: tuple[PlacedProp, ...] = ()
-    """What stands on the floor, in the puzzle's order."""
+    """Things on the floor, in the puzzle's order."""
     exit: Rectangle = Rectangle()
-    """Where the episode ends once the puzzle is solved."""
+    """Region in which the episode ends once the puzzle is solved."""
     starts: tuple[Start, ...] = (Start(),)
-    """Where episodes may begin."""
+    """Poses in which episodes may begin."""
     robot: RobotConfig = RobotConfig()
     """Base and arm."""
     puzzle: Puzzle = ButtonsPuzzle()
@@ -178,7 +178,7 @@ class RoomInstance(Settings):
     reward: RewardConfig = RewardConfig()
     """Reward."""
     dynamics: DynamicsConfig = DynamicsConfig()
-    """How primitives act."""
+    """Effect of primitives."""
     horizon: Annotated[int, Range(1, 100_000_000)] = 1000
     """Primitives until truncation."""
     shared: SpaceLayout | None = None

@@ -13,7 +13,6 @@ import operator
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from functools import cache
-from importlib.metadata import entry_points
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,7 +21,8 @@ from numpy.typing import NDArray
 from hrl_escape.env.engine import Renderer
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.sight import SIGHT_SLACK, Scanner, list_hiders
-from hrl_escape.errors import ConfigError, PluginError, UnknownNameError, UnsupportedError
+from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
+from hrl_escape.plugins import load_entry_points
 
 __all__ = ["LIDAR_RAYS", "OBJECT_WORDS", "PIXELS", "Observation", "Observer", "get_observation", "list_observations",
            "make_observer", "register_observation"]
@@ -332,13 +332,8 @@ for _entry in (
 
 @cache
 def _load_entry_points() -> None:
-    for point in entry_points(group="hrl_escape.observations"):
-        try:
-            observation = Observation(*point.load())
-        except Exception as error:  # whatever a stranger's module raises
-            package = point.dist.name if point.dist else "an unknown package"
-            raise PluginError(f"the observation {point.name!r} of package {package!r} cannot be loaded from "
-                              f"{point.value!r}, which must be an Observation: {error}") from error
+    for observation in load_entry_points("hrl_escape.observations", "observation", "an Observation",
+                                         lambda loaded: Observation(*loaded)):
         register_observation(observation)
 
 

@@ -81,7 +81,7 @@ class Option(ABC):
 
 
 OptionAction: TypeAlias = int | Option
-"""What an option of a room does: a primitive, or a lower option to run to its end."""
+"""Choice of an option of a room: a primitive, or a lower option to run to its end."""
 
 
 class ScriptedOption(Option):

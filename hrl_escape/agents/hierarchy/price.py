@@ -89,7 +89,7 @@ class _Points:
 
     numbers: dict[Hashable, int] = field(default_factory=dict)
     first: list[int] = field(default_factory=lambda: [0])
-    """Where the choices of each point begin, and where those of the last end."""
+    """Start of each point's choices in the list, and the end of the last one's."""
     choices: list[int] = field(default_factory=list)
     rewards: list[float] = field(default_factory=list)
     follow: list[Follow] = field(default_factory=list)

@@ -42,7 +42,7 @@ __all__ = ["CURB", "SUN", "Stage", "Standing"]
 SUN = (-4.0, 2.6, 9.0)
 """Direction of the light; the shadows that `meshes.py` lays on the floor agree with it."""
 CURB = 0.3
-"""What is left of a wall that is cut open, m."""
+"""Height left of a wall that is cut open, m."""
 
 _TILE, _OTHER_TILE, _SHADE = "#efebe2", "#e6e1d6", "#c9c3b6"
 _WALL, _WALL_TOP = "#c6ccd6", "#5b6475"

@@ -33,7 +33,7 @@ Point = tuple[float, float]
 
 FACETS = 32
 SHADOW = (0.34, -0.22)
-"""Where the shadow of a point falls, per metre of its height, m."""
+"""Offset of a point's shadow, per metre of its height, m."""
 _LONGEST_SHADOW = 1.3
 
 

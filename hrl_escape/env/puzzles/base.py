@@ -11,13 +11,13 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping
-from importlib.metadata import entry_points
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from typing_extensions import Self
 
-from hrl_escape.errors import ConfigError, PluginError, UnknownNameError
+from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.plugins import load_entry_points
 from hrl_escape.settings import Range, Settings
 
 __all__ = [
@@ -304,7 +304,6 @@ class PuzzleKind:
 
 
 _REGISTRY: dict[str, PuzzleKind] = {}
-_ENTRY_POINTS = "hrl_escape.puzzles"
 
 
 def register_puzzle(config_type: type[PuzzleConfig], puzzle_type: type[Puzzle]) -> None:
@@ -341,11 +340,6 @@ def list_puzzles() -> tuple[str, ...]:
 
 
 def _load_entry_points() -> None:
-    for point in entry_points(group=_ENTRY_POINTS):
-        try:
-            config_type, puzzle_type = point.load()
-        except Exception as error:  # whatever a stranger's module raises
-            package = point.dist.name if point.dist else "an unknown package"
-            raise PluginError(f"the puzzle {point.name!r} of package {package!r} cannot be loaded from "
-                              f"{point.value!r}, which must be a pair (config type, puzzle type): {error}") from error
-        register_puzzle(config_type, puzzle_type)
+    for kind in load_entry_points("hrl_escape.puzzles", "puzzle", "a pair (config type, puzzle type)",
+                                  lambda loaded: PuzzleKind(*loaded)):
+        register_puzzle(kind.config_type, kind.puzzle_type)

@@ -38,7 +38,7 @@ class FeudalRlSettings(StackSettings, TabularSettings, ExplorationSettings):
     """Settings of `feudal-rl`."""
 
     penalty: Annotated[float, Range(0)] = 0.2
-    """What leaving a cell other than ordered costs the manager that was to leave it or to stay."""
+    """Cost to a manager of leaving its cell otherwise than it was ordered to."""
     patience: Annotated[int, Range(0)] = 10
     """Primitives after which an order to the last level is given up, and twice as many a level higher; 0 never gives
     up. Walls may shut the way that a manager was ordered."""

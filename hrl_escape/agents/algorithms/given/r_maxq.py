@@ -40,7 +40,7 @@ class RMaxqSettings(StackSettings):
     visits: Annotated[int, Range(1)] = 1
     """Samples that make a pair of state and primitive known (m); 1 is enough where outcomes have no chance in them."""
     optimistic_value: float = 100.0
-    """What an unknown pair is worth (V_max), in units of return: no state's true value may be higher."""
+    """Value of an unknown pair (V_max), in units of return: no state's true value may be higher."""
     tolerance: Annotated[float, Range(0, open_low=True)] = 1e-9
     """Value iteration stops when no value moves by more than this."""
     most_states: Annotated[int, Range(1)] = 2_000
