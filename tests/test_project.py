@@ -97,7 +97,7 @@ FORBIDDEN_IMPORTS = [  # (importer, imported, the contract that finds it); a fil
     ("commands.new", "hrl_escape.env.bullet.scene", "no engine but through"),
     ("env.puzzles.new", "hrl_escape.env.puzzles.buttons", "puzzles do not import puzzles"),
     ("agents.algorithms.new", "hrl_escape.agents.algorithms.sarsa", "algorithms do not import algorithms"),
-    ("agents.algorithms.given.new", "hrl_escape.agents.algorithms.given.hamq", "algorithms on given hierarchies"),
+    ("agents.algorithms.given.new", "hrl_escape.agents.algorithms.given.hamq", "algorithms of a family"),
     ("agents.hierarchy.new", "hrl_escape.agents.algorithms.given.hamq", "agents: the protocol and parts"),
     ("agents.components.new", "hrl_escape.agents.training.train", "agents: the protocol and parts"),
     ("env.bullet.new", "gymnasium", "within env, gymnasium only"),

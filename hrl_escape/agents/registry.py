@@ -1,7 +1,8 @@
 """Names of agents: the list of them, agents made by name, and the door for agents of third parties.
 
-A file in `agents/algorithms` is an agent, named like the file; its class is the one `Agent` that the file defines.
-Those in `algorithms/given` act by a hierarchy that they are given, so spaces and settings alone do not make them.
+A file in `agents/algorithms` or in one of its families is an agent, named like the file; its class is the one `Agent`
+that the file defines. Those of the family `given` act by a hierarchy that they are given, so spaces and settings alone
+do not make them.
 
 `smdp-dqn` and `dqn` are one implementation; the prefix only says which view of an environment
 is meant, and lets a recipe differ where the published program's did. Third-party agents arrive
@@ -28,6 +29,7 @@ from hrl_escape.settings import replace_settings
 __all__ = [
     "ENTRY_POINT_GROUP",
     "SMDP_PREFIX",
+    "find_agent_module",
     "find_given_part",
     "get_agent_class",
     "get_recipe",
@@ -49,7 +51,7 @@ _CATALOGUE = "hrl_escape.agents.algorithms"
 
 def list_agents() -> list[str]:
     """Names of all agents made from spaces and settings, shipped ones first; each also exists with `smdp-`."""
-    return [*_find_shipped(_CATALOGUE), *sorted(_find_others())]
+    return [*_find_made(), *sorted(_find_others())]
 
 
 def get_agent_class(name: str) -> type[Agent]:
@@ -60,7 +62,7 @@ def get_agent_class(name: str) -> type[Agent]:
         AgentSettingsError: a third party's class is no `Agent`.
     """
     base = name.removeprefix(SMDP_PREFIX)
-    shipped = _find_shipped(_CATALOGUE) | _find_shipped(f"{_CATALOGUE}.given")
+    shipped = _find_made() | _find_shipped(f"{_CATALOGUE}.given")
     if base in shipped:
         defined = vars(importlib.import_module(shipped[base])).values()
         (found,) = (thing for thing in defined if _is_agent(thing) and thing.__module__ == shipped[base])
@@ -86,6 +88,19 @@ def _find_shipped(package: str) -> dict[str, str]:
     return {module.name.replace("_", "-"): f"{package}.{module.name}" for module in found if not module.ispkg}
 
 
+@cache
+def _find_made() -> dict[str, str]:
+    """The same for every algorithm that spaces and settings make: those of no family, then family by family."""
+    found = iter_modules(importlib.import_module(_CATALOGUE).__path__)
+    families = [f"{_CATALOGUE}.{module.name}" for module in found if module.ispkg and module.name != "given"]
+    return {name: path for package in (_CATALOGUE, *families) for name, path in _find_shipped(package).items()}
+
+
+def find_agent_module(name: str) -> str | None:
+    """Module of a shipped agent, without importing it; None for an agent of a third party."""
+    return (_find_made() | _find_shipped(f"{_CATALOGUE}.given")).get(name.removeprefix(SMDP_PREFIX))
+
+
 def list_recipes(name: str) -> dict[str, Any]:
     """Recipe -> the agent's settings under it, `corrected` first.
 
@@ -98,7 +113,7 @@ def list_recipes(name: str) -> dict[str, Any]:
     agent_class, base = get_agent_class(name), name.removeprefix(SMDP_PREFIX)
     settings = agent_class.Settings()
     recipes = {"corrected": settings, **agent_class.recipes}
-    if base in _find_shipped(_CATALOGUE) and base in PAPER:
+    if base in _find_made() and base in PAPER:
         recipes["paper"] = replace_settings(settings, PAPER.get(name, PAPER[base]))
     over_options = {recipe.removeprefix(SMDP_PREFIX): recipes.pop(recipe) for recipe in list(recipes)
                     if recipe.startswith(SMDP_PREFIX)}
@@ -177,5 +192,5 @@ def read_structure(env: gymnasium.Env) -> Mapping[str, Any]:
 
 
 def _find_others() -> dict[str, Any]:
-    shipped = _find_shipped(_CATALOGUE)
+    shipped = _find_made()
     return {point.name: point for point in entry_points(group=ENTRY_POINT_GROUP) if point.name not in shipped}

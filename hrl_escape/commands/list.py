@@ -19,7 +19,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.agents.registry import SMDP_PREFIX, list_agents, list_given_agents
+from hrl_escape.agents.registry import SMDP_PREFIX, find_agent_module, list_agents, list_given_agents
 from hrl_escape.env.engine import CAMERAS
 from hrl_escape.env.observations import list_observations
 from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset, make_env_name
@@ -85,7 +85,7 @@ def _describe_agent(name: str) -> str:
 
 def _describe_hierarchical(name: str) -> str:
     """The same for an agent on a given hierarchy, and what that tells it."""
-    source = _parse_agent(f"given.{name}")
+    source = _parse_agent(name)
     taken = {node.arg for node in ast.walk(source) if isinstance(node, ast.arg)}
     told = [privilege for part, privilege in PRIVILEGES.items() if part in taken]
     return f"{_summarise(source)}; privileged: {', '.join(told) or 'nothing'}"
@@ -93,7 +93,8 @@ def _describe_hierarchical(name: str) -> str:
 
 def _parse_agent(name: str) -> ast.Module:
     """The agent's module, read without importing it."""
-    spec = find_spec(f"hrl_escape.agents.algorithms.{name.replace('-', '_')}")
+    module = find_agent_module(name)
+    spec = None if module is None else find_spec(module)
     source = Path(spec.origin).read_text(encoding="utf-8") if spec is not None and spec.origin is not None else ""
     return ast.parse(source)
 

@@ -20,18 +20,24 @@ from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.settings import Range
 
-__all__ = ["QTable", "TabularSettings", "make_discretiser"]
+__all__ = ["QTable", "ResolutionSettings", "TabularSettings", "make_discretiser"]
 
 
 @dataclass(frozen=True)
-class TabularSettings(AgentSettings):
-    """Resolution of states, and learning rates of the table."""
+class ResolutionSettings(AgentSettings):
+    """Resolution of states."""
 
     bins: Annotated[int, Range(2)] = 11
     """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends
     included: 11 over a 20 m room is 2 m; a bit stays a bit."""
     resolution: Annotated[float, Range(0, open_low=True)] = 1.0
     """A component without bounds is rounded to multiples of this, in its own unit."""
+
+
+@dataclass(frozen=True)
+class TabularSettings(ResolutionSettings):
+    """Resolution of states, and learning rates of the table."""
+
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
     """Step size alpha at a state and action's first update; 1 suits deterministic environments."""
     learning_rate_power: Annotated[float, Range(0, 1)] = 0.0
@@ -40,7 +46,7 @@ class TabularSettings(AgentSettings):
     """Value of actions that were never tried, in units of return."""
 
 
-def make_discretiser(space: gymnasium.Space, settings: TabularSettings, agent: str) -> Callable[[Any], bytes]:
+def make_discretiser(space: gymnasium.Space, settings: ResolutionSettings, agent: str) -> Callable[[Any], bytes]:
     """A function from observations to table keys: bytes of int32 cells.
 
     Raises:

@@ -1,0 +1,271 @@
+"""Option-critic in tables: policies and terminations of options learned by gradients of one critic.
+
+Bacon, Harb and Precup (2017); deliberation cost by Harb et al. (2018); updates of several options from one decision by
+Klissarov and Precup (2021). Policy and termination are updated for the option that ran, its termination at the state
+reached; published programs differ in both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, StateTree, compute_backup, count_actions
+from hrl_escape.agents.components.exploration import make_rng, sample_index
+from hrl_escape.agents.components.option_log import OptionLog
+from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
+from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.settings import Range
+
+__all__ = ["OptionCritic", "OptionCriticSettings", "OptionTables"]
+
+
+@dataclass(frozen=True)
+class OptionCriticSettings(ResolutionSettings, LearningSettings):
+    """Settings of `option-critic`."""
+
+    options: Annotated[int, Range(1)] = 4
+    """Options that are learned."""
+    critic_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
+    """Step size of option values and of action values within options."""
+    policy_rate: Annotated[float, Range(0)] = 0.25
+    """Step size of the options' policies; 0 leaves them as they are."""
+    termination_rate: Annotated[float, Range(0)] = 0.25
+    """Step size of terminations; 0 leaves them as they are."""
+    temperature: Annotated[float, Range(0, open_low=True)] = 0.01
+    """Temperature of the options' policies, in units of scaled return."""
+    epsilon: Annotated[float, Range(0, 1)] = 0.01
+    """Share of options that are chosen at random, and of the mean in the value of ending an option."""
+    deliberation_cost: Annotated[float, Range(0)] = 0.0
+    """Price of ending an option, in scaled return: paid in the value upon arrival, and so a margin of terminations."""
+    termination_margin: Annotated[float, Range(0)] = 0.0
+    """Margin by which an option must be worse than the mean before it is ended more often, in scaled return; paid
+    nowhere."""
+    multi_option: Annotated[float, Range(0, 1)] = 0.0
+    """Share in which each decision updates every option, weighted by how likely it was to run and to decide the same;
+    the rest goes to the option that ran. Above 0 this is MOC."""
+    initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
+    """Probability of ending an option in a state where nothing was learned."""
+    reward_scale: Annotated[float, Range(0, open_low=True)] = 0.01
+    """Values are learned of rewards times this, so that returns are about 1; logged values stay in units of return."""
+
+
+class OptionTables(NamedTuple):
+    """Numbers learned of one state.
+
+    Attributes:
+        values: (options,), Q(s, o).
+        action_values: (options, actions), Q_U(s, o, a).
+        preferences: (options, actions), theta.
+        endings: (options,), phi; the termination is its logistic function.
+    """
+
+    values: NDArray[np.float64]
+    action_values: NDArray[np.float64]
+    preferences: NDArray[np.float64]
+    endings: NDArray[np.float64]
+
+
+class OptionCritic(Agent):
+    """Learn Q(s, o), Q_U(s, o, a), pi_o and beta_o from every decision (s, o, a) -> R, s'.
+
+        U(s', o) = (1 - beta_o(s')) Q(s', o) + beta_o(s') (V(s') - cost)
+        V(s')    = (1 - epsilon) max over o' of Q(s', o') + epsilon mean over o' of Q(s', o')
+        critic       Q_U(s, o, a) and Q(s, o) towards R + b U(s', o)
+        policy       theta_o += rate grad log pi_o(a | s) (Q_U(s, o, a) - Q(s, o))
+        termination  phi_o   -= rate grad beta_o(s') (Q(s', o) - V(s') + cost + margin), unless terminated
+
+    Then the option ends with probability beta_o(s') and the next is chosen epsilon-greedily. With `multi_option` every
+    option o is updated, weighted by w_o = P(o | s, the option before), in its own value and policy also by
+    pi_o(a | s) / pi(a | s) of the option that ran; no step is longer than its rate.
+
+    Attributes:
+        log: durations and entropy of options.
+    """
+
+    name: ClassVar[str] = "option-critic"
+    Settings: ClassVar[type] = OptionCriticSettings
+    settings: OptionCriticSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: OptionCriticSettings | None = None,
+    ) -> None:
+        self.settings = settings = settings or OptionCriticSettings()
+        self._actions = count_actions(action_space, self.name)
+        self._discretise = make_discretiser(observation_space, settings, self.name)
+        self._tables: dict[bytes, OptionTables] = {}
+        self._unknown = self._make_tables()
+        self.log = OptionLog(settings.options, self.name)
+        self._rng = make_rng(seed, "actions")
+        self._option, self._decisions = -1, 0
+        self._likely = np.zeros(settings.options)  # P(o | s, the option before)
+        self._eye = np.eye(settings.options)
+        self._evaluation: tuple[np.random.Generator, int, int] | None = None
+        """Generator of an evaluation, the option that runs in it, and the decisions that it has made."""
+        self._shown: RunningCall | None = None
+
+    def _make_tables(self) -> OptionTables:
+        options = self.settings.options
+        even = np.zeros((options, self._actions))
+        start = np.log(self.settings.initial_termination / (1 - self.settings.initial_termination))
+        return OptionTables(np.zeros(options), even.copy(), even, np.full(options, start))
+
+    def _get(self, observation: Any) -> OptionTables:
+        """Read a state's tables; not to be written."""
+        return self._tables.get(self._discretise(observation), self._unknown)
+
+    def _claim(self, observation: Any) -> OptionTables:
+        """Tables of a state, its own from now on."""
+        key = self._discretise(observation)
+        if key not in self._tables:
+            self._tables[key] = self._make_tables()
+        return self._tables[key]
+
+    # --- what the tables say ------------------------------------------------------------
+
+    def compute_policies(self, observation: Any, action_mask: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """pi_o(a | s) over legal actions, float64 (options, actions)."""
+        scaled = np.where(action_mask, self._get(observation).preferences / self.settings.temperature, -np.inf)
+        weights = np.exp(scaled - scaled.max(axis=1, keepdims=True))
+        return weights / weights.sum(axis=1, keepdims=True)
+
+    def compute_terminations(self, observation: Any) -> NDArray[np.float64]:
+        """beta_o(s), float64 (options,)."""
+        return 1 / (1 + np.exp(-self._get(observation).endings))
+
+    def compute_option_values(self, observation: Any) -> NDArray[np.float64]:
+        """Q(s, .) of options, in units of return, float64 (options,)."""
+        return self._get(observation).values / self.settings.reward_scale
+
+    def compute_values(self, observation: Any) -> NDArray[np.float64]:
+        """Q_U(s, o, .) of the best option o, in units of return, float64 (actions,)."""
+        tables = self._get(observation)
+        return tables.action_values[tables.values.argmax()] / self.settings.reward_scale
+
+    def compute_state_value(self, observation: Any) -> float:
+        """V(s), in units of return."""
+        return self._compute_mean_value(self._get(observation).values) / self.settings.reward_scale
+
+    def _compute_mean_value(self, values: NDArray[np.float64]) -> float:
+        """V of the epsilon-greedy choice among options."""
+        return float((1 - self.settings.epsilon) * values.max() + self.settings.epsilon * values.mean())
+
+    def _compute_choice(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Probability of each option to be chosen, (options,)."""
+        choice = np.full(len(values), self.settings.epsilon / len(values))
+        choice[values.argmax()] += 1 - self.settings.epsilon
+        return choice
+
+    def list_calls(self) -> tuple[RunningCall, ...]:
+        """The option of the latest choice, in evaluation or in learning."""
+        return () if self._shown is None else (self._shown,)
+
+    def _draw(self, option: int, decisions: int, observation: Any, mask: NDArray[np.bool_],
+              rng: np.random.Generator) -> int:
+        """Draw from an option's policy."""
+        ends = float(self.compute_terminations(observation)[option])
+        self._shown = RunningCall(f"option-{option}", None, decisions, ends)
+        return sample_index(self.compute_policies(observation, mask)[option], rng)
+
+    # --- acting -------------------------------------------------------------------------
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Draw from the running option's policy; a first option is chosen in a new episode."""
+        if self._option < 0:
+            self._likely = self._compute_choice(self._get(observation).values)
+            self._option, self._decisions = sample_index(self._likely, self._rng), 0
+        return self._draw(self._option, self._decisions, observation, action_mask, self._rng)
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """Draw from an option's policy: the best option, until it ends in the evaluation that belongs to `rng`."""
+        option, decisions = int(self._get(observation).values.argmax()), 0
+        if self._evaluation is not None and self._evaluation[0] is rng:
+            _, running, made = self._evaluation
+            if rng.random() >= self.compute_terminations(observation)[running]:
+                option, decisions = running, made
+        self._evaluation = rng, option, decisions + 1
+        return self._draw(option, decisions, observation, action_mask, rng)
+
+    # --- learning -----------------------------------------------------------------------
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """One update of critic, policy and termination; then the option may end."""
+        error = self._learn(transition)
+        self._decisions += 1
+        ended = self._go_on(transition)
+        metrics = {"td_error": error / self.settings.reward_scale, "states": len(self._tables)}
+        return metrics | self.log.measure() if ended else metrics
+
+    def _learn(self, transition: SMDPTransition) -> float:
+        settings, option, action = self.settings, self._option, transition.action
+        policies = self.compute_policies(transition.observation, transition.action_mask)
+        here, there = self._claim(transition.observation), self._claim(transition.next_observation)
+        reward, bootstrap = compute_backup(transition, settings)
+        beta = self.compute_terminations(transition.next_observation)
+        arrived = self._compute_mean_value(there.values) - settings.deliberation_cost
+        target = reward * settings.reward_scale + bootstrap * ((1 - beta) * there.values + beta * arrived)
+        error = float(target[option] - here.values[option])
+
+        weights = self._eye[option] + settings.multi_option * (self._likely - self._eye[option])
+        same = np.minimum(weights * policies[:, action] / policies[option, action], 1.0)
+        here.action_values[:, action] += settings.critic_rate * weights * (target - here.action_values[:, action])
+        here.values[:] += settings.critic_rate * same * (target - here.values)
+
+        advantage = here.action_values[:, action] - here.values
+        gradient = -policies  # of log pi_o(a | s) by theta_o, times the temperature
+        gradient[:, action] += 1
+        here.preferences[:] += settings.policy_rate * (same * advantage)[:, None] * gradient
+        if not transition.terminated:
+            worse = there.values - self._compute_mean_value(there.values)
+            margin = settings.deliberation_cost + settings.termination_margin
+            there.endings[:] -= settings.termination_rate * weights * beta * (1 - beta) * (worse + margin)
+        return abs(error)
+
+    def _go_on(self, transition: SMDPTransition) -> bool:
+        """Draw whether the option ends, and the next; returns whether it ended."""
+        if transition.terminated or transition.truncated:
+            self.log.add(self._option, self._decisions)
+            self._option, self._decisions = -1, 0
+            return True
+        beta = float(self.compute_terminations(transition.next_observation)[self._option])
+        choice = self._compute_choice(self._get(transition.next_observation).values)
+        self._likely = beta * choice + (1 - beta) * self._eye[self._option]
+        if self._rng.random() >= beta:
+            return False
+        self.log.add(self._option, self._decisions)
+        self._option, self._decisions = sample_index(choice, self._rng), 0
+        return True
+
+    def state_dict(self) -> StateTree:
+        """Tables in order of first meeting, the running option, its log, generator."""
+        keys = [np.frombuffer(key, np.uint8) for key in self._tables]
+        columns = zip(*self._tables.values(), strict=True) if keys else ([] for _ in OptionTables._fields)
+        return {
+            "keys": np.array(keys, np.uint8),
+            **{name: np.array(column) for name, column in zip(OptionTables._fields, columns, strict=True)},
+            "log": self.log.state_dict(),
+            "option": self._option,
+            "decisions": self._decisions,
+            "likely": self._likely,
+            "rng": self._rng.bit_generator.state,
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        columns = (np.array(state[name]) for name in OptionTables._fields)
+        rows = (OptionTables(*row) for row in zip(*columns, strict=True))
+        self._tables = {key.tobytes(): row for key, row in zip(state["keys"], rows, strict=True)}
+        self.log.load_state_dict(state["log"])
+        self._option, self._decisions = int(state["option"]), int(state["decisions"])
+        self._likely = np.array(state["likely"])
+        self._rng.bit_generator.state = state["rng"]
+        self._evaluation = None

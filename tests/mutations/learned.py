@@ -1,0 +1,58 @@
+"""Traps of algorithms that learn their hierarchy, each sprung."""
+
+ALGORITHMS = "agents/algorithms"
+
+
+def _trap(bug: str, file: str, old: str, new: str, test: str) -> tuple[str, str, str, str, str]:
+    """Fields of a mutation: what is wrong, file and test by family and name, sound text, broken text."""
+    family, name = file.split("/")
+    return bug, f"{ALGORITHMS}/{family}/{name}.py", old, new, f"{ALGORITHMS}/{family}/test_{name}.py{test}"
+
+
+OPTION_CRITIC = "options/option_critic"
+
+MUTATIONS = [
+    _trap("the best option is ended more and more often", OPTION_CRITIC,
+          "there.endings[:] -= settings", "there.endings[:] += settings",
+          "::test_termination_climbs_the_value_upon_arrival_at_the_state_reached_for_the_option_that_ran"),
+    _trap("termination is learned in the state that was left", OPTION_CRITIC,
+          "there.endings[:] -= settings", "here.endings[:] -= settings",
+          "::test_termination_climbs_the_value_upon_arrival_at_the_state_reached_for_the_option_that_ran"),
+    _trap("the advantage of going on is that of the state that was left", OPTION_CRITIC,
+          "worse = there.values - self._compute_mean_value(there.values)",
+          "worse = here.values - self._compute_mean_value(here.values)",
+          "::test_termination_climbs_the_value_upon_arrival_at_the_state_reached_for_the_option_that_ran"),
+    _trap("policy and termination are those of the option drawn next", OPTION_CRITIC,
+          "        error = self._learn(transition)\n        self._decisions += 1\n"
+          "        ended = self._go_on(transition)\n",
+          "        self._decisions += 1\n        ended = self._go_on(transition)\n"
+          "        error = self._learn(transition)\n",
+          ""),
+    _trap("the value of ending is the best option's", OPTION_CRITIC,
+          "(1 - self.settings.epsilon) * values.max() + self.settings.epsilon * values.mean()", "values.max()",
+          "::test_the_best_option_is_worth_more_than_the_mean_choice_so_that_its_termination_can_fall"),
+    _trap("termination is learned where the task ended", OPTION_CRITIC,
+          "if not transition.terminated:", "if True:",
+          "::test_nothing_is_learned_of_termination_where_the_task_ended"),
+    _trap("the deliberation cost is a reward for ending", OPTION_CRITIC,
+          "margin = settings.deliberation_cost + settings.termination_margin",
+          "margin = settings.termination_margin - settings.deliberation_cost",
+          "::test_termination_climbs_the_value_upon_arrival_at_the_state_reached_for_the_option_that_ran"),
+    _trap("the deliberation cost is paid nowhere", OPTION_CRITIC,
+          "self._compute_mean_value(there.values) - settings.deliberation_cost",
+          "self._compute_mean_value(there.values)",
+          "::test_values_of_fixed_options_are_exact_for_decisions_of_any_duration"),
+    _trap("the chance of going on is that of the state that was left", OPTION_CRITIC,
+          "beta = self.compute_terminations(transition.next_observation)\n        arrived",
+          "beta = self.compute_terminations(transition.observation)\n        arrived",
+          "::test_values_of_fixed_options_are_exact_for_decisions_of_any_duration"),
+    _trap("a decision of k primitives discounts by gamma", OPTION_CRITIC,
+          "bootstrap * ((1 - beta)", "(bootstrap > 0) * settings.gamma * ((1 - beta)",
+          "::test_values_of_fixed_options_are_exact_for_decisions_of_any_duration"),
+    _trap("every option learns as if it had chosen the action", OPTION_CRITIC,
+          "weights * policies[:, action] / policies[option, action], 1.0", "weights, 1.0",
+          "::test_the_policy_of_every_option_moves_by_its_own_advantage"),
+    _trap("the weight of an option forgets which one ran before", OPTION_CRITIC,
+          "self._likely = beta * choice + (1 - beta) * self._eye[self._option]", "self._likely = choice",
+          "::test_the_weight_of_an_option_is_the_chance_that_it_runs_given_the_one_before"),
+]
