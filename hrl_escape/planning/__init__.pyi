@@ -7,6 +7,7 @@ from .paths.registry import list_planners, register_planner
 from .plan import Execution, Plan, PlanPart
 from .report import PlanningReport
 from .room_planner import RoomPlanner, get_planner
+from .scene.scene import Scene
 from .symbolic.pddl import export_pddl, save_pddl, solve_pddl
 
 __all__ = [
@@ -26,6 +27,7 @@ __all__ = [
     "Reacher",
     "RegionGoal",
     "RoomPlanner",
+    "Scene",
     "best_known_return",
     "export_pddl",
     "find_best_known",

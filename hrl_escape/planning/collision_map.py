@@ -8,7 +8,9 @@ cannot be connected. It plans nothing.
 from __future__ import annotations
 
 import array
+import copy
 import math
+from collections.abc import Sequence
 from functools import cached_property
 from typing import Any, Literal
 
@@ -25,7 +27,7 @@ from hrl_escape.env.geometry import (
 )
 from hrl_escape.env.instance import RoomInstance
 
-__all__ = ["CollisionMap", "list_cells"]
+__all__ = ["CollisionMap", "compute_extent_radius", "list_cells"]
 
 FINEST = 0.02
 MOST_CELLS = 1_000_000
@@ -36,6 +38,11 @@ def list_cells(low: Any, high: Any) -> NDArray[np.int64]:
     """List the cells (n, 2) from a corner (i, j) up to, and without, another one, row-major."""
     sides = np.maximum(np.subtract(high, low), 0)
     return np.indices(tuple(sides)).reshape(2, -1).T + np.asarray(low)
+
+
+def compute_extent_radius(shape: Footprint) -> float:
+    """Radius of the smallest circle round a footprint's centre that holds it, m."""
+    return shape.half_x if shape.is_disc else math.hypot(shape.half_x, shape.half_y)
 
 
 class CollisionMap:
@@ -64,11 +71,8 @@ class CollisionMap:
             door_shut: True to shut the exit door, if there is one.
             reach: distances up to the body's radius plus this are stored, m.
         """
-        solids = (*instance.solids, instance.door) if instance.door and door_shut else instance.solids
         self.radius = instance.robot.body_radius + CONTACT_SKIN
-        self.footprints: tuple[Footprint, ...] = tuple(solid.footprint for solid in solids)
-        self.solids = stack_footprints(self.footprints)
-        self._around = np.where(self.solids[:, 0] > 0.5, self.solids[:, 5], np.hypot(*self.solids[:, 5:].T))
+        self._take_solids(instance, door_shut)
         width, depth = 2 * instance.reach_x, 2 * instance.reach_y
         finest = max(FINEST, min(0.125, instance.robot.body_radius / 6))
         self.resolution = max(finest, math.sqrt(width * depth / MOST_CELLS))
@@ -78,15 +82,53 @@ class CollisionMap:
         self._low_x, self._low_y, self._per_metre = -instance.reach_x, -instance.reach_y, 1.0 / self.resolution
         shape = tuple(max(1, math.ceil(side / self.resolution)) for side in (width, depth))
         self.distance = np.full(shape, self.horizon, dtype=np.float32)
-        for footprint, around in zip(self.footprints, self._around.tolist(), strict=True):
-            self._lower(footprint, around)
+        for footprint in self.footprints:
+            self._lower(footprint, (0, 0), self.distance.shape)
+        self._index()
+
+    def _take_solids(self, instance: RoomInstance, door_shut: bool) -> None:
+        solids = (*instance.solids, instance.door) if instance.door and door_shut else instance.solids
+        self.footprints: tuple[Footprint, ...] = tuple(solid.footprint for solid in solids)
+        self.solids = stack_footprints(self.footprints)
+        self._around = np.where(self.solids[:, 0] > 0.5, self.solids[:, 5], np.hypot(*self.solids[:, 5:].T))
+
+    def _index(self) -> None:
         self._distances = array.array("f", self.distance.tobytes())  # scalar look-ups are ten times as fast as numpy's
         self._near: dict[int, tuple[Footprint, ...]] = {}
 
-    def _lower(self, footprint: Footprint, around: float) -> None:
-        middle, extent = np.array([footprint.x, footprint.y]), around + self.horizon
-        i0, j0 = np.maximum(np.floor((middle - extent - self.low) / self.resolution).astype(int), 0)
-        i1, j1 = np.minimum(np.ceil((middle + extent - self.low) / self.resolution).astype(int), self.distance.shape)
+    def adapt(self, instance: RoomInstance, door_shut: bool, changed: Sequence[Footprint]) -> CollisionMap:
+        """Make the map of a room that differs in some solids only; cells far from these are taken over.
+
+        Args:
+            instance: the edited room: same floor, same body.
+            door_shut: as in the constructor.
+            changed: footprints of the solids that came, went or moved (before and after).
+        """
+        new = copy.copy(self)
+        new.__dict__.pop("_labels", None)
+        new._take_solids(instance, door_shut)
+        new.distance = self.distance.copy()
+        windows = [self._find_window(shape) for shape in changed]
+        for low, high in windows:
+            new.distance[low[0] : high[0], low[1] : high[1]] = self.horizon
+        for low, high in windows:
+            for footprint in new.footprints:
+                new._lower(footprint, low, high)
+        new._index()
+        return new
+
+    def _find_window(self, shape: Footprint) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+        """Corners of the cells whose distance a footprint can lower."""
+        middle, extent = np.array([shape.x, shape.y]), compute_extent_radius(shape) + self.horizon
+        low = np.maximum(np.floor((middle - extent - self.low) / self.resolution).astype(int), 0)
+        high = np.minimum(np.ceil((middle + extent - self.low) / self.resolution).astype(int), self.distance.shape)
+        return low, np.maximum(low, high)
+
+    def _lower(self, footprint: Footprint, low: Any, high: Any) -> None:
+        """Lower the distances of cells between two corners to those from a footprint."""
+        first, last = self._find_window(footprint)
+        i0, j0 = np.maximum(first, low)
+        i1, j1 = np.minimum(last, high)
         if i0 >= i1 or j0 >= j1:
             return
         part = self.distance[i0:i1, j0:j1]

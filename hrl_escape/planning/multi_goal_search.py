@@ -20,7 +20,7 @@ from hrl_escape.env.geometry import compute_distance_many, stack_footprints
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.lattice.areas import compute_goal_area
-from hrl_escape.planning.lattice.cost_to_go import FieldMaker
+from hrl_escape.planning.lattice.cost_to_go import FieldMaker, Seeds
 
 __all__ = ["find_multi_goal_plan"]
 
@@ -123,14 +123,14 @@ def _chain_fields(rules: Kinematics, state: RoomState, goals: Sequence[Goal], sh
                   opened: FieldMaker) -> list[_GoalField] | None:
     """Compute fields from the last goal backwards: the cost of reaching a goal includes the cost-to-go from there."""
     area = compute_goal_area(ExitGoal(), rules.instance)
-    following = _GoalField(opened, opened.make_field(area.footprint, area.reach))
+    following = _GoalField(opened, opened.make_field(opened.find_seeds(*area)))
     stages = [following]
     for goal in reversed(goals[:-1]):
         assert isinstance(goal, PressGoal)
         seeds, costs = _find_press_states(rules, state, goal, shut, following)
         if not seeds:
             return None
-        following = _GoalField(shut, shut.make_field_from_states(np.array(seeds), np.array(costs), shut.classes))
+        following = _GoalField(shut, shut.make_field(Seeds(np.array(seeds), np.array(costs), shut.classes)))
         stages.insert(0, following)
     return stages
 

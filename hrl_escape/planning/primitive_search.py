@@ -12,14 +12,15 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.env.geometry import Footprint, compute_distance_many, stack_footprints
+from hrl_escape.env.geometry import Footprint, Solid, compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import PlanningReason, UnknownNameError
@@ -29,7 +30,7 @@ from hrl_escape.planning.clock import NO_LIMIT, Clock, OutOfTime
 from hrl_escape.planning.collision_map import CollisionMap
 from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, RegionGoal, is_reached
 from hrl_escape.planning.lattice.areas import Area, compute_goal_area, find_headings
-from hrl_escape.planning.lattice.cost_to_go import FieldMaker, make_collision
+from hrl_escape.planning.lattice.cost_to_go import FieldMaker, Seeds, make_collision
 from hrl_escape.planning.lattice.search_run import SearchProblem, SearchResult, SearchRun
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 
@@ -127,6 +128,31 @@ class PrimitiveSearch:
             self._makers[key] = FieldMaker(self.instance, self.kinematics, door_shut=key[0], refinement=refinement,
                                            collision=self.get_collision(key[0]), clock=clock)
         return self._makers[key]
+
+    def adapt(self, instance: RoomInstance, kinematics: Kinematics) -> PrimitiveSearch:
+        """Make the search of an edited room; it takes over the grids and fields that the edit leaves as they are.
+
+        Args:
+            instance: the edited room.
+            kinematics: its kinematics without noise and slip.
+        """
+        new, old = PrimitiveSearch(instance, kinematics), self.instance
+        if _get_floor(instance) != _get_floor(old):
+            return new
+        changed = [solid.footprint for solid in _list_differences(old.solids, instance.solids)]
+        same_arm = (instance.robot, instance.dynamics.press_with) == (old.robot, old.dynamics.press_with)
+
+        def keeps(key: object) -> bool:
+            goal = key[0]  # type: ignore[index]  # of `_get_field`
+            if not isinstance(goal, PressGoal):
+                return not isinstance(goal, ExitGoal) or instance.exit == old.exit
+            return same_arm and instance.targets[goal.target : goal.target + 1] == old.targets[
+                goal.target : goal.target + 1]
+
+        new._maps = {shut: held.adapt(instance, shut, changed) for shut, held in self._maps.items()}
+        new._makers = {(shut, refinement): maker.adapt(instance, new._maps[shut], changed, keeps)
+                       for (shut, refinement), maker in self._makers.items()}
+        return new
 
     def prepare(self) -> None:
         """Compute the fields of all targets and the exit now, so that the first searches are as quick as later ones."""
@@ -318,13 +344,15 @@ class PrimitiveSearch:
         if problem.table is not None:
             posture = state.joint_steps, state.joint_offsets, state.heading_offset, problem.table.complete_to
         facing = None if problem.facing is None else problem.facing.tobytes()
-        return maker.get_field((problem.goal, posture, facing), lambda: self._make_field(problem, maker, None))
+        return maker.get_field((problem.goal, posture, facing), partial(self._find_seeds, problem), problem.clock)
 
     def _make_field(self, problem: SearchProblem, maker: FieldMaker, allowed: NDArray[np.bool_] | None) -> Field:
+        return maker.make_field(self._find_seeds(problem, maker), allowed, problem.clock)
+
+    def _find_seeds(self, problem: SearchProblem, maker: FieldMaker) -> Seeds:
         if problem.table is None:
-            return maker.make_field(*problem.area, facing=problem.facing, allowed=allowed, clock=problem.clock)
-        states, costs = self._find_postures(problem, maker)
-        return maker.make_field_from_states(states, costs, maker.headings, allowed, problem.clock)
+            return maker.find_seeds(*problem.area, problem.facing)
+        return Seeds(*self._find_postures(problem, maker), maker.headings)
 
     def _find_postures(self, problem: SearchProblem, maker: FieldMaker) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """States (cell * headings + heading) from which the arm completes the press, and its joint steps."""
@@ -342,3 +370,15 @@ class PrimitiveSearch:
             least[inside] = np.minimum(least[inside], costs[columns, rows])
         which, heading = np.nonzero(least < far)
         return near[which] * maker.headings + heading, least[which, heading].astype(np.int64)
+
+
+def _get_floor(instance: RoomInstance) -> tuple:
+    """All that the grids of a room depend on, but for its solids."""
+    robot = instance.robot
+    return (instance.reach_x, instance.reach_y, instance.door, robot.body_radius, robot.body_height, robot.move_step,
+            robot.turn_step_deg, instance.dynamics.press_margin, instance.dynamics.press_with)
+
+
+def _list_differences(before: Sequence[Solid], after: Sequence[Solid]) -> list[Solid]:
+    """Solids that only one of two rooms has."""
+    return [*(Counter(before) - Counter(after)), *(Counter(after) - Counter(before))]

@@ -15,6 +15,8 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
+from typing_extensions import Self
+
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint
 from hrl_escape.env.instance import RoomInstance
@@ -107,6 +109,17 @@ class RouteFinder:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._open()
+
+    def adapt(self, instance: RoomInstance) -> Self:
+        """Make the planner of an edited room; it plans as a new one would, and takes over what the edit leaves valid.
+
+        Args:
+            instance: the edited room, such as `Scene.instance`.
+        """
+        new = type(self)(instance, self.method, self.budget, self.time_limit)
+        with self._lock:
+            new._search = self._search.adapt(new._quiet, new.rules)
+        return new
 
     def prepare(self) -> None:
         """Compute now the fields that routes share, so that the first routes are as quick as later ones."""

@@ -16,7 +16,7 @@ import weakref
 import pybullet
 
 from hrl_escape.env.bullet.physics import PhysicsDynamics
-from hrl_escape.env.bullet.scene import Scene, build_scene, show_door, show_exit, show_lit
+from hrl_escape.env.bullet.scene import SceneBodies, build_scene, show_door, show_exit, show_lit
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules, Transition
 from hrl_escape.env.state_checks import check_state
@@ -53,7 +53,7 @@ class BulletRoom:
         self._release = weakref.finalize(self, _disconnect, self._client)
         physics = instance.dynamics.kind == "physics"
         self.rules: Rules = Rules(instance) if physics else Kinematics(instance)
-        self.scene: Scene = build_scene(self._client, instance, self.rules.robot)
+        self.scene: SceneBodies = build_scene(self._client, instance, self.rules.robot)
         if window:
             pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_RENDERING, 1, physicsClientId=self._client)
         dynamics = PhysicsDynamics if physics else _KinematicDynamics
@@ -189,7 +189,7 @@ class BulletRoom:
 class _KinematicDynamics:
     """`Kinematics` decides; Bullet's bodies are placed accordingly."""
 
-    def __init__(self, client: int, scene: Scene, rules: Rules) -> None:
+    def __init__(self, client: int, scene: SceneBodies, rules: Rules) -> None:
         assert isinstance(rules, Kinematics)
         self.step = rules.step
         self.make_state = rules.make_state
@@ -230,7 +230,7 @@ class _KinematicDynamics:
 class _PuzzleColours:
     """Colours that show the puzzle: lit targets and the exit."""
 
-    def __init__(self, client: int, instance: RoomInstance, scene: Scene) -> None:
+    def __init__(self, client: int, instance: RoomInstance, scene: SceneBodies) -> None:
         self._client, self._instance, self._scene = client, instance, scene
         self._puzzle: object = None
         self._lit = (False,) * len(instance.targets)

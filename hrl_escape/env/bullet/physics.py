@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import pybullet
 
-from hrl_escape.env.bullet.scene import Scene
+from hrl_escape.env.bullet.scene import SceneBodies
 from hrl_escape.env.instance import Start
 from hrl_escape.env.kinematics import RoomState, Rules, Transition
 from hrl_escape.env.noise import compute_noise
@@ -76,7 +76,7 @@ class PhysicsDynamics:
 
     door_is_solid = True
 
-    def __init__(self, client: int, scene: Scene, rules: Rules) -> None:
+    def __init__(self, client: int, scene: SceneBodies, rules: Rules) -> None:
         self._client, self._scene, self._rules = client, scene, rules
         self._instance = rules.instance
         self._targets = {body: number for number, body in enumerate(scene.targets)}

@@ -20,7 +20,7 @@ from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance, Target
 from hrl_escape.env.robot import BASE_LINK, Robot
 
-__all__ = ["DRIVE_JOINTS", "HINGE_LIMIT", "Scene", "build_scene", "show_door", "show_exit", "show_lit"]
+__all__ = ["DRIVE_JOINTS", "HINGE_LIMIT", "SceneBodies", "build_scene", "show_door", "show_exit", "show_lit"]
 
 DRIVE_JOINTS = tuple(f"{BASE_LINK}-{axis}" for axis in ("x", "y", "yaw"))
 HINGE_LIMIT = math.radians(120)
@@ -31,7 +31,7 @@ _MARK = 0.005  # height of paint on the floor
 
 
 @dataclass(frozen=True)
-class Scene:
+class SceneBodies:
     """Bullet's numbers for the things of a room.
 
     Attributes:
@@ -65,7 +65,7 @@ class Scene:
     floors: tuple[int, ...]
 
 
-def build_scene(client: int, instance: RoomInstance, robot: Robot) -> Scene:
+def build_scene(client: int, instance: RoomInstance, robot: Robot) -> SceneBodies:
     """Build the room in an empty Bullet world; puzzle unsolved, everything in its first place."""
     physics = instance.dynamics.kind == "physics"
     # 0: two things collide only where each lets the other; Bullet's default is that one does
@@ -78,7 +78,7 @@ def build_scene(client: int, instance: RoomInstance, robot: Robot) -> Scene:
     area, (x, y) = instance.exit, instance.exit.centre
     half = (area.x_max - x, area.y_max - y, _MARK / 2)
     exit_id = _add_box(client, half, (x, y, _MARK / 2), 0.0, palette.EXIT_LOCKED)
-    return Scene(
+    return SceneBodies(
         **_add_robot(client, instance, robot),
         solids=solids, door=door, targets=targets, props=props, exit=exit_id, floors=floors,
     )
@@ -92,7 +92,7 @@ def show_lit(client: int, target: int, is_lit: bool) -> None:
     _paint(client, target, -1, palette.LIT.fill if is_lit else palette.OFF.fill)
 
 
-def show_exit(client: int, scene: Scene, is_open: bool) -> None:
+def show_exit(client: int, scene: SceneBodies, is_open: bool) -> None:
     """Colour the exit region."""
     _paint(client, scene.exit, -1, palette.EXIT_OPEN if is_open else palette.EXIT_LOCKED)
 
@@ -205,7 +205,7 @@ def _add_prop(client: int, placed: PlacedProp, physics: bool) -> int:
 
 
 def _add_robot(client: int, instance: RoomInstance, robot: Robot) -> dict:
-    """Load the robot; returns its part of `Scene`."""
+    """Load the robot; returns its part of `SceneBodies`."""
     physics = instance.dynamics.kind == "physics"
     text = _adapt_urdf(robot, instance.robot, physics)
     flags = pybullet.URDF_USE_IMPLICIT_CYLINDER | pybullet.URDF_USE_INERTIA_FROM_FILE

@@ -160,7 +160,7 @@ class _FieldGrid:
         leaves = self.is_solved and target >= 0
         others = self._touched & ~_make_bit(target) != 0
         stays = self._is_outside if leaves else maker.everywhere
-        direct, any_way = (maker.make_field(area.footprint, area.reach, allowed=allowed).astype(np.float32)
+        direct, any_way = (maker.make_field(maker.find_seeds(*area), allowed).astype(np.float32)
                            for allowed in (stays & ~others, stays))
         detour = np.where(any_way >= 0, any_way + OTHER_PRESS_COST, UNREACHABLE)
         values = np.where(direct >= 0, direct, detour).astype(np.float32).reshape(-1, maker.classes)

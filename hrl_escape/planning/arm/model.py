@@ -88,6 +88,14 @@ class ArmKinematics:
             hand = since @ self.model.frames[self._frame].placement.homogeneous
         return tables, hand[:3, 3].copy()
 
+    def compute_placement(self, angles: Sequence[float]) -> NDArray[np.float64]:
+        """Placement of the hand's link in the base frame at given joint angles (rad), shape (4, 4)."""
+        q = self._rest.copy()
+        for joint, angle in zip(self._used, angles, strict=True):
+            _set_joint(self.model, q, joint, angle)
+        pinocchio.framesForwardKinematics(self.model, self._data, q)
+        return self._data.oMf[self._frame].homogeneous.copy()
+
     def solve_ik(self, point: ArrayLike, seeds: Sequence[Sequence[float]], tolerance: float,
                  limits: bool = True) -> NDArray[np.float64] | None:
         """Joint angles that bring the hand to a point, by damped least squares (Nakamura and Hanafusa 1986).

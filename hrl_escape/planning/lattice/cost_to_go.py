@@ -9,10 +9,12 @@ Fields are estimates: `primitive_search.py` searches exact poses.
 
 from __future__ import annotations
 
+import copy
 import math
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +23,11 @@ from hrl_escape.env.geometry import Footprint, compute_distance_many, make_footp
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.planning.clock import NO_LIMIT, Clock
-from hrl_escape.planning.collision_map import CollisionMap, list_cells
-from hrl_escape.planning.lattice import dijkstra_kernels
+from hrl_escape.planning.collision_map import CollisionMap, compute_extent_radius, list_cells
+from hrl_escape.planning.lattice import dijkstra_kernels, repair_kernels
 from hrl_escape.planning.lattice.sweep_kernels import SweepScene
 
-__all__ = ["FieldMaker", "make_collision"]
+__all__ = ["FieldMaker", "Seeds", "make_collision"]
 
 MOST_STATES = 1_500_000
 CACHE_BYTES = 256_000_000
@@ -36,6 +38,33 @@ SLICE = 100_000
 def make_collision(instance: RoomInstance, door_shut: bool) -> CollisionMap:
     """Compute the clearances of a room that searches need."""
     return CollisionMap(instance, door_shut=door_shut, reach=2.0)
+
+
+class Seeds(NamedTuple):
+    """States whose cost-to-go is known before a search.
+
+    Attributes:
+        states: cell * headings + heading, shape (n,), int64.
+        costs: their cost-to-go, shape (n,), int64.
+        headings: headings that the states distinguish: the grid's classes, or all.
+    """
+
+    states: NDArray[np.int64]
+    costs: NDArray[np.int64]
+    headings: int
+
+    def equals(self, other: Seeds) -> bool:
+        """Return whether these are the same states with the same costs."""
+        return (self.headings == other.headings and np.array_equal(self.states, other.states)
+                and np.array_equal(self.costs, other.costs))
+
+
+class _KeptField(NamedTuple):
+    """A field, its seeds, and the cells of the grid that have changed since it was computed."""
+
+    costs: NDArray[np.int16]
+    seeds: Seeds
+    changed: NDArray[np.int64]
 
 
 class FieldMaker:
@@ -97,9 +126,15 @@ class FieldMaker:
         self.scene = _make_scene(self.collision, door, self.span)
         angles = np.arange(self.classes) * rules.turn_step
         self._moves = self.span * rules.actions.compute_moves(np.cos(angles), np.sin(angles))
-        self._choose_points(self._find_corridor(path, width * max(step, 2 * self.size)), clock)
-        self._links = self._link_cells(clock)
-        self._fields: OrderedDict[object, NDArray[np.int16]] = OrderedDict()
+        self._within = self._find_corridor(path, width * max(step, 2 * self.size))
+        columns, rows = self.shape
+        self.points, self.standing = np.empty((columns * rows, 2)), np.zeros(columns * rows, dtype=np.bool_)
+        self._landing = np.full(self.states * self._moves.shape[1], -1, dtype=np.int32)
+        self._link_cost = np.zeros(len(self._landing), dtype=np.int16)
+        self._choose_points(0, columns, clock)
+        self._find_landings(0, columns, clock)
+        self._link_cells()
+        self._fields: OrderedDict[object, _KeptField] = OrderedDict()
 
     def _find_corridor(self, path: NDArray[np.float64] | None, width: float) -> NDArray[np.bool_]:
         """Cells whose centres are within a distance of a path; all without one."""
@@ -113,48 +148,102 @@ class FieldMaker:
         centres = self.low + (list_cells((0, 0), self.shape) + 0.5) * self.size
         return compute_distance_many(centres, shapes) <= width
 
-    def _choose_points(self, within: NDArray[np.bool_], clock: Clock) -> None:
-        columns, rows = self.shape
-        self.points, self.standing = np.empty((columns * rows, 2)), np.zeros(columns * rows, dtype=np.bool_)
+    def _choose_points(self, begin: int, end: int, clock: Clock) -> None:
+        """Choose the places of some columns of cells."""
+        rows = self.shape[1]
         stride = max(1, SLICE // rows)
-        for first in range(0, columns, stride):
+        for first in range(begin, end, stride):
             clock.check()
-            dijkstra_kernels.choose_points(self.scene, self.low, self.size, rows, first, min(first + stride, columns),
-                                           within, self.points, self.standing)
+            dijkstra_kernels.choose_points(self.scene, self.low, self.size, rows, first, min(first + stride, end),
+                                           self._within, self.points, self.standing)
 
-    def _link_cells(self, clock: Clock) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int16]]:
-        cells, translations = len(self.points), self._moves.shape[1]
-        landing = np.full(self.states * translations, -1, dtype=np.int32)
-        link_cost = np.zeros(self.states * translations, dtype=np.int16)
-        starts = np.zeros(self.states + 1, dtype=np.int32)
+    def _find_landings(self, begin: int, end: int, clock: Clock) -> None:
+        """Find the moves from some columns of cells."""
+        rows = self.shape[1]
         stride = max(1, SLICE // self.classes)
-        for first in range(0, cells, stride):
+        for first in range(begin * rows, end * rows, stride):
             clock.check()
-            dijkstra_kernels.find_landings(self.scene, self.points, self.standing, self.shape[1], self.low, self.size,
-                                           self._moves, self.macro, first, min(first + stride, cells), landing,
-                                           link_cost, starts)
+            dijkstra_kernels.find_landings(self.scene, self.points, self.standing, rows, self.low, self.size,
+                                           self._moves, self.macro, first, min(first + stride, end * rows),
+                                           self._landing, self._link_cost)
         clock.check()
-        return (starts, *dijkstra_kernels.link_cells(landing, link_cost, starts, self.classes, translations))
+
+    def _link_cells(self) -> None:
+        """Reverse the moves."""
+        self._links = dijkstra_kernels.link_cells(self._landing, self._link_cost, self.classes, self._moves.shape[1])
+
+    # --- edited rooms ------------------------------------------------------------------
+
+    def adapt(self, instance: RoomInstance, collision: CollisionMap, changed: Sequence[Footprint],
+              keeps: Callable[[Any], bool]) -> FieldMaker:
+        """Make the grid of a room that differs in some solids only, equal to one made anew.
+
+        Columns of cells that no changed solid comes near are taken over. Fields are, too: when one is asked for, the
+        part of it that rested on changed cells is searched again.
+
+        Args:
+            instance: the edited room: same floor, same base.
+            collision: its clearances, with the door as here.
+            changed: footprints of the solids that came, went or moved (before and after).
+            keeps: (key of a field) -> whether its goal is still the same.
+        """
+        new = copy.copy(self)
+        new.collision = collision
+        new.targets = stack_footprints([target.footprint for target in instance.targets])
+        new.scene = _make_scene(collision, len(instance.solids) if self.door_shut else -1, self.span)
+        new.points, new.standing = self.points.copy(), self.standing.copy()
+        new._landing, new._link_cost = self._landing.copy(), self._link_cost.copy()
+        near = collision.radius + 3 * self.size + collision.slack
+        for begin, end in self._find_columns(changed, near):
+            new.standing[begin * self.shape[1] : end * self.shape[1]] = False
+            new._choose_points(begin, end, NO_LIMIT)
+        wide = self.shape[1] * self.classes * self._moves.shape[1]
+        for begin, end in self._find_columns(changed, near + self.span + 3 * self.size):
+            new._landing[begin * wide : end * wide], new._link_cost[begin * wide : end * wide] = -1, 0
+            new._find_landings(begin, end, NO_LIMIT)
+        new._link_cells()
+        links = (new._landing != self._landing) | (new._link_cost != self._link_cost)
+        moved = (new.standing != self.standing) | (new.points != self.points).any(axis=1)
+        cells = np.flatnonzero(moved | links.reshape(len(moved), -1).any(axis=1))
+        new._fields = OrderedDict((key, field._replace(changed=np.union1d(field.changed, cells)))
+                                  for key, field in self._fields.items() if keeps(key))
+        return new
+
+    def _find_columns(self, shapes: Sequence[Footprint], around: float) -> list[tuple[int, int]]:
+        """Columns of cells within a distance of footprints, as ranges [first, last) apart from each other."""
+        spans = sorted(
+            (max(0, math.floor((s.x - compute_extent_radius(s) - around - self.low[0]) / self.size)),
+             min(self.shape[0], math.ceil((s.x + compute_extent_radius(s) + around - self.low[0]) / self.size)))
+            for s in shapes)
+        joined: list[tuple[int, int]] = []
+        for begin, end in spans:
+            if joined and begin <= joined[-1][1]:
+                joined[-1] = joined[-1][0], max(end, joined[-1][1])
+            elif begin < end:
+                joined.append((begin, end))
+        return joined
+
+    def _repair(self, old: _KeptField, seeds: Seeds) -> NDArray[np.int16]:
+        """Field of the same seeds on the grid as it was before some cells changed, made that of this grid."""
+        field = old.costs.copy()
+        starts, sources, costs = self._links
+        states, values = repair_kernels.forget_changed(
+            starts, sources, costs, self._landing, self._link_cost, self.classes, seeds.headings, old.changed,
+            self.standing, seeds.states, seeds.costs, field)
+        return self._search(field, states, values, seeds.headings, self.everywhere, NO_LIMIT)
 
     @cached_property
     def everywhere(self) -> NDArray[np.bool_]:
         """Mask that allows every cell."""
         return np.ones(len(self.points), dtype=bool)
 
-    def make_field(self, goal: Footprint, reach: float, *, facing: NDArray[np.bool_] | None = None,
-                   allowed: NDArray[np.bool_] | None = None, clock: Clock = NO_LIMIT) -> NDArray[np.int16]:
-        """Compute the field of a goal: the body's axis within `reach` of a footprint. Raises `OutOfTime`.
+    def find_seeds(self, goal: Footprint, reach: float, facing: NDArray[np.bool_] | None = None) -> Seeds:
+        """Find the states that are in a goal, or one move away: the body's axis within `reach` of a footprint.
 
         Args:
             goal: footprint of the goal.
             reach: largest distance from it, m.
             facing: headings that reach it, shape (headings,); by default any heading will do.
-            allowed: cells that may be used, shape (cells,); by default all.
-            clock: time limit.
-
-        Returns:
-            Shape (cells * classes,), int16, or (cells * headings,) if `facing` is given; -1 where the
-            goal cannot be reached.
         """
         row = stack_footprints([goal])[0]
         away = compute_distance_many(self.points, row[None])
@@ -169,22 +258,31 @@ class FieldMaker:
         states = np.concatenate([states, close[which] * layers + headings[column]])
         costs = np.zeros(len(states), dtype=np.int64)
         costs[len(inside) * len(headings) :] = last[which, column]
-        return self.make_field_from_states(states, costs, layers, allowed, clock)
+        return Seeds(states, costs, layers)
 
-    def make_field_from_states(self, states: NDArray[np.int64], costs: NDArray[np.int64], headings: int,
-                               allowed: NDArray[np.bool_] | None = None, clock: Clock = NO_LIMIT
-                               ) -> NDArray[np.int16]:
-        """Compute a field from states (cell * headings + heading) with a known cost-to-go. Raises `OutOfTime`.
+    def make_field(self, seeds: Seeds, allowed: NDArray[np.bool_] | None = None, clock: Clock = NO_LIMIT
+                   ) -> NDArray[np.int16]:
+        """Compute a field from states with a known cost-to-go. Raises `OutOfTime`.
+
+        Args:
+            seeds: the states.
+            allowed: cells that may be used, shape (cells,); by default all.
+            clock: time limit.
 
         Returns:
-            Shape (cells * headings,), int16; -1 where none of the states can be reached. Cells in which
-            the body does not fit take the least cost-to-go of their neighbours.
+            Shape (cells * headings,), int16, with the headings of the seeds; -1 where none of them can be reached.
+            Cells in which the body does not fit take the least cost-to-go of their neighbours.
         """
-        allowed = self.everywhere if allowed is None else allowed
+        field = np.full(len(self.points) * seeds.headings, dijkstra_kernels.UNREACHED, dtype=np.int16)
+        return self._search(field, seeds.states, seeds.costs, seeds.headings,
+                            self.everywhere if allowed is None else allowed, clock)
+
+    def _search(self, field: NDArray[np.int16], states: NDArray[np.int64], costs: NDArray[np.int64], headings: int,
+                allowed: NDArray[np.bool_], clock: Clock) -> NDArray[np.int16]:
+        """Complete a field, in place, from states with a known cost-to-go."""
         order = np.argsort(costs, kind="stable")
         seeds, seed_costs = states[order].astype(np.int64), costs[order].astype(np.int64)
         starts, sources, costs_of_links = self._links
-        field = np.full(len(self.points) * headings, dijkstra_kernels.UNREACHED, dtype=np.int16)
         levels = max(2, int(costs_of_links.max(initial=0)) + 1)
         buckets, filled = np.empty((levels, 4096), dtype=np.int32), np.zeros(levels, dtype=np.int64)
         counts = np.array([0, 0, 0, int(np.diff(starts).max(initial=0))])
@@ -194,15 +292,27 @@ class FieldMaker:
                                                     seeds, seed_costs, field, buckets, filled, counts, SLICE)
         return dijkstra_kernels.fill_gaps(field, self.standing & allowed, headings, self.shape[1])
 
-    def get_field(self, key: object, make: Callable[[], NDArray[np.int16]]) -> NDArray[np.int16]:
-        """Field under a key, computed on first use; beyond 256 MB the least recently used are dropped."""
-        field = self._fields.get(key)
-        if field is None:
-            field = self._fields[key] = make()
-            while len(self._fields) > 1 and sum(f.nbytes for f in self._fields.values()) > CACHE_BYTES:
+    def get_field(self, key: object, find_seeds: Callable[[FieldMaker], Seeds], clock: Clock = NO_LIMIT
+                  ) -> NDArray[np.int16]:
+        """Field under a key, computed on first use; beyond 256 MB the least recently used are dropped.
+
+        Args:
+            key: the goal, and everything else that its seeds depend on.
+            find_seeds: finds them.
+            clock: time limit.
+        """
+        kept = self._fields.get(key)
+        if kept is None or len(kept.changed):
+            seeds = find_seeds(self)
+            if kept is not None and kept.seeds.equals(seeds):
+                field = self._repair(kept, seeds)
+            else:
+                field = self.make_field(seeds, clock=clock)
+            self._fields[key] = _KeptField(field, seeds, np.zeros(0, dtype=np.int64))
+            while len(self._fields) > 1 and sum(f.costs.nbytes for f in self._fields.values()) > CACHE_BYTES:
                 self._fields.popitem(last=False)
         self._fields.move_to_end(key)
-        return field
+        return self._fields[key].costs
 
     @property
     def states(self) -> int:

@@ -70,8 +70,7 @@ def choose_points(scene, low, size, rows, first, last, within, points, standing)
 
 
 @kernel
-def find_landings(scene, points, standing, cells_a_row, low, size, moves, steps, first, last, landing, link_cost,
-                  starts):
+def find_landings(scene, points, standing, cells_a_row, low, size, moves, steps, first, last, landing, link_cost):
     """Find the cells to which moves lead from some cells.
 
     Args:
@@ -87,7 +86,6 @@ def find_landings(scene, points, standing, cells_a_row, low, size, moves, steps,
         last: cell to stop before.
         landing: cell at the end of each (cell, class, translation); filled in, -1 for none.
         link_cost: primitives of each; filled in.
-        starts: moves that end in each (cell, class), one place up, shape (cells * classes + 1,); added to.
     """
     classes, translations = moves.shape[0], moves.shape[1]
     columns = points.shape[0] // cells_a_row
@@ -107,25 +105,27 @@ def find_landings(scene, points, standing, cells_a_row, low, size, moves, steps,
                     at = (cell * classes + c) * translations + m
                     landing[at] = best
                     link_cost[at] = max(1, int(math.ceil(fraction * steps - 1e-9)))
-                    starts[best * classes + c + 1] += 1
 
 
 @kernel
-def link_cells(landing, link_cost, starts, classes, translations):
+def link_cells(landing, link_cost, classes, translations):
     """Reverse the moves: for each state, list the states that lead to it.
 
     Args:
         landing: from `find_landings`.
         link_cost: from `find_landings`.
-        starts: from `find_landings`; made into running sums.
         classes: heading classes.
         translations: moves of each class.
 
     Returns:
-        sources (links,), costs (links,): state (cell, class) is entered from
+        starts (cells * classes + 1,), sources (links,), costs (links,): state (cell, class) is entered from
         `sources[starts[s]:starts[s + 1]]` (cells, same class) at those costs.
     """
-    cells = (starts.shape[0] - 1) // classes
+    cells = landing.shape[0] // (classes * translations)
+    starts = np.zeros(cells * classes + 1, dtype=np.int32)
+    for at in range(landing.shape[0]):
+        if landing[at] >= 0:
+            starts[landing[at] * classes + (at // translations) % classes + 1] += 1
     for s in range(cells * classes):
         starts[s + 1] += starts[s]
     sources = np.empty(starts[-1], dtype=np.int32)
@@ -140,7 +140,7 @@ def link_cells(landing, link_cost, starts, classes, translations):
                     sources[fill[state]] = cell
                     costs[fill[state]] = link_cost[at]
                     fill[state] += 1
-    return sources, costs
+    return starts, sources, costs
 
 
 @kernel

@@ -11,8 +11,9 @@ from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.planning.goals import ExitGoal, PressGoal
+from hrl_escape.planning.lattice import cost_to_go
 from hrl_escape.planning.lattice.areas import compute_goal_area
-from hrl_escape.planning.lattice.cost_to_go import CACHE_BYTES, FieldMaker
+from hrl_escape.planning.lattice.cost_to_go import FieldMaker
 from hrl_escape.planning.lattice.reference import find_fewest_primitives
 from hrl_escape.planning.lattice.sweep_kernels import measure_clearance, sweep
 
@@ -84,7 +85,7 @@ def test_representative_places_are_free_and_doorways_are_not_lost():
     clearance = [measure_clearance(maker.scene, x, y) for x, y in maker.points.tolist()]
     assert ((np.array(clearance) >= maker.collision.radius) == maker.standing).all()
     for target in range(len(rules.instance.targets)):
-        field = maker.make_field(*compute_goal_area(PressGoal(target), rules.instance))
+        field = maker.make_field(maker.find_seeds(*compute_goal_area(PressGoal(target), rules.instance)))
         assert maker.get_cost(field, rules.make_state(rules.instance.starts[0])) > 0
 
 
@@ -96,7 +97,7 @@ def test_prices_are_near_the_fewest_primitives(floor):
     errors = []
     for query in make_queries(floor, range(2), 12):
         maker = query.search.get_maker(True)
-        field = maker.make_field(*compute_goal_area(query.goal, query.search.instance))
+        field = maker.make_field(maker.find_seeds(*compute_goal_area(query.goal, query.search.instance)))
         price = maker.get_cost(field, query.state)
         assert price > 0
         errors.append(price - query.fewest)
@@ -109,8 +110,8 @@ def test_prices_with_a_direction_count_the_turns():
     area = compute_goal_area(ExitGoal(), rules.instance)
     facing = np.zeros(rules.headings, dtype=bool)
     facing[9] = True
-    field = maker.make_field(*area, facing=facing).reshape(-1, rules.headings)
-    anyhow = maker.make_field(*area).reshape(-1, maker.classes)
+    field = maker.make_field(maker.find_seeds(*area, facing)).reshape(-1, rules.headings)
+    anyhow = maker.make_field(maker.find_seeds(*area)).reshape(-1, maker.classes)
     inside = maker.collision.get_parts(np.array(rules.instance.exit.centre))[0]
     assert inside > 0
     x, y = rules.instance.exit.centre
@@ -131,16 +132,16 @@ def test_a_shut_door_is_in_the_way_and_an_open_one_is_not():
     _, opened = make_maker(get_preset("clutter"), 0, door_shut=False)
     state = rules.make_state(rules.instance.starts[0])
     area = compute_goal_area(ExitGoal(), rules.instance)
-    assert shut.get_cost(shut.make_field(*area), state) == -1
-    assert opened.get_cost(opened.make_field(*area), state) > 0
+    assert shut.get_cost(shut.make_field(shut.find_seeds(*area)), state) == -1
+    assert opened.get_cost(opened.make_field(opened.find_seeds(*area)), state) > 0
 
 
 def test_cells_that_are_not_allowed_are_not_used():
     rules, maker = make_maker(RoomConfig(robot=RobotConfig(body_radius=0.5)))
     area = compute_goal_area(PressGoal(0), rules.instance)
-    whole = maker.make_field(*area)
+    whole = maker.make_field(maker.find_seeds(*area))
     allowed = maker.points[:, 0] < 0
-    half = maker.make_field(*area, allowed=allowed)
+    half = maker.make_field(maker.find_seeds(*area), allowed)
     either = (whole >= 0) & (half >= 0) & np.repeat(allowed, maker.classes)
     assert (half[either] >= whole[either]).all()
     away = np.repeat(maker.points[:, 0] > maker.size, maker.classes)
@@ -161,7 +162,7 @@ def test_refinement_halves_the_cells_and_keeps_the_prices():
     assert fine.size == coarse.size / 2
     state = rules.make_state(rules.instance.starts[0])
     area = compute_goal_area(PressGoal(0), rules.instance)
-    prices = [maker.get_cost(maker.make_field(*area), state) for maker in (coarse, fine)]
+    prices = [maker.get_cost(maker.make_field(maker.find_seeds(*area)), state) for maker in (coarse, fine)]
     fewest = find_fewest_primitives(rules, state, PressGoal(0), *area)
     assert fewest is not None
     assert all(abs(price - len(fewest)) <= 1 for price in prices)
@@ -171,16 +172,18 @@ def test_refinement_halves_the_cells_and_keeps_the_prices():
 
 
 def test_fields_are_made_once_and_the_oldest_go_when_they_are_too_many(monkeypatch):
-    _, maker = make_maker(RoomConfig(room=ShapeConfig(width=6, depth=6), robot=RobotConfig(body_radius=0.3)))
-    made = []
+    rules, maker = make_maker(RoomConfig(room=ShapeConfig(width=6, depth=6), robot=RobotConfig(body_radius=0.3)))
+    area, made = compute_goal_area(PressGoal(0), rules.instance), []
 
-    def make(number):
+    def find_seeds(number):
         made.append(number)
-        return np.zeros(CACHE_BYTES // 8, dtype=np.int16)  # four fit
+        return maker.find_seeds(*area)
 
+    size = maker.make_field(maker.find_seeds(*area)).nbytes
+    monkeypatch.setattr(cost_to_go, "CACHE_BYTES", 4 * size)
     for number in (0, 1, 2, 3, 0, 4, 0, 1):
-        field = maker.get_field(number, lambda number=number: make(number))
-        assert field is maker.get_field(number, lambda: pytest.fail("it was just made"))
+        field = maker.get_field(number, lambda _, number=number: find_seeds(number))
+        assert field is maker.get_field(number, lambda _: pytest.fail("it was just made"))
     assert made == [0, 1, 2, 3, 4, 1]
 
 
@@ -191,7 +194,7 @@ def test_vast_rooms_are_prepared_in_seconds_and_bounded_memory():
     FieldMaker(generate(get_preset("clutter"), 0), rules, door_shut=True)  # compiles
     began = time.perf_counter()
     maker = FieldMaker(instance, rules, door_shut=True)
-    field = maker.make_field(*compute_goal_area(PressGoal(0), instance))
+    field = maker.make_field(maker.find_seeds(*compute_goal_area(PressGoal(0), instance)))
     assert time.perf_counter() - began < 30.0
     assert maker.states < 1.6e6 and field.nbytes < 4e6
     assert maker.macro == 2 and maker.size < 0.5
