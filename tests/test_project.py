@@ -278,10 +278,11 @@ def test_random_streams_of_one_s_own_are_allowed(source: str):
 
 IMPORT_COST = """
 import sys, time
+start = time.process_time()
 import gymnasium
-start = time.perf_counter()
+middle = time.process_time()
 import hrl_escape
-print(time.perf_counter() - start)
+print((time.process_time() - middle) / (middle - start))
 print(*{"torch", "ompl", "pinocchio", "numba", "matplotlib", "scipy", "pybullet"} & set(sys.modules))
 """
 
@@ -289,9 +290,9 @@ print(*{"torch", "ompl", "pinocchio", "numba", "matplotlib", "scipy", "pybullet"
 def test_import_is_quick_and_loads_nothing_heavy():
     runs = [run("python", "-c", IMPORT_COST) for _ in range(5)]
     assert all(done.returncode == 0 for done in runs), runs[0].stderr
-    seconds, heavy = zip(*(done.stdout.split("\n")[:2] for done in runs), strict=True)
+    costs, heavy = zip(*(done.stdout.split("\n")[:2] for done in runs), strict=True)
     assert set(heavy) == {""}
-    assert min(map(float, seconds)) < 0.2
+    assert min(map(float, costs)) < 1, "more processor time than Gymnasium's own import"
 
 
 # --- versions --------------------------------------------------------------------------
