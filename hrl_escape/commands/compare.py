@@ -32,12 +32,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from hrl_escape.errors import ConfigError, UnknownNameError
-from hrl_escape.experiments.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
+from hrl_escape.commands.launching import LaunchArgs
+from hrl_escape.errors import UnknownNameError
+from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.grid import AgentSpec, Grid, load_grid
-from hrl_escape.experiments.launching.local import Launcher, LocalLauncher
-from hrl_escape.experiments.launching.ray import RayLauncher
-from hrl_escape.experiments.launching.slurm import SlurmLauncher
 from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.presets import GRIDS, get_grid
 from hrl_escape.experiments.reporting.report import write_report
@@ -51,7 +49,7 @@ PIPED_WIDTH = 110
 
 
 @dataclasses.dataclass(frozen=True)
-class CompareArgs:
+class CompareArgs(LaunchArgs):
     """Options of `hrl-escape compare`."""
 
     what: Annotated[str, tyro.conf.Positional] = DEFAULT
@@ -80,22 +78,6 @@ class CompareArgs:
     """Observation of all agents: features, state or egocentric."""
     out: Path | None = None
     """Folder of runs and report; runs/NAME by default."""
-    workers: int | None = None
-    """Runs at a time; one a core by default."""
-    ray: bool = False
-    """Run on a Ray cluster that shares the folder (extra `ray`), or on a Ray started here."""
-    slurm: int | None = None
-    """Run as a Slurm array of so many jobs that share the folder (extra `slurm`); without Slurm, as processes here."""
-    resources: tuple[str, ...] = ()
-    """Resources that each run asks of Ray (num_cpus=2 num_gpus=0.5 memory=4e9), or each job of Slurm through submitit
-    (timeout_min=600 mem_gb=4 cpus_per_task=8 slurm_partition=long)."""
-    shard: str = ""
-    """Make only a part of the runs, such as 2/8: one part on each of eight machines that share the folder, each
-    resumable. Then --report."""
-    report: bool = False
-    """Run nothing: report what is finished in the folder."""
-    dry_run: bool = False
-    """Run nothing: print how many runs are to be made and about how long they take."""
     open: bool = False
     """Open the report in a browser at the end."""
     json: bool = False
@@ -129,14 +111,7 @@ class CompareArgs:
 
     def format_command(self) -> str:
         """The command line that makes this comparison again."""
-        words = ["hrl-escape", "compare", self.what]
-        for field in dataclasses.fields(self)[1:]:
-            value = getattr(self, field.name)
-            if value == field.default or field.name in ("open", "json", "shard", "report"):
-                continue
-            values = value if isinstance(value, tuple) else () if value is True else (value,)
-            words += [f"--{field.name.replace('_', '-')}", *map(str, values)]
-        return shlex.join(words)
+        return shlex.join(["hrl-escape", "compare", self.what, *self.format_options("what")])
 
 
 def run(args: CompareArgs) -> int:
@@ -145,11 +120,10 @@ def run(args: CompareArgs) -> int:
     console = Console(soft_wrap=True, highlight=False, width=None if sys.stdout.isatty() else PIPED_WIDTH)
     out = args.out or Path("runs") / make_file_name(grid.name)
     if args.dry_run:
-        console.print(_describe_work(grid, out))
+        console.print(args.describe_work(grid, out))
         return 0
     try:
-        comparison = read_comparison(out, grid) if args.report else run_grid(
-            grid, out, _make_launcher(args), shard=Shard.parse(args.shard or "1/1"))
+        comparison = args.make_runs(grid, out)
     except KeyboardInterrupt:
         Console(stderr=True).print("Finished runs are kept; the same command goes on from here.")
         raise
@@ -165,38 +139,6 @@ def run(args: CompareArgs) -> int:
     if args.open:
         webbrowser.open(page.as_uri())
     return 1 if comparison.failures else 0
-
-
-def _describe_work(grid: Grid, out: Path) -> str:
-    runs, missing, seconds = count_missing(grid, out)
-    words = f"{runs:,} runs, {missing:,} to be made in {out}"
-    if seconds is None:
-        return f"{words}; none has finished, so how long one takes is not known"
-    return (f"{words}; {seconds:.3g} s of training each in the median of {runs - missing:,}, so about "
-            f"{missing * seconds / 3600:.2g} core hours")
-
-
-def _make_launcher(args: CompareArgs) -> Launcher:
-    resources = {}
-    for text in args.resources:
-        name, sign, value = text.partition("=")
-        if not (name and sign):
-            raise ConfigError("resources", text, "a name and a value, such as num_gpus=1")
-        resources[name] = _parse_value(value)
-    if args.slurm is not None and args.ray:
-        raise ConfigError("slurm", args.slurm, "without --ray: choose one")
-    if resources and not args.ray and args.slurm is None:
-        raise ConfigError("resources", " ".join(args.resources), "with --ray or --slurm")
-    if args.slurm is not None:
-        return SlurmLauncher(args.slurm, resources=resources)
-    return RayLauncher(args.workers, resources=resources) if args.ray else LocalLauncher(args.workers)
-
-
-def _parse_value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
 
 
 # --- what is printed -------------------------------------------------------------------

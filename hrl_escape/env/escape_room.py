@@ -146,6 +146,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         self._state: RoomState | None = None
         self._ended = False
         self._stream, self._episode = -1, 0
+        self.instance_index = None if instances is None else 0
         self.room: Engine | None = None
         self._renderer: Renderer | None = None
         self._enter(instance)
@@ -171,7 +172,8 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         count = 0 if self._instances is None else len(self._instances)
         if isinstance(index, bool) or not isinstance(index, (int, np.integer)) or not 0 <= index < count:
             raise ConfigError("reset options.instance_index", index, f"a number of one of {count} instances")
-        instance = read_instance(self._instances[int(index)])  # type: ignore[index]  # there are some
+        self.instance_index = int(index)
+        instance = read_instance(self._instances[self.instance_index])  # type: ignore[index]  # there are some
         if instance.id != self.instance.id:
             self._enter(instance)
 

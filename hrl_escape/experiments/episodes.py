@@ -31,6 +31,7 @@ class StateRecorder(gymnasium.Wrapper):
 
     Attributes:
         states: the first one, and one a primitive.
+        starts: first states of this episode and of those before it, back to the last reset with a seed.
     """
 
     is_passive = True  # runs with and without it are the same
@@ -38,6 +39,7 @@ class StateRecorder(gymnasium.Wrapper):
     def __init__(self, env: gymnasium.Env) -> None:
         super().__init__(env)
         self.states: list[RoomState] = []
+        self.starts: list[RoomState] = []
         self._progress = 0.0
         self._ancestors: tuple[RoomInstance | None, list[int]] = (None, [])
 
@@ -45,6 +47,7 @@ class StateRecorder(gymnasium.Wrapper):
         """Reset, and begin a new record."""
         observation, info = self.env.reset(**arguments)
         self.states = [self._get_state()]
+        self.starts = [*([] if arguments.get("seed") is not None else self.starts), self.states[0]]
         self._progress = self._measure_progress()
         return observation, {**info, "progress": self._progress}
 

@@ -125,6 +125,11 @@ class AgentSpec(Settings):
         return json.loads(json.dumps(dataclasses.asdict(chosen)))
 
     @property
+    def remembers(self) -> bool:
+        """Agent keeps what it has met in a room through the trials there."""
+        return self.chooses_options and self.options.memory
+
+    @property
     def privileges(self) -> tuple[str, ...]:
         """Information that its hierarchy gives it and that others lack; printed in tables."""
         return () if self.leaves is None else list_privileges(self.name, self.leaves)
@@ -199,6 +204,8 @@ class Grid(Settings):
     """Seed that fixes the evaluation episodes, together with the training seed."""
     observation: str = "features"
     """Vector observation of every agent."""
+    trials: Annotated[int, Range(1, 1000)] = 1
+    """Trials in each room of `train_rooms` and `test_rooms`, through which memories last; see `TrialsEnv`."""
     until_solved: SolvedRule | None = None
     """Rule that ends a run before its budget; None for none."""
 
@@ -206,6 +213,8 @@ class Grid(Settings):
         """Require agents, rooms, and labels that tell the agents apart."""
         if self.train_rooms or self.test_rooms:
             self._check_sets()
+        elif self.trials > 1:
+            raise GridError(f"grid {self.name!r}: trials are made in train_rooms and test_rooms, not in rooms")
         for what, members in (("agents", self.agents), ("rooms", self.rooms or self.train_rooms)):
             if not members:
                 raise GridError(f"grid {self.name!r} has no {what}: give at least one")
@@ -223,6 +232,9 @@ class Grid(Settings):
                             f"or as many, not {len(self.test_rooms)}")
         if self.until_solved is not None:
             raise GridError(f"grid {self.name!r}: until_solved is about one room, not about train_rooms")
+        given = [agent.label for agent in self.agents if agent.leaves is not None]
+        if self.trials > 1 and given:
+            raise GridError(f"grid {self.name!r}: the hierarchy of {given[0]} ends with an episode: give it no trials")
 
     def make_places(self) -> tuple[RunPlace, ...]:
         """Rooms, or sets of rooms, in which the runs are made.
@@ -343,6 +355,8 @@ class GridRun:
         }
         if self.agent.leaves is not None:
             identity["leaves"] = self.agent.leaves
+        if self.grid.trials > 1:
+            identity["trials"] = self.grid.trials
         return identity if self.grid.until_solved is None else {
             **identity, "until_solved": self.grid.until_solved.to_dict()}
 

@@ -18,14 +18,17 @@ from hrl_escape.ladder.benchmark import Benchmark
 __all__ = ["LadderSettings", "Protocol", "RungStanding", "find_miscalibration", "judge", "list_standings",
            "make_protocol_grid", "name_protocol"]
 
-Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer"]
+Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer", "few-shot"]
 """`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others of the
-same rung. `transfer`: learn in training rooms of one rung, be tested in rooms of another."""
+same rung. `transfer`: learn in training rooms of one rung, be tested in rooms of another. `few-shot`: as `generalise`,
+with several trials in each room, through which memories last and weights stay as they are."""
 
 BUDGETS = {"doormat": 20_000, "pair": 20_000, "chain": 20_000, "house": 500_000}
 """Primitives of a run, by rung."""
 BUDGET = 100_000
 """Primitives of a run on any other rung."""
+EVALUATIONS = 5
+"""Evaluations in a run after the first."""
 PASSED_ESCAPES, PASSED_EFFICIENCY = 0.9, 0.5
 """A rung is passed with escapes above the first, by the lower end of Wilson's interval, and efficiency above the
 second."""
@@ -41,10 +44,11 @@ class LadderSettings(NamedTuple):
         runs: training seeds in each room or set.
         primitives: training budget of a run.
         rooms: rooms of the test set: to learn in one by one, or to be tested in.
-        train_sizes: with `generalise` and `transfer`: numbers of training rooms, each a set of its own.
+        train_sizes: with all protocols but `per-instance`: numbers of training rooms, each a set of its own.
         eval_episodes: episodes in an evaluation.
         observation: of every agent.
         source: with `transfer`: rung to train on.
+        trials: with `few-shot`: in each room.
     """
 
     runs: int = 10
@@ -54,6 +58,7 @@ class LadderSettings(NamedTuple):
     eval_episodes: int | None = None
     observation: str = "objects"
     source: str | None = None
+    trials: int = 8
 
 
 def name_protocol(protocol: Protocol, source: str | None) -> str:
@@ -83,6 +88,8 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
         ConfigError: more rooms than the rung has, or a rung to train on that does not go with the protocol.
     """
     label = name_protocol(protocol, settings.source)
+    if protocol == "few-shot" and settings.trials < 2:
+        raise ConfigError("trials", settings.trials, "2 or more; with one it is the protocol generalise")
     record, source = bench[rung].record, settings.source or rung
     if settings.source == rung:
         raise ConfigError("from", rung, f"another rung than {rung}; the protocol generalise trains and tests on one")
@@ -95,8 +102,8 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
         return Grid(
             name=f"{bench.name}-{rung}-per-instance", description=f"Each of {count} rooms of {name} from nothing.",
             agents=tuple(agents), rooms=tuple(RoomSpec(set=f"{name}/test[{index}]") for index in range(count)),
-            runs=settings.runs, primitives=primitives, eval_episodes=settings.eval_episodes or 20,
-            observation=settings.observation,
+            runs=settings.runs, primitives=primitives, eval_every=max(1, primitives // EVALUATIONS),
+            eval_episodes=settings.eval_episodes or 20, observation=settings.observation,
         )
     train, most = f"{bench.source}/{source}", bench[source].record.train.count
     for size in settings.train_sizes:
@@ -107,8 +114,8 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
         name=f"{bench.name}-{rung}-{label}", description=f"Trained in rooms of {train}, tested in {tested}.",
         agents=tuple(agents), train_rooms=tuple(f"{train}/train[:{size}]" for size in settings.train_sizes),
         test_rooms=(f"{name}/test[:{count}]",), runs=settings.runs, primitives=primitives,
-        eval_every=max(1, primitives // 5), eval_episodes=settings.eval_episodes or count,
-        observation=settings.observation,
+        eval_every=max(1, primitives // EVALUATIONS), eval_episodes=settings.eval_episodes or count,
+        observation=settings.observation, trials=settings.trials if protocol == "few-shot" else 1,
     )
 
 

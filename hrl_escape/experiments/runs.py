@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
+from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate, evaluate_trials
 from hrl_escape.agents.training.results import TrainResult, find_first_escape
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -33,6 +33,7 @@ from hrl_escape.experiments.statistics import compute_efficiency, compute_final
 from hrl_escape.files import read_json, write_json
 from hrl_escape.ladder.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
 from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.ladder.trials import TrialsEnv
 from hrl_escape.settings import read_record
 from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.version import __version__, find_versions
@@ -60,6 +61,8 @@ class RunResult:
         versions: of the packages that made it; left out of comparisons.
         seen: last evaluation in rooms that were trained in, where others were tested in.
         seen_range: its scale.
+        trials: where rooms are tried several times, the evaluation of each trial at the end, over all test rooms.
+        trial_ranges: their scales.
     """
 
     budget: int
@@ -76,6 +79,8 @@ class RunResult:
     versions: Mapping[str, str] = dataclasses.field(compare=False)
     seen: Evaluation | None = None
     seen_range: ScoreRange | None = None
+    trials: tuple[Evaluation, ...] = ()
+    trial_ranges: tuple[ScoreRange, ...] = ()
 
     @classmethod
     def make(cls, budget: int, result: TrainResult, score_range: ScoreRange, solution: Solution | None) -> RunResult:
@@ -99,8 +104,7 @@ class RunResult:
         if metric == "seconds":
             return np.array(self.seconds)
         if metric == "efficiency":
-            return np.array([compute_efficiency(found.successes, found.lengths, self.score_range.fewest).mean()
-                             for found in self.evaluations])
+            return np.array([_compute_efficiency(found, self.score_range) for found in self.evaluations])
         return np.array([getattr(evaluation, metric) for evaluation in self.evaluations], dtype=np.float64)
 
     @property
@@ -108,7 +112,12 @@ class RunResult:
         """Efficiency at the end in rooms that were trained in; None without others to be tested in."""
         if self.seen is None or self.seen_range is None:
             return None
-        return float(compute_efficiency(self.seen.successes, self.seen.lengths, self.seen_range.fewest).mean())
+        return _compute_efficiency(self.seen, self.seen_range)
+
+    @property
+    def trial_efficiencies(self) -> NDArray[np.float64]:
+        """Efficiency at the first, second, ... trial in rooms not seen before; empty without trials."""
+        return np.array([_compute_efficiency(*scored) for scored in zip(self.trials, self.trial_ranges, strict=True)])
 
     def get_final(self, metric: str) -> float:
         """Mean of a curve over the last fifth of the budget; see `compute_final`."""
@@ -120,8 +129,12 @@ class RunResult:
         return self.get_final("success_rate") == 0.0
 
 
+def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange) -> float:
+    return float(compute_efficiency(evaluation.successes, evaluation.lengths, score_range.fewest).mean())
+
+
 def make_env(agent: AgentSpec, rooms: RoomInstance | InstanceSet, observation: str,
-             schedule: Mapping[str, int] | None = None, common: CommonSpaces | None = None
+             schedule: Mapping[str, int] | None = None, common: CommonSpaces | None = None, trials: int = 1
              ) -> tuple[gymnasium.Env, StateRecorder]:
     """The environment an agent acts in, and the recorder inside it.
 
@@ -131,6 +144,7 @@ def make_env(agent: AgentSpec, rooms: RoomInstance | InstanceSet, observation: s
         observation: by name.
         schedule: rooms of a set by the episode's seed; see `RoomSchedule`.
         common: spaces to show it in, together with rooms of another schematic.
+        trials: in the same room, an episode; see `TrialsEnv`.
     """
     import hrl_escape  # noqa: F401  # registers the environment
 
@@ -144,17 +158,21 @@ def make_env(agent: AgentSpec, rooms: RoomInstance | InstanceSet, observation: s
         from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
 
         return HierarchyEnv(recorder, find_kind(agent.name), agent.leaves), recorder
-    env = _add_options(agent, recorder) if agent.chooses_options else recorder
+    env = _add_options(agent, recorder, trials) if agent.chooses_options else _add_trials(recorder, trials)
     return (env if common is None else CommonSpacesEnv(env, *common)), recorder
 
 
-def _add_options(agent: AgentSpec, recorder: StateRecorder) -> gymnasium.Env:
+def _add_trials(env: gymnasium.Env, trials: int) -> gymnasium.Env:
+    return env if trials == 1 else TrialsEnv(env, trials)
+
+
+def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymnasium.Env:
     from hrl_escape.options.memory import DecisionMemory
     from hrl_escape.options.options_env import OptionsEnv  # brings the planners in
 
     arguments = agent.options.to_dict()
     has_memory = arguments.pop("memory")
-    env = OptionsEnv(recorder, trace=agent.needs_trace, **arguments)
+    env = _add_trials(OptionsEnv(recorder, trace=agent.needs_trace, **arguments), trials)
     return DecisionMemory(env) if has_memory else env
 
 
@@ -195,6 +213,8 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
             player, value = _train(run, out, env, env, place, score_range, checkpoint_seconds)
         else:
             player, value = _train_in_set(run, out, env, place, common, score_range, checkpoint_seconds)
+        if grid.trials > 1 and place.split is not None:
+            value = _try_several_times(run, out, player, place.split, common, order or {}, value)
         drawn = seeds if order is None else [seed for seed in seeds if order[str(seed)] == 0]  # of the room in pictures
         episodes = [record_episode(player, env, recorder, seed) for seed in drawn]
     finally:
@@ -209,7 +229,7 @@ def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPl
     assert place.split is not None
     seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(run.grid.eval_episodes)]
     order = {str(seed): n % len(place.split.train) for n, seed in enumerate(seeds)}
-    env, recorder = make_env(run.agent, place.split.train, run.grid.observation, common=common)
+    env, _ = make_env(run.agent, place.split.train, run.grid.observation, common=common, trials=run.grid.trials)
     again, again_recorder = make_env(run.agent, place.split.train, run.grid.observation, order, common)
     try:
         agent, value = _train(run, out, env, eval_env, place, score_range, checkpoint_seconds)
@@ -219,6 +239,24 @@ def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPl
         env.close()
         again.close()
     return agent, dataclasses.replace(value, seen=seen, seen_range=seen_range)
+
+
+def _try_several_times(run: GridRun, out: Path, player: Agent, split: Split, common: CommonSpaces | None,
+                       order: Mapping[str, int], value: RunResult) -> RunResult:
+    """Evaluate every trial of episodes with several in the rooms to be tested in."""
+    trials, starts = run.grid.trials, []
+    env, recorder = make_env(run.agent, split.test, run.grid.observation, order, common, trials)
+    room: Any = env.unwrapped
+    if run.agent.is_reference:
+        player = make_reference(run.agent.name, env, recorder)
+    try:
+        found = evaluate_trials(
+            player, env, run.grid.eval_episodes, trials, run.eval_seed, value.primitives, value.decisions,
+            lambda: starts.append([(room.instance, state) for state in recorder.starts]))
+    finally:
+        env.close()
+    ranges = tuple(compute_score_range(trial, run.agent, out / "references") for trial in zip(*starts, strict=True))
+    return dataclasses.replace(value, trials=found, trial_ranges=ranges)
 
 
 def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env, place: RunPlace,

@@ -75,6 +75,7 @@ class AgentSummary:
         efficiencies: final efficiency (runs,) a room; a room without a finished run has none.
         efficiency: interquartile mean of them, the primary score.
         seen: the same at the end in rooms that were trained in, where others were tested in; else None.
+        trials: interquartile mean at the first, second, ... trial in each room tested in; empty without trials.
         progress: share of the goal's ancestors lit at best in an episode of the last fifth, rooms weighing the same.
         success: share of evaluation episodes in the last fifth that escaped, rooms weighing the same; Wilson's
             interval, a run counting as one try.
@@ -101,6 +102,7 @@ class AgentSummary:
     efficiencies: tuple[Floats, ...]
     efficiency: Estimate
     seen: Estimate | None
+    trials: tuple[Estimate, ...]
     progress: Estimate
     success: Estimate
     first_escape: Estimate
@@ -303,6 +305,8 @@ def _summarise_agent(comparison: Comparison, runs: Sequence[FinishedRun]) -> Age
         efficiencies=tuple(next(filled) if room else np.zeros(0) for room in rooms),
         efficiency=efficiency,
         seen=_summarise_seen(occupied),
+        trials=tuple(_estimate(compute_iqm, collect(lambda result, number=number: result.trial_efficiencies[number]))
+                     for number in range(min(len(result.trials) for result in results))),
         progress=describe("mean_progress", compute_mean),
         success=Estimate(success, *compute_wilson_interval(success, len(results))),
         first_escape=_estimate(compute_mean, first, (0.0, float(budget))),

@@ -40,8 +40,8 @@ class Sentence:
 def write_verdict(summary: Summary) -> list[Sentence]:
     """Write the verdict: one headline, then findings, then cautions."""
     findings = [*_compare_views(summary), *_compare_with_chance(summary), *_compare_with_index_order(summary),
-                *_describe_generalisation(summary), *_describe_speed(summary), *_describe_gap(summary),
-                *_describe_stuck(summary), *_describe_better_ways(summary)]
+                *_describe_generalisation(summary), *_describe_trials(summary), *_describe_speed(summary),
+                *_describe_gap(summary), *_describe_stuck(summary), *_describe_better_ways(summary)]
     return [Sentence("headline", _write_headline(summary)), *(Sentence("finding", text) for text in findings),
             *(Sentence("caution", text) for text in _write_cautions(summary))]
 
@@ -207,6 +207,17 @@ def _describe_generalisation(summary: Summary) -> list[str]:
         return []
     words = [f"`{agent.label}` {agent.efficiency.value:.2f} against {seen.value:.2f}" for agent, seen in learners]
     return [f"Efficiency in rooms tested in against rooms trained in: {_join(words)}."]
+
+
+def _describe_trials(summary: Summary) -> list[str]:
+    """Efficiency trial by trial in the same rooms."""
+    tried = [agent for agent in summary.agents if agent.trials]
+    if not tried:
+        return []
+    words = [f"`{agent.label}` {', '.join(f'{trial.value:.2f}' for trial in agent.trials)}" for agent in tried]
+    sentences = [f"Efficiency trial by trial in the same unseen rooms, without learning: {'; '.join(words)}."]
+    forgetful = [f"`{agent.label}`" for agent in tried if not agent.spec.remembers]
+    return sentences + ([f"No memory, so the same policy at every trial: {_join(forgetful)}."] if forgetful else [])
 
 
 def _describe_better_ways(summary: Summary) -> list[str]:

@@ -5,6 +5,7 @@ from .instance_set import InstanceSet, InstanceSetEnv
 from .keys import RoomKeys, compute_keys
 from .manifest import Manifest, RungRecord, SetRecord
 from .rung import Rung
+from .trials import TrialsEnv
 
 __all__ = [
     "Benchmark",
@@ -15,6 +16,7 @@ __all__ = [
     "Rung",
     "RungCertificate",
     "RungRecord",
+    "TrialsEnv",
     "SetRecord",
     "certify_rung",
     "compute_commitment",

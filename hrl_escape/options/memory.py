@@ -31,7 +31,7 @@ class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
     | `recent` | 1 / (1 + n), n decisions since the last one about it; 0 if there was none |
     | `rank` | 1 / (1 + n), n objects lit before it when it last came on; 0 if it never did |
 
-    Rows of absent objects stay 0.
+    Rows of absent objects stay 0. A decision that ends a trial (`info["trial_ended"]`, see `TrialsEnv`) fails nothing.
 
     Args:
         env: an environment with observations in rows of objects and actions that say what they are about: an
@@ -77,7 +77,7 @@ class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
         subject = self._subjects[int(action)]
         if subject >= 0:
             self._since[subject] = 0
-            if not after[subject]:
+            if not after[subject] and not info.get("trial_ended", False):
                 self._failures.setdefault(before.tobytes(), np.zeros_like(before))[subject] = True
         self._ranks[after & ~before] = 1.0 / (1 + before.sum())
         self._shown = after

@@ -1,9 +1,12 @@
 """Protocols of the ladder: grids of a rung, and the judgement of an agent."""
 
+import dataclasses
+
 import pytest
 
-from hrl_escape.errors import ConfigError, UnknownNameError
-from hrl_escape.experiments.grid import AgentSpec
+from hrl_escape.errors import ConfigError, GridError, UnknownNameError
+from hrl_escape.experiments.grid import AgentSpec, Grid
+from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.protocols import (
     LadderSettings,
     find_miscalibration,
@@ -45,6 +48,19 @@ def test_transfer_trains_on_one_rung_and_is_tested_on_another():
     assert list(place.split.test.seeds) == list(BENCH["lattice-5"].test.seeds[:5]) and place.split.is_transfer
     assert grid.primitives == 20_000, "the budget of chain"
     assert place.split.room_overlap == 0
+
+
+def test_few_shot_is_generalise_with_several_trials_in_each_room():
+    grid = make_protocol_grid(BENCH, "pair", "few-shot", AGENTS, LadderSettings(rooms=4, trials=3))
+    plain = make_protocol_grid(BENCH, "pair", "generalise", AGENTS, LadderSettings(rooms=4))
+    assert grid.trials == 3 and plain.trials == 1
+    assert dataclasses.replace(grid, trials=1, name=plain.name) == plain
+    keys = [{run.key for run in each.make_runs(each.make_places())} for each in (grid, plain)]
+    assert not keys[0] & keys[1], "runs with trials are others than those without"
+    with pytest.raises(ConfigError, match="2 or more"):
+        make_protocol_grid(BENCH, "pair", "few-shot", AGENTS, LadderSettings(trials=1))
+    with pytest.raises(GridError, match="trials"):
+        Grid(rooms=(RoomSpec("clutter"),), trials=2)
 
 
 @pytest.mark.parametrize(("protocol", "source", "words"), [

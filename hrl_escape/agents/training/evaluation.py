@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import statistics
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,7 +24,7 @@ from hrl_escape.agents.agent import (
     read_action_mask,
 )
 
-__all__ = ["Evaluation", "compute_episode_seed", "evaluate", "play_episode"]
+__all__ = ["Evaluation", "compute_episode_seed", "evaluate", "evaluate_trials", "play_episode"]
 
 
 @dataclass(frozen=True)
@@ -126,28 +126,73 @@ def evaluate(
         max_primitives: longest episode in an environment without a time limit.
     """
     started = time.perf_counter()
-    returns, lengths, counts, successes, progress = [], [], [], [], []
+    sums = []
     for episode in range(episodes):
-        total, length, count, success, best = 0.0, 0, 0, False, 0.0
-        episode_seed = compute_episode_seed(seed, "evaluation", episode)
-        for transition, info in play_episode(agent, env, episode_seed, max_primitives):
-            total += transition.summed_reward
-            length += transition.duration
-            count += 1
-            success = bool(info.get("is_success", transition.terminated))
-            best = max(best, float(info.get("progress", success)))
-        returns.append(total)
-        lengths.append(length)
-        counts.append(count)
-        successes.append(success)
-        progress.append(best)
+        sums.append(_Sums())
+        for transition, info in play_episode(agent, env, compute_episode_seed(seed, "evaluation", episode),
+                                             max_primitives):
+            sums[-1].add(transition, info)
+    return _make_evaluation(primitives, decisions, sums, time.perf_counter() - started)
+
+
+def evaluate_trials(
+    agent: Agent,
+    env: gymnasium.Env,
+    episodes: int,
+    trials: int,
+    seed: int = 0,
+    primitives: int = 0,
+    decisions: int = 0,
+    after_episode: Callable[[], object] = lambda: None,
+) -> tuple[Evaluation, ...]:
+    """Evaluate each trial of episodes that have several, such as those of a `TrialsEnv`.
+
+    Args:
+        agent: acts greedily with frozen weights.
+        env: the environment; its `info["trial"]` is the number of a step's trial.
+        episodes: number of episodes.
+        trials: number of trials in an episode.
+        seed: fixes the episodes, as for `evaluate`.
+        primitives: primitives trained for, kept with the results.
+        decisions: decisions trained for, kept with the results.
+        after_episode: called at the end of every episode.
+
+    Returns:
+        For each trial its evaluation over all episodes.
+    """
+    sums: list[list[_Sums]] = [[] for _ in range(trials)]
+    for episode in range(episodes):
+        for each in sums:
+            each.append(_Sums())
+        for transition, info in play_episode(agent, env, compute_episode_seed(seed, "evaluation", episode)):
+            sums[info["trial"]][-1].add(transition, info)
+        after_episode()
+    return tuple(_make_evaluation(primitives, decisions, each) for each in sums)
+
+
+class _Sums:
+    """Sums over one episode, or one trial of it."""
+
+    def __init__(self) -> None:
+        self.total, self.length, self.count, self.success, self.progress = 0.0, 0, 0, False, 0.0
+
+    def add(self, transition: SMDPTransition, info: Mapping[str, Any]) -> None:
+        """Add one decision."""
+        self.total += transition.summed_reward
+        self.length += transition.duration
+        self.count += 1
+        self.success = bool(info.get("is_success", transition.terminated))
+        self.progress = max(self.progress, float(info.get("progress", self.success)))
+
+
+def _make_evaluation(primitives: int, decisions: int, sums: Sequence[_Sums], seconds: float = 0.0) -> Evaluation:
     return Evaluation(
         primitives,
         decisions,
-        tuple(returns),
-        tuple(lengths),
-        tuple(counts),
-        tuple(successes),
-        tuple(progress),
-        time.perf_counter() - started,
+        tuple(each.total for each in sums),
+        tuple(each.length for each in sums),
+        tuple(each.count for each in sums),
+        tuple(each.success for each in sums),
+        tuple(each.progress for each in sums),
+        seconds,
     )

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -68,12 +69,24 @@ def run(args: ReportArgs) -> None:
             "" if agent.seen is None else f"{agent.seen.value:.3f}", f"{share:.0%} ({low:.0%} to {high:.0%})",
             "yes" if standing.is_passed else "no")
     console.print(table)
+    if any(standing.agent.trials for standing in standings):
+        console.print(_make_trial_table(standings))
     for label, rung in highest.items():
         console.print(f"Highest rung that {label} passed: {rung}", markup=False)
+
+
+def _make_trial_table(standings: Sequence[RungStanding]) -> Table:
+    """Efficiency trial by trial, a row an agent and rung."""
+    most = max(len(standing.agent.trials) for standing in standings)
+    table = Table("rung", "agent", *(f"trial {number}" for number in range(1, most + 1)), box=None, pad_edge=False)
+    for standing in standings:
+        table.add_row(standing.rung, standing.agent.label, *(f"{trial.value:.3f}" for trial in standing.agent.trials))
+    return table
 
 
 def _to_json(standing: RungStanding) -> dict[str, object]:
     agent = standing.agent
     return {"rung": standing.rung, "agent": agent.label, "runs": agent.runs,
             "efficiency": agent.efficiency._asdict(), "seen": None if agent.seen is None else agent.seen._asdict(),
-            "escapes": standing.escapes, "passed": standing.is_passed}
+            "escapes": standing.escapes, "passed": standing.is_passed,
+            "trials": [trial._asdict() for trial in agent.trials]}

@@ -27,12 +27,12 @@ HEADINGS = ("efficiency", "progress", "success", "length")
 
 
 def write_tables(summary: Summary, folder: Path) -> None:
-    """Write `results.csv` (a row a run), `curves.csv` (a row an evaluation) and `timings.csv`.
+    """Write `results.csv` (a row a run), `curves.csv` (a row an evaluation), `timings.csv`, and `trials.csv` if any.
 
     Raises:
         FileWriteError: a file cannot be written.
     """
-    results, curves, timings = [], [], []
+    results, curves, timings, trials = [], [], [], []
     for run, result in summary.runs:
         head = (run.agent.label, run.room, run.place_id, run.seed)
         worst, top = result.score_range.worst, float(np.mean(result.score_range.best))
@@ -42,6 +42,8 @@ def write_tables(summary: Summary, folder: Path) -> None:
                         *_describe_reach(result), "" if (seen := result.seen_efficiency) is None else seen,
                         result.primitives, result.decisions, result.episodes,
                         result.planner_calls, run.key))
+        trials += [(*head, number, efficiency, trial.success_rate, trial.mean_length) for number, (efficiency, trial)
+                   in enumerate(zip(result.trial_efficiencies, result.trials, strict=True), start=1)]
         lines = [result.get_curve(measure) for measure in MEASURES]
         for evaluation, seconds, *values in zip(result.evaluations, result.seconds, *lines, strict=True):
             at = (*head, evaluation.primitives, evaluation.decisions)
@@ -53,6 +55,8 @@ def write_tables(summary: Summary, folder: Path) -> None:
                                     "best", "reachable", "fewest", "fewest_reachable", "seen_efficiency",
                                     "primitives", "decisions", "episodes", "planner_calls", "key"), results)
     _write(folder / "curves.csv", (*names, "primitives", "decisions", *HEADINGS, "return_score", "return"), curves)
+    if trials:
+        _write(folder / "trials.csv", (*names, "trial", "efficiency", "success", "length"), trials)
     _write(folder / "timings.csv", (*names, "primitives", "training_seconds", "evaluation_seconds"), timings)
 
 

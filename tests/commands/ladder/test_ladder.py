@@ -101,6 +101,42 @@ def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
     assert code == 2 and "smdp-dqn+objects" in err and err.count("\n") == 1
 
 
+def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
+    options = ["run", "smdp-random+no-primitives", "planner", "--rung", "doormat", "--rooms", "1", "--runs", "1",
+               "--primitives", "60", "--eval-episodes", "1", "--workers", "1", "--out", str(tmp_path)]
+    assert "doormat: 2 runs, 2 to be made" in call(capsys, *options, "--dry-run")[1]
+    code, out, _ = call(capsys, *options, "--shard", "2/2")
+    assert code == 0 and "doormat: 1 runs finished" in out
+    code, out, _ = call(capsys, *options, "--report")
+    assert code == 0 and "doormat: 1 runs finished" in out
+    assert call(capsys, *options, "--shard", "1/2")[0] == 0
+    assert "2 runs, 0 to be made" in call(capsys, *options, "--dry-run")[1]
+    code, out, _ = call(capsys, *options, "--report")
+    assert code == 0 and "doormat: 2 runs finished" in out
+    command = (tmp_path / "per-instance" / "doormat" / "summary.md").read_text()
+    assert "hrl-escape ladder run smdp-random+no-primitives planner --rung doormat --workers 1 --runs 1" in command
+    code, _, err = call(capsys, *options, "--resources", "num_gpus=1")
+    assert code == 2 and "with --ray or --slurm" in err and err.count("\n") == 1
+
+
+def test_trials_in_unseen_rooms_are_scored_one_by_one(capsys, tmp_path):
+    agents = ["smdp-dqn+objects+memory+no-primitives", "smdp-index-order+no-primitives", "planner"]
+    options = ["run", *agents, "--rung", "pair", "--protocol", "few-shot", "--trials", "3", "--rooms", "2",
+               "--train-sizes", "2", "--runs", "1", "--primitives", "150", "--workers", "1", "--out", str(tmp_path)]
+    code, out, err = call(capsys, *options)
+    assert code == 0 and "pair: 3 runs finished, 0 failed" in out, err
+    code, out, _ = call(capsys, "report", str(tmp_path), "--protocol", "few-shot", "--json")
+    rows = {row["agent"]: [trial["value"] for trial in row["trials"]] for row in json.loads(out)["rungs"]}
+    assert rows["planner"] == [1.0] * 3 and len(rows[agents[0]]) == 3
+    assert 0 < rows[agents[1]][0] < 1 and len(set(rows[agents[1]])) == 1, "what remembers nothing stays as it is"
+    assert "trial 3" in call(capsys, "report", str(tmp_path), "--protocol", "few-shot")[1]
+    told = (tmp_path / "few-shot" / "pair" / "summary.md").read_text()
+    assert "`planner` 1.00, 1.00, 1.00" in told
+    assert "No memory, so the same policy at every trial" in told
+    trials = (tmp_path / "few-shot" / "pair" / "trials.csv").read_text().splitlines()
+    assert len(trials) == 1 + 3 * 3 and trials[0].endswith("trial,efficiency,success,length")
+
+
 def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
     code, out, _ = call(capsys, "calibrate", "--rung", "doormat", "--rooms", "2", "--workers", "1", "--json", "--out",
                         str(tmp_path))

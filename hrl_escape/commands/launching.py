@@ -1,0 +1,95 @@
+"""Options of commands that make a grid's runs: which part of them, on what machines, or none of them."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+from hrl_escape.errors import ConfigError
+from hrl_escape.experiments.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
+from hrl_escape.experiments.grid import Grid
+from hrl_escape.experiments.launching.local import Launcher, LocalLauncher
+from hrl_escape.experiments.launching.ray import RayLauncher
+from hrl_escape.experiments.launching.slurm import SlurmLauncher
+
+__all__ = ["LaunchArgs"]
+
+
+@dataclasses.dataclass(frozen=True, kw_only=True)
+class LaunchArgs:
+    """Options that say where runs are made."""
+
+    workers: int | None = None
+    """Runs at a time; one a core by default."""
+    ray: bool = False
+    """Run on a Ray cluster that shares the folder (extra `ray`), or on a Ray started here."""
+    slurm: int | None = None
+    """Run as a Slurm array of so many jobs that share the folder (extra `slurm`); without Slurm, as processes here."""
+    resources: tuple[str, ...] = ()
+    """Resources that each run asks of Ray (num_cpus=2 num_gpus=0.5 memory=4e9), or each job of Slurm through submitit
+    (timeout_min=600 mem_gb=4 cpus_per_task=8 slurm_partition=long)."""
+    shard: str = ""
+    """Make only a part of the runs, such as 2/8: one part on each of eight machines that share the folder, each
+    resumable. Then --report."""
+    report: bool = False
+    """Run nothing: report what is finished in the folder."""
+    dry_run: bool = False
+    """Run nothing: print how many runs are to be made and about how long they take."""
+
+    def make_runs(self, grid: Grid, out: Path) -> Comparison:
+        """Make the part of a grid's runs that is asked for, or read all that are finished.
+
+        Raises:
+            EscapeError: the grid, the part or the resources are impossible.
+        """
+        if self.report:
+            return read_comparison(out, grid)
+        return run_grid(grid, out, self._make_launcher(), shard=Shard.parse(self.shard or "1/1"))
+
+    def format_options(self, *known: str) -> list[str]:
+        """Words of the command line for what is not at its default, without the fields that are known or decide no run.
+
+        Args:
+            known: names of fields to leave out.
+        """
+        words = []
+        for field in dataclasses.fields(self):
+            value = getattr(self, field.name)
+            if value == field.default or field.name in (*known, "shard", "report", "dry_run", "open", "json"):
+                continue
+            values = value if isinstance(value, tuple) else () if value is True else (value,)
+            words += [f"--{field.metadata.get('word', field.name).replace('_', '-')}", *map(str, values)]
+        return words
+
+    def _make_launcher(self) -> Launcher:
+        resources = {}
+        for text in self.resources:
+            name, sign, value = text.partition("=")
+            if not (name and sign):
+                raise ConfigError("resources", text, "a name and a value, such as num_gpus=1")
+            resources[name] = _parse_value(value)
+        if self.slurm is not None and self.ray:
+            raise ConfigError("slurm", self.slurm, "without --ray: choose one")
+        if resources and not self.ray and self.slurm is None:
+            raise ConfigError("resources", " ".join(self.resources), "with --ray or --slurm")
+        if self.slurm is not None:
+            return SlurmLauncher(self.slurm, resources=resources)
+        return RayLauncher(self.workers, resources=resources) if self.ray else LocalLauncher(self.workers)
+
+    def describe_work(self, grid: Grid, out: Path) -> str:
+        """How many runs are to be made, and about how long they take."""
+        runs, missing, seconds = count_missing(grid, out)
+        words = f"{runs:,} runs, {missing:,} to be made in {out}"
+        if seconds is None:
+            return f"{words}; none has finished, so how long one takes is not known"
+        return (f"{words}; {seconds:.3g} s of training each in the median of {runs - missing:,}, so about "
+                f"{missing * seconds / 3600:.2g} core hours")
+
+
+def _parse_value(text: str) -> Any:
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
