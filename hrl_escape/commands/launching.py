@@ -1,4 +1,4 @@
-"""Options of commands that make a grid's runs: which part of them, on what machines, or none of them."""
+"""Options of commands that make the runs of a grid: a part of them, on other machines, or none at all."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ class LaunchArgs:
         return RayLauncher(self.workers, resources=resources) if self.ray else LocalLauncher(self.workers)
 
     def describe_work(self, grid: Grid, out: Path) -> str:
-        """How many runs are to be made, and about how long they take."""
+        """Describe how many runs are to be made, and about how long they take."""
         runs, missing, seconds = count_missing(grid, out)
         words = f"{runs:,} runs, {missing:,} to be made in {out}"
         if seconds is None:
