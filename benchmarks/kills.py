@@ -1,7 +1,9 @@
-"""Kills (SIGKILL) at random moments, each resumed by the same command, against one that was left alone.
+"""Kills (SIGKILL) at random moments, each resumed by the same command, against work that was left alone.
 
-Run: `python benchmarks/kills.py` (about fifteen minutes on two cores), or `--only train` and so on; exits with 1 if a
-number differs. `compare` is a comparison of six agents, `train` one run of smdp-dqn, `study` the study of flat agents.
+Run: `python benchmarks/kills.py --only train --kills 100` and so on; exits with 1 if a byte differs or a process
+outlives its parent. `train` is one run of smdp-dqn, `compare` a comparison of six agents, `study` the study of flat
+agents, `ray` the comparison on a Ray of this machine (extra `ray`). What is finished is compared and begun anew in
+another folder, until the kills are done.
 """
 
 from __future__ import annotations
@@ -9,46 +11,69 @@ from __future__ import annotations
 import argparse
 import contextlib
 import dataclasses
+import itertools
 import json
-import subprocess
+import multiprocessing
+import os
+import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
+from hrl_escape.agents.training.train import train
+from hrl_escape.cli import main as main_of_cli
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.experiments.grid import AgentSpec
 from hrl_escape.experiments.presets import get_grid
 from hrl_escape.files import write_json
+from hrl_escape.options.options_env import OptionsEnv
 
 AGENTS = ("random", "dqn", "smdp-random", "smdp-q-learning", "smdp-dqn", "smdp-ppo")
-LONGEST_SECONDS = 3.0
-TRAIN = """
-import sys, hrl_escape, gymnasium
-from hrl_escape.agents import train
-env = gymnasium.make("hrl_escape/PaperTwoButtonOptions-v1", observation="features")
-train("smdp-dqn", env, primitives=int(sys.argv[1]), seed=0, out=sys.argv[2], checkpoint_seconds=0.5, progress=False)
-"""
-
-
+LONGEST_SECONDS = 2.0
+ORPHAN_SECONDS = 10.0
+"""Longest that a process may outlive the one that was killed above it."""
 class Work(NamedTuple):
-    """Work that is killed: its command in a folder, its results there, and signs of progress (a glob)."""
+    """Work that is killed.
 
-    make_command: Callable[[Path], list[str]]
+    Attributes:
+        run: does it in a folder.
+        read: its results there.
+        signs: signs of progress, a glob.
+        victims: words in the command lines of the processes below it that are killed too, alone.
+    """
+
+    run: Callable[[Path], None]
     read: Callable[[Path], Any]
     signs: str
+    victims: tuple[str, ...] = ()
 
 
-def make_compare(folder: Path) -> list[str]:
-    """A comparison of two runs of each agent."""
+def write_grid(folder: Path) -> str:
+    """File of a grid: two runs of each agent."""
     grid = dataclasses.replace(get_grid("quickstart"), name="kills", agents=tuple(map(AgentSpec.parse, AGENTS)), runs=2,
-                               primitives=3_000)
+                               primitives=1_500)
     write_json(folder.with_suffix(".json"), grid.to_dict())
-    return ["-m", "hrl_escape.cli", "compare", str(folder.with_suffix(".json")), "--out", str(folder)]
+    return str(folder.with_suffix(".json"))
+
+
+def compare(folder: Path, *arguments: str) -> None:
+    """A comparison."""
+    sys.exit(main_of_cli(["compare", write_grid(folder), "--out", str(folder), *arguments]))
+
+
+def compare_on_ray(folder: Path) -> None:
+    """The same grid on a Ray of this machine."""
+    compare(folder, "--ray", "--workers", "2")
 
 
 def read_compare(folder: Path) -> Any:
@@ -56,9 +81,12 @@ def read_compare(folder: Path) -> Any:
     return [(folder / name).read_bytes() for name in ("results.csv", "curves.csv")]
 
 
-def make_train(folder: Path) -> list[str]:
-    """One run with a checkpoint every half a second."""
-    return ["-c", TRAIN, "20000", str(folder)]
+def learn(folder: Path | None, primitives: int = 10_000) -> None:
+    """One run of short episodes, after each of which a checkpoint is due."""
+    torch.set_num_threads(1)
+    room = generate(dataclasses.replace(get_preset("paper-two-button"), horizon=100), 0)
+    env = OptionsEnv(EscapeRoomEnv(instance=room, observation="features"))
+    train("smdp-dqn", env, primitives=primitives, seed=0, out=folder, checkpoint_seconds=0.0, progress=False)
 
 
 def read_train(folder: Path) -> Any:
@@ -68,10 +96,10 @@ def read_train(folder: Path) -> Any:
     return compute_state_digest(load_checkpoint(folder / "checkpoint.npz")["agent"]), kept
 
 
-def make_study(folder: Path) -> list[str]:
+def study(folder: Path) -> None:
     """The study of flat agents with one run of each."""
-    return ["-m", "hrl_escape.cli", "experiment", "flat", "--runs", "1", "--primitives", "400", "--out",
-            str(folder / "runs"), "--docs", str(folder / "docs")]
+    sys.exit(main_of_cli(["experiment", "flat", "--runs", "1", "--primitives", "400", "--out", str(folder / "runs"),
+                          "--docs", str(folder / "docs")]))
 
 
 def read_study(folder: Path) -> Any:
@@ -79,22 +107,35 @@ def read_study(folder: Path) -> Any:
     return [file.read_bytes() for file in sorted(folder.glob("docs/raw/*.jsonl"))]
 
 
-WORK = {"compare": Work(make_compare, read_compare, "runs/*/training/log.jsonl"),
-        "train": Work(make_train, read_train, "checkpoint.npz"),
-        "study": Work(make_study, read_study, "runs/*/runs/*/training/log.jsonl")}
+LOGS = "runs/*/training/log.jsonl"
+WORK = {"compare": Work(compare, read_compare, LOGS, ("forkserver",)),
+        "train": Work(learn, read_train, "checkpoint.npz"),
+        "study": Work(study, read_study, f"runs/*/{LOGS}", ("forkserver",)),
+        "ray": Work(compare_on_ray, read_compare, LOGS, ("_run_guarded", "raylet/raylet"))}
 
 
-def start(command: list[str]) -> subprocess.Popen[bytes]:
-    """Start the work as a user does."""
-    return subprocess.Popen([sys.executable, *command], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+def start(run: Callable[[Path], None], folder: Path) -> ForkProcess:
+    """Start the work, silently, in a fork of this process, which has loaded all that takes time."""
+    process = multiprocessing.get_context("fork").Process(target=run_silently, args=(run, folder))
+    process.start()
+    return process
 
 
-def run_to_end(command: list[str]) -> float:
+def run_silently(run: Callable[[Path], None], folder: Path) -> None:
+    """Do the work in this process."""
+    with open(os.devnull, "wb") as nowhere:
+        os.dup2(nowhere.fileno(), 1)
+        os.dup2(nowhere.fileno(), 2)
+    run(folder)
+
+
+def run_to_end(run: Callable[[Path], None], folder: Path) -> float:
     """Run without disturbance; returns seconds."""
     began = time.perf_counter()
-    process = start(command)
-    if process.wait():
-        sys.exit(f"the work ended with code {process.returncode}")
+    process = start(run, folder)
+    process.join()
+    if process.exitcode:
+        sys.exit(f"the work ended with code {process.exitcode}")
     return time.perf_counter() - began
 
 
@@ -107,36 +148,96 @@ def find_newest(folder: Path, signs: str) -> int:
     return max(times)
 
 
-def run_killed(command: list[str], folder: Path, signs: str, kills: int, rng: np.random.Generator) -> int:
-    """Start and kill, again and again; returns how often it was still at work.
+def list_descendants(ancestor: int) -> dict[int, str]:
+    """Command lines of the processes below one, by number; those that have ended and wait for their parent are none."""
+    parents, titles = {}, {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            state, parent = (folder / "stat").read_text().rpartition(")")[2].split()[:2]
+            if state != "Z":
+                parents[int(folder.name)] = int(parent)
+                titles[int(folder.name)] = (folder / "cmdline").read_text().replace("\0", " ")
+    found = [ancestor]
+    for process in found:
+        found += [child for child, parent in parents.items() if parent == process]
+    return {process: titles.get(process, "") for process in found[1:]}
 
-    Every fourth kill comes while it starts, the others up to `LONGEST_SECONDS` after a new sign of progress.
+
+def kill_all(process: ForkProcess) -> None:
+    """Kill a process; those below it have to end by themselves."""
+    below = list_descendants(process.pid)
+    process.kill()
+    process.join()
+    until = time.monotonic() + ORPHAN_SECONDS
+    while left := {pid: title for pid, title in below.items() if _read_title(pid) == title}:
+        if time.monotonic() > until:
+            sys.exit(f"left behind by the process that was killed: {left}")
+        time.sleep(0.05)
+
+
+def _read_title(process: int) -> str | None:
+    """Command line of a process that is alive."""
+    try:
+        folder = Path(f"/proc/{process}")
+        if (folder / "stat").read_text().rpartition(")")[2].split()[0] == "Z":
+            return None
+        return (folder / "cmdline").read_text().replace("\0", " ")
+    except OSError:
+        return None
+
+
+def kill_in_turn(work: Work, folder: Path, kills: Iterator[int], rng: np.random.Generator) -> Iterator[str]:
+    """Start the work and kill it, or a process below it, again and again until it is finished; yields what was killed.
+
+    Every fourth kill comes while it starts, the others up to `LONGEST_SECONDS` after a new sign of progress. Two in
+    three hit a process below it alone, where there is one.
     """
-    met = 0
-    for number in range(kills):
-        before, process = find_newest(folder, signs), start(command)
-        while number % 4 and process.poll() is None and find_newest(folder, signs) == before:
-            time.sleep(0.02)
-        try:
-            process.wait(rng.uniform(0.0, LONGEST_SECONDS))
-            print(f"  kill {number + 1}: it was already finished", flush=True)
-        except subprocess.TimeoutExpired:
+    process = None
+    try:
+        for number in kills:
+            if process is None or not process.is_alive():
+                process = start(work.run, folder)
+            before = find_newest(folder, work.signs)
+            while number % 4 and process.is_alive() and find_newest(folder, work.signs) == before:
+                time.sleep(0.02)
+            process.join(rng.uniform(0.0, LONGEST_SECONDS))
+            if process.exitcode == 0:
+                return
+            if process.exitcode is not None:  # runs whose processes were killed have failed
+                continue
+            below = {pid: title for pid, title in list_descendants(process.pid).items()
+                     if any(words in title for words in work.victims)}
+            if number % 3 and below:
+                victim = int(rng.choice(sorted(below)))
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(victim, signal.SIGKILL)
+                yield below[victim]
+            else:
+                kill_all(process)
+                yield "the command"
+    finally:
+        if process is not None:
             process.kill()
-            process.wait()
-            met += 1
-            print(f"  kill {number + 1}: {len(list(folder.glob(signs)))} signs of progress", flush=True)
-    return met
+            process.join()
 
 
 def survive(name: str, kills: int, seed: int, folder: Path) -> bool:
     """Do the work alone and killed; returns whether both have the same numbers."""
-    work, alone, killed = WORK[name], folder / f"{name}-alone", folder / f"{name}-killed"
-    print(f"{name}: left alone {run_to_end(work.make_command(alone)):.0f} s", flush=True)
-    met = run_killed(work.make_command(killed), killed, work.signs, kills, np.random.default_rng(seed))
-    run_to_end(work.make_command(killed))
-    is_same = work.read(alone) == work.read(killed)
-    print(f"{name}: {met} kills, {'the same numbers' if is_same else 'DIFFERENT NUMBERS'}", flush=True)
-    return is_same
+    work, alone, rng, numbers = WORK[name], folder / f"{name}-alone", np.random.default_rng(seed), itertools.count()
+    print(f"{name}: left alone {run_to_end(work.run, alone):.0f} s", flush=True)
+    wanted, met, is_same = work.read(alone), 0, True
+    for attempt in itertools.count(1):
+        killed = folder / f"{name}-killed-{attempt}"
+        for victim in itertools.islice(kill_in_turn(work, killed, numbers, rng), kills - met):
+            met += 1
+            print(f"  kill {met}, {len(list(killed.glob(work.signs)))} signs of progress: {victim[:60]}", flush=True)
+        run_to_end(work.run, killed)
+        is_same = is_same and work.read(killed) == wanted
+        print(f"{name}: {met} kills, {attempt} times to the end, "
+              f"{'the same numbers' if is_same else 'DIFFERENT NUMBERS'}", flush=True)
+        if met >= kills:
+            return is_same
+    raise AssertionError
 
 
 def main() -> int:
@@ -146,6 +247,7 @@ def main() -> int:
     parser.add_argument("--kills", type=int, default=20, help="of each")
     parser.add_argument("--seed", type=int, default=0, help="of the moments")
     arguments = parser.parse_args()
+    learn(None, 100)  # what is compiled and loaded now, the forks of this process need not load
     with tempfile.TemporaryDirectory() as folder:
         survived = [survive(name, arguments.kills, arguments.seed, Path(folder)) for name in arguments.only]
     return 0 if all(survived) else 1

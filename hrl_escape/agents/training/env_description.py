@@ -1,10 +1,11 @@
 """Descriptions of environments as JSON: a run's folder keeps one, by which it is recognised and made again.
 
 A description names the innermost environment and the wrappers around it, each by its class and its arguments. An
-environment with a `describe` method gives its arguments itself; others are described by their Gymnasium spec, or,
-without one, by their class alone. Wrappers give their arguments by Gymnasium's `RecordConstructorArgs`. An argument
-that is an object, such as an option, is described by its class, its name and a hash of what it holds: what its own
-`describe` gives, or its `state_dict` (an agent, a network), or its public values.
+environment with a `describe` method gives its arguments itself; others are described by their Gymnasium spec, and
+wrappers by Gymnasium's `RecordConstructorArgs`. Without these, arguments are read from the attributes that bear their
+names, as in `self.size = size`. An argument that is an object, such as an option, is described by its class, its name
+and a hash of what it holds: what its own `describe` gives, or its `state_dict` (an agent, a network), or its public
+values.
 """
 
 from __future__ import annotations
@@ -30,6 +31,8 @@ __all__ = ["DescribedEnv", "TrainedPart", "compute_digest", "describe_env", "mak
 
 PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo)
 """Wrappers that change no number; others say so by the attribute `is_passive`."""
+UNKNOWN = {"unknown": True}
+"""Stands for an argument that no attribute keeps."""
 
 
 @runtime_checkable
@@ -59,14 +62,15 @@ def describe_env(env: gymnasium.Env) -> dict[str, Any]:
     wrappers = []
     while isinstance(env, gymnasium.Wrapper):
         if not isinstance(env, PASSIVE_WRAPPERS) and not getattr(env, "is_passive", False):
-            saved = env._saved_kwargs if isinstance(env, RecordConstructorArgs) else {}
+            saved = env._saved_kwargs if isinstance(env, RecordConstructorArgs) else _read_arguments(env)
             wrappers.append({"class": _name(type(env)), "arguments": _make_plain(saved)})
         env = env.env
-    arguments = None
     if isinstance(env, DescribedEnv):
         arguments = env.describe()
     elif env.spec is not None:
         arguments = {name: value for name, value in env.spec.kwargs.items() if name != "render_mode"}
+    else:
+        arguments = _read_arguments(env)
     return {"class": _name(type(env)), "arguments": _make_plain(arguments), "wrappers": wrappers[::-1]}
 
 
@@ -111,9 +115,21 @@ def _make_part(description: Mapping[str, Any], kind: type, *inner: gymnasium.Env
     part = _find(description["class"])
     if not (isinstance(part, type) and issubclass(part, kind)):
         raise TypeError(f"{description['class']} is no {kind.__name__}")
-    if description["arguments"] is None:
-        raise TypeError(f"the arguments of {description['class']} are unknown")
-    return part(*inner, **{name: _revive(value) for name, value in description["arguments"].items()})
+    arguments = description["arguments"]
+    unknown = [name for name, value in arguments.items() if value == UNKNOWN]
+    if unknown:
+        raise TypeError(f"{', '.join(unknown)} of {description['class']} is not kept with a run")
+    return part(*inner, **{name: _revive(value) for name, value in arguments.items()})
+
+
+def _read_arguments(part: Any) -> dict[str, Any]:
+    """Arguments of an environment or a wrapper, from the attributes that bear their names, with or without `_`."""
+    arguments: dict[str, Any] = {}
+    for parameter in inspect.signature(type(part)).parameters.values():
+        held = [vars(part)[name] for name in (parameter.name, f"_{parameter.name}") if name in vars(part)]
+        if parameter.name != "render_mode" and not (held and isinstance(held[0], gymnasium.Env)):
+            arguments[parameter.name] = held[0] if held else UNKNOWN
+    return arguments
 
 
 def _make_plain(value: Any) -> Any:

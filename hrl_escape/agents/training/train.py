@@ -53,8 +53,9 @@ def train(
     Args:
         agent: a name (see `registry.list_agents`, with or without `smdp-`), or an agent of your own, made new.
         env: Discrete actions; what `step` must return is in `agent.make_transition`. It must depend on nothing
-            before `reset(seed=...)`, which is called for every episode. Give an environment of your own a `describe`
-            method (see `DescribedEnv`), so that runs with other arguments are told apart.
+            before `reset(seed=...)`, which is called for every episode. Let an environment of your own keep its
+            arguments under their names, or give it a `describe` method (see `DescribedEnv`), so that runs with other
+            arguments are told apart.
         primitives: budget. The decision that reaches it is the last.
         decisions: budget of decisions, if it is spent earlier; for programs that counted decisions.
         seed: 0 or more; fixes the agent (if named) and every training episode.

@@ -123,11 +123,42 @@ def test_environment_and_agent_of_a_run_are_made_from_its_folder(tmp_path):
     assert chosen[0] == chosen[1]
 
 
-def test_an_environment_without_description_must_be_given(tmp_path):
-    train("q-learning", ButtonGrid(), primitives=100, eval_episodes=0, out=tmp_path / "run")
-    with pytest.raises(CheckpointError, match=r"ButtonGrid are unknown. Make it and give env="):
+class Forgetful(ButtonGrid):
+    """A grid that keeps none of its arguments under their names."""
+
+    def __init__(self, most: int) -> None:
+        super().__init__(horizon=most)
+
+
+class Doubled(gymnasium.RewardWrapper):
+    """A wrapper that does not record its arguments for Gymnasium."""
+
+    def __init__(self, env: gymnasium.Env, factor: float = 2.0) -> None:
+        super().__init__(env)
+        self._factor = factor
+
+    def reward(self, reward):
+        return self._factor * reward
+
+
+def test_an_environment_whose_arguments_are_not_kept_must_be_given(tmp_path):
+    train("q-learning", Forgetful(90), primitives=100, eval_episodes=0, out=tmp_path / "run")
+    with pytest.raises(CheckpointError, match=r"most of .*Forgetful is not kept with a run. Make it and give env="):
         load_agent(tmp_path / "run")
-    assert load_agent(tmp_path / "run", ButtonGrid())
+    assert load_agent(tmp_path / "run", Forgetful(90))
+
+
+@pytest.mark.parametrize(("env", "other", "field"), [
+    (ButtonGrid(horizon=90), ButtonGrid(horizon=95), "environment.arguments.horizon: 90 there, 95 now"),
+    (Doubled(ButtonGrid()), Doubled(ButtonGrid(), 3.0), "environment.wrappers.0.arguments.factor: 2.0 there, 3.0 now"),
+])
+def test_arguments_are_read_from_the_attributes_that_bear_their_names(tmp_path, env, other, field):
+    train("q-learning", env, primitives=100, eval_episodes=0, out=tmp_path / "run")
+    with pytest.raises(RunMismatchError, match=field):
+        train("q-learning", other, primitives=100, eval_episodes=0, out=tmp_path / "run")
+    train("q-learning", env, primitives=100, eval_episodes=0, out=tmp_path / "run")
+    again = load_env(tmp_path / "run")
+    assert describe_env(again) == describe_env(env) != describe_env(other)
 
 
 @pytest.mark.parametrize("content", [[1], {"format": 1}, {}])
