@@ -220,6 +220,11 @@ class DynamicsConfig(Settings):
     slip: Annotated[float, Range(0, 1, open_high=True)] = 0.0
     """Probability that a primitive does nothing."""
 
+    @property
+    def is_random(self) -> bool:
+        """True if primitives are noisy or may slip."""
+        return bool(self.noise or self.slip)
+
 
 @dataclasses.dataclass(frozen=True)
 class RoomConfig(Settings):

@@ -201,6 +201,6 @@ def describe_schematic(config: RoomConfig) -> str:
         parts.append("pressed by hand")
     if config.dynamics.kind == "physics":
         parts.append("physics")
-    if config.dynamics.noise or config.dynamics.slip:
+    if config.dynamics.is_random:
         parts.append(f"noise {config.dynamics.noise:g}, slip {config.dynamics.slip:g}")
     return ", ".join(parts)

@@ -154,7 +154,10 @@ def list_standings(rung: str, summary: Summary) -> list[RungStanding]:
     return found
 
 
-def find_miscalibration(chance: float, planner: float) -> list[str]:
-    """Faults of a rung, in words, by the efficiency of random choices among its options and of the planner."""
+def find_miscalibration(chance: float, planner: float, is_stochastic: bool = False) -> list[str]:
+    """Faults of a rung, in words, by the efficiency of random choices among its options and of the planner.
+
+    Where moves err the planner is measured by its own expectation, from which a few episodes stray by 0.05 or less.
+    """
     faults = [f"chance reaches {chance:.2f}, not below {MOST_CHANCE:g}"] if chance >= MOST_CHANCE else []
-    return faults + ([f"the planner reaches {planner:.2f}, not 1"] if planner < 1.0 else [])
+    return faults + ([f"the planner reaches {planner:.2f}, not 1"] if planner < (0.95 if is_stochastic else 1.0) else [])

@@ -14,8 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
-from hrl_escape.env.kinematics import RoomState
-from hrl_escape.errors import EscapeError
 from hrl_escape.experiments.episodes import StateRecorder
 
 __all__ = ["INDEX_ORDER", "PLANNER", "REFERENCES", "make_reference"]
@@ -69,32 +67,18 @@ class PlanFollower(Reference):
 
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
         super().__init__(env, recorder)
-        self._primitives: tuple[int, ...] = ()
-        self._states: tuple[RoomState, ...] = ()
+        self._policy: Any = None
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Next primitive of the plan."""
         del observation
-        from hrl_escape.planning.plan import strip
+        from hrl_escape.planning.rollouts import Replanner  # brings the planners in
 
-        here, begins = self._recorder.states[-1], len(self._recorder.states) == 1
-        if begins or not self._primitives or strip(here) != strip(self._states[0]):
-            self._plan(here, begins)
-        if not self._primitives:
-            return int(np.flatnonzero(action_mask)[-1])
-        action, self._primitives, self._states = self._primitives[0], self._primitives[1:], self._states[1:]
-        return action
-
-    def _plan(self, state: RoomState, begins: bool) -> None:
-        from hrl_escape.planning.best_known import find_best_known  # these bring the planners in
-        from hrl_escape.planning.room_planner import get_planner
-
-        instance = self._env.unwrapped.instance
-        try:
-            plan = find_best_known(instance, state).plan if begins else get_planner(instance).solve(state)
-        except EscapeError:
-            plan = None
-        self._primitives, self._states = (plan.primitives, plan.states) if plan else ((), ())
+        begins = len(self._recorder.states) == 1
+        if begins:
+            self._policy = Replanner(self._env.unwrapped.instance)
+        primitive = self._policy.choose(self._recorder.states[-1], begins)
+        return int(np.flatnonzero(action_mask)[-1]) if primitive is None else primitive
 
 
 def make_reference(name: str, env: gymnasium.Env, recorder: StateRecorder) -> Reference:

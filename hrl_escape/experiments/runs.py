@@ -29,7 +29,7 @@ from hrl_escape.experiments.places import RoomSchedule, RunPlace, Split
 from hrl_escape.experiments.references import make_reference
 from hrl_escape.experiments.score_range import ScoreRange, compute_score_range
 from hrl_escape.experiments.solved_probe import Solution, SolvedProbe
-from hrl_escape.experiments.statistics import compute_efficiency, compute_final
+from hrl_escape.experiments.statistics import compute_final, compute_mean_efficiency
 from hrl_escape.files import read_json, write_json
 from hrl_escape.ladder.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
 from hrl_escape.ladder.instance_set import InstanceSet
@@ -130,7 +130,8 @@ class RunResult:
 
 
 def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange) -> float:
-    return float(compute_efficiency(evaluation.successes, evaluation.lengths, score_range.fewest).mean())
+    return compute_mean_efficiency(evaluation.successes, evaluation.lengths, score_range.fewest,
+                                   score_range.is_expected)
 
 
 def make_env(agent: AgentSpec, rooms: RoomInstance | InstanceSet, observation: str,

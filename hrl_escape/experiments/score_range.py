@@ -34,8 +34,10 @@ class ScoreRange:
             differ, also a number that tells them apart.
         best: best known return of each.
         reachable: best known return of each by the actions the agent has.
-        fewest: primitives of the best known escape of each.
+        fewest: primitives of the best known escape of each, or their expectation.
         fewest_reachable: the same by the actions the agent has; None where they cannot escape.
+        is_expected: best and fewest are means over rollouts of the planner in rooms with noise or slip; an episode can
+            do better by luck.
         source: what found `best` and `fewest`: `planner`, or `ceiling` where no plan is known and an escape
             by the first primitive stands for it.
     """
@@ -44,9 +46,10 @@ class ScoreRange:
     starts: tuple[tuple[float, ...], ...]
     best: tuple[float, ...]
     reachable: tuple[float, ...]
-    fewest: tuple[int, ...]
-    fewest_reachable: tuple[int | None, ...]
+    fewest: tuple[float, ...]
+    fewest_reachable: tuple[float | None, ...]
     source: str
+    is_expected: bool = False
 
 
 def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent: AgentSpec, cache: Path) -> ScoreRange:
@@ -70,10 +73,15 @@ def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent:
         ones = (1,) * len(starts)
         return ScoreRange(worst, poses, at_once, at_once, ones, ones, CEILING)
     best, fewest, reachable, fewest_reachable = zip(*(end for end in ends if end), strict=True)
-    return ScoreRange(worst, poses, best, reachable, fewest, fewest_reachable, PLANNER)
+    return ScoreRange(worst, poses, best, reachable, fewest, fewest_reachable, PLANNER, _has_noise(instance))
 
 
-Ends = tuple[float, int, float, "int | None"]
+def _has_noise(instance: RoomInstance) -> bool:
+    """Return whether scales are expectations."""
+    return instance.dynamics.is_random and instance.dynamics.kind == "kinematic"
+
+
+Ends = tuple[float, float, float, "float | None"]
 """Best known return and its primitives; the same by the options alone, whose escape may be None."""
 
 
@@ -87,6 +95,8 @@ def _find_ends(instance: RoomInstance, state: RoomState, flavour: str | None, ca
         cache: see `compute_score_range`.
     """
     start = [__version__, flavour, state.x, state.y, state.heading_steps, state.heading_offset, state.joint_steps]
+    if _has_noise(instance):
+        start.append("expected")
     path = cache / instance.id / f"{hashlib.sha256(json.dumps(start).encode()).hexdigest()[:12]}.json"
     if path.exists():
         with contextlib.suppress(FileReadError, TypeError):  # damaged: computed again
@@ -110,4 +120,15 @@ def _compute_ends(instance: RoomInstance, state: RoomState, flavour: str | None)
     if known.primitives is None or known.value <= worst:
         return None
     reachable = known if flavour is None else find_best_with_options(instance, state, flavour)
-    return known.value, known.primitives, reachable.value, reachable.primitives if reachable.value > worst else None
+    ends = known.value, known.primitives, reachable.value, reachable.primitives if reachable.value > worst else None
+    return _expect(instance, state, ends) if _has_noise(instance) else ends
+
+
+def _expect(instance: RoomInstance, state: RoomState, ends: Ends) -> Ends:
+    """Ends under noise: the planner's by rollouts, those by the options alone as far behind as without noise."""
+    from hrl_escape.planning.rollouts import compute_expected_escape
+
+    best, fewest, reachable, fewest_reachable = ends
+    value, primitives, _ = compute_expected_escape(instance, state)
+    return (value, primitives, value - (best - reachable),
+            None if fewest_reachable is None else primitives * fewest_reachable / fewest)

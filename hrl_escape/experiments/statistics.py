@@ -25,6 +25,7 @@ __all__ = [
     "compute_final",
     "compute_iqm",
     "compute_mean",
+    "compute_mean_efficiency",
     "compute_profile",
     "compute_score",
     "compute_slope",
@@ -48,9 +49,19 @@ def compute_score(returns: ArrayLike, worst: ArrayLike, best: ArrayLike) -> Floa
 
 
 def compute_efficiency(escaped: ArrayLike, primitives: ArrayLike, fewest: ArrayLike) -> Floats:
-    """Efficiency of episodes: escaped x fewest known primitives / primitives, at most 1 and 0 without escape."""
+    """Efficiency of episodes: escaped x fewest known primitives / primitives, 0 without escape. Not clipped."""
     ratio = np.asarray(fewest, dtype=np.float64) / np.maximum(np.asarray(primitives, dtype=np.float64), 1.0)
-    return np.where(np.asarray(escaped, dtype=bool), np.minimum(ratio, 1.0), 0.0)
+    return np.where(np.asarray(escaped, dtype=bool), ratio, 0.0)
+
+
+def compute_mean_efficiency(escaped: ArrayLike, primitives: ArrayLike, fewest: ArrayLike, is_expected: bool) -> float:
+    """Mean efficiency of an evaluation's episodes, at most 1.
+
+    Each episode counts with 1 at most. Where `fewest` are expectations an episode beats them by luck, which has to make
+    up for bad luck in others, so that the mean is capped and not each episode.
+    """
+    found = compute_efficiency(escaped, primitives, fewest)
+    return float(min(found.mean(), 1.0) if is_expected else np.minimum(found, 1.0).mean())
 
 
 def compute_iqm(scores: Scores, weights: Scores | None = None) -> Floats:

@@ -217,7 +217,7 @@ def _raise_ranges(runs: Sequence[FinishedRun], instance: RoomInstance) -> list[F
     In a room with noise nothing is raised, because a lucky episode is no reference.
     """
     dynamics = instance.dynamics
-    if dynamics.noise or dynamics.slip or dynamics.kind == "physics":
+    if dynamics.is_random or dynamics.kind == "physics":
         return list(runs)
     best: dict[tuple[float, ...], tuple[float, int, str]] = {}
     for run, result in runs:

@@ -132,7 +132,7 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
         True if it was better.
     """
     dynamics = instance.dynamics
-    if dynamics.noise or dynamics.slip or dynamics.kind == "physics":
+    if dynamics.is_random or dynamics.kind == "physics":
         return False
     known = find_best_known(instance, state, records=records)
     if value <= known.value + 1e-9:

@@ -90,7 +90,7 @@ class PrimitiveSearch:
         """
         self.instance = instance
         dynamics = instance.dynamics
-        if kinematics is None or dynamics.noise or dynamics.slip:
+        if kinematics is None or dynamics.is_random:
             still = dataclasses.replace(dynamics, noise=0.0, slip=0.0)
             kinematics = Kinematics(dataclasses.replace(instance, dynamics=still))
         self.kinematics = kinematics

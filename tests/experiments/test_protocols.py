@@ -98,3 +98,5 @@ def test_a_rung_is_calibrated_where_chance_fails_and_the_planner_does_not():
     assert not find_miscalibration(0.49, 1.0)
     assert find_miscalibration(0.5, 1.0) == ["chance reaches 0.50, not below 0.5"]
     assert len(find_miscalibration(0.6, 0.9)) == 2
+    assert find_miscalibration(0.4, 0.96) == ["the planner reaches 0.96, not 1"]
+    assert not find_miscalibration(0.4, 0.96, is_stochastic=True), "its expectation, from which six episodes stray"

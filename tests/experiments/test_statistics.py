@@ -11,6 +11,7 @@ from scipy import integrate, stats
 from hrl_escape.experiments.statistics import (
     compute_area,
     compute_efficiency,
+    compute_mean_efficiency,
     compute_final,
     compute_iqm,
     compute_mean,
@@ -39,7 +40,11 @@ def test_score_beyond_the_best_known_is_not_hidden():
 
 
 def test_efficiency_is_nothing_without_escape_and_one_at_the_fewest_known():
-    assert compute_efficiency([True, True, False, True], [34, 68, 34, 17], 34).tolist() == [1, 0.5, 0, 1]
+    escaped, primitives = [True, True, False, True], [34, 68, 34, 17]
+    assert compute_efficiency(escaped, primitives, 34).tolist() == [1, 0.5, 0, 2]
+    assert compute_mean_efficiency(escaped, primitives, 34, is_expected=False) == (1 + 0.5 + 0 + 1) / 4
+    assert compute_mean_efficiency(escaped, primitives, 34, is_expected=True) == (1 + 0.5 + 0 + 2) / 4
+    assert compute_mean_efficiency([True] * 2, [17, 34], 34, is_expected=True) == 1.0, "1.5, capped"
 
 
 # --- interquartile mean ----------------------------------------------------------------

@@ -59,7 +59,8 @@ def run(args: CalibrateArgs) -> int:
         grid = make_protocol_grid(bench, rung, "generalise", agents, settings)
         summary = summarise(run_grid(grid, args.out / rung, LocalLauncher(args.workers)))
         rows[rung] = {agent.label: round(agent.efficiency.value, 4) for agent in summary.agents}
-    faults = {rung: find_miscalibration(row[_YARDSTICKS[0]], row[_YARDSTICKS[2]]) for rung, row in rows.items()}
+    faults = {rung: find_miscalibration(row[_YARDSTICKS[0]], row[_YARDSTICKS[2]], bench[rung].config.dynamics.is_random)
+              for rung, row in rows.items()}
     if args.json:
         print(json.dumps({"efficiency": rows, "faults": faults}, indent=2))
     else:

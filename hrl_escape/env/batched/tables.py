@@ -79,7 +79,7 @@ class Layout:
     @property
     def is_random(self) -> bool:
         """True if primitives are noisy or may slip."""
-        return bool(self.dynamics.noise or self.dynamics.slip)
+        return self.dynamics.is_random
 
 
 class Tables(NamedTuple):
