@@ -160,4 +160,5 @@ def find_miscalibration(chance: float, planner: float, is_stochastic: bool = Fal
     Where moves err the planner is measured by its own expectation, from which a few episodes stray by 0.05 or less.
     """
     faults = [f"chance reaches {chance:.2f}, not below {MOST_CHANCE:g}"] if chance >= MOST_CHANCE else []
-    return faults + ([f"the planner reaches {planner:.2f}, not 1"] if planner < (0.95 if is_stochastic else 1.0) else [])
+    least = 0.95 if is_stochastic else 1.0
+    return faults + ([f"the planner reaches {planner:.2f}, not 1"] if planner < least else [])

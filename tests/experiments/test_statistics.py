@@ -11,10 +11,10 @@ from scipy import integrate, stats
 from hrl_escape.experiments.statistics import (
     compute_area,
     compute_efficiency,
-    compute_mean_efficiency,
     compute_final,
     compute_iqm,
     compute_mean,
+    compute_mean_efficiency,
     compute_profile,
     compute_score,
     compute_slope,
