@@ -268,6 +268,7 @@ class PlanningReason(str, enum.Enum):
     UNREACHABLE_AT_RESOLUTION = "unreachable at this resolution"
     NO_POSTURE = "no posture"
     TIMEOUT = "timeout"
+    CANCELLED = "cancelled"
     BUDGET_EXHAUSTED = "budget exhausted"
     PRECONDITION_UNMET = "puzzle precondition unmet"
 

@@ -29,7 +29,7 @@ from hrl_escape.planning.best_known import (
     list_start_states,
 )
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
-from hrl_escape.planning.route_finder import get_pose
+from hrl_escape.planning.route import get_pose
 
 __all__ = ["best_return_with_options", "find_best_with_options", "simulate"]
 

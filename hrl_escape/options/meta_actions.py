@@ -17,7 +17,7 @@ from hrl_escape.options.flavours import FLAVOURS
 from hrl_escape.options.option import Option, OptionAction
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, PushGoal, is_reached, make_goal
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
-from hrl_escape.planning.route_finder import get_pose
+from hrl_escape.planning.route import get_pose
 
 __all__ = ["AncestorsOption", "PlannedOption", "list_goals", "make_meta_options", "make_option"]
 

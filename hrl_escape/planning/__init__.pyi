@@ -1,26 +1,32 @@
 from .arm.reacher import Reacher
 from .best_known import BestKnown, best_known_return, find_best_known, record_return
+from .calls import plan_many, start_planning
 from .goals import ExitGoal, Goal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached, parse_goal
 from .paths.navigator import Navigator
 from .paths.problem import PathProblem, PathResult
 from .paths.registry import list_planners, register_planner
 from .plan import Execution, Plan, PlanPart
 from .report import PlanningReport
+from .requests.request import PlanningRequest, PlanningResult
 from .room_planner import RoomPlanner, get_planner
 from .scene.scene import Scene
 from .symbolic.pddl import export_pddl, save_pddl, solve_pddl
+from .trajectories.limits import MotionLimits
 
 __all__ = [
     "BestKnown",
     "Execution",
     "ExitGoal",
     "Goal",
+    "MotionLimits",
     "Navigator",
     "PathProblem",
     "PathResult",
     "Plan",
     "PlanPart",
     "PlanningReport",
+    "PlanningRequest",
+    "PlanningResult",
     "PoseGoal",
     "PressGoal",
     "PushGoal",
@@ -35,8 +41,10 @@ __all__ = [
     "is_reached",
     "list_planners",
     "parse_goal",
+    "plan_many",
     "record_return",
     "register_planner",
     "save_pddl",
     "solve_pddl",
+    "start_planning",
 ]

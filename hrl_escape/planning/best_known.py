@@ -20,19 +20,17 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import FileReadError, PlanningFailed
 from hrl_escape.files import read_json, write_json
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
-from hrl_escape.planning.lower_bounds import LegBounds
+from hrl_escape.planning.lower_bounds import bound_escape
 from hrl_escape.planning.multi_goal_search import find_multi_goal_plan
 from hrl_escape.planning.plan import Plan
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
-from hrl_escape.planning.route_finder import Pose, get_pose
-from hrl_escape.planning.symbolic.operator_order import Leg, TaskSearch
+from hrl_escape.planning.route import Pose, get_pose
 
 __all__ = ["BestKnown", "best_known_return", "compute_escape_return", "compute_worst_return", "find_best_known",
            "find_by_plan", "improve_best_known", "list_start_states", "record_return"]
 
 MOST_STARTS = 32
 """Starts used of an instance that has more."""
-BOUND_LEGS = 20_000
 ORDERS = 3
 """Orders of the puzzle's operators that are planned in detail."""
 _PLAIN = (PressGoal, ExitGoal)
@@ -202,7 +200,7 @@ def find_by_plan(planner: RoomPlanner, state: RoomState, multi_goal: bool) -> Be
         multi_goal: plan legs together too, in each of the cheapest orders; else only one by one, as options do.
     """
     instance = planner.instance
-    bound = _compute_upper_bound(instance, state)
+    bound = compute_escape_return(instance, bound_escape(instance, state))
     try:
         plans = planner.list_escapes(state, ORDERS)
     except PlanningFailed:
@@ -223,18 +221,3 @@ def _plan_together(planner: RoomPlanner, state: RoomState, plan: Plan, best: Pla
     found = find_multi_goal_plan(planner.rules, state, goals, planner.get_field_maker(True),
                                  planner.get_field_maker(False), best.cost)
     return planner.make_plan(state, found, goals, "multi-goal search") if found else best
-
-
-def _compute_upper_bound(instance: RoomInstance, state: RoomState) -> float:
-    """Return of the fewest primitives that straight lines allow, over all orders of operators."""
-    bounds = LegBounds(instance)
-    search = TaskSearch(instance.puzzle.make_symbolic_model(), lower_bound=bounds.bound_leg)
-
-    def extend(last, then):
-        cost = bounds.bound_start(state, then) if last is None else bounds.bound_leg(last, then)
-        return Leg(cost, then)
-
-    tasks = search.find_order(instance.puzzle.get_facts(state.puzzle), None, extend, BOUND_LEGS)
-    if tasks is None:
-        return compute_worst_return(instance)
-    return compute_escape_return(instance, max(1.0, tasks.lower_bound))

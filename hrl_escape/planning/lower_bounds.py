@@ -7,6 +7,7 @@ prunes by them, and they bound the distance of a plan from the optimum.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,27 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.base import Operator
 from hrl_escape.env.robot import make_robot
-from hrl_escape.planning.goals import PushGoal, make_goal
+from hrl_escape.planning.goals import Goal, PressGoal, PushGoal, make_goal
+from hrl_escape.planning.lattice.areas import compute_goal_area
+from hrl_escape.planning.symbolic.operator_order import Leg, TaskSearch
 
-__all__ = ["LegBounds"]
+__all__ = ["LegBounds", "bound_escape"]
+
+BOUND_LEGS = 20_000
+"""Most legs of the search for the bound of an escape."""
+
+
+def bound_escape(instance: RoomInstance, state: RoomState) -> float:
+    """Fewest primitives of an escape that straight lines allow, over all orders; infinity if no order escapes."""
+    bounds = LegBounds(instance)
+    search = TaskSearch(instance.puzzle.make_symbolic_model(), lower_bound=bounds.bound_leg)
+
+    def extend(last: Operator | None, then: Operator | None) -> Leg:
+        cost = bounds.bound_start(state, then) if last is None else bounds.bound_leg(last, then)
+        return Leg(cost, then)
+
+    tasks = search.find_order(instance.puzzle.get_facts(state.puzzle), None, extend, BOUND_LEGS)
+    return math.inf if tasks is None else max(1.0, tasks.lower_bound)
 
 
 class LegBounds:
@@ -48,6 +67,27 @@ class LegBounds:
             return 1
         shape, reach = self._get_place(then)
         return self._count(compute_distance(state.x, state.y, shape) - reach, then)
+
+    def get_area(self, goal: Goal) -> tuple[Footprint, float]:
+        """Footprint of a goal, and the largest distance from it at which the body's axis can reach the goal, m."""
+        area = compute_goal_area(goal, self._instance)
+        return area.footprint, self._reach if isinstance(goal, PressGoal) else area.reach
+
+    def bound_goals(self, state: RoomState, goals: Sequence[Goal]) -> int:
+        """Bound the primitives that reach goals in order, none of which is reached yet, from a state."""
+        total, here = 0, None
+        for goal in goals:
+            shape, reach = self.get_area(goal)
+            if here is None:
+                gap = compute_distance(state.x, state.y, shape) - reach
+            elif shape.is_disc or here[0].is_disc:
+                around = sum(s.half_x if s.is_disc else math.hypot(s.half_x, s.half_y) for s in (shape, here[0]))
+                gap = math.hypot(shape.x - here[0].x, shape.y - here[0].y) - around - reach - here[1]
+            else:
+                gap = _compute_gap(here[0], shape) - reach - here[1]
+            total += max(int(isinstance(goal, PressGoal)), math.ceil(gap / self._step - 1e-9))
+            here = shape, reach
+        return total
 
     def bound_leg(self, last: Operator | None, then: Operator | None) -> int:
         """Bound the leg from operator `last` to operator `then`; None is any start, or the exit."""

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
     from hrl_escape.planning.arm.reacher import Reacher
     from hrl_escape.planning.paths.navigator import Navigator
 
-__all__ = ["METHODS", "PrimitiveSearch", "SearchResult"]
+__all__ = ["EFFORTS", "METHODS", "PrimitiveSearch", "SearchResult"]
 
 METHODS = ("auto", "fields", "corridor")
 LARGE = 3_000.0
@@ -52,6 +52,8 @@ SCHEDULE = ((0, 1.0, 3_000), (-1, 1.05, 6_000), (-2, 1.1, 20_000), (-4, 1.5, EXP
 """Weighted-A* schedule: (heuristic offset, weight, node budget), from the fewest primitives to any plan at all."""
 IMPROVEMENT = 2_000
 """Node budget of another search with a lower heuristic, after a plan found at the first weight."""
+EFFORTS = (2, 4, 8)
+"""Heuristic offsets of further searches for a shorter plan, one for each step of effort that a caller asks for."""
 SHORT = 8
 """Longest plan that is searched again without the field, whose error may be as large as the plan."""
 CORRIDORS = (3.0, 6.0)
@@ -165,7 +167,7 @@ class PrimitiveSearch:
     def search(self, state: RoomState, goal: Goal, *, method: str = "auto", planner: str = DEFAULT_PLANNER,
                avoid: bool = True, refine: bool = True, keep_out: Sequence[Footprint] = (),
                budget_expansions: int = EXPANSIONS, time_limit: float | None = None,
-               clock: Clock | None = None) -> SearchResult:
+               clock: Clock | None = None, seed: int = 0, effort: int = 0) -> SearchResult:
         """Find the fewest primitives from a state to a goal.
 
         Args:
@@ -181,6 +183,8 @@ class PrimitiveSearch:
             budget_expansions: nodes that may be expanded; the same budget gives the same result anywhere.
             time_limit: limit of the whole call, s; by default only the budget decides.
             clock: time limit of a call that this one is part of, instead of `time_limit`.
+            seed: of the path planner.
+            effort: further searches for a shorter plan, at most `len(EFFORTS)`.
 
         Raises:
             UnknownNameError: no such method or path planner.
@@ -196,12 +200,13 @@ class PrimitiveSearch:
         try:
             for thorough in (False, True):
                 problem = self._make_problem(state, goal, tuple(keep_out), clock, thorough)
+                problem = problem._replace(seed=seed, effort=effort)
                 result = self._solve(problem, method, planner, avoid, refine, budget_expansions)
                 if result.is_reached or problem.table is None or problem.table.complete_to == NEVER:
                     break  # else the first table of an arm with many joints was not complete
                 clock.check()
         except OutOfTime:
-            result = dataclasses.replace(result, status=PlanningReason.TIMEOUT)
+            result = dataclasses.replace(result, status=clock.reason)
         return dataclasses.replace(result, seconds=read_clock() - began, timed_out=clock.has_stopped)
 
     def choose_method(self, goal: Goal, keep_out: Sequence[Footprint]) -> str:
@@ -251,7 +256,7 @@ class PrimitiveSearch:
         reason, has_sought_proof = PlanningReason.UNREACHABLE_AT_RESOLUTION, False
         for maker, field, avoiding, method in variants:
             if problem.clock.is_up():
-                reason = PlanningReason.TIMEOUT
+                reason = problem.clock.reason
                 break
             if maker.get_cost(field, problem.state) < 0:
                 x, y = problem.state.x, problem.state.y
@@ -270,7 +275,7 @@ class PrimitiveSearch:
             if isinstance(ended, SearchResult):
                 return dataclasses.replace(ended, method=method, expansions=spent)
             nearest = run.find_nearest()
-            if ended is PlanningReason.TIMEOUT or (ended is PlanningReason.BUDGET_EXHAUSTED and not avoiding):
+            if problem.clock.has_stopped or (ended is PlanningReason.BUDGET_EXHAUSTED and not avoiding):
                 reason = ended
                 break
         return SearchResult(reason, (), (problem.state,), expansions=spent, nearest=nearest)
@@ -284,14 +289,16 @@ class PrimitiveSearch:
             spent += run.expansions
             if ended is not PlanningReason.BUDGET_EXHAUSTED:
                 break
-        if not isinstance(ended, SearchResult) or spent >= SCHEDULE[0][2] or run.problem.table is not None:
+        if not isinstance(ended, SearchResult):
             return ended, spent
-        for offset in (1, SHORT):
-            if offset == 1 or len(ended.primitives) <= SHORT:
-                run.restart(offset=offset, most=len(ended.primitives))
-                better = run.advance(min(IMPROVEMENT, budget - spent))
-                spent += run.expansions
-                ended = better if isinstance(better, SearchResult) else ended
+        rounds = []
+        if spent < SCHEDULE[0][2] and run.problem.table is None:
+            rounds = [(1, IMPROVEMENT), *([(SHORT, IMPROVEMENT)] if len(ended.primitives) <= SHORT else [])]
+        for offset, nodes in (*rounds, *((offset, budget) for offset in EFFORTS[: run.problem.effort])):
+            run.restart(offset=offset, most=len(ended.primitives))
+            better = run.advance(min(nodes, budget - spent))
+            spent += run.expansions
+            ended = better if isinstance(better, SearchResult) else ended
         return ended, spent
 
     def _iterate_variants(self, problem: SearchProblem, method: str, planner: str, avoid: bool, refine: bool
@@ -322,7 +329,7 @@ class PrimitiveSearch:
             states, costs = self._find_postures(problem, maker)
             goal = maker.points[states[np.argsort(costs, kind="stable")[:64]] // maker.headings]
         found = self.navigator.plan((problem.state.x, problem.state.y), goal, planner, door_shut=door_shut,
-                                    clock=problem.clock)
+                                    seed=problem.seed, clock=problem.clock)
         if found.status == "exact":
             for width in CORRIDORS:
                 yield FieldMaker(self.instance, self.kinematics, door_shut=door_shut,

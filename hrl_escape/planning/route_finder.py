@@ -13,7 +13,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any
 
 from typing_extensions import Self
 
@@ -31,45 +31,18 @@ from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.primitive_search import METHODS, PrimitiveSearch
 from hrl_escape.planning.props import get_prop_poses, list_obstacles, meets
 from hrl_escape.planning.report import PlanningReport
+from hrl_escape.planning.route import Pose, Route, SearchSettings, check_budget, get_pose
 
 if TYPE_CHECKING:
     from hrl_escape.planning.arm.reacher import Reacher
 
-__all__ = ["Pose", "Route", "RouteFinder", "check_method", "get_pose"]
+__all__ = ["RouteFinder", "check_method"]
 
 MOST_ROUTES = 10_000
 """Routes that are kept; the least recently used are dropped first."""
 
 CAREFUL = 20_000
 """Search nodes of a route that keeps away from all blocks, before one that may move some."""
-
-Pose: TypeAlias = tuple[Any, ...]
-
-
-def get_pose(state: RoomState) -> Pose:
-    """Pose that a route depends on: base, arm, and touched targets; hashable."""
-    return (*state.pose, state.touching)
-
-
-class Route(NamedTuple):
-    """Primitives to one goal, with the poses they lead through.
-
-    Attributes:
-        primitives: actions, in order.
-        poses: the pose before each primitive and the last one.
-        also_pressed: other targets that are pressed on the way because they cannot be avoided.
-        expansions: search nodes expanded for it.
-        method: search that found it: `fields`, or a path planner; `given` if none did.
-        timed_out: the clock cut its search short; without it there may be a shorter one.
-    """
-
-    primitives: tuple[int, ...]
-    poses: tuple[Pose, ...]
-    also_pressed: tuple[int, ...]
-    expansions: int
-    method: str = "given"
-    timed_out: bool = False
-
 
 class RouteFinder:
     """Routes of one room; thread-safe by a lock, and picklable.
@@ -83,8 +56,7 @@ class RouteFinder:
                  time_limit: float | None = None) -> None:
         if not isinstance(instance, RoomInstance):
             raise ConfigError("instance", instance, "a RoomInstance, as generate() and env.unwrapped.instance give")
-        if isinstance(budget, bool) or not isinstance(budget, numbers.Integral) or budget < 1:
-            raise ConfigError("budget", budget, "a whole number of search nodes, at least 1")
+        check_budget(budget)
         check_method(method)
         Clock(time_limit)  # refuses what is no limit
         self.instance = instance
@@ -99,7 +71,7 @@ class RouteFinder:
 
     def _open(self) -> None:
         self._search = PrimitiveSearch(self._quiet, self.rules)
-        self._routes: OrderedDict[tuple[Goal, str, bool, Pose], Route | PlanningFailed] = OrderedDict()
+        self._routes: OrderedDict[tuple[Goal, SearchSettings, bool, Pose], Route | PlanningFailed] = OrderedDict()
         self._reasons: dict[int, str] = {}
         self._lock = threading.RLock()
 
@@ -135,6 +107,11 @@ class RouteFinder:
         """Arm of this room's robot, which finds its postures."""
         with self._lock:
             return self._search.reacher
+
+    @property
+    def settings(self) -> SearchSettings:
+        """Settings of searches for which no others are given."""
+        return SearchSettings(self.method, self.budget)
 
     def check_query(self, state: RoomState, *goals: Goal) -> None:
         """Check a state, wherever the body stands in it, and goals.
@@ -181,7 +158,7 @@ class RouteFinder:
             return isinstance(goal, PressGoal) or not is_reached(goal, state, state, self.rules)
 
     def find_route(self, state: RoomState, goal: Goal, report: PlanningReport | None = None,
-                   clock: Clock | None = None, method: str | None = None) -> Route:
+                   clock: Clock | None = None, settings: SearchSettings | None = None) -> Route:
         """Find the route from a state to a goal, or recall it.
 
         Args:
@@ -189,7 +166,7 @@ class RouteFinder:
             goal: the goal.
             report: counts calls, cache hits and seconds.
             clock: time limit of a call that this one is part of; None for the planner's own.
-            method: as in `RoomPlanner`; None for the planner's own.
+            settings: of the search; None for the planner's own.
 
         Raises:
             PlanningFailed: no route; a failure is remembered like a route.
@@ -197,10 +174,12 @@ class RouteFinder:
         """
         began = read_clock()
         clock = clock or Clock(self.time_limit)
-        method = self.method if method is None else method
+        settings = self.settings if settings is None else settings
         with self._lock:
+            if clock.is_cancelled:  # while another call was under way
+                raise self.make_failure(clock.reason, state, goal)
             with self._explaining(state, goal):
-                key = self._make_key(state, goal, method)
+                key = self._make_key(state, goal, settings)
                 found = self._routes.get(key)
             if found is None:
                 self.check_query(state, goal)
@@ -208,7 +187,7 @@ class RouteFinder:
                 report.planner_calls += 1
                 report.cache_hits += found is not None
             if found is None:
-                found = self._search_round_props(state, goal, clock, method)
+                found = self._search_round_props(state, goal, clock, settings)
                 if not clock.has_stopped:  # what a clock cut short depends on the machine, not on the room alone
                     self._keep(key, found)
             else:
@@ -220,7 +199,7 @@ class RouteFinder:
         return found
 
     def find_route_around(self, state: RoomState, goal: Goal, keep_out: Sequence[Footprint], budget: int,
-                       report: PlanningReport, *, refine: bool = True) -> Route:
+                          report: PlanningReport, *, refine: bool = True, clock: Clock | None = None) -> Route:
         """Find the route to a goal round movable things such as blocks; it is not remembered.
 
         Args:
@@ -230,6 +209,7 @@ class RouteFinder:
             budget: search nodes that may be expanded.
             report: counts calls and seconds.
             refine: search finer grids, too, before giving up.
+            clock: time limit of a call that this one is part of; None for the planner's own.
 
         Raises:
             PlanningFailed: no route within the budget.
@@ -237,7 +217,8 @@ class RouteFinder:
         began = read_clock()
         report.planner_calls += 1
         with self._lock:
-            found = self._search_route(state, goal, Clock(self.time_limit), self.method, keep_out, budget, refine)
+            settings = self.settings._replace(budget=budget)
+            found = self._search_route(state, goal, clock or Clock(self.time_limit), settings, keep_out, refine)
         report.planner_seconds += read_clock() - began
         if isinstance(found, PlanningFailed):
             raise found
@@ -251,19 +232,20 @@ class RouteFinder:
         if route is None or len(route.primitives) < len(primitives) or route.also_pressed:
             return False
         with self._lock:
-            self._keep(self._make_key(state, goal, self.method), route)
+            self._keep(self._make_key(state, goal, self.settings), route)
         return True
 
-    def _keep(self, key: tuple[Goal, str, bool, Pose], found: Route | PlanningFailed) -> None:
+    def _keep(self, key: tuple[Goal, SearchSettings, bool, Pose], found: Route | PlanningFailed) -> None:
         """Remember what was found, and forget what was not asked for the longest time."""
         self._routes.setdefault(key, found)
         if len(self._routes) > MOST_ROUTES:
             self._routes.popitem(last=False)
 
-    def _make_key(self, state: RoomState, goal: Goal, method: str) -> tuple[Goal, str, bool, Pose]:
+    def _make_key(self, state: RoomState, goal: Goal, settings: SearchSettings
+                  ) -> tuple[Goal, SearchSettings, bool, Pose]:
         """All that a route depends on."""
         props = tuple(get_prop_poses(state, self.instance)) if self.instance.props else ()
-        return goal, method, self.is_solved(state), (*get_pose(state), props)
+        return goal, settings, self.is_solved(state), (*get_pose(state), props)
 
     def replay(self, state: RoomState, primitives: Sequence[int], goal: Goal,
                keep_out: Sequence[Footprint] | None = None) -> Route | None:
@@ -299,23 +281,25 @@ class RouteFinder:
         name = "escape" if goal is None else describe_goal(goal, self.instance)
         return PlanningFailed(reason, name, pose, **details)
 
-    def _search_round_props(self, state: RoomState, goal: Goal, clock: Clock, method: str) -> Route | PlanningFailed:
+    def _search_round_props(self, state: RoomState, goal: Goal, clock: Clock, settings: SearchSettings
+                            ) -> Route | PlanningFailed:
         """Route that keeps away from all blocks if it can, and in any case from those that must not be moved."""
         *careful, least = list_obstacles(state, self.instance)
         for keep_out in careful:
-            found = self._search_route(state, goal, clock, method, keep_out, CAREFUL, False)
+            found = self._search_route(state, goal, clock, settings._replace(budget=CAREFUL), keep_out, False)
             if isinstance(found, Route):
                 return found
-        return self._search_route(state, goal, clock, method, least)
+        return self._search_route(state, goal, clock, settings, least)
 
-    def _search_route(self, state: RoomState, goal: Goal, clock: Clock, method: str, keep_out: Sequence[Footprint] = (),
-                      budget: int | None = None, refine: bool = True) -> Route | PlanningFailed:
+    def _search_route(self, state: RoomState, goal: Goal, clock: Clock, settings: SearchSettings,
+                      keep_out: Sequence[Footprint] = (), refine: bool = True) -> Route | PlanningFailed:
         begin = state._replace(primitives=0, noise_key=0, z=0.0, pitch=0.0, roll=0.0, physics=None)
-        began = read_clock()
+        began, method = read_clock(), settings.method
         way, planner = (method, DEFAULT_PLANNER) if method in METHODS else ("corridor", method)
         way = self._search.choose_method(goal, keep_out) if way == "auto" else way
         result = self._search.search(begin, goal, method=way, planner=planner, refine=refine, keep_out=keep_out,
-                                     budget_expansions=budget or self.budget, clock=clock)
+                                     budget_expansions=settings.budget, clock=clock, seed=settings.seed,
+                                     effort=settings.effort)
         if not result.is_reached:
             return self.make_failure(
                 PlanningReason(result.status), state, goal, seconds=read_clock() - began,

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 __all__ = ["SearchProblem", "SearchResult", "SearchRun"]
 
-_SLICE = 20_000  # nodes between two readings of the clock
+_SLICE = 5_000  # nodes between two looks at the clock
 _NODES = 1 << 11
 _ROUNDING = 1e-9  # margin of candidates, m; the replay decides
 
@@ -77,6 +77,8 @@ class SearchProblem(NamedTuple):
         table: joint steps of a press by hand from each pose.
         keep_out: footprints that the body must not meet.
         clock: time limit.
+        seed: of the path planner.
+        effort: further searches for a shorter plan.
     """
 
     state: RoomState
@@ -86,6 +88,8 @@ class SearchProblem(NamedTuple):
     table: ReachTable | None
     keep_out: tuple[Footprint, ...]
     clock: Clock
+    seed: int = 0
+    effort: int = 0
 
 
 class SearchRun:
@@ -151,7 +155,7 @@ class SearchRun:
             elif self.expansions >= budget:
                 return PlanningReason.BUDGET_EXHAUSTED
             if self.problem.clock.is_up():
-                return PlanningReason.TIMEOUT
+                return self.problem.clock.reason
 
     def find_nearest(self) -> tuple[float, float]:
         """Visited place nearest to the goal, m."""

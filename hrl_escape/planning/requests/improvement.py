@@ -1,0 +1,80 @@
+"""More plans for one request, in a fixed order: what an anytime call compares after the first plan.
+
+Fewer primitives come from searches whose heuristic is lowered further and further; other objectives
+also look at ways that keep away from solids by growing margins, and at ways round the paths of
+path planners that shorten theirs. Which plan is kept is for the caller to say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.geometry import Footprint, compute_distance
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import PlanningFailed
+from hrl_escape.planning.clock import Clock
+from hrl_escape.planning.collision_map import compute_extent_radius
+from hrl_escape.planning.goals import Goal
+from hrl_escape.planning.lattice.areas import compute_goal_area
+from hrl_escape.planning.primitive_search import EFFORTS
+from hrl_escape.planning.props import list_obstacles
+from hrl_escape.planning.report import PlanningReport
+from hrl_escape.planning.requests.request import PlanningRequest
+from hrl_escape.planning.route import Route, SearchSettings
+
+if TYPE_CHECKING:
+    from hrl_escape.planning.route_finder import RouteFinder
+
+__all__ = ["iterate_routes"]
+
+MARGINS = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
+"""Distances that ways keep from solids, m."""
+PATH_PLANNERS = ("BITstar", "InformedRRTstar")
+"""Path planners whose paths are short or become so."""
+
+
+def iterate_routes(finder: RouteFinder, state: RoomState, goal: Goal, request: PlanningRequest,
+                   settings: SearchSettings, clock: Clock) -> Iterator[Route]:
+    """Routes to one goal after the first one, each search with the whole budget; failures are skipped."""
+    for effort in range(1, len(EFFORTS) + 1):
+        route = _try(finder, state, goal, settings._replace(effort=effort), clock)
+        if route is not None:
+            yield route
+    if request.objective == "primitives":
+        return
+    for margin in MARGINS:
+        keep_out = list_obstacles(state, finder.instance)[-1] + grow_solids(finder.instance, state, goal, margin)
+        try:
+            yield finder.find_route_around(state, goal, keep_out, settings.budget, PlanningReport(), refine=False,
+                                           clock=clock)
+        except PlanningFailed:
+            continue
+    for planner in PATH_PLANNERS:
+        route = _try(finder, state, goal, settings._replace(method=planner), clock)
+        if route is not None:
+            yield route
+
+
+def grow_solids(instance: RoomInstance, state: RoomState, goal: Goal, margin: float) -> tuple[Footprint, ...]:
+    """Footprints of the solids grown by a margin, less where the start or the goal is nearer."""
+    radius = instance.robot.body_radius + 2 * CONTACT_SKIN
+    area = compute_goal_area(goal, instance)
+    grown = []
+    for solid in instance.solids:
+        shape = solid.footprint
+        to_goal = compute_distance(area.footprint.x, area.footprint.y, shape) - compute_extent_radius(area.footprint)
+        room = min(compute_distance(state.x, state.y, shape), to_goal - max(area.reach, 0.0)) - radius
+        if min(room, margin) > 0.0:
+            extra = min(room, margin)
+            grown.append(shape._replace(half_x=shape.half_x + extra, half_y=shape.half_y + extra))
+    return tuple(grown)
+
+
+def _try(finder: RouteFinder, state: RoomState, goal: Goal, settings: SearchSettings, clock: Clock) -> Route | None:
+    try:
+        return finder.find_route(state, goal, None, clock, settings)
+    except PlanningFailed:
+        return None

@@ -1,0 +1,211 @@
+"""The contract of a planning call: results by objective with bounds, improvement, cancellation, many calls."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import threading
+import time
+
+import numpy as np
+import pytest
+
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.geometry import Solid, compute_distance
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import ConfigError, GoalError, PlanningReason, UnknownNameError
+from hrl_escape.planning.calls import plan_many, start_planning
+from hrl_escape.planning.goals import ExitGoal, PressGoal
+from hrl_escape.planning.lattice.areas import compute_goal_area
+from hrl_escape.planning.lattice.reference import find_fewest_primitives
+from hrl_escape.planning.requests.objectives import compute_lacking_clearance, compute_plan_cost
+from hrl_escape.planning.requests.request import PlanningRequest
+from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.trajectories.limits import MotionLimits, compute_rest_to_rest
+
+
+@pytest.fixture(scope="module")
+def planner():
+    return RoomPlanner(generate(get_preset("clutter"), 3))
+
+
+@pytest.fixture(scope="module")
+def start(planner):
+    return planner.rules.make_state(planner.instance.starts[0])
+
+
+def test_an_answer_is_the_plan_of_plan_and_solve(planner, start):
+    one = planner.answer(PlanningRequest(start, "button-2"))
+    assert one.status == "reached" and one.plan is not None
+    assert one.plan.primitives == planner.plan(start, "button-2").primitives
+    assert one.cost == one.plan.cost >= one.lower_bound > 0 and one.gap == one.cost / one.lower_bound - 1
+    assert (one.method, one.seed, one.cut_short) == ("fields", 0, False) and one.spent > 0
+    escape = planner.answer(PlanningRequest(start))
+    assert escape.plan is not None and escape.plan.primitives == planner.solve(start).primitives
+    assert escape.lower_bound <= escape.cost
+    json.dumps(escape.to_dict())
+
+
+def test_several_goals_are_reached_in_the_order_given(planner, start):
+    result = planner.answer(PlanningRequest(start, ("button-1", "0,-5", PressGoal(0))))
+    assert result.plan is not None and [part.name for part in result.plan.parts] == ["press-button-1", "0,-5",
+                                                                                     "press-button-1"]
+    env = EscapeRoomEnv(instance=planner.instance)
+    env.reset(options={"state": start})
+    assert result.plan.execute(env).as_predicted
+    env.close()
+
+
+def test_a_failure_is_a_result_with_its_reason(planner, start):
+    result = planner.answer(PlanningRequest(start, "exit", budget=50))
+    assert result.plan is None and result.status is PlanningReason.UNREACHABLE_PROVEN
+    assert result.cost == math.inf and result.failure is not None and result.to_dict()["cost"] is None
+    assert planner.answer(PlanningRequest(start, "button-3", budget=1)).status is PlanningReason.BUDGET_EXHAUSTED
+
+
+def test_requests_that_make_no_sense_are_refused(planner, start):
+    for wrong in ({"objective": "beauty"}, {"seed": -1}, {"budget": 0}, {"time_limit": -1.0}, {"goal": ()}):
+        with pytest.raises(ConfigError):
+            PlanningRequest(start, **wrong)
+    with pytest.raises(UnknownNameError):
+        planner.answer(PlanningRequest(start, "button-1", method="RRRT"))
+    with pytest.raises(GoalError):
+        planner.answer(PlanningRequest(start, PressGoal(99)))
+    with pytest.raises(ConfigError, match="limits.speed"):
+        MotionLimits(speed=0.0)
+
+
+# --- objectives ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("objective", "wins"), [("length", True), ("clearance", True), ("time", False)])
+def test_each_objective_improves_on_the_fewest_primitives_and_keeps_its_bound(planner, start, objective, wins):
+    result = planner.answer(PlanningRequest(start, "button-3", objective=objective))
+    plain = compute_plan_cost(planner.plan(start, "button-3"), result.request)
+    assert result.plan is not None and result.cost == compute_plan_cost(result.plan, result.request)
+    assert result.lower_bound <= result.cost <= plain and (result.cost < plain or not wins)
+
+
+def test_lacking_clearance_is_the_integral_of_what_a_metre_lacks():
+    """A straight way along a wall at a known distance, by arithmetic."""
+    instance = generate(get_preset("paper-two-button"), 0)
+    planner = RoomPlanner(instance)
+    start = planner.rules.make_state(instance.starts[0])._replace(x=-4.0, y=-9.0, heading_steps=0)
+    plan = planner.plan(start, "4,-9")
+    ys = np.unique(plan.path[:, 1])
+    assert len(ys) == 1, "straight along the wall"
+    wall = min(compute_distance(0.0, -9.0, solid.footprint) for solid in instance.solids)
+    lacks = 1.0 - (wall - instance.robot.body_radius)
+    assert compute_lacking_clearance(plan) == pytest.approx(lacks * (plan.path[-1, 0] - plan.path[0, 0]))
+
+
+def test_times_are_those_of_trapezoids_and_triangles():
+    assert compute_rest_to_rest(4.0, 1.0, 1.0) == 5.0  # 1 s up, 3 s at 1 m/s, 1 s down
+    assert compute_rest_to_rest(0.25, 1.0, 1.0) == 1.0  # half a second up, half a second down
+    planner = RoomPlanner(generate(get_preset("paper-two-button"), 0))
+    start = planner.rules.make_state(planner.instance.starts[0])
+    result = planner.answer(PlanningRequest(start, "3,0", objective="time"))
+    assert result.plan is not None and result.cost == pytest.approx(compute_rest_to_rest(result.plan.cost, 1.0, 1.0))
+
+
+def test_improvement_is_monotone_reported_and_reaches_the_reference():
+    instance = generate(get_preset("clutter"), 5)
+    planner = RoomPlanner(instance)
+    start = planner.rules.make_state(instance.starts[0])
+    goals = [PressGoal(0), PressGoal(1), PressGoal(2)]
+    first_sum = best_sum = fewest_sum = 0
+    for goal in goals:
+        seen = []
+        best = planner.answer(PlanningRequest(start, goal, improve=True), on_improvement=seen.append)
+        assert [r.cost for r in seen] == sorted({r.cost for r in seen}, reverse=True)
+        assert seen[-1].plan == best.plan and seen[0].plan is not None
+        assert seen[0].plan.primitives == planner.plan(start, goal).primitives
+        fewest = find_fewest_primitives(planner.rules, start, goal, *compute_goal_area(goal, instance))
+        assert fewest is not None and best.lower_bound <= len(fewest)
+        first_sum, best_sum, fewest_sum = first_sum + seen[0].cost, best_sum + best.cost, fewest_sum + len(fewest)
+    assert best_sum <= first_sum and best_sum <= 1.01 * fewest_sum
+
+
+def test_answers_are_the_same_in_any_order_and_again(start, planner):
+    requests = [PlanningRequest(start, goal, method=method, seed=seed, improve=improve)
+                for goal, method, seed, improve in (("button-1", "RRTConnect", 0, False), ("button-1", None, 0, True),
+                                                    ("button-1", "RRTConnect", 7, False), ("0,3", "BITstar", 1, False))]
+    there = [r.plan and r.plan.primitives for r in plan_many(planner.instance, requests)]
+    back = [r.plan and r.plan.primitives for r in plan_many(planner.instance, requests[::-1])]
+    assert there == back[::-1]
+
+
+# --- other threads and processes -------------------------------------------------------------------
+
+
+def make_slow_room() -> RoomInstance:
+    """A place that nothing reaches within its tolerance: every finer grid is searched."""
+    return generate(get_preset("clutter"), 0)
+
+
+@pytest.mark.parametrize("method", ["fields", "RRTConnect"])
+def test_a_call_is_cancelled_from_another_thread_at_once(method):
+    planner = RoomPlanner(make_slow_room())
+    start = planner.rules.make_state(planner.instance.starts[0])
+    planner.plan(start, "button-1", method)
+    waits = []
+    for delay in (0.0, 0.02, 0.05, 0.1):
+        call = start_planning(planner, PlanningRequest(start, "0.03,0.04,1", method=method))
+        time.sleep(delay)
+        assert not call.is_done() or delay == 0.0
+        began = time.thread_time(), time.perf_counter()
+        call.cancel()
+        result = call.get_result(30.0)
+        waits.append(time.perf_counter() - began[1])
+        assert result.status is PlanningReason.CANCELLED and result.cut_short
+    assert min(waits) < 0.05, waits  # others use this machine too
+
+
+def test_a_cancelled_call_keeps_the_best_plan_and_the_planner_its_answers(planner, start):
+    stop, seen = threading.Event(), []
+
+    def look(result):
+        seen.append(result)
+        stop.set()
+
+    result = planner.answer(PlanningRequest(start, "button-1", objective="clearance"), stop=stop, on_improvement=look)
+    assert result.plan is not None and result.cut_short and len(seen) == 1
+    again = RoomPlanner(planner.instance).answer(PlanningRequest(start, "button-1", objective="clearance"))
+    assert planner.answer(again.request).cost == again.cost, "nothing that was cut short is remembered"
+
+
+def test_calls_run_beside_other_work_and_hand_over_errors(planner, start):
+    calls = [start_planning(planner, PlanningRequest(start, f"button-{n}")) for n in (1, 2, 3)]
+    assert [call.get_result(60.0).plan.parts[0].goal for call in calls] == [PressGoal(0), PressGoal(1), PressGoal(2)]
+    assert all(call.is_done() and call.best is not None for call in calls)
+    with pytest.raises(GoalError):
+        start_planning(planner, PlanningRequest(start, PressGoal(99))).get_result(60.0)
+
+
+def test_two_processes_give_the_answers_of_one(planner, start):
+    requests = [PlanningRequest(start, goal) for goal in ("button-1", "button-2", ExitGoal(), "0,3")]
+    many = plan_many(planner.instance, requests, workers=2)
+    for result, request in zip(many, requests, strict=True):
+        alone = planner.answer(request)
+        assert (result.status, result.cost, result.lower_bound) == (alone.status, alone.cost, alone.lower_bound)
+        assert (result.plan and result.plan.primitives) == (alone.plan and alone.plan.primitives)
+
+
+def test_a_wall_of_solids_is_no_reason_for_less_clearance_than_the_plain_plan():
+    """The way with clearance goes round a block that the plain plan grazes."""
+    instance = generate(get_preset("paper-two-button"), 0)
+    block = Solid("box", 0.0, -4.0, 0.6, 0.6)
+    instance = dataclasses.replace(instance, solids=(*instance.solids, block))
+    planner = RoomPlanner(instance)
+    start = planner.rules.make_state(instance.starts[0])._replace(x=-4.0, y=-4.0, heading_steps=0)
+    plain = planner.answer(PlanningRequest(start, "4,-4"))
+    wide = planner.answer(PlanningRequest(start, "4,-4", objective="clearance"))
+    assert plain.plan is not None and wide.plan is not None
+
+    def least(plan):
+        return min(compute_distance(x, y, block.footprint) for x, y in plan.path) - instance.robot.body_radius
+
+    assert least(wide.plan) > least(plain.plan) + 0.2
