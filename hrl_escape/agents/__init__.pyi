@@ -3,6 +3,7 @@ from .hierarchy.machine import choose, do, machine
 from .hierarchy.stack_agent import StackAgent
 from .hierarchy.task import BaseTask, Call, Hierarchy
 from .hierarchy.task_graph import maxq
+from .option_policy import OptionPolicy
 from .registry import get_recipe, list_agents, make_agent
 from .settings import AgentSettings, LearningSettings
 from .training.evaluation import Evaluation, evaluate, play_episode
@@ -17,6 +18,7 @@ __all__ = [
     "Evaluation",
     "Hierarchy",
     "LearningSettings",
+    "OptionPolicy",
     "SMDPTransition",
     "StackAgent",
     "TrainResult",

@@ -17,6 +17,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.agents.option_policy import OptionPolicy, make_whole_policy
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.errors import DiscountMismatchError, StepContractError, UnsupportedSpaceError
 
@@ -105,8 +106,13 @@ class Agent(ABC):
     """Name -> settings, beside `corrected`, which is `Settings()`. Names with the prefix `smdp-` hold over options."""
     needs_trace: ClassVar[bool] = False
     """Learns from `SMDPTransition.trace`, so that environments of options are made to give one."""
+    is_markov: ClassVar[bool] = False
+    """`act_greedy` is a function of the observation and the legal actions: it draws nothing and remembers nothing."""
     settings: Any
     """The settings that the agent was made with."""
+    origin: Mapping[str, Any] = MappingProxyType({})
+    """Training that made it what it is, filled in by `train` and `load_agent`: `agent`, `run` (key of the run's
+    folder, empty without one), `seed` and `primitives`; empty where there was none."""
 
     @property
     def gamma(self) -> float:
@@ -162,6 +168,14 @@ class Agent(ABC):
     def list_calls(self) -> tuple[RunningCall, ...]:
         """Calls behind the latest choice, in learning or evaluation, the outermost first; none where nothing nests."""
         return ()
+
+    def get_options(self) -> tuple[OptionPolicy, ...]:
+        """Policies that the agent learned, each with a beginning and an end of its own.
+
+        `hrl_escape.options.make_learned_options` makes options of them. By default the whole greedy policy, which never
+        ends by itself.
+        """
+        return (make_whole_policy(self),)
 
     def get_graph(self) -> frozenset[tuple[int, int]] | None:
         """Edges (parent, child) of a learned dependency graph, by component of the observation; None without one."""

@@ -4,6 +4,7 @@ from .closed_loop import pursue
 from .degraded import OptionDegradation
 from .domain import OptionDomain
 from .flavours import FLAVOURS
+from .from_agents import make_learned_options
 from .learned import LearnedOption
 from .meta_actions import PlannedOption, make_meta_options
 from .option import FunctionOption, Option, ScriptedOption, TableOption
@@ -29,6 +30,7 @@ __all__ = [
     "best_return_with_options",
     "find_best_with_options",
     "make_go_to",
+    "make_learned_options",
     "make_meta_options",
     "make_press",
     "make_reach",

@@ -9,10 +9,12 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium
+import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.synthesis.situation import Situations
 from hrl_escape.synthesis.synthesise import make_structure
@@ -48,6 +50,10 @@ class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
         self._situations = Situations(instance, cell)
         self.observation_space = self._situations.space
         self.structure = make_structure(self._situations, kind, leaves, abstract)
+
+    def observe(self, state: RoomState) -> NDArray[np.float64]:
+        """The observation of a state of the room; for `make_learned_options`."""
+        return self._situations.pack(state)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None
               ) -> tuple[NDArray[Any], dict[str, Any]]:

@@ -119,6 +119,7 @@ class DDPG(ReplayAgent):
     name: ClassVar[str] = "ddpg"
     Settings: ClassVar[type] = DDPGSettings
     settings: DDPGSettings
+    is_markov: ClassVar[bool] = True
 
     def __init__(
         self,

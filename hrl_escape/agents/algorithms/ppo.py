@@ -99,6 +99,7 @@ class PPO(Agent):
     name: ClassVar[str] = "ppo"
     Settings: ClassVar[type] = PPOSettings
     settings: PPOSettings
+    is_markov: ClassVar[bool] = True
 
     def __init__(
         self,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -51,6 +51,8 @@ class ActionValueAgent(ReplayAgent):
         target: Q_target, the same.
         average: of the online network's weights, with `average_rate`; the greedy policy follows it.
     """
+
+    is_markov: ClassVar[bool] = True
 
     def __init__(
         self,

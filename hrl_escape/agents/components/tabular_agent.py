@@ -37,6 +37,7 @@ class TabularAgent(Agent):
     """
 
     name: ClassVar[str]
+    is_markov: ClassVar[bool] = True
 
     def __init__(
         self,

@@ -6,6 +6,7 @@ sub-manager to leave that cell in a direction, or to search inside.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,10 @@ __all__ = ["SEARCH", "FeudalTask", "make_feudal_hierarchy"]
 
 SEARCH = len(DIRECTIONS)
 """The command to search inside the cell; commands below it are directions."""
+
+
+ORDER_NAMES = ("north", "south", "west", "east", "search")
+"""Names of the commands."""
 
 
 class FeudalTask(BaseTask):
@@ -58,6 +63,10 @@ class FeudalTask(BaseTask):
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
         """The order to the level below; a primitive on the last level."""
         return Call(choice) if self.below is None else Call(self.below, int(choice))
+
+    def list_calls(self) -> Mapping[str, Any]:
+        """One an order."""
+        return {f"{self.name} {order}": number for number, order in enumerate(ORDER_NAMES)}
 
     def find_exit(self, frame: Frame, seen: Seen) -> tuple[int, int] | None:
         """Row and column by which the call's cell was left; None inside it."""

@@ -5,7 +5,7 @@ What a goal is, and whether it is reached, is read from the observation.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -94,6 +94,10 @@ class Worker(BaseTask):
     def __init__(self, goals: GoalSet, primitives: int, patience: int = 0) -> None:
         super().__init__("worker", primitives)
         self._goals, self._patience = goals, patience
+
+    def list_calls(self) -> Mapping[str, Any]:
+        """One a goal."""
+        return {f"goal {goal}": goal for goal in range(self._goals.count)}
 
     def is_reached(self, frame: Frame, seen: Seen) -> bool:
         """The goal of a call is reached."""

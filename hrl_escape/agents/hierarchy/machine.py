@@ -15,6 +15,7 @@ pass on as an argument what later choices depend on. The line counts from the ma
 from __future__ import annotations
 
 import functools
+import inspect
 from collections.abc import Callable, Generator, Hashable, Sequence
 from typing import Any, NamedTuple
 
@@ -22,7 +23,8 @@ from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import freeze
 from hrl_escape.errors import StepContractError
 
-__all__ = ["Choose", "Do", "Input", "Machine", "MachineCall", "MachineRun", "choose", "do", "machine"]
+__all__ = ["Choose", "Do", "Input", "Machine", "MachineCall", "MachineRun", "choose", "do",
+           "find_machines", "machine"]
 
 
 class Choose(NamedTuple):
@@ -83,6 +85,21 @@ def machine(function: Callable[..., Program]) -> Machine:
     return call
 
 
+def find_machines(root: Machine) -> dict[str, Machine]:
+    """Machines that a program can call, by name: those that its functions name, in whatever scope, and itself."""
+    found: dict[str, Machine] = {}
+    left = [root]
+    while left:
+        each = left.pop()
+        function = getattr(each, "__wrapped__", None)
+        if not inspect.isgeneratorfunction(function) or function.__name__ in found:
+            continue
+        found[function.__name__] = each
+        named = inspect.getclosurevars(function)
+        left += [value for value in (*named.nonlocals.values(), *named.globals.values()) if callable(value)]
+    return found
+
+
 Input = Seen | int
 """Input of a run: a moment, at its start and after each primitive, or the index of what was chosen."""
 
@@ -93,14 +110,21 @@ class MachineRun:
     A generator cannot be copied, so a run keeps all it was told: `MachineRun(root, run.inputs[:n])` is the run as it
     was then.
 
+    Args:
+        root: the machine, already told its arguments.
+        inputs: what it was told so far.
+        callers: machine state of those that called it; by default it is the root of a program, which may not return.
+
     Attributes:
         inputs: all it was told.
         request: what it waits for; None before the first moment, and where the machine has returned.
         seen: the present moment.
     """
 
-    def __init__(self, root: Machine, inputs: Sequence[Input] = ()) -> None:
+    def __init__(self, root: Callable[[], Program], inputs: Sequence[Input] = (),
+                 callers: tuple[Hashable, ...] = ()) -> None:
         self.inputs: list[Input] = []
+        self._callers = callers
         self.request: Choose | Do | None = None
         self._program = root()
         self._primitives = -1
@@ -129,6 +153,9 @@ class MachineRun:
             while isinstance(request, _Look):
                 request = self._program.send(lambda: self.seen)
         except StopIteration:
+            self.request = None
+            if self._callers:
+                return
             raise StepContractError("the root machine returned while the episode goes on; let it loop") from None
         if not isinstance(request, (Choose, Do)):
             raise StepContractError(f"a machine yielded {request!r}; it must yield choose(things) or do(primitive)")
@@ -163,4 +190,4 @@ class MachineRun:
     def read_state(self) -> Hashable:
         """The machine state: (name, line, arguments) of every running machine, the outermost first, and the label."""
         label = self.request.label if isinstance(self.request, Choose) else ""
-        return (*(call[:3] for call in self.list_calls()), label)
+        return (*self._callers, *(call[:3] for call in self.list_calls()), label)

@@ -40,7 +40,7 @@ class Macro(BaseTask):
         super().__init__(name, primitives)
         self._policy, self._until, self._start = policy, until, start
 
-    def can_start(self, seen: Seen) -> bool:
+    def is_callable(self, seen: Seen, context: Any) -> bool:
         """The macro may begin here, and its first primitive is legal."""
         return bool(seen.mask[self._policy(seen)]) and (self._start is None or self._start(seen))
 
@@ -69,7 +69,8 @@ class MacroChooser(BaseTask):
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
         """Legal primitives, and macros that may begin."""
-        return np.concatenate([seen.mask, np.array([macro.can_start(seen) for macro in self.macros], np.bool_)])
+        callable_now = [macro.is_callable(seen, context) for macro in self.macros]
+        return np.concatenate([seen.mask, np.array(callable_now, np.bool_)])
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
         """The primitive or the macro of this number."""

@@ -20,6 +20,7 @@ from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, StateTre
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.hierarchy.call_stack import Return, arrive, descend, load_stack, save_stack
 from hrl_escape.agents.hierarchy.task import Frame, Hierarchy, Seen, Stack, Step, Task
+from hrl_escape.agents.option_policy import OptionPolicy
 from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.errors import StepContractError
 from hrl_escape.settings import Range
@@ -133,6 +134,17 @@ class CallRunner(Agent):
             for frame in stack if seen is not None
         )
 
+    def get_options(self) -> tuple[OptionPolicy, ...]:
+        """Every call that a task below the root can be told, run to its end; without tasks below, the whole policy."""
+        calls = [(name, task, context) for task in self.hierarchy.below for name, context in task.list_calls().items()]
+        return tuple(self._export(*call) for call in calls) or super().get_options()
+
+    def _export(self, name: str, task: Task, context: Any) -> OptionPolicy:
+        def can_start(observation: Any, action_mask: NDArray[np.bool_]) -> bool:
+            return task.is_callable(self.hierarchy.see(observation, action_mask), context)
+
+        return OptionPolicy(name, self, lambda: _CallRun(self, task, context), can_start)
+
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Pay the running calls, end those that are over, and learn.
 
@@ -165,3 +177,40 @@ class CallRunner(Agent):
         self._rng.bit_generator.state = state["calls_rng"]
         self._stack = load_stack(state["stack"], self.hierarchy)
         self._chosen = self._evaluation = None
+
+
+class _CallRun:
+    """One call by itself, as the root's only choice, run by the agent's greedy policy."""
+
+    def __init__(self, runner: CallRunner, task: Task, context: Any) -> None:
+        self._runner, self._task, self._context = runner, task, context
+        self._running: tuple[Stack, Seen, int] | None = None
+        """The stack down to the latest primitive, the moment, and the primitive."""
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        runner = self._runner
+        seen = runner.hierarchy.see(observation, action_mask)
+        if self._running is None:
+            stack: Stack = (Frame(runner.hierarchy.root, None, seen), Frame(self._task, self._context, seen))
+        else:
+            before, moment, action = self._running
+            inner: Stack = ()
+            if runner.settings.polled == "never" and len(before) > 2:
+                step = Step(moment, action, 0.0, 0.0, 1, seen, False, False)
+                inner, _ = arrive(before[2:], step, runner.get_gamma, lambda p: rng.random() < p, paid=False)
+            stack = (*(frame._replace(primitives=frame.primitives + 1) for frame in before[:2]), *inner)
+
+        def choose(running: Stack, view: Any, legal: NDArray[np.bool_], at: Seen) -> int:
+            return runner.choose_greedy(running, view, legal, at, rng)
+
+        stack, action = descend(stack, seen, choose)
+        self._running = stack, seen, action
+        return action
+
+    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
+        seen = self._runner.hierarchy.see(observation, action_mask)
+        assert self._running is not None
+        called = self._running[0][1]
+        if not self._task.legal(seen, self._context).any():
+            return 1.0
+        return self._task.ends(called._replace(primitives=called.primitives + 1), seen)

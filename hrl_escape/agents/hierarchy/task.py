@@ -151,6 +151,14 @@ class Task(Protocol):
         """Choices it has here, bool (choices,); children that would be over at once are not among them."""
         ...
 
+    def is_callable(self, seen: Seen, context: Any) -> bool:
+        """A call may begin here: it would not be over at once, and has something to choose."""
+        ...
+
+    def list_calls(self) -> Mapping[str, Any]:
+        """Calls that stand on their own, as options: name -> what the caller says."""
+        ...
+
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
         """The call that a choice stands for."""
         ...
@@ -194,6 +202,14 @@ class BaseTask:
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
         """The legal primitives."""
         return seen.mask
+
+    def is_callable(self, seen: Seen, context: Any) -> bool:
+        """Not over here, and with something to choose."""
+        return self.ends(Frame(self, context, seen), seen) < 1.0 and bool(self.legal(seen, context).any())
+
+    def list_calls(self) -> Mapping[str, Any]:
+        """One, to which the caller says nothing."""
+        return {self.name: None}
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
         """The primitive of this number."""

@@ -66,16 +66,17 @@ class GraphTask(BaseTask):
         if self.policy is not None:
             chosen = self.policy(seen)
             return np.arange(len(self.children)) == (-1 if chosen is None else chosen)
-        return np.array([seen.mask[child] if isinstance(child, int) else child.is_callable(seen)
+        return np.array([seen.mask[child] if isinstance(child, int) else child.is_callable(seen, None)
                          for child in self.children], np.bool_)  # fmt: skip
 
-    def is_callable(self, seen: Seen) -> bool:
+    def is_callable(self, seen: Seen, context: Any) -> bool:
         """The task is not over here and has something to choose."""
         if self.until(seen):
             return False
         if self.policy is not None:
             return self.policy(seen) is not None
-        return any(seen.mask[child] if isinstance(child, int) else child.is_callable(seen) for child in self.children)
+        return any(seen.mask[child] if isinstance(child, int) else child.is_callable(seen, context)
+                   for child in self.children)  # fmt: skip
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
         """The child of this number."""

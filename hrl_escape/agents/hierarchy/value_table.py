@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Hashable
+from collections.abc import Hashable, Iterator
 
 import numpy as np
 
@@ -31,6 +31,9 @@ class ValueTable:
 
     def __contains__(self, key: Hashable) -> bool:
         return key in self._values
+
+    def __iter__(self) -> Iterator[Hashable]:
+        return iter(self._values)
 
     def get(self, key: Hashable) -> float:
         """The value of a key."""

@@ -5,7 +5,7 @@ environment with a `describe` method gives its arguments itself; others are desc
 wrappers by Gymnasium's `RecordConstructorArgs`. Without these, arguments are read from the attributes that bear their
 names, as in `self.size = size`. An argument that is an object, such as an option, is described by its class, its name
 and a hash of what it holds: what its own `describe` gives, or its `state_dict` (an agent, a network), or its public
-values.
+values. What it gives as `origin` is kept in clear: of a learned option, the run in which it was learned.
 """
 
 from __future__ import annotations
@@ -153,14 +153,16 @@ def _make_plain(value: Any) -> Any:
     if isinstance(value, TrainedPart):
         return _describe_object(value, {"learned": compute_state_digest(dict(value.state_dict()))})
     if isinstance(value, DescribedEnv):
-        return _describe_object(value, {"name": getattr(value, "name", ""), "content": _make_plain(value.describe())})
+        content = _make_plain(value.describe())
+        described = _describe_object(value, {"name": getattr(value, "name", ""), "content": content})
+        return described | ({"origin": content["origin"]} if "origin" in content else {})
     if not hasattr(value, "__dict__"):
         return _describe_object(value, {"value": repr(value)})
     return _describe_object(
         value, {name: _make_plain(part) for name, part in vars(value).items() if _is_value(name, part)})
 
 
-def _describe_object(value: Any, fields: Mapping[str, Any]) -> dict[str, str]:
+def _describe_object(value: Any, fields: Mapping[str, Any]) -> dict[str, Any]:
     return {"object": _name(type(value)), "name": str(fields.get("name", "")), "digest": compute_digest(fields)}
 
 
@@ -193,7 +195,7 @@ def _revive(value: Any) -> Any:
         return _find(value["settings"]).from_dict(value["fields"])
     if value.keys() == {"function"}:
         return _find(value["function"])
-    if value.keys() == {"object", "name", "digest"}:
+    if value.keys() - {"origin"} == {"object", "name", "digest"}:
         raise TypeError(f"an object of {value['object']} is not kept with a run")
     return {name: _revive(part) for name, part in value.items()}
 

@@ -37,7 +37,7 @@ from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
 from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
 from hrl_escape.version import __version__, find_versions
 
-__all__ = ["Run", "RunArguments", "load_agent_state"]
+__all__ = ["Run", "RunArguments", "load_agent_state", "make_origin"]
 
 
 @dataclass(frozen=True)
@@ -133,6 +133,7 @@ class Run:
         """
         folder = self._folder
         if folder is not None and folder.state is not None and (finished := folder.result) is not None:
+            self._sign()
             return dataclasses.replace(finished, agent=self.agent)
         try:
             if folder is None:
@@ -265,7 +266,8 @@ class Run:
                 folder.save_best(self.state_dict())
 
     def make_result(self, settings: Mapping[str, Any]) -> TrainResult:
-        """Build the result."""
+        """Build the result; the agent is told where it comes from."""
+        self._sign()
         return TrainResult(
             agent_name=self.arguments.name,
             seed=self.arguments.seed,
@@ -280,6 +282,10 @@ class Run:
             agent=self.agent,
             folder=self._folder.path if self._folder is not None else None,
         )
+
+    def _sign(self) -> None:
+        key = "" if self._folder is None else self._folder.key
+        self.agent.origin = make_origin(self.arguments.name, key, self.arguments.seed, self.primitives)
 
     def state_dict(self) -> StateTree:
         """State beyond the log."""
@@ -346,6 +352,11 @@ class _Tally:
             row["option/primitives"] = self._choice_primitives
             row["option/failures"] = self._failures
         return row
+
+
+def make_origin(agent: str, run: str, seed: int, primitives: int) -> Mapping[str, Any]:
+    """Training that made an agent what it is; see `Agent.origin`."""
+    return {"agent": agent, "run": run, "seed": seed, "primitives": primitives}
 
 
 def load_agent_state(agent: Agent, state: StateTree, where: str) -> None:

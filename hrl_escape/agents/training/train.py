@@ -22,7 +22,7 @@ from hrl_escape.agents.training.env_description import compute_digest, hash_larg
 from hrl_escape.agents.training.probe import Probe
 from hrl_escape.agents.training.progress import show_progress
 from hrl_escape.agents.training.results import TrainResult
-from hrl_escape.agents.training.run import Run, RunArguments, load_agent_state, refusing_damage
+from hrl_escape.agents.training.run import Run, RunArguments, load_agent_state, make_origin, refusing_damage
 from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
 from hrl_escape.errors import AgentSettingsError, CheckpointError
 
@@ -145,6 +145,8 @@ def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None,
         if own is not None:
             own.close()
     load_agent_state(agent, state, str(folder))
+    with refusing_damage(f"{folder}: the checkpoint"):
+        agent.origin = make_origin(described["name"], state["key"], described["seed"], int(state["primitives"]))
     return agent
 
 

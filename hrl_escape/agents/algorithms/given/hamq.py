@@ -8,6 +8,7 @@ machines included. `internal` looks up choices that no primitive separates, as i
 from __future__ import annotations
 
 import ast
+import functools
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, NamedTuple
@@ -25,10 +26,21 @@ from hrl_escape.agents.components.exploration import (
     sample_action,
 )
 from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
-from hrl_escape.agents.hierarchy.machine import Choose, Do, Machine, MachineRun, choose, do, machine
+from hrl_escape.agents.hierarchy.machine import (
+    Choose,
+    Do,
+    Machine,
+    MachineRun,
+    Program,
+    choose,
+    do,
+    find_machines,
+    machine,
+)
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import freeze
 from hrl_escape.agents.hierarchy.value_table import ValueTable
+from hrl_escape.agents.option_policy import OptionPolicy
 from hrl_escape.errors import StepContractError
 from hrl_escape.settings import Range
 
@@ -155,10 +167,14 @@ class Hamq(Agent):
                 if len(passed) > MOST_INTERNAL:
                     raise StepContractError(f"{MOST_INTERNAL} choices without a primitive at {run.read_state()}")
             run.tell(index)
-        assert isinstance(run.request, Do)
-        if not seen.mask[run.request.primitive]:
+        if run.request is not None and not seen.mask[run.request.primitive]:
             raise StepContractError(f"primitive {run.request.primitive} is illegal here: {run.read_state()}")
         return passed
+
+    def advance_greedily(self, run: MachineRun, observation: Any, mask: NDArray[np.bool_]) -> None:
+        """Tell a run the moment, and make its choices by value."""
+        self._advance(run, self._look(observation, mask),
+                      lambda values: choose_best(values, np.ones(len(values), np.bool_)))  # fmt: skip
 
     def _look(self, observation: Any, mask: NDArray[np.bool_]) -> Seen:
         return Seen(observation, mask, None if self._read is None else self._read(observation))
@@ -182,8 +198,7 @@ class Hamq(Agent):
         if self._evaluation is None or self._evaluation[0] is not rng:
             self._evaluation = rng, MachineRun(self._program)
         run = self._latest = self._evaluation[1]
-        self._advance(run, self._look(observation, action_mask),
-                      lambda values: choose_best(values, np.ones(len(values), np.bool_)))  # fmt: skip
+        self.advance_greedily(run, observation, action_mask)
         assert isinstance(run.request, Do)
         return run.request.primitive
 
@@ -193,6 +208,32 @@ class Hamq(Agent):
             RunningCall(call.name, ", ".join(map(str, call.arguments)) or None, call.primitives, 0.0)
             for call in (() if self._latest is None else self._latest.list_calls())
         )
+
+    def get_options(self) -> tuple[OptionPolicy, ...]:
+        """Every call of a machine in which something was learned, run until it returns; else the whole program.
+
+        What a machine learned depends on who called it, so calls are named with their callers, as in
+        `fetch > navigate(2)`.
+        """
+        machines = find_machines(self._program)
+        calls: dict[str, tuple[Callable[[], Program], tuple[Hashable, ...]]] = {}
+        for key in self.table:
+            *stack, _ = key[0][1]
+            for depth in range(1, len(stack)):
+                name, _, arguments = stack[depth]
+                if name in machines and not any(isinstance(each, bytes) for each in arguments):
+                    title = " > ".join(_describe_call(*stack[level]) for level in range(1, depth + 1))
+                    calls.setdefault(title, (functools.partial(machines[name], *arguments), tuple(stack[:depth])))
+        return tuple(self._export(title, *calls[title]) for title in sorted(calls)) or super().get_options()
+
+    def _export(self, title: str, root: Callable[[], Program], callers: tuple[Hashable, ...]) -> OptionPolicy:
+        def begin() -> _CallRun:
+            return _CallRun(self, MachineRun(root, callers=callers))
+
+        def can_start(observation: Any, action_mask: NDArray[np.bool_]) -> bool:
+            return begin().compute_termination(observation, action_mask) < 1.0
+
+        return OptionPolicy(title, self, begin, can_start)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Learn at the choice points passed, and add the primitive to the choice that is open."""
@@ -260,3 +301,29 @@ class Hamq(Agent):
         point = ast.literal_eval(state["open"])
         self._open = None if point is None else _Point(*point)
         self._reward, self._discount, self._duration = state["since"]
+
+
+class _CallRun:
+    """One call of a machine by itself, run by value until it returns."""
+
+    def __init__(self, agent: Hamq, run: MachineRun) -> None:
+        self._agent, self._run = agent, run
+        self._is_told = False
+        """The run knows the present moment, and waits for its primitive to be done."""
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        self.compute_termination(observation, action_mask)
+        self._is_told = False
+        request = self._run.request
+        assert isinstance(request, Do)
+        return request.primitive
+
+    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
+        if not self._is_told:
+            self._agent.advance_greedily(self._run, observation, action_mask)
+            self._is_told = True
+        return float(self._run.request is None)
+
+
+def _describe_call(name: str, line: int, arguments: tuple[Any, ...]) -> str:
+    return f"{name}({', '.join(map(str, arguments))})" if arguments else name

@@ -20,6 +20,7 @@ from hrl_escape.agents.components.exploration import EpsilonSettings, compute_ep
 from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.regions import Landmarks
 from hrl_escape.agents.hierarchy.task_graph import freeze
+from hrl_escape.agents.option_policy import OptionPolicy
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.settings import Range
 
@@ -174,12 +175,11 @@ class Hdg(Agent):
         return self._terminal[int(lengths.argmin())]
 
     def _choose(self, observation: Any, mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        state = self._numbers.get(freeze(self._find_state(observation)))
+        state = self.find_number(observation)
         goal = None if state is None else self._find_goal(observation, state)
         if state is None or goal is None:
             return sample_legal(mask, rng)
-        lengths = np.where(mask, self.distances[state, self.choose_target(state, goal)], np.inf)
-        return int(lengths.argmin())
+        return self.choose_towards(state, goal, mask)
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Epsilon-greedy; at random before a goal is known."""
@@ -190,6 +190,26 @@ class Hdg(Agent):
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The way that is held for the shortest."""
         return self._choose(observation, action_mask, rng)
+
+    def get_options(self) -> tuple[OptionPolicy, ...]:
+        """The way to each landmark; without landmarks, the whole policy."""
+        if self._landmarks is None:
+            return super().get_options()
+        return tuple(self._export(number) for number in range(len(self._landmarks.states)))
+
+    def _export(self, landmark: int) -> OptionPolicy:
+        way = _Way(self, landmark)
+        return OptionPolicy(f"landmark {landmark}", self, lambda: way,
+                            lambda observation, mask: way.compute_termination(observation, mask) == 0.0, is_markov=True)
+
+    def find_number(self, observation: Any) -> int | None:
+        """Number of an observation's state; None where it was never met."""
+        return self._numbers.get(freeze(self._find_state(observation)))
+
+    def choose_towards(self, state: int, goal: int, mask: NDArray[np.bool_]) -> int:
+        """The primitive that is held for the first of the shortest way to a goal."""
+        lengths = np.where(mask, self.distances[state, self.choose_target(state, goal)], np.inf)
+        return int(lengths.argmin())
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """One backup for every goal kept."""
@@ -232,3 +252,19 @@ class Hdg(Agent):
         self._terminal = [int(each) for each in state["terminal"]]
         self._steps = int(state["steps"])
         self._rng.bit_generator.state = state["rng"]
+
+
+class _Way:
+    """The way to one landmark: from states that were met, until it is reached."""
+
+    def __init__(self, agent: Hdg, landmark: int) -> None:
+        self._agent, self._landmark = agent, landmark
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        state = self._agent.find_number(observation)
+        return int(action_mask.argmax()) if state is None else self._agent.choose_towards(state, self._landmark,
+                                                                                          action_mask)
+
+    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
+        """Ends at the landmark, and where the agent never was."""
+        return float(self._agent.find_number(observation) in (None, self._landmark))

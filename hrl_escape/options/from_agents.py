@@ -1,0 +1,184 @@
+"""Options of what an agent learned: the tasks of a hierarchy, the ways to subgoals, macros, or its whole policy.
+
+An agent gives its policies as data, by `get_options`; here each becomes an `Option`. No agent is loaded: what one must
+offer is said by protocols.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.errors import OptionError
+from hrl_escape.options.learned import LegalActions
+from hrl_escape.options.option import Option
+from hrl_escape.planning.report import PlanningReport
+
+__all__ = ["AgentOption", "GivenPolicy", "GivenRun", "TeachingAgent", "make_learned_options"]
+
+
+class GivenRun(Protocol):
+    """One run of a policy."""
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """Choose an action."""
+        ...
+
+    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
+        """Probability of ending at the state that the latest action led to."""
+        ...
+
+
+class GivenPolicy(Protocol):
+    """Policy that an agent learned, with its beginning and end."""
+
+    @property
+    def name(self) -> str:
+        """Unique among the agent's."""
+        ...
+
+    @property
+    def agent(self) -> Any:
+        """The agent, by whose state runs over this option are recognised."""
+        ...
+
+    @property
+    def begin(self) -> Callable[[], GivenRun]:
+        """Makes a run."""
+        ...
+
+    @property
+    def can_start(self) -> Callable[[Any, NDArray[np.bool_]], bool]:
+        """Tells whether it may start, by observation and action mask."""
+        ...
+
+    @property
+    def is_markov(self) -> bool:
+        """Choice and end are functions of observation and action mask."""
+        ...
+
+    @property
+    def origin(self) -> Mapping[str, Any]:
+        """Run in which it was learned."""
+        ...
+
+
+class TeachingAgent(Protocol):
+    """Agent that gives what it learned; those of `hrl_escape.agents` do."""
+
+    def get_options(self) -> Sequence[GivenPolicy]:
+        """Its policies."""
+        ...
+
+
+class AgentOption(Option):
+    """Option by a policy that an agent learned.
+
+    Args:
+        learned: the policy.
+        legal: number of the agent's actions, or state -> bool (actions,) of the legal ones.
+        observe: state -> observation that the agent knows; None for the state itself.
+        until: state -> probability of ending there, beside the policy's own end; None for its own end alone.
+        name: None for the policy's.
+
+    Attributes:
+        origin: run in which it was learned: `agent`, `run`, `seed`, `primitives`; empty for an agent never trained.
+    """
+
+    def __init__(
+        self,
+        learned: GivenPolicy,
+        legal: LegalActions,
+        observe: Callable[[Any], Any] | None = None,
+        until: Callable[[Any], float] | None = None,
+        name: str | None = None,
+    ) -> None:
+        super().__init__(learned.name if name is None else name)
+        self.is_markov, self.origin = learned.is_markov, dict(learned.origin)
+        self._learned, self._legal, self._observe, self._until = learned, legal, observe, until
+        self._run: GivenRun | None = None
+
+    def _look(self, state: Any) -> tuple[Any, NDArray[np.bool_]]:
+        legal = self._legal
+        mask = np.asarray(legal(state), np.bool_) if callable(legal) else np.ones(legal, np.bool_)
+        return state if self._observe is None else self._observe(state), mask
+
+    def _get_run(self) -> GivenRun:
+        """The present run; of a policy that is a function of the state, any."""
+        if self._run is None or self.is_markov:
+            self._run = self._learned.begin()
+        return self._run
+
+    def initiation(self, state: Any) -> bool:
+        """Ask the policy; where `until` is certain it may not start."""
+        return bool(self._learned.can_start(*self._look(state))) and (self._until is None or self._until(state) < 1.0)
+
+    def start(self, state: Any) -> None:
+        """Begin a run of the policy."""
+        super().start(state)
+        self._run = self._learned.begin()
+
+    def policy(self, state: Any) -> Any:
+        """Ask the policy.
+
+        Raises:
+            OptionError: it remembers or draws, so that only `sample_action` can choose.
+        """
+        if not self.is_markov:
+            raise OptionError(f"option {self.name!r} is no function of the state: ask sample_action(state, generator)")
+        return self.sample_action(state, np.random.default_rng(0))
+
+    def sample_action(self, state: Any, rng: np.random.Generator) -> Any:
+        """Ask the policy, which draws from this generator what it leaves to chance."""
+        return self._get_run().act(*self._look(state), rng)
+
+    def termination(self, state: Any) -> float:
+        """Probability that the policy ends here by itself, or that `until` ends it."""
+        own = float(self._get_run().compute_termination(*self._look(state)))
+        return own if self._until is None else 1.0 - (1.0 - own) * (1.0 - float(self._until(state)))
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> AgentOption:
+        """A copy without a run, of the same policy: environments copy their arguments."""
+        copied = copy.copy(self)
+        copied._run, copied.report = None, PlanningReport()
+        return copied
+
+    def describe(self) -> Mapping[str, Any]:
+        """Agent, and the way it is asked, by which a run over this option is recognised; `origin` is kept in clear."""
+        return {"policy": self._learned.name, "learned": self._learned.agent, "observe": self._observe,
+                "legal": self._legal, "until": self._until, "origin": self.origin}
+
+
+def make_learned_options(
+    agent: TeachingAgent,
+    legal: LegalActions,
+    *,
+    observe: Callable[[Any], Any] | None = None,
+    until: Callable[[Any], float] | None = None,
+    prefix: str = "",
+) -> tuple[AgentOption, ...]:
+    """Make options of all that an agent learned.
+
+    Of a hierarchical agent these are its tasks, goals, orders, machines or macros, each until it is over; of any other
+    agent its greedy policy, under the name `policy`, which ends where `until` says so and nowhere else. An option acts
+    by what the agent knows at that moment: go on training it elsewhere only after a copy.
+
+    Args:
+        agent: a trained agent, as `train` and `load_agent` return it.
+        legal: number of its actions, or state -> bool (actions,) of the legal ones.
+        observe: state -> the observation it was trained on; None for the state itself. In a room that is
+            `make_observer(instance, "features")` and the like, for a synthesised hierarchy `HierarchyEnv.observe`.
+        until: state -> probability of ending there, for all its options, beside their own ends.
+        prefix: put before every name, to tell the options of several agents apart.
+
+    Raises:
+        OptionError: the agent gives nothing.
+    """
+    given = agent.get_options()
+    if not given:
+        raise OptionError(f"{type(agent).__name__} has learned nothing that it could give: train it first")
+    return tuple(AgentOption(each, legal, observe, until, prefix + each.name) for each in given)
