@@ -13,7 +13,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-__all__ = ["ObjectsBox", "PointingDiscrete"]
+__all__ = ["ObjectsBox", "PointingDiscrete", "make_vector_space"]
 
 
 class ObjectsBox(spaces.Box):
@@ -47,3 +47,8 @@ class PointingDiscrete(spaces.Discrete):
     def __init__(self, n: int, about: Sequence[str | None]) -> None:
         super().__init__(n)
         self.about = tuple(about)
+
+
+def make_vector_space(low: NDArray[Any], high: NDArray[Any], rows: Sequence[str], words: Sequence[str]) -> spaces.Box:
+    """Space of a vector observation: an `ObjectsBox` where it begins with rows of objects, else a plain Box."""
+    return ObjectsBox(low, high, rows, words) if rows else spaces.Box(low, high, dtype=low.dtype.type)

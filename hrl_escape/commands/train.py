@@ -6,6 +6,7 @@
     hrl-escape train smdp-dqn --list-settings
     hrl-escape train dqn --recipe paper --training-seed 7 --json
     hrl-escape train maxq-q --leaves planned
+    hrl-escape train ppo --batch 1024 --primitives 5000000
 
 `hrl-escape list agents` names the agents; with smdp- in front they choose options beside primitives.
 """
@@ -15,8 +16,9 @@ from __future__ import annotations
 import dataclasses
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
+import gymnasium
 import torch
 import tyro
 from rich.console import Console
@@ -26,13 +28,18 @@ from hrl_escape.agents.registry import get_recipe
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
 from hrl_escape.commands.room_choice import RoomChoice, VectorObservation, split_assignment
-from hrl_escape.errors import ConfigError
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.experiments.grid import AgentSpec, OptionsView
 from hrl_escape.experiments.places import RunPlace
 from hrl_escape.experiments.runs import make_env
 from hrl_escape.names import make_console_text, make_file_name
 from hrl_escape.planning.best_known import best_known_return
 from hrl_escape.settings import read_field_documents
+
+if TYPE_CHECKING:
+    from hrl_escape.env.vector_env import EscapeRoomVectorEnv
+    from hrl_escape.options.batched.env import BatchedOptionsEnv
 
 SHOWN_EVALUATIONS = 12
 
@@ -66,6 +73,10 @@ class TrainArgs(RoomChoice):
     """Primitives between evaluations; a twentieth of the budget by default."""
     eval_episodes: int = 5
     """Episodes in an evaluation."""
+    batch: int | None = None
+    """Train in so many copies of the room at once, by the batched engine; for agents such as ppo."""
+    device: str = "cpu"
+    """Device of the copies, the networks and all that lies between, such as cuda; with --batch."""
     out: Path | None = None
     """Folder of log, checkpoint and result; runs/AGENT-ROOM-SEED-HASH by default."""
     tensorboard: bool = False
@@ -83,6 +94,27 @@ class TrainArgs(RoomChoice):
                          leaves=self.leaves)
 
 
+    def make_batch(self, spec: AgentSpec, instance: RoomInstance) -> EscapeRoomVectorEnv | BatchedOptionsEnv:
+        """Copies of the room that train together.
+
+        Raises:
+            UnsupportedError: the agent needs something that copies do not have.
+        """
+        assert self.batch is not None
+        if self.leaves is not None or self.flavour != "press":
+            raise UnsupportedError("--batch has neither --leaves nor --flavour press-with-ancestors: leave one out")
+        if not spec.chooses_options:
+            from hrl_escape.env.vector_env import EscapeRoomVectorEnv
+
+            return EscapeRoomVectorEnv(self.batch, instance=instance, observation=self.observation, output="torch",
+                                       device=self.device)
+        from hrl_escape.options.batched.env import BatchedOptionsEnv
+
+        gamma = spec.resolve_settings()["gamma"]
+        return BatchedOptionsEnv(self.batch, instance=instance, observation=self.observation, discount=gamma,
+                                 include_primitives=not self.options_only, device=self.device)
+
+
 def run(args: TrainArgs) -> None:
     """Train and report."""
     spec = args.make_spec()
@@ -96,10 +128,11 @@ def run(args: TrainArgs) -> None:
     instance = args.make_instance()
     name = make_file_name(f"{spec.label}-{RunPlace.of_room(instance).name}-{args.training_seed}")
     out = args.out or Path("runs") / f"{name}-{{key}}"
-    env, _ = make_env(spec, instance, args.observation)
+    env = make_env(spec, instance, args.observation)[0] if args.batch is None else args.make_batch(spec, instance)
     result = train(args.agent, env, primitives=args.primitives, seed=args.training_seed, settings=resolved,
                    eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out, tensorboard=args.tensorboard)
-    env.close()
+    if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):
+        env.close()
     best = best_known_return(instance)
     if args.json:
         print(json.dumps({"best_known": best, "folder": str(result.folder), **result.to_json()}, indent=2))
@@ -133,9 +166,10 @@ def _print(result: TrainResult, best: float) -> None:
             table.add_row(f"{evaluation.primitives:,}", f"{evaluation.decisions:,}", f"{evaluation.mean_return:.1f}",
                           f"{evaluation.success_rate:.0%}", f"{evaluation.mean_length:,.0f}")
     console.print(table)
+    episodes = len(result.episodes) + sum(segment.episodes for segment in result.segments)
     calls = f", {result.planner_calls:,} planner calls" if result.planner_calls else ""
     console.print(f"[bold]{make_console_text(result.agent_name)}[/bold], seed {result.seed}: {result.primitives:,} "
-                  f"primitives, {result.decisions:,} decisions, {len(result.episodes):,} episodes{calls}, "
+                  f"primitives, {result.decisions:,} decisions, {episodes:,} episodes{calls}, "
                   f"{result.seconds:.1f} s of training")
     if evaluations:
         console.print(f"return {evaluations[-1].mean_return:.1f} at the end; the best known is {best:g}")

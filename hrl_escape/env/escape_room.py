@@ -27,7 +27,7 @@ from hrl_escape.env.observations import OBJECT_WORDS, make_observer
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
 from hrl_escape.errors import ActionError, ClosedError, ConfigError, ResetNeededError
-from hrl_escape.spaces import ObjectsBox
+from hrl_escape.spaces import make_vector_space
 
 __all__ = ["EscapeRoomEnv"]
 
@@ -162,8 +162,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         self._observer = make_observer(self._kind, self.rules, self._renderer)
         low, high = self._observer.low, self._observer.high
         rows = self._observer.rows
-        self.observation_space = (ObjectsBox(low, high, rows, OBJECT_WORDS) if rows
-                                  else spaces.Box(low, high, dtype=low.dtype.type))
+        self.observation_space = make_vector_space(low, high, rows, OBJECT_WORDS)
         self._count = len(self.rules.actions)
         self.action_space = spaces.Discrete(self._count)
         self._lit: dict[Any, NDArray[np.int8]] = {}

@@ -8,7 +8,7 @@ Bullet engine's.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import torch
@@ -18,9 +18,15 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom, draw_seed
+from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.tables import INSTEAD, InstanceSource, collect_instances
 from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.observations import OBJECT_WORDS
 from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedError
+from hrl_escape.spaces import make_vector_space
+
+if TYPE_CHECKING:
+    from hrl_escape.env.escape_room import EscapeRoomEnv
 
 __all__ = ["EscapeRoomVectorEnv"]
 
@@ -108,10 +114,11 @@ class EscapeRoomVectorEnv(VectorEnv):
         self.num_envs, self.autoreset_mode = num_envs, mode
         self.metadata = type(self).metadata | {"autoreset_mode": mode}
         self.render_mode = None
-        self.single_observation_space = spaces.Box(self.room.low, self.room.high, dtype=np.float32)
+        self.single_observation_space = make_vector_space(self.room.low, self.room.high, self.room.rows, OBJECT_WORDS)
         self.single_action_space = spaces.Discrete(self.room.actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        self._observation_name = observation
         self._is_numpy, self._is_seeded = output == "numpy", False
         self._ids = np.array([one.id for one in self.instances], dtype=object)
         self._every: Any = self._give(torch.ones(num_envs, dtype=torch.bool, device=self.room.device))
@@ -160,6 +167,36 @@ class EscapeRoomVectorEnv(VectorEnv):
     def close_extras(self, **kwargs: Any) -> None:
         """Free the tensors."""
         del self.room
+
+    @property
+    def device(self) -> torch.device:
+        """Device of the rooms."""
+        return self.room.device
+
+    def make_single_env(self) -> EscapeRoomEnv:
+        """Make an ordinary environment with the same rooms and observation."""
+        from hrl_escape.env.escape_room import EscapeRoomEnv  # brings Bullet in
+
+        if len(self.instances) == 1:
+            return EscapeRoomEnv(instance=self.instances[0], observation=self._observation_name)
+        return EscapeRoomEnv(instances=self.instances, observation=self._observation_name)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the arguments that decide the numbers, as JSON values; rooms go by their ids."""
+        return {"num_envs": self.num_envs, "instances": [str(name) for name in self._ids],
+                "observation": self._observation_name, "resample_instance": self.room.layout.resample,
+                "autoreset_mode": self.autoreset_mode.value, "device": str(self.device),
+                "compile": self.room.is_compiled}
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return the running episodes of all rooms, as arrays."""
+        return {name: field.cpu().numpy() for name, field in self.room.state._asdict().items()}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on where `state_dict` was taken, in as many of the same rooms."""
+        self.room.state = TensorState(**{name: torch.from_numpy(np.asarray(field)).to(self.device)
+                                         for name, field in state.items()})
+        self._is_seeded = True
 
     # --- in and out --------------------------------------------------------------------
 

@@ -24,8 +24,8 @@ from hrl_escape.agents.components.exploration import (
     make_rng,
     sample_legal,
 )
+from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.networks import (
-    Learner,
     compute_td_loss,
     make_forward,
     make_generator,

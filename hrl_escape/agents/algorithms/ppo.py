@@ -1,4 +1,4 @@
-"""Proximal policy optimisation over decisions of any duration, with masked actions.
+"""Proximal policy optimisation over decisions of any duration, with masked actions, in one environment or in many.
 
 Schulman et al. (2017), advantages by Schulman et al. (2016), masks by Huang and Ontanon (2022). In the
 advantage each decision discounts by its own gamma^k; lambda falls per decision or per primitive, as set.
@@ -8,19 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, compute_backup
+from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions
 from hrl_escape.agents.components.distillation import DeepBonusSettings, make_bonus
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_index
+from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.networks import (
-    Learner,
     NetworkSettings,
     ObservationEncoder,
     make_forward,
@@ -31,14 +32,25 @@ from hrl_escape.agents.components.object_network import (
     make_action_network,
     make_state_network,
 )
+from hrl_escape.agents.components.open_choices import OpenChoices
+from hrl_escape.agents.components.policy_gradient import (
+    AdvantageSettings,
+    Rollout,
+    compute_advantages,
+    compute_clipped_loss,
+    compute_entropy,
+    compute_log_policy,
+    sample_policy,
+)
 from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.streams import StreamAgent, StreamTransitions, compute_backups
 from hrl_escape.settings import Range
 
-__all__ = ["PPO", "PPOSettings", "Rollout", "compute_advantages"]
+__all__ = ["PPO", "PPOSettings"]
 
 
 @dataclass(frozen=True)
-class PPOSettings(DeepBonusSettings, ObjectNetworkSettings, NetworkSettings, LearningSettings):
+class PPOSettings(AdvantageSettings, DeepBonusSettings, ObjectNetworkSettings, NetworkSettings, LearningSettings):
     """Settings of `ppo`."""
 
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
@@ -48,15 +60,14 @@ class PPOSettings(DeepBonusSettings, ObjectNetworkSettings, NetworkSettings, Lea
     max_grad_norm: Annotated[float, Range(0)] = 0.5
     """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
     rollout: Annotated[int, Range(2)] = 256
-    """Decisions collected before each round of updates."""
+    """Decisions collected before each round of updates, of all streams together."""
+    stream_rollout: Annotated[int, Range(1)] = 32
+    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
+    `rollout` is cut into as many minibatches, so into larger ones."""
     epochs: Annotated[int, Range(1)] = 10
     """Passes over a rollout."""
     batch_size: Annotated[int, Range(1)] = 64
-    """Decisions in a minibatch."""
-    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
-    """Lambda of generalised advantage estimation."""
-    lambda_per: Literal["decision", "primitive"] = "decision"
-    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
+    """Decisions in a minibatch of a rollout of `rollout` decisions."""
     clip: Annotated[float, Range(0, open_low=True)] = 0.2
     """Bound on how far the probability ratio may move to any advantage."""
     entropy_weight: Annotated[float, Range(0)] = 0.01
@@ -65,35 +76,12 @@ class PPOSettings(DeepBonusSettings, ObjectNetworkSettings, NetworkSettings, Lea
     """Weight of half the squared value error in the loss."""
 
 
-class Rollout(NamedTuple):
-    """Decisions in order; numpy arrays with leading dimension n.
-
-    Attributes:
-        observation: (n, *observation shape), encoded.
-        mask: bool (n, actions).
-        action: int64 (n,).
-        reward: float32 (n,), R, scaled.
-        bootstrap: float32 (n,), b.
-        duration: int64 (n,), k.
-        over: bool (n,), the episode ended here, by termination or truncation.
-        next_observation: (n, *observation shape), the state reached, also at an episode's end.
-    """
-
-    observation: Any
-    mask: Any
-    action: Any
-    reward: Any
-    bootstrap: Any
-    duration: Any
-    over: Any
-    next_observation: Any
-
-
-class PPO(Agent):
+class PPO(StreamAgent):
     """Maximise the mean of min(ratio A, clip(ratio, 1 - eps, 1 + eps) A) + entropy, minimise (V - target)^2.
 
     ratio = pi(o | s) / pi_old(o | s) over legal actions. A is `compute_advantages`, normalised in each minibatch, and
-    the value's target is A + V_old. There is no epsilon schedule: the policy itself is random.
+    the value's target is A + V_old. There is no epsilon schedule: the policy itself is random. A decision that outlasts
+    the rollout in which it was made counts in the next one, with the probability that it was made with.
     """
 
     name: ClassVar[str] = "ppo"
@@ -110,6 +98,7 @@ class PPO(Agent):
     ) -> None:
         self.settings = settings = settings or PPOSettings()
         self._encoder = ObservationEncoder(observation_space, settings.scale_observations)
+        self._actions = count_actions(action_space, self.name)
         generator = make_generator(make_rng(seed, "weights"))
         self.policy = make_action_network(self._encoder, action_space, settings, generator, output_gain=0.01)
         self.critic = make_state_network(self._encoder, settings, generator)
@@ -117,8 +106,16 @@ class PPO(Agent):
         networks = {"policy": self.policy, "critic": self.critic}
         self._learner = Learner(self.name, networks, networks, settings)
         self._action_rng, self._batch_rng = make_rng(seed, "actions"), make_rng(seed, "batches")
+        self._stream_rng = make_rng(seed, "streams")
         self._bonus = make_bonus(observation_space, seed, settings, settings, self.name)
-        self._rows: list[Rollout] = []
+        self._open: OpenChoices | None = None  # of streams; None while one environment is played
+        self._forget()
+
+    def _forget(self) -> None:
+        """Begin an empty rollout."""
+        self._chunks: list[Rollout] = []
+        self._rows: list[tuple] = []  # of the one environment, after the chunks
+        self._collected = 0
 
     def compute_preferences(self, observation: Any) -> NDArray:
         """Logits of the policy at an observation, before any mask, float32 (actions,)."""
@@ -142,48 +139,86 @@ class PPO(Agent):
         """Keep the decision; update when the rollout is full."""
         reward, bootstrap = compute_backup(transition, self.settings)
         reward += self._bonus.visit(transition.next_observation)
-        self._rows.append(
-            Rollout(
-                self._encoder.encode(transition.observation),
-                transition.action_mask,
-                transition.action,
-                reward * self.settings.reward_scale,
-                bootstrap,
-                transition.duration,
-                transition.terminated or transition.truncated,
-                self._encoder.encode(transition.next_observation),
-            )
-        )
-        if len(self._rows) < self.settings.rollout:
-            return {}
-        rollout, self._rows = _stack(self._rows), []
-        return self._learn(rollout)
+        self._rows.append((
+            self._encoder.encode(transition.observation), transition.action_mask, transition.action,
+            reward * self.settings.reward_scale, bootstrap, transition.duration,
+            transition.terminated or transition.truncated, self._encoder.encode(transition.next_observation),
+        ))
+        self._collected += 1
+        return self._learn() if self._collected >= self.settings.rollout else {}
 
-    def _learn(self, rollout: Rollout) -> dict[str, float]:
-        """The updates from one rollout; returns means over them."""
-        observation, mask, action = (
-            torch.from_numpy(rollout.observation),
-            torch.from_numpy(rollout.mask),
-            torch.from_numpy(rollout.action),
-        )
+    # --- streams -------------------------------------------------------------------------
+
+    def begin_streams(self, count: int, device: torch.device) -> None:
+        """Move networks and optimiser to a device; every stream begins an episode and a rollout."""
+        self._learner.move(device)
+        self._forward, self._forward_critic = make_forward(self.policy), make_forward(self.critic)
+        self._open = OpenChoices(count, self._actions, device, self._stream_rng)
+        self._forget()
+
+    def act_streams(self, observation: Tensor, mask: Tensor, stream: Tensor) -> Tensor:
+        """Draw from the policy over legal actions, for each row."""
+        assert self._open is not None, "begin_streams comes first"
+        with torch.no_grad():
+            log_policy = compute_log_policy(self.policy(self._encoder.encode_many(observation)), mask)
+        action = sample_policy(log_policy, self._open.generator)
+        self._open.choose(stream, mask, log_policy.gather(1, action[:, None]).squeeze(1))
+        return action
+
+    def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
+        """Keep the decisions; update when the rollout is full."""
+        assert self._open is not None, "begin_streams comes first"
+        reward, bootstrap = compute_backups(decisions, self.settings)
+        if self.settings.bonus_weight:
+            bonus = self._bonus.visit_many(decisions.next_observation.cpu().numpy())
+            reward = reward + torch.from_numpy(bonus).to(reward.device)
+        mask, log_probability, place = self._open.end(decisions.stream)
+        self._chunks.append(Rollout(
+            self._encoder.encode_many(decisions.observation), mask, decisions.action, log_probability,
+            reward * self.settings.reward_scale, bootstrap, decisions.duration,
+            decisions.terminated | decisions.truncated, self._encoder.encode_many(decisions.next_observation),
+            decisions.stream, place,
+        ))
+        self._collected += len(place)
+        least = max(self.settings.rollout, self.settings.stream_rollout * self._open.count)
+        return self._learn() if self._collected >= least else {}
+
+    # --- learning ------------------------------------------------------------------------
+
+    def _gather(self) -> Rollout:
+        """The rollout so far, as one."""
+        chunks = self._chunks + ([_stack(self._rows, sum(len(c.place) for c in self._chunks))] if self._rows else [])
+        return Rollout(*map(torch.cat, zip(*chunks, strict=True)))
+
+    def _learn(self) -> dict[str, float]:
+        """The updates from the rollout, which then begins anew; returns means over them."""
+        rollout = self._gather()
+        self._forget()
+        observation, mask, action = rollout.observation, rollout.mask, rollout.action
         with torch.no_grad():
             values = self.critic(observation).squeeze(1)
-            next_values = self.critic(torch.from_numpy(rollout.next_observation)).squeeze(1)
-            old_log_probability = compute_log_policy(self.policy(observation), mask).gather(1, action[:, None])
-        advantages = torch.from_numpy(compute_advantages(rollout, values.numpy(), next_values.numpy(), self.settings))
+            next_values = self.critic(rollout.next_observation).squeeze(1)
+            old_log_probability = rollout.log_probability
+            if self._open is None:  # the policy is still the one that chose
+                log_policy = compute_log_policy(self.policy(observation), mask)
+                old_log_probability = log_policy.gather(1, action[:, None]).squeeze(1)
+            else:
+                self._open.begin_rollout()
+        advantages = compute_advantages(rollout, values, next_values, self.settings)
         targets = advantages + values
-        totals = torch.zeros(4)
+        batch_size = max(self.settings.batch_size, len(action) * self.settings.batch_size // self.settings.rollout)
+        totals = torch.zeros(4, device=action.device)
         count = 0
         for _ in range(self.settings.epochs):
-            order = torch.from_numpy(self._batch_rng.permutation(len(action)))
-            for rows in order.split(self.settings.batch_size):
+            order = torch.from_numpy(self._batch_rng.permutation(len(action))).to(action.device)
+            for rows in order.split(batch_size):
                 if len(rows) < 2:
                     continue  # one advantage cannot be normalised
                 loss, parts = self.compute_loss(
                     observation[rows],
                     mask[rows],
                     action[rows],
-                    old_log_probability[rows].squeeze(1),
+                    old_log_probability[rows],
                     advantages[rows],
                     targets[rows],
                 )
@@ -195,80 +230,53 @@ class PPO(Agent):
         return dict(zip(names, (totals / count).tolist(), strict=True)) | {
             "gradient_norm": self._learner.gradient_norm, "value": mean_value}
 
-    def compute_loss(
-        self,
-        observation: torch.Tensor,
-        mask: torch.Tensor,
-        action: torch.Tensor,
-        old_log_probability: torch.Tensor,
-        advantage: torch.Tensor,
-        target: torch.Tensor,
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def compute_loss(self, observation: Tensor, mask: Tensor, action: Tensor, old_log_probability: Tensor,
+                     advantage: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         """The loss over a minibatch; and, without gradient, (4,): loss, policy loss, value loss, entropy."""
         settings = self.settings
         log_policy = compute_log_policy(self.policy(observation), mask)
-        ratio = (log_policy.gather(1, action[:, None]).squeeze(1) - old_log_probability).exp()
-        advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        clipped = ratio.clamp(1 - settings.clip, 1 + settings.clip)
-        policy_loss = -torch.minimum(ratio * advantage, clipped * advantage).mean()
+        log_probability = log_policy.gather(1, action[:, None]).squeeze(1)
+        policy_loss = compute_clipped_loss(log_probability, old_log_probability, advantage, settings.clip)
         value_loss = 0.5 * functional.mse_loss(self.critic(observation).squeeze(1), target)
-        entropy = -(log_policy.exp() * log_policy.masked_fill(~mask, 0.0)).sum(dim=1).mean()
+        entropy = compute_entropy(log_policy, mask)
         loss = policy_loss + settings.value_weight * value_loss - settings.entropy_weight * entropy
         return loss, torch.stack((loss, policy_loss, value_loss, entropy)).detach()
 
     def state_dict(self) -> StateTree:
-        """Networks, optimiser, the rollout so far, generators."""
+        """Networks, optimiser, the rollout so far, choices in progress, generators."""
         return {
             "learner": self._learner.state_dict(),
-            "rollout": _stack(self._rows)._asdict() if self._rows else None,
+            "rollout": self._gather()._asdict() if self._collected else None,
+            "streams": None if self._open is None else self._open.state_dict(),
             "bonus": self._bonus.state_dict(),
             "action_rng": self._action_rng.bit_generator.state,
             "batch_rng": self._batch_rng.bit_generator.state,
+            "stream_rng": self._stream_rng.bit_generator.state,
         }
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
+        """Restore the result of `state_dict`; streams go on if there are as many, on any device."""
         self._learner.load_state_dict(state["learner"])
         self._bonus.load_state_dict(state["bonus"])
-        self._rows = []
-        if state["rollout"] is not None:
-            self._rows = [Rollout(*row) for row in zip(*Rollout(**state["rollout"]), strict=True)]
-        self._action_rng.bit_generator.state = state["action_rng"]
-        self._batch_rng.bit_generator.state = state["batch_rng"]
+        self._forget()
+        if self._open is not None and state["streams"] is not None:
+            self._open.load_state_dict(state["streams"])
+        if state["rollout"] is not None and (self._open is None) == (state["streams"] is None):
+            device = self.policy.weights.device
+            chunk = Rollout(**{name: torch.from_numpy(np.asarray(field)).to(device)
+                               for name, field in state["rollout"].items()})
+            self._chunks, self._collected = [chunk], len(chunk.place)
+        for rng, name in ((self._action_rng, "action_rng"), (self._batch_rng, "batch_rng"),
+                          (self._stream_rng, "stream_rng")):
+            rng.bit_generator.state = state[name]
 
 
-def compute_log_policy(logits: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
-    """Log probabilities of the softmax over legal actions, -inf elsewhere. Shapes (batch, actions)."""
-    return functional.log_softmax(logits.masked_fill(~mask, -torch.inf), dim=1)
-
-
-def compute_advantages(
-    rollout: Rollout, values: NDArray, next_values: NDArray, settings: PPOSettings
-) -> NDArray[np.float32]:
-    """Generalised advantages of decisions of different duration.
-
-    delta_t = R_t + b_t V(s_{t+1}) - V(s_t), and A_t = delta_t + b_t L_t A_{t+1} unless the episode ended at t,
-    with b_t = gamma^k_t (1 - terminated) and L_t = lambda, or lambda^k_t with `lambda_per="primitive"`.
-
-    Args:
-        rollout: n decisions in order.
-        values: V(s_t), (n,).
-        next_values: V of the states reached, (n,).
-        settings: lambda.
-
-    Returns:
-        float32 (n,).
-    """
-    delta = rollout.reward + rollout.bootstrap * next_values - values
-    powers = rollout.duration if settings.lambda_per == "primitive" else np.ones(len(delta))
-    carry = rollout.bootstrap * settings.gae_lambda**powers * ~rollout.over
-    advantages, following = np.empty(len(delta), np.float32), 0.0
-    for t in range(len(delta) - 1, -1, -1):
-        following = delta[t] + carry[t] * following
-        advantages[t] = following
-    return advantages
-
-
-def _stack(rows: list[Rollout]) -> Rollout:
+def _stack(rows: list[tuple], first: int) -> Rollout:
+    """Rows of the one environment as a rollout, whose places begin at `first`."""
     dtypes = (None, np.bool_, np.int64, np.float32, np.float32, np.int64, np.bool_, None)
-    return Rollout(*(np.array(field, dtype) for field, dtype in zip(zip(*rows, strict=True), dtypes, strict=True)))
+    fields = [torch.from_numpy(np.array(field, dtype))
+              for field, dtype in zip(zip(*rows, strict=True), dtypes, strict=True)]
+    observation, mask, action, *rest = fields
+    return Rollout(observation, mask, action, torch.zeros(len(rows)), *rest,
+                   stream=torch.zeros(len(rows), dtype=torch.int64),
+                   place=torch.arange(first, first + len(rows)))

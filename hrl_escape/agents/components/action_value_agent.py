@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.components.exploration import ExplorationSettings, choose_best, make_rng, sample_action
+from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.networks import (
-    Learner,
     compute_td_loss,
     make_forward,
     make_generator,

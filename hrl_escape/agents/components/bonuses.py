@@ -2,7 +2,7 @@
 
 The bonus weight / sqrt(n) of MBIE-EB (Strehl and Littman 2008), given to deep agents by Bellemare et al. (2016), less
 the weight itself. So it is never positive, and no agent puts off the end of an episode to collect it. Agents learn
-from it as from any reward; reported returns leave it out. `make_discretiser` must be able to bin the observations.
+from it as from any reward; reported returns leave it out. `make_cell_finder` must be able to bin the observations.
 """
 
 from __future__ import annotations
@@ -13,9 +13,10 @@ from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import StateTree
-from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
+from hrl_escape.agents.components.tables import TabularSettings, make_cell_finder
 from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.settings import Range
 
@@ -49,20 +50,33 @@ class CountBonus:
     def __init__(self, space: gymnasium.Space, settings: BonusSettings, agent: str) -> None:
         self._weight = settings.bonus_weight
         self._counts: dict[bytes, int] = {}
-        self._discretise: Callable[[Any], bytes] | None = None
+        self._find_cell: Callable[[Any], NDArray[np.int32]] | None = None
         if self._weight:
-            self._discretise = make_discretiser(space, TabularSettings(bins=settings.bonus_bins), agent)
+            self._find_cell = make_cell_finder(space, TabularSettings(bins=settings.bonus_bins), agent)
 
     def __len__(self) -> int:
         return len(self._counts)
 
     def visit(self, observation: Any) -> float:
         """Count a visit of an observation's cell; returns the bonus, 0 or below, in units of return."""
-        if self._discretise is None:
+        if self._find_cell is None:
             return 0.0
-        key = self._discretise(observation)
+        key = self._find_cell(observation).tobytes()
         count = self._counts[key] = self._counts.get(key, 0) + 1
         return self._weight / count**0.5 - self._weight
+
+    def visit_many(self, observation: NDArray) -> NDArray[np.float32]:
+        """Count visits of a batch of observations (n, ...), row by row; returns their bonuses, (n,)."""
+        if self._find_cell is None or not len(observation):
+            return np.zeros(len(observation), np.float32)
+        rows = np.ascontiguousarray(self._find_cell(observation).reshape(len(observation), -1))
+        whole = rows.view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).ravel()
+        cells, place, visits = np.unique(whole, return_inverse=True, return_counts=True)
+        before = np.array([self._counts.get(cell.tobytes(), 0) for cell in cells])
+        rank = np.empty(len(place), np.int64)  # of a row among those of its cell
+        rank[np.argsort(place, kind="stable")] = np.arange(len(place)) - np.repeat(np.cumsum(visits) - visits, visits)
+        self._counts |= {cell.tobytes(): int(count) for cell, count in zip(cells, before + visits, strict=True)}
+        return (self._weight / np.sqrt(before[place] + rank + 1) - self._weight).astype(np.float32)
 
     def state_dict(self) -> StateTree:
         """Cells (cells, bytes) and counts (cells,), in order of first visit."""

@@ -22,8 +22,8 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
 from hrl_escape.agents.components.exploration import make_rng
+from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.networks import (
-    Learner,
     NetworkSettings,
     ObservationEncoder,
     make_forward,
@@ -37,6 +37,8 @@ FEATURES = 32
 """Outputs of the random network."""
 BATCH = 32
 """Observations in an update of the predictor, each learned from once."""
+LARGE_BATCH = 256
+"""Most observations in an update, where streams show many at once."""
 CLIP = 5.0
 """Bound on whitened observations."""
 
@@ -88,6 +90,38 @@ class DistillationBonus:
         share = error * self._visits / self._errors if self._errors else 1.0
         return self._weight * (min(share, 1.0) - 1.0)
 
+    def visit_many(self, observation: NDArray) -> NDArray[np.float32]:
+        """Learn from a batch of observations (n, ...); returns the bonuses that they give before, (n,).
+
+        The predictor makes one update, on at most `LARGE_BATCH` of them, evenly spaced.
+        """
+        if not len(observation):
+            return np.zeros(0, np.float32)
+        whitened = torch.from_numpy(self._whiten_many(self._encoder.encode_many(torch.from_numpy(observation)).numpy()))
+        with torch.no_grad():
+            errors = ((self._predictor(whitened) - self._random(whitened)) ** 2).mean(dim=1).numpy()
+        self._errors += float(errors.sum())
+        some = whitened[:: -(-len(whitened) // LARGE_BATCH)]
+        self._learner.minimise(((self._predictor(some) - self._random(some)) ** 2).mean())
+        shares = errors * (self._visits / self._errors) if self._errors else np.ones_like(errors)
+        return (self._weight * (np.minimum(shares, 1.0) - 1.0)).astype(np.float32)
+
+    def _whiten_many(self, encoded: NDArray) -> NDArray:
+        """The same as `_whiten` for a batch, with moments that count all of it (Chan, Golub and LeVeque 1983)."""
+        before, self._visits = self._visits, self._visits + len(encoded)
+        if self._encoder.is_image:
+            return encoded
+        mean = encoded.mean(axis=0, dtype=np.float64)
+        apart = mean - self._mean
+        self._mean = self._mean + apart * (len(encoded) / self._visits)
+        self._squares = (self._squares + ((encoded - mean) ** 2).sum(axis=0)
+                         + apart**2 * (before * len(encoded) / self._visits))
+        return self._scale(encoded)
+
+    def _scale(self, encoded: NDArray) -> NDArray:
+        deviation = np.sqrt(self._squares / self._visits)
+        return np.clip((encoded - self._mean) / np.maximum(deviation, 1e-6), -CLIP, CLIP).astype(np.float32)
+
     def _whiten(self, encoded: NDArray) -> NDArray:
         """Count an encoded observation in the running moments (Welford 1962), then whiten it; pictures stay bytes."""
         self._visits += 1
@@ -96,8 +130,7 @@ class DistillationBonus:
         before = encoded - self._mean
         self._mean = self._mean + before / self._visits
         self._squares = self._squares + before * (encoded - self._mean)
-        deviation = np.sqrt(self._squares / self._visits)
-        return np.clip((encoded - self._mean) / np.maximum(deviation, 1e-6), -CLIP, CLIP).astype(np.float32)
+        return self._scale(encoded)
 
     def state_dict(self) -> StateTree:
         """Networks, optimiser, running moments and the batch so far."""

@@ -1,4 +1,4 @@
-"""Networks of the deep agents: encoding of observations, layers, fast acting, and gradient descent.
+"""Networks of the deep agents: encoding of observations, layers and fast acting.
 
 Multilayer perceptrons, with a convolutional front (Mnih et al. 2015) for images. Weights are drawn from a generator of
 their own and lie in one vector, so that Adam, clipping and target networks are single operations. Acting on one
@@ -8,9 +8,7 @@ plain torch because that measured fastest (`hrl-escape bench agents`, beside Tor
 
 from __future__ import annotations
 
-import math
-import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
@@ -23,13 +21,11 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.nn import functional
 
-from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.settings import AgentSettings
-from hrl_escape.errors import CheckpointError, DivergenceError, UnsupportedSpaceError
+from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.settings import Range
 
 __all__ = [
-    "Learner",
     "Network",
     "NetworkSettings",
     "ObservationEncoder",
@@ -109,6 +105,24 @@ class ObservationEncoder:
         flat *= self._factor
         return flat
 
+    def encode_many(self, observation: torch.Tensor) -> torch.Tensor:
+        """Encode a batch of observations on its device, (n, ...) to (n, *shape).
+
+        Raises:
+            UnsupportedSpaceError: the space is neither a Box nor Discrete.
+        """
+        if self.is_image:
+            return observation.movedim(-1, 1).contiguous()
+        if isinstance(self.space, spaces.Discrete):
+            return functional.one_hot(observation.long() - int(self.space.start), int(self.space.n)).float()
+        if not self._is_box:
+            raise UnsupportedSpaceError(f"streams show Box or Discrete observations, not {self.space}")
+        flat = observation.to(torch.float32).flatten(1)
+        if self._is_identity:
+            return flat
+        middle, factor = (torch.from_numpy(part).to(flat.device) for part in (self._middle, self._factor))
+        return (flat - middle) * factor
+
 
 def is_image_space(space: gymnasium.Space) -> bool:
     """True for pictures: a uint8 Box (height, width, 1, 3 or 4)."""
@@ -131,10 +145,21 @@ class Network(nn.Sequential):
         self.weights = torch.cat([parameter.detach().reshape(-1) for parameter in parameters])
         self.gradient = torch.zeros_like(self.weights)
         self.sizes = [parameter.numel() for parameter in parameters]
+        self._tie(parameters)
+
+    def _tie(self, parameters: list[nn.Parameter]) -> None:
+        """Make each parameter and its gradient views of the vectors."""
         pieces = zip(parameters, self.weights.split(self.sizes), self.gradient.split(self.sizes), strict=True)
         for parameter, weights, gradient in pieces:
             parameter.data = weights.view(parameter.shape)
             parameter.grad = gradient.view(parameter.shape)
+
+    def move(self, device: torch.device) -> None:
+        """Move parameters and gradients to a device."""
+        self.to(device)  # buffers too
+        parameters = list(self.parameters())
+        self.weights, self.gradient = self.weights.to(device), self.gradient.to(device)
+        self._tie(parameters)
 
     def blend(self, source: Network, rate: float) -> None:
         """Move a target network: weights <- (1 - rate) weights + rate source (Lillicrap et al. 2016)."""
@@ -229,13 +254,15 @@ def initialise_layer(layer: Any, initialisation: str, gain: float, generator: to
 def make_forward(network: Network) -> Callable[[NDArray], NDArray]:
     """A function from one encoded observation to the network's outputs, (outputs,), without gradients.
 
-    Perceptrons run in numpy on views of the network's own weights, so later updates are seen.
+    Perceptrons on a CPU run in numpy on views of the network's own weights, so later updates are seen; make the
+    function again after `Network.move`.
     """
-    if not all(isinstance(layer, (nn.Linear, nn.ReLU, nn.Tanh)) for layer in network):
+    device = network.weights.device
+    if device.type != "cpu" or not all(isinstance(layer, (nn.Linear, nn.ReLU, nn.Tanh)) for layer in network):
 
         def forward_torch(observation: NDArray) -> NDArray:
             with torch.no_grad():
-                return network(torch.from_numpy(observation).unsqueeze(0)).squeeze(0).numpy()
+                return network(torch.from_numpy(observation).unsqueeze(0).to(device)).squeeze(0).cpu().numpy()
 
         return forward_torch
 
@@ -264,110 +291,3 @@ def compute_td_loss(values: torch.Tensor, targets: torch.Tensor, kind: str) -> t
     if kind == "huber":
         return functional.smooth_l1_loss(values, targets)
     return 0.5 * functional.mse_loss(values, targets)
-
-
-WILD_LOSS = 1e6
-"""Loss beyond which values have diverged: in scaled rewards, where losses are a few hundred at most."""
-WILD_GROWTH, GROWTH_EVERY = 100.0, 50
-"""Growth of the weights' norm beyond which steps are too long, and updates between two looks at it."""
-
-
-class Learner:
-    """Gradient descent on some networks: Adam, clipping, the check for divergence, and its checkpoint.
-
-    Args:
-        name: the algorithm's name, for messages.
-        networks: named networks that the checkpoint holds.
-        trained: those whose parameters this optimiser moves.
-        settings: learning rate and clipping.
-
-    Attributes:
-        updates: steps made.
-        gradient_norm: Euclidean norm of the last step's gradient, before it was clipped.
-    """
-
-    def __init__(
-        self, name: str, networks: Mapping[str, Network], trained: Iterable[str], settings: NetworkSettings
-    ) -> None:
-        self.name, self.updates, self.gradient_norm, self._is_wild = name, 0, 0.0, False
-        self._networks = networks
-        self._max_norm = settings.max_grad_norm
-        self._trained = [networks[key] for key in trained]
-        self._first_norm = self._measure_weights()
-        self._inputs = [parameter for network in self._trained for parameter in network.parameters()]
-        vectors = [nn.Parameter(network.weights) for network in self._trained]
-        for vector, network in zip(vectors, self._trained, strict=True):
-            vector.grad = network.gradient
-        self._optimiser = torch.optim.Adam(
-            vectors, lr=settings.learning_rate, eps=settings.adam_epsilon, fused=True
-        )
-
-    def minimise(self, loss: torch.Tensor) -> float:
-        """One step down the gradient; returns the loss.
-
-        Raises:
-            DivergenceError: the loss or its gradient is NaN or infinite; the weights are left alone.
-        """
-        value = loss.item()
-        if not math.isfinite(value):
-            raise DivergenceError(self.name, self.updates, loss=value)
-        for network in self._trained:
-            network.gradient.zero_()
-        loss.backward(inputs=self._inputs)
-        self.gradient_norm = norm = math.hypot(*(network.gradient.norm().item() for network in self._trained))
-        if not math.isfinite(norm):
-            raise DivergenceError(self.name, self.updates, loss=value, gradient_norm=norm)
-        if not self._is_wild and (reason := self._find_divergence(value)) is not None:
-            self._is_wild = True
-            warnings.warn(f"{self.name} diverges: {reason}its loss is {value:.3g} and the norm of its gradient "
-                          f"{norm:.3g} (update {self.updates}). Lower learning_rate, or reward_scale where rewards are "
-                          "large", stacklevel=2)
-        if self._max_norm and norm > self._max_norm:
-            for network in self._trained:
-                network.gradient.mul_(self._max_norm / norm)
-        self._optimiser.step()
-        self.updates += 1
-        return value
-
-    def _measure_weights(self) -> float:
-        return math.hypot(*(network.weights.norm().item() for network in self._trained))
-
-    def _find_divergence(self, loss: float) -> str | None:
-        """Reason to say that learning diverges, as the beginning of a sentence; None if there is none."""
-        if abs(loss) > WILD_LOSS:
-            return ""
-        if self.updates % GROWTH_EVERY or not self._first_norm:
-            return None
-        growth = self._measure_weights() / self._first_norm
-        return f"its weights have grown {growth:.0f} times since they were drawn, " if growth > WILD_GROWTH else None
-
-    def state_dict(self) -> StateTree:
-        """Weights, optimiser moments and the counter, as arrays."""
-        moments = self._optimiser.state_dict()["state"]
-        return {
-            "updates": self.updates,
-            "weights": {name: network.weights.numpy() for name, network in self._networks.items()},
-            "moments": [{key: tensor.numpy() for key, tensor in moments[index].items()} for index in sorted(moments)],
-        }
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`.
-
-        Raises:
-            CheckpointError: it belongs to networks of another size.
-        """
-        self.updates = int(state["updates"])
-        for name, network in self._networks.items():
-            weights = torch.from_numpy(state["weights"][name])
-            if weights.shape != network.weights.shape:
-                raise CheckpointError(
-                    f"the checkpoint's {name} network of {self.name} has {len(weights)} weights; "
-                    f"this agent's has {len(network.weights)}"
-                )
-            network.weights.copy_(weights)
-        moments = {
-            index: {key: torch.from_numpy(np.asarray(value)) for key, value in group.items()}
-            for index, group in enumerate(state["moments"])
-        }
-        groups = self._optimiser.state_dict()["param_groups"]
-        self._optimiser.load_state_dict({"state": moments, "param_groups": groups})

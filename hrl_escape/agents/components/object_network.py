@@ -50,6 +50,8 @@ class ObjectLayers(nn.Module):
         output_gain: factor on the last layer's initial weights.
     """
 
+    _columns: torch.Tensor
+
     def __init__(self, space: ObjectsBox, about: tuple[str | None, ...], settings: NetworkSettings,
                  generator: torch.Generator, output_gain: float) -> None:
         super().__init__()
@@ -72,7 +74,7 @@ class ObjectLayers(nn.Module):
             self.own.append(make(width, units, gain))
             self.shared.append(make(2 * width, units, gain))
         columns, heads, free = _lay_out(space.rows, about)
-        self._columns = torch.tensor(columns)
+        self.register_buffer("_columns", torch.tensor(columns), persistent=False)
         self.point = make(widths[-1], heads, 1.0, output_gain) if heads else None
         self.whole = make(2 * widths[-1], free, 1.0, output_gain) if free else None
 

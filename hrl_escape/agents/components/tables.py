@@ -20,7 +20,7 @@ from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.settings import Range
 
-__all__ = ["QTable", "ResolutionSettings", "TabularSettings", "make_discretiser"]
+__all__ = ["QTable", "ResolutionSettings", "TabularSettings", "make_cell_finder", "make_discretiser"]
 
 
 @dataclass(frozen=True)
@@ -47,13 +47,21 @@ class TabularSettings(ResolutionSettings):
 
 
 def make_discretiser(space: gymnasium.Space, settings: ResolutionSettings, agent: str) -> Callable[[Any], bytes]:
-    """A function from observations to table keys: bytes of int32 cells.
+    """A function from observations to table keys: bytes of int32 cells; see `make_cell_finder`."""
+    find_cell = make_cell_finder(space, settings, agent)
+    return lambda observation: find_cell(observation).tobytes()
+
+
+def make_cell_finder(
+    space: gymnasium.Space, settings: ResolutionSettings, agent: str
+) -> Callable[[Any], NDArray[np.int32]]:
+    """A function from observations, one or a batch of them, to int32 cells of the same shape.
 
     Raises:
         UnsupportedSpaceError: observations are neither Discrete, MultiBinary, MultiDiscrete nor a one-axis Box.
     """
     if isinstance(space, (spaces.Discrete, spaces.MultiBinary, spaces.MultiDiscrete)):
-        return lambda observation: np.asarray(observation, dtype=np.int32).tobytes()
+        return lambda observation: np.asarray(observation, dtype=np.int32)
     if not isinstance(space, spaces.Box) or len(space.shape) != 1:
         raise UnsupportedSpaceError(
             f"{agent} keeps a table and needs Discrete, MultiBinary, MultiDiscrete or flat Box observations, not "
@@ -64,10 +72,7 @@ def make_discretiser(space: gymnasium.Space, settings: ResolutionSettings, agent
     origin = np.where(bounded, low, 0.0)
     width = np.where(bounded, (np.where(bounded, high, 1.0) - origin) / (settings.bins - 1), settings.resolution)
 
-    def discretise(observation: Any) -> bytes:
-        return np.rint((observation - origin) / width).astype(np.int32).tobytes()
-
-    return discretise
+    return lambda observation: np.rint((observation - origin) / width).astype(np.int32)
 
 
 class QTable:

@@ -21,13 +21,15 @@ from typing import Any, Protocol, runtime_checkable
 import gymnasium
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
+from gymnasium.vector import VectorWrapper
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo
 
 from hrl_escape.agents.training.checkpoint import compute_state_digest
 from hrl_escape.errors import CheckpointError, describe_damage
 from hrl_escape.settings import Settings
 
-__all__ = ["DescribedEnv", "TrainedPart", "compute_digest", "describe_env", "make_described_env", "hash_large_parts"]
+__all__ = ["DescribedEnv", "TrainedPart", "compute_digest", "describe_env", "describe_many",
+           "make_described_env", "hash_large_parts"]
 
 PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo)
 """Wrappers that change no number; others say so by the attribute `is_passive`."""
@@ -71,6 +73,20 @@ def describe_env(env: gymnasium.Env) -> dict[str, Any]:
         arguments = {name: value for name, value in env.spec.kwargs.items() if name != "render_mode"}
     else:
         arguments = _read_arguments(env)
+    return {"class": _name(type(env)), "arguments": _make_plain(arguments), "wrappers": wrappers[::-1]}
+
+
+def describe_many(env: Any) -> dict[str, Any]:
+    """Description of a vector environment, or of streams, a JSON value; it is compared, and made by nobody."""
+    wrappers = []
+    while isinstance(env, VectorWrapper):
+        wrappers.append(_name(type(env)))
+        env = env.env
+    arguments = None
+    if isinstance(env, DescribedEnv):
+        arguments = env.describe()
+    elif getattr(env, "spec", None) is not None:
+        arguments = env.spec.kwargs
     return {"class": _name(type(env)), "arguments": _make_plain(arguments), "wrappers": wrappers[::-1]}
 
 

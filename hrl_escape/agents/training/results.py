@@ -22,14 +22,16 @@ from hrl_escape.errors import CheckpointError, EscapeError, describe_damage
 from hrl_escape.files import read_json
 from hrl_escape.settings import read_record
 
-__all__ = ["METRICS", "EpisodeRecord", "TrainResult", "find_first_escape", "load_result", "make_evaluation_row",
-           "read_result", "read_row"]
+__all__ = ["METRICS", "EpisodeRecord", "SegmentRecord", "TrainResult", "find_first_escape", "load_result",
+           "make_evaluation_row", "read_result", "read_row"]
 
 METRICS = {
     "train/return": "undiscounted return of a training episode, exploration included",
     "train/length": "primitives in a training episode",
     "train/decisions": "decisions in a training episode",
     "train/success": "1 if it succeeded (info['is_success'] if given, else terminated), else 0",
+    "train/episodes": "episodes that ended in a segment of training in many streams",
+    "train/successes": "those of them that succeeded",
     "train/end": "how it ended: terminated, truncated, or budget where the run's budget cut it",
     "train/loss": "mean loss of the updates in the episode",
     "train/gradient_norm": "mean norm of the loss's gradient at the last update of a decision, before clipping",
@@ -87,6 +89,29 @@ class EpisodeRecord:
     seconds: float = field(compare=False)
 
 
+@dataclass(frozen=True)
+class SegmentRecord:
+    """A stretch of training in many streams, with the episodes that ended in it.
+
+    Attributes:
+        primitives: primitives trained for, at its end, of all streams together.
+        decisions: decisions trained for, at its end.
+        episodes: episodes that ended in it.
+        successes: those of them that succeeded.
+        mean_return: their mean undiscounted return; None where none ended.
+        mean_length: their mean number of primitives; None where none ended.
+        seconds: seconds of training at its end, without evaluations; left out of comparisons.
+    """
+
+    primitives: int
+    decisions: int
+    episodes: int
+    successes: int
+    mean_return: float | None
+    mean_length: float | None
+    seconds: float = field(compare=False)
+
+
 def find_first_escape(episodes: Sequence[EpisodeRecord]) -> int | None:
     """Primitives trained for at the end of the first episode that succeeded; None if none did."""
     return next((episode.primitives for episode in episodes if episode.success), None)
@@ -121,8 +146,14 @@ EVALUATION_ROW = {
 }
 
 
-def read_row(row: Mapping[str, Any]) -> EpisodeRecord | Evaluation:
-    """Episode or evaluation from a row of the log.
+SEGMENT_ROW = {
+    "primitives": "primitives", "decisions": "decisions", "episodes": "train/episodes", "successes": "train/successes",
+    "mean_return": "train/return", "mean_length": "train/length", "seconds": "time/seconds",
+}
+
+
+def read_row(row: Mapping[str, Any]) -> EpisodeRecord | SegmentRecord | Evaluation:
+    """Episode, segment or evaluation from a row of the log.
 
     Raises:
         KeyError: the row lacks a name.
@@ -130,6 +161,8 @@ def read_row(row: Mapping[str, Any]) -> EpisodeRecord | Evaluation:
     """
     if row["kind"] == "evaluation":
         return read_record(Evaluation, {field: row[name] for field, name in EVALUATION_ROW.items()})
+    if row["kind"] == "segment":
+        return read_record(SegmentRecord, {field: row[name] for field, name in SEGMENT_ROW.items()})
     fields = {field: row[name] for field, name in EPISODE_ROW.items()}
     return read_record(EpisodeRecord, {**fields, "success": bool(row["train/success"])})
 
@@ -146,7 +179,8 @@ class TrainResult:
         decisions: decisions trained for.
         planner_calls: calls of planners behind options, summed over `info["option"]["planner_calls"]`.
         evaluations: the first before training, the last after it.
-        episodes: every training episode.
+        episodes: every training episode; none in a run of many streams.
+        segments: stretches of training, in a run of many streams.
         seconds: wall time of training, evaluations excluded.
         planner_seconds: share of it spent in planners.
         agent: the trained agent; None in a result read from a file.
@@ -163,6 +197,7 @@ class TrainResult:
     episodes: tuple[EpisodeRecord, ...]
     seconds: float = field(compare=False)
     planner_seconds: float = field(compare=False)
+    segments: tuple[SegmentRecord, ...] = ()
     agent: Agent | None = field(default=None, compare=False, repr=False)
     folder: Path | None = field(default=None, compare=False)
 
@@ -177,7 +212,7 @@ class TrainResult:
             x and y, float64 (evaluations,).
         """
         if against == "seconds":
-            ends = {record.primitives: record.seconds for record in self.episodes}
+            ends = {record.primitives: record.seconds for record in (*self.episodes, *self.segments)}
             x = [ends.get(evaluation.primitives, 0.0) for evaluation in self.evaluations]
         else:
             x = [getattr(evaluation, against) for evaluation in self.evaluations]
@@ -190,6 +225,7 @@ class TrainResult:
             "settings": dict(self.settings),
             "evaluations": [dataclasses.asdict(evaluation) for evaluation in self.evaluations],
             "episodes": [dataclasses.asdict(record) for record in self.episodes],
+            "segments": [dataclasses.asdict(record) for record in self.segments],
         }
 
 

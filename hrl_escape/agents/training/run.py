@@ -32,12 +32,12 @@ from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_se
 from hrl_escape.agents.training.interrupt import deferring_interrupts
 from hrl_escape.agents.training.probe import Probe
 from hrl_escape.agents.training.progress import Reporter
-from hrl_escape.agents.training.results import EpisodeRecord, TrainResult, make_evaluation_row, read_row
+from hrl_escape.agents.training.results import EpisodeRecord, SegmentRecord, TrainResult, make_evaluation_row, read_row
 from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
 from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
 from hrl_escape.version import __version__, find_versions
 
-__all__ = ["Run", "RunArguments", "load_agent_state", "make_origin"]
+__all__ = ["Run", "RunArguments", "load_agent_state", "make_origin", "refusing_damage"]
 
 
 @dataclass(frozen=True)
@@ -85,6 +85,7 @@ class Run:
         self.evaluations: list[Evaluation] = []
         self.primitives = self.decisions = self.planner_calls = 0
         self.seconds = self.planner_seconds = 0.0
+        self.segments: list[SegmentRecord] = []
         self._folder: RunFolder | None = None
 
     @property
@@ -155,42 +156,47 @@ class Run:
                is_interrupted: Callable[[], bool] = lambda: False) -> None:
         """Run episodes until the budget is spent, evaluating and saving between them."""
         last_save = time.monotonic()
-        if not self.episodes:
+        if not self.decisions:
             self._evaluate(folder)
-            report(self.primitives, self._describe())
+            report(self.primitives, self.describe_returns())
         next_evaluation = self._next_evaluation()
         while not self.is_over:
-            row = self._run_episode(report)
+            row = self.run_unit(report)
             if folder is not None:
                 folder.log(row)
-            if self.probe is not None:
-                self.probe.after_episode(self.agent, self.episodes[-1])
             if self.is_over or self.primitives >= next_evaluation:
                 self._evaluate(folder)
-                report(self.primitives, self._describe())
+                report(self.primitives, self.describe_returns())
                 next_evaluation = self._next_evaluation()
             stops = self.is_over or is_interrupted()
-            if folder is not None and (stops or time.monotonic() - last_save >= checkpoint_seconds):
+            is_due = stops or time.monotonic() - last_save >= checkpoint_seconds
+            if folder is not None and is_due and self.can_be_saved:
                 folder.save(self.state_dict())
                 last_save = time.monotonic()
-            if folder is not None and is_interrupted() and not self.is_over:
+            if folder is not None and is_interrupted() and self.can_be_saved and not self.is_over:
                 raise KeyboardInterrupt(f"interrupted after {self.primitives:,} primitives; {folder.path} holds the "
                                         "run, and the same command goes on from there")
 
     @property
     def is_over(self) -> bool:
         """True once the budget is spent or the probe has seen enough."""
-        return self._is_spent or (self.probe is not None and self.probe.is_done)
+        return self.is_spent or (self.probe is not None and self.probe.is_done)
 
     @property
-    def _is_spent(self) -> bool:
+    def is_spent(self) -> bool:
+        """True once the budget of primitives or of decisions is spent."""
         most = self.arguments.decisions
         return self.primitives >= self.arguments.primitives or (most is not None and self.decisions >= most)
 
     def _next_evaluation(self) -> int:
         return (self.primitives // self.arguments.eval_every + 1) * self.arguments.eval_every
 
-    def _run_episode(self, report: Reporter) -> dict[str, Any]:
+    @property
+    def can_be_saved(self) -> bool:
+        """True where a checkpoint taken now goes on to the same bits."""
+        return True
+
+    def run_unit(self, report: Reporter) -> dict[str, Any]:
         """Train for one episode; returns its row of the log."""
         started = time.perf_counter()
         tally = _Tally()
@@ -198,9 +204,9 @@ class Run:
         observation, info = env.reset(seed=compute_episode_seed(self.arguments.seed, "training", len(self.episodes)))
         check_observation(observation, "at the episode's start")
         mask = read_action_mask(info, self.actions)
-        words = self._describe()
+        words = self.describe_returns()
         end = "budget"
-        while end == "budget" and not self._is_spent:
+        while end == "budget" and not self.is_spent:
             action = agent.act(observation, mask)
             step = env.step(action)
             transition = make_transition(observation, action, mask, step, agent.gamma)
@@ -237,11 +243,14 @@ class Run:
             "time/primitives_per_second": tally.length / max(seconds, 1e-9),
         }
         self.episodes.append(cast("EpisodeRecord", read_row(row)))
+        if self.probe is not None:
+            self.probe.after_episode(agent, self.episodes[-1])
         return row
 
-    def _describe(self) -> str:
+    def describe_returns(self) -> str:
         """Describe the latest returns for the progress line."""
         recent = [record.episode_return for record in self.episodes[-10:]]
+        recent += [record.mean_return for record in self.segments[-1:] if record.mean_return is not None]
         words = [f"return {sum(recent) / len(recent):.1f}"] if recent else []
         if self.evaluations:
             words.append(f"eval {self.evaluations[-1].mean_return:.1f}")
@@ -277,6 +286,7 @@ class Run:
             planner_calls=self.planner_calls,
             evaluations=tuple(self.evaluations),
             episodes=tuple(self.episodes),
+            segments=tuple(self.segments),
             seconds=self.seconds,
             planner_seconds=self.planner_seconds,
             agent=self.agent,
@@ -310,6 +320,7 @@ class Run:
                 self.probe.load_state_dict(state["probe"])
             records = [read_row(row) for row in rows]
         self.episodes = [record for record in records if isinstance(record, EpisodeRecord)]
+        self.segments = [record for record in records if isinstance(record, SegmentRecord)]
         self.evaluations = [record for record in records if isinstance(record, Evaluation)]
 
 

@@ -14,9 +14,11 @@ from typing import Any
 
 import gymnasium
 import numpy as np
+from gymnasium.vector import VectorEnv
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.registry import make_agent, read_structure
+from hrl_escape.agents.streams import SingleEnvSource, StreamAgent, Streams
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts, make_described_env
 from hrl_escape.agents.training.probe import Probe
@@ -24,6 +26,7 @@ from hrl_escape.agents.training.progress import show_progress
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.run import Run, RunArguments, load_agent_state, make_origin, refusing_damage
 from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
+from hrl_escape.agents.training.stream_run import StreamRun
 from hrl_escape.errors import AgentSettingsError, CheckpointError
 
 __all__ = ["load_agent", "load_env", "train"]
@@ -31,7 +34,7 @@ __all__ = ["load_agent", "load_env", "train"]
 
 def train(
     agent: str | Agent,
-    env: gymnasium.Env,
+    env: gymnasium.Env | VectorEnv | Streams,
     *,
     primitives: int,
     decisions: int | None = None,
@@ -55,13 +58,14 @@ def train(
         env: Discrete actions; what `step` must return is in `agent.make_transition`. It must depend on nothing
             before `reset(seed=...)`, which is called for every episode. Let an environment of your own keep its
             arguments under their names, or give it a `describe` method (see `DescribedEnv`), so that runs with other
-            arguments are told apart.
-        primitives: budget. The decision that reaches it is the last.
+            arguments are told apart. A vector environment, or a `BatchedOptionsEnv`, trains agents that learn from
+            many streams (`ppo`) on its device; returns are then logged by segments of steps instead of episodes.
+        primitives: budget, of all streams together. The decision that reaches it is the last.
         decisions: budget of decisions, if it is spent earlier; for programs that counted decisions.
         seed: 0 or more; fixes the agent (if named) and every training episode.
         recipe: `corrected` or `paper`, for a named agent.
         settings: fields of a named agent's settings to change.
-        eval_env: evaluation environment; by default `env` itself, between episodes.
+        eval_env: evaluation environment; by default `env` itself, between episodes, or one of many.
         eval_every: primitives between evaluations, a twentieth of the budget by default. Each is made at
             the first episode's end from there on, besides one before training and one after.
         eval_episodes: episodes in an evaluation; 0 leaves evaluations out.
@@ -100,15 +104,24 @@ def train(
         raise AgentSettingsError("settings", settings, "a mapping from names of settings to values, or None")
     if tensorboard and out is None:
         raise AgentSettingsError("tensorboard", True, "False, or give out= for the event files")
+    single = env if isinstance(env, gymnasium.Env) else (eval_env or make_single_env(env))
     if isinstance(agent, str):
         name = agent
-        learner = make_agent(agent, env.observation_space, env.action_space, seed, recipe, read_structure(env),
-                             **settings or {})
+        learner = make_agent(agent, single.observation_space, single.action_space, seed, recipe,
+                             read_structure(single), **settings or {})
     else:
         name, learner = type(agent).__name__, agent
     agent_state = None if out is None or isinstance(agent, str) else compute_state_digest(learner.state_dict())
     arguments = RunArguments(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state)
-    run = Run(learner, env, eval_env or env, arguments, probe)
+    if isinstance(env, gymnasium.Env):
+        run = Run(learner, env, eval_env or env, arguments, probe)
+    else:
+        if not isinstance(learner, StreamAgent):
+            raise AgentSettingsError("agent", name, "one that learns from many environments at once, such as ppo; or "
+                                     "give train an ordinary environment")
+        if probe is not None:
+            raise AgentSettingsError("probe", probe, "None in a run of many environments at once")
+        run = StreamRun(learner, env, single, arguments)
     if out is not None:
         run.open(os.fspath(out).replace("{key}", run.key), tensorboard)
     try:
@@ -116,6 +129,23 @@ def train(
             return run.finish(checkpoint_seconds, report)
     finally:
         run.close()
+
+
+def make_single_env(env: VectorEnv | Streams) -> gymnasium.Env:
+    """An ordinary environment of the same task as many at once, by which they are evaluated.
+
+    Raises:
+        AgentSettingsError: it cannot be made; give one.
+    """
+    inner: Any = env.unwrapped if isinstance(env, VectorEnv) else env
+    if isinstance(inner, SingleEnvSource):
+        return inner.make_single_env()
+    spec = getattr(inner, "spec", None)
+    if spec is None:
+        raise AgentSettingsError("eval_env", None, "an ordinary environment of the same task: this vector environment "
+                                 "was not made by gymnasium.make_vec")
+    made_by_vector = ("num_envs", "vectorization_mode", "vector_kwargs", "wrappers")
+    return gymnasium.make(spec.id, **{name: value for name, value in spec.kwargs.items() if name not in made_by_vector})
 
 
 def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None, *, best: bool = False) -> Agent:

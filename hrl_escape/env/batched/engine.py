@@ -23,6 +23,7 @@ from hrl_escape.env.batched.rules import begin, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables, make_layout, map_tensors, pick, stack_instances
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.env.observations import make_observer
 from hrl_escape.env.state_checks import check_state
 from hrl_escape.errors import (
     ActionError,
@@ -169,6 +170,7 @@ class TensorRoom:
         actions: number of primitives.
         low: smallest value of each number that a room shows, in any instance, float32.
         high: largest value of each.
+        rows: names of the objects whose rows the observation begins with, if any.
     """
 
     def __init__(
@@ -209,15 +211,16 @@ class TensorRoom:
         self.device = find_device(device)
         self.tables = stack_instances(self.instances, self.layout, self.device)
         self.count, self.actions = rooms, len(self.layout.actions)
-        self._observation, self._is_compiled = load_observation(observation), compile
+        self._observation, self.is_compiled = load_observation(observation), compile
         self.low, self.high = compute_bounds(self.instances, observation)
+        self.rows = make_observer(observation, Rules(self.instances[0])).rows
         self._autoreset: Autoreset = autoreset
         self._state: TensorState | None = None
         self._rules: dict[int, Rules] = {}
         self._kernel = self._make_kernel()
 
     def _make_kernel(self) -> Kernel | None:
-        if not self._is_compiled:
+        if not self.is_compiled:
             return None
         check_compiler(self.device)
         shapes = (self.count, *list_shapes(self.tables))

@@ -12,9 +12,9 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, TypeAlias
 
+import gymnasium
 import numpy as np
 import torch
-from gymnasium import spaces
 from torch import Tensor
 
 from hrl_escape.env.batched.devices import check_compiler
@@ -23,6 +23,8 @@ from hrl_escape.env.batched.observations import load_observation
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.tables import InstanceSource, Layout, Tables, collect_instances, map_tensors
 from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.observations import OBJECT_WORDS
 from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError
 from hrl_escape.options.batched.cost_to_go import CostFields, stack_fields
 from hrl_escape.options.batched.decisions import ENDINGS, OpenDecisions, Transitions
@@ -37,6 +39,10 @@ from hrl_escape.options.batched.stepping import (
     make_view,
     step_decisions,
 )
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.spaces import PointingDiscrete, make_vector_space
+
+_SHARED = ("include_primitives", "discount", "max_duration")  # arguments that `OptionsEnv` has too
 
 __all__ = ["ENDINGS", "BatchedOptionsEnv", "Transitions"]
 
@@ -128,11 +134,15 @@ class BatchedOptionsEnv:
         names = layout.actions.names if include_primitives else ()
         self.action_names = (*names, *(f"meta-{n + 1:02d}" for n in range(layout.targets)), "meta-exit")
         self.actions = len(self.action_names)
-        self.action_space = spaces.Discrete(self.actions)
-        self.observation_space = spaces.Box(self.room.low, self.room.high, dtype=np.float32)
+        targets = self.room.instances[0].frame.target_names
+        self.action_space = PointingDiscrete(self.actions, (*(None for _ in names), *targets, "exit"))
+        self.observation_space = make_vector_space(self.room.low, self.room.high, self.room.rows, OBJECT_WORDS)
         fail_after = math.ceil(FAIL_AFTER / (1.0 - layout.dynamics.slip)) if layout.dynamics.slip < 1.0 else FAIL_AFTER
         if self._by_hand:
             fail_after = 2**31 - 1  # planned options have a limit of their own
+        self._arguments = {"observation": observation, "resample_instance": resample_instance,
+                           "include_primitives": include_primitives, "discount": self.gamma,
+                           "max_duration": max_duration, "autoreset": autoreset, "compile": compile}
         self._settings = StepSettings(load_observation(observation), len(names), self.gamma, fail_after,
                                       max_duration or 2**31 - 1, autoreset)
         self._view: AgentView | None = None
@@ -173,11 +183,12 @@ class BatchedOptionsEnv:
 
     # --- episodes ----------------------------------------------------------------------------
 
-    def reset(self, seeds: Tensor | None = None, where: Tensor | None = None) -> Tensor:
+    def reset(self, seeds: Tensor | int | None = None, where: Tensor | None = None) -> Tensor:
         """Begin new episodes; decisions in progress in these rooms are dropped.
 
         Args:
-            seeds: key of each room's random numbers, int64 (rooms,); None continues the present streams.
+            seeds: key of each room's random numbers, int64 (rooms,), or a whole number that room i adds i to; None
+                continues the present streams.
             where: rooms to reset, bool (rooms,); None resets all.
 
         Returns:
@@ -187,6 +198,8 @@ class BatchedOptionsEnv:
             ResetNeededError: the rooms were never seeded.
             BatchError: another shape, dtype or device.
         """
+        if isinstance(seeds, int):
+            seeds = seeds + torch.arange(self.count, device=self.device)
         self.room.reset(seeds, where)
         with torch.no_grad():
             self._view = make_view(self.room.layout, self.room.tables, self.room.state, self._settings)
@@ -224,6 +237,36 @@ class BatchedOptionsEnv:
                                        view, action)
         room.state, self._running, self._view, transitions = found
         return transitions
+
+    # --- one of the rooms, and checkpoints -----------------------------------------------------
+
+    def make_single_env(self) -> gymnasium.Env:
+        """Make an `OptionsEnv` of the same rooms, options and observation; its options follow plans."""
+        rooms = self.room.instances
+        given: dict[str, Any] = {"instance": rooms[0]} if len(rooms) == 1 else {"instances": rooms}
+        env = EscapeRoomEnv(**given, observation=self._arguments["observation"])
+        return OptionsEnv(env, **{name: self._arguments[name] for name in _SHARED})
+
+    def describe(self) -> dict[str, Any]:
+        """Return the arguments that decide the numbers, as JSON values; rooms go by their ids."""
+        return {**self._arguments, "num_envs": self.count, "device": str(self.device),
+                "instances": [str(room.id) for room in self.room.instances]}
+
+    def state_dict(self) -> dict[str, Any] | None:
+        """Return episodes and decisions in progress, as arrays; None in rooms whose options the host plans."""
+        view, running = self._get_begun()
+        if self._by_hand:
+            return None
+        return {name: {key: field.cpu().numpy() for key, field in part._asdict().items()}
+                for name, part in (("rooms", self.room.state), ("view", view), ("running", running))}
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Go on where `state_dict` was taken, in as many of the same rooms."""
+        def take(part: dict[str, Any]) -> dict[str, Tensor]:
+            return {name: torch.from_numpy(np.array(field)).to(self.device) for name, field in part.items()}
+
+        self.room.state = TensorState(**take(state["rooms"]))
+        self._view, self._running = AgentView(**take(state["view"])), OpenDecisions(**take(state["running"]))
 
     def _plan(self, view: AgentView, running: OpenDecisions, action: Tensor) -> OpenDecisions:
         """Plan for all rooms pressed by hand, else for those where the greedy policy has made no progress."""

@@ -15,9 +15,10 @@ from torchrl.objectives.value import GAE
 
 from hrl_escape.agents.algorithms.ddpg import DDPG, DDPGSettings, OneHotRelaxation
 from hrl_escape.agents.algorithms.dqn import DQN, DQNSettings
-from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings, Rollout, compute_advantages
+from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
 from hrl_escape.agents.algorithms.sarsa import Sarsa, SarsaSettings
 from hrl_escape.agents.components.exploration import compute_policy
+from hrl_escape.agents.components.policy_gradient import Rollout, compute_advantages
 from hrl_escape.agents.components.replay import Experience
 
 GAMMA = 0.93
@@ -282,16 +283,9 @@ def make_rollout(seed):
     next_observation = batch.next_observation.copy()
     inside = np.flatnonzero(~over[:-1])
     next_observation[inside] = batch.observation[inside + 1]
-    return Rollout(
-        batch.observation,
-        batch.mask,
-        batch.action,
-        batch.reward,
-        batch.bootstrap,
-        duration,
-        over,
-        next_observation,
-    ), terminated
+    columns = (batch.observation, batch.mask, batch.action, np.zeros(SIZE, np.float32), batch.reward, batch.bootstrap,
+               duration, over, next_observation, np.zeros(SIZE, np.int64), np.arange(SIZE))
+    return Rollout(*map(torch.from_numpy, columns)), torch.from_numpy(terminated)
 
 
 @pytest.mark.parametrize("lambda_per", ["decision", "primitive"])
@@ -299,10 +293,9 @@ def make_rollout(seed):
 def test_trap_16_advantages_equal_the_sum_of_discounted_errors_with_lambda_as_named(seed, lambda_per):
     rollout, terminated = make_rollout(seed)
     settings = PPOSettings(gamma=GAMMA, gae_lambda=0.8, lambda_per=lambda_per)
-    rng = np.random.default_rng(seed)
-    values, next_values = rng.standard_normal((2, SIZE))
-    bootstrap = np.where(terminated, 0.0, GAMMA ** rollout.duration.astype(float))
-    delta = rollout.reward + bootstrap * next_values - values
+    values, next_values = torch.from_numpy(np.random.default_rng(seed).standard_normal((2, SIZE)))
+    bootstrap = torch.where(terminated, 0.0, GAMMA ** rollout.duration.double())
+    delta = (rollout.reward + bootstrap * next_values - values).numpy()
     expected = np.zeros(SIZE)
     for t in range(SIZE):
         weight = 1.0
@@ -312,7 +305,7 @@ def test_trap_16_advantages_equal_the_sum_of_discounted_errors_with_lambda_as_na
                 break
             k = int(rollout.duration[later])
             weight *= GAMMA**k * 0.8 ** (k if lambda_per == "primitive" else 1)
-    assert compute_advantages(rollout, values, next_values, settings) == pytest.approx(expected, abs=1e-5)
+    assert compute_advantages(rollout, values, next_values, settings).numpy() == pytest.approx(expected, abs=1e-5)
 
 
 def test_advantages_equal_torchrls():
@@ -323,23 +316,21 @@ def test_advantages_equal_torchrls():
     flag = {"terminated": terminated, "done": rollout.over}
     data = TensorDict(
         {
-            "observation": torch.from_numpy(rollout.observation),
-            "steps_to_next_obs": torch.from_numpy(rollout.duration)[:, None],
+            "observation": rollout.observation,
+            "steps_to_next_obs": rollout.duration[:, None],
             "next": {
-                "observation": torch.from_numpy(rollout.next_observation),
-                "reward": torch.from_numpy(rollout.reward)[:, None],
-                **{key: torch.from_numpy(value)[:, None] for key, value in flag.items()},
+                "observation": rollout.next_observation,
+                "reward": rollout.reward[:, None],
+                **{key: value[:, None] for key, value in flag.items()},
             },
         },
         [SIZE],
     )
     with torch.no_grad():
-        values, next_values = (
-            agent.critic(torch.from_numpy(o)).squeeze(1).numpy()
-            for o in (rollout.observation, rollout.next_observation)
-        )
+        values, next_values = (agent.critic(o).squeeze(1) for o in (rollout.observation, rollout.next_observation))
         expected = reference(data)["advantage"].squeeze(1).numpy()
-    assert compute_advantages(rollout, values, next_values, agent.settings) == pytest.approx(expected, abs=1e-5)
+    found = compute_advantages(rollout, values, next_values, agent.settings)
+    assert found.numpy() == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -351,6 +342,7 @@ def test_ppo_loss_equals_the_formula_by_hand(seed):
     agent.policy[-1].weight.data *= 100  # away from the uniform start
     old, advantage, target = rng.standard_normal((3, SIZE)).astype(np.float32)
     old = -np.abs(old)
+    rollout = Rollout(*(field.numpy() for field in rollout))
     logits = np.where(rollout.mask, forward(agent.policy, rollout.observation), -np.inf)
     policy = np.exp(logits) / np.exp(logits).sum(axis=1, keepdims=True)
     ratio = policy[np.arange(SIZE), rollout.action] / np.exp(old)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_escape.agents.components.networks import Learner, Network, NetworkSettings
+from hrl_escape.agents.components.learner import Learner
+from hrl_escape.agents.components.networks import Network, NetworkSettings
 from hrl_escape.errors import DivergenceError
 
 

@@ -1,0 +1,65 @@
+"""Choices in progress of many streams, whose decisions end each at its own time."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from hrl_escape.agents.agent import StateTree
+from hrl_escape.errors import CheckpointError
+
+__all__ = ["OpenChoices"]
+
+
+class OpenChoices:
+    """The masks and probabilities that streams' present decisions were chosen with, and their generator.
+
+    Args:
+        count: number of streams.
+        actions: number of actions.
+        device: device of all tensors.
+        rng: seeds the generator.
+
+    Attributes:
+        generator: on the device, for the draws of all streams.
+    """
+
+    def __init__(self, count: int, actions: int, device: torch.device, rng: np.random.Generator) -> None:
+        self.count = count
+        self.generator = torch.Generator(device).manual_seed(int(rng.integers(2**63)))
+        self._mask = torch.ones((count, actions), dtype=torch.bool, device=device)
+        self._log_probability = torch.zeros(count, device=device)
+        self._place = torch.zeros(count, dtype=torch.int64, device=device)
+
+    def choose(self, stream: Tensor, mask: Tensor, log_probability: Tensor) -> None:
+        """Keep with what some streams, int64 (n,), have just chosen."""
+        self._mask[stream], self._log_probability[stream] = mask, log_probability
+
+    def end(self, stream: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Mask (n, actions), log probability (n,) and place in the rollout (n,) of decisions that ended."""
+        place = self._place[stream]
+        self._place[stream] += 1
+        return self._mask[stream], self._log_probability[stream], place
+
+    def begin_rollout(self) -> None:
+        """Count places from 0 again."""
+        self._place.zero_()
+
+    def state_dict(self) -> StateTree:
+        """Choices, places, the generator's state."""
+        return {"mask": self._mask.cpu().numpy(), "log_probability": self._log_probability.cpu().numpy(),
+                "place": self._place.cpu().numpy(), "generator": self.generator.get_state().numpy()}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`.
+
+        Raises:
+            CheckpointError: it is of other streams.
+        """
+        for field, name in ((self._mask, "mask"), (self._log_probability, "log_probability"), (self._place, "place")):
+            if state[name].shape != tuple(field.shape):
+                raise CheckpointError(f"the checkpoint's streams have {name} of shape {state[name].shape}; here are "
+                                      f"{tuple(field.shape)}")
+            field.copy_(torch.from_numpy(state[name]))
+        self.generator.set_state(torch.from_numpy(state["generator"]))

@@ -1,0 +1,112 @@
+"""Parts of policy gradients over decisions of any duration: advantages, masked policies, the clipped objective.
+
+Schulman et al. (2016, 2017); masks by Huang and Ontanon (2022). Decisions of many streams, ragged in time, lie in rows
+that say their stream and their place in it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal, NamedTuple
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.settings import Range
+
+__all__ = ["AdvantageSettings", "Rollout", "compute_advantages", "compute_clipped_loss", "compute_entropy",
+           "compute_log_policy", "sample_policy"]
+
+
+@dataclass(frozen=True)
+class AdvantageSettings(AgentSettings):
+    """Generalised advantage estimation."""
+
+    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
+    """Lambda of generalised advantage estimation."""
+    lambda_per: Literal["decision", "primitive"] = "decision"
+    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
+
+
+class Rollout(NamedTuple):
+    """Decisions of one or more streams; tensors with leading dimension n, on one device.
+
+    Attributes:
+        observation: (n, *observation shape), encoded.
+        mask: bool (n, actions).
+        action: int64 (n,).
+        log_probability: float32 (n,), of the action under the policy that chose it.
+        reward: float32 (n,), R, scaled.
+        bootstrap: float32 (n,), b.
+        duration: int64 (n,), k.
+        over: bool (n,), the episode ended here, by termination or truncation.
+        next_observation: (n, *observation shape), the state reached, also at an episode's end.
+        stream: int64 (n,).
+        place: int64 (n,), 0 for a stream's first decision here, 1 for its second, and so on without a gap.
+    """
+
+    observation: Tensor
+    mask: Tensor
+    action: Tensor
+    log_probability: Tensor
+    reward: Tensor
+    bootstrap: Tensor
+    duration: Tensor
+    over: Tensor
+    next_observation: Tensor
+    stream: Tensor
+    place: Tensor
+
+
+def compute_advantages(rollout: Rollout, values: Tensor, next_values: Tensor, settings: AdvantageSettings) -> Tensor:
+    """Generalised advantages of decisions of different duration, stream by stream.
+
+    delta_t = R_t + b_t V(s_{t+1}) - V(s_t), and A_t = delta_t + b_t L_t A_{t+1} unless the episode ended at t,
+    with b_t = gamma^k_t (1 - terminated) and L_t = lambda, or lambda^k_t with `lambda_per="primitive"`; t + 1 is the
+    same stream's next decision.
+
+    Args:
+        rollout: n decisions.
+        values: V(s_t), (n,).
+        next_values: V of the states reached, (n,).
+        settings: lambda.
+
+    Returns:
+        float32 (n,).
+    """
+    delta = rollout.reward + rollout.bootstrap * next_values - values
+    powers = rollout.duration if settings.lambda_per == "primitive" else torch.ones_like(rollout.duration)
+    carry = rollout.bootstrap * settings.gae_lambda ** powers.to(torch.float64) * ~rollout.over
+    at = rollout.place, rollout.stream
+    shape = int(rollout.place.max()) + 1, int(rollout.stream.max()) + 1
+    deltas, carries = (torch.zeros(shape, dtype=torch.float64, device=delta.device) for _ in range(2))
+    deltas[at], carries[at] = delta.to(torch.float64), carry  # (places, streams), 0 where a stream has no more
+    for place in range(shape[0] - 2, -1, -1):
+        deltas[place] += carries[place] * deltas[place + 1]
+    return deltas[at].to(torch.float32)
+
+
+def compute_log_policy(logits: Tensor, mask: Tensor) -> Tensor:
+    """Log probabilities of the softmax over legal actions, -inf elsewhere. Shapes (batch, actions)."""
+    return functional.log_softmax(logits.masked_fill(~mask, -torch.inf), dim=1)
+
+
+def sample_policy(log_policy: Tensor, generator: torch.Generator) -> Tensor:
+    """Draw an action from each row of log probabilities, int64 (batch,); one of probability 0 is never drawn."""
+    waits = torch.empty_like(log_policy).exponential_(generator=generator).clamp_(min=1e-30)
+    return (log_policy - waits.log()).argmax(dim=1)  # the first of exponential clocks to ring
+
+
+def compute_clipped_loss(log_probability: Tensor, old_log_probability: Tensor, advantage: Tensor, clip: float
+                         ) -> Tensor:
+    """Negated mean of min(ratio A, clip(ratio, 1 - eps, 1 + eps) A), A normalised over the batch; () from (batch,)."""
+    ratio = (log_probability - old_log_probability).exp()
+    advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+    return -torch.minimum(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage).mean()
+
+
+def compute_entropy(log_policy: Tensor, mask: Tensor) -> Tensor:
+    """Mean entropy of policies over legal actions, nats; () from (batch, actions)."""
+    return -(log_policy.exp() * log_policy.masked_fill(~mask, 0.0)).sum(dim=1).mean()

@@ -1,0 +1,259 @@
+"""Streams: many copies of an environment that step together as tensors on one device, each at its own pace.
+
+A step runs one primitive in every stream, or one decision where all take equally long, and returns the decisions that
+ended with it. A stream takes its next decision as soon as the last one ended, whatever the others do. Learners see
+SMDP transitions, those of `agent.py` with a leading dimension, so that what they learn from is the same.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections.abc import Mapping
+from typing import Any, NamedTuple, Protocol, runtime_checkable
+
+import gymnasium
+import torch
+from torch import Tensor
+
+from hrl_escape.agents.agent import Agent, StateTree
+from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.errors import DiscountMismatchError
+
+__all__ = ["EndedDecisions", "SavedEpisodes", "SingleEnvSource", "StreamAgent", "StreamSource", "StreamTransitions",
+           "Streams", "compute_backups", "gather_decisions"]
+
+
+class EndedDecisions(Protocol):
+    """Result of a step of streams: tensors (streams, ...), of which the rows in `where` count."""
+
+    @property
+    def where(self) -> Tensor:
+        """Streams whose decision ended, bool (streams,)."""
+        ...
+
+    @property
+    def observation(self) -> Tensor:
+        """Observation at the decision."""
+        ...
+
+    @property
+    def action(self) -> Tensor:
+        """Action chosen there, int64."""
+        ...
+
+    @property
+    def reward(self) -> Tensor:
+        """Sum of the primitive rewards, float32."""
+        ...
+
+    @property
+    def discounted_reward(self) -> Tensor:
+        """R = sum over i < k of gamma^i r_i at the streams' gamma, float32."""
+        ...
+
+    @property
+    def duration(self) -> Tensor:
+        """K >= 1, the primitives that ran."""
+        ...
+
+    @property
+    def next_observation(self) -> Tensor:
+        """State reached, never the first of a new episode."""
+        ...
+
+    @property
+    def next_action_mask(self) -> Tensor:
+        """Actions legal there, bool (streams, actions)."""
+        ...
+
+    @property
+    def terminated(self) -> Tensor:
+        """Task ended, bool."""
+        ...
+
+    @property
+    def truncated(self) -> Tensor:
+        """Episode was cut off, bool."""
+        ...
+
+
+class Streams(Protocol):
+    """Many copies of an environment; `observation_space` and `action_space` are those of one."""
+
+    @property
+    def count(self) -> int:
+        """Number of streams."""
+        ...
+
+    @property
+    def device(self) -> torch.device:
+        """Device of all tensors; known after `reset`."""
+        ...
+
+    @property
+    def gamma(self) -> float:
+        """Discount per primitive in `discounted_reward`."""
+        ...
+
+    @property
+    def observation_space(self) -> gymnasium.Space:
+        """Space of one stream's observations."""
+        ...
+
+    @property
+    def action_space(self) -> gymnasium.Space:
+        """Space of one stream's actions."""
+        ...
+
+    @property
+    def observation(self) -> Tensor:
+        """Observations now, after any automatic reset, (streams, ...)."""
+        ...
+
+    @property
+    def action_mask(self) -> Tensor:
+        """Actions legal now, bool (streams, actions)."""
+        ...
+
+    @property
+    def is_waiting(self) -> Tensor:
+        """Streams that take an action at the next step, bool (streams,)."""
+        ...
+
+    def reset(self, seeds: int) -> Any:
+        """Begin all episodes anew; stream i draws from seed + i."""
+        ...
+
+    def step(self, action: Tensor) -> EndedDecisions:
+        """Give waiting streams their actions, int64 (streams,), and step; the next episodes begin by themselves."""
+        ...
+
+    def state_dict(self) -> StateTree | None:
+        """Everything that the coming steps depend on; None if it cannot be written down."""
+        ...
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Go on where `state_dict` was taken."""
+        ...
+
+
+@runtime_checkable
+class SavedEpisodes(Protocol):
+    """Environment whose running episodes can be written to a checkpoint and go on from it to the same bits."""
+
+    def state_dict(self) -> StateTree:
+        """Everything that the coming steps depend on."""
+        ...
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Go on where `state_dict` was taken."""
+        ...
+
+
+@runtime_checkable
+class SingleEnvSource(Protocol):
+    """Many environments at once that can make one of themselves, for evaluation and display."""
+
+    def make_single_env(self) -> gymnasium.Env:
+        """Make an ordinary environment of the same task, spaces and action numbers."""
+        ...
+
+
+@runtime_checkable
+class StreamSource(Protocol):
+    """Vector environment that has streams of its own pace behind its steps in common."""
+
+    def get_streams(self) -> Streams:
+        """Give the streams; stepping both is not meant."""
+        ...
+
+
+class StreamTransitions(NamedTuple):
+    """Decisions of several streams and their outcomes, one a row; see `SMDPTransition`.
+
+    Attributes:
+        stream: int64 (n,), stream of each row; no stream has two rows.
+        observation: (n, ...), at the decision.
+        action: int64 (n,).
+        reward: float32 (n,), R at the agent's gamma.
+        summed_reward: float32 (n,).
+        duration: int64 (n,), k.
+        next_observation: (n, ...), the state reached.
+        next_action_mask: bool (n, actions).
+        terminated: bool (n,).
+        truncated: bool (n,).
+    """
+
+    stream: Tensor
+    observation: Tensor
+    action: Tensor
+    reward: Tensor
+    summed_reward: Tensor
+    duration: Tensor
+    next_observation: Tensor
+    next_action_mask: Tensor
+    terminated: Tensor
+    truncated: Tensor
+
+
+class StreamAgent(Agent):
+    """An agent that learns from many streams as it does from one environment.
+
+    All of its tensors lie on the device of the streams. `act` and `observe` go on to serve a single environment.
+    """
+
+    @abstractmethod
+    def begin_streams(self, count: int, device: torch.device) -> None:
+        """Move to a device and forget all decisions in progress: every stream begins an episode."""
+
+    @abstractmethod
+    def act_streams(self, observation: Tensor, mask: Tensor, stream: Tensor) -> Tensor:
+        """Choose actions for learning.
+
+        Args:
+            observation: (n, ...), as the streams gave it.
+            mask: bool (n, actions), the actions legal there.
+            stream: int64 (n,), the streams that ask.
+
+        Returns:
+            int64 (n,).
+        """
+
+    @abstractmethod
+    def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
+        """Learn from decisions that ended together; returns numbers to log, or nothing."""
+
+
+def gather_decisions(ended: EndedDecisions, gamma: float, agent_gamma: float) -> StreamTransitions:
+    """Rows of the decisions that ended.
+
+    Args:
+        ended: result of a step.
+        gamma: discount of its rewards.
+        agent_gamma: discount that they are needed at; another one will do where all last one primitive.
+
+    Raises:
+        DiscountMismatchError: a decision of several primitives, discounted by another gamma than the agent's.
+    """
+    stream = ended.where.nonzero().squeeze(1)
+    duration = ended.duration[stream].to(torch.int64)
+    if gamma != agent_gamma and len(stream) and (longest := int(duration.max())) > 1:
+        raise DiscountMismatchError(agent_gamma, gamma**longest, longest)
+    return StreamTransitions(
+        stream, ended.observation[stream], ended.action[stream], ended.discounted_reward[stream],
+        ended.reward[stream], duration, ended.next_observation[stream], ended.next_action_mask[stream],
+        ended.terminated[stream], ended.truncated[stream],
+    )
+
+
+def compute_backups(decisions: StreamTransitions, settings: LearningSettings) -> tuple[Tensor, Tensor]:
+    """R and b of the backups R + b V(s'), float32 (n,) each; see `compute_backup`."""
+    if settings.discounting == "primitive":
+        reward = decisions.reward
+        factor = settings.gamma ** decisions.duration.to(torch.float64)
+    else:
+        reward, factor = decisions.summed_reward, torch.full_like(decisions.reward, settings.gamma)
+    ended = decisions.terminated
+    if not settings.bootstrap_on_truncation:
+        ended = ended | decisions.truncated
+    return reward, torch.where(ended, 0.0, factor).to(torch.float32)

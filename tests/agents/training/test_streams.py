@@ -1,0 +1,303 @@
+"""Many streams: returns over ragged decisions, automatic resets, budgets, and runs that resume to the same bits."""
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from hrl_escape.agents import evaluate, load_agent, load_env, train
+from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
+from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
+from hrl_escape.agents.components.policy_gradient import compute_advantages
+from hrl_escape.agents.streams import StreamTransitions
+from hrl_escape.agents.training.vector_streams import VectorStreams
+from hrl_escape.env.vector_env import EscapeRoomVectorEnv
+from hrl_escape.errors import AgentSettingsError, DiscountMismatchError
+from hrl_escape.options.batched.env import BatchedOptionsEnv
+from tests.agents.small_envs import ButtonGrid
+from tests.agents.training.test_resuming import flatten
+
+GAMMA, ACTIONS = 0.9, 3
+CPU = torch.device("cpu")
+SMALL = {"hidden": (8,), "rollout": 64, "stream_rollout": 4, "epochs": 2, "batch_size": 16}
+
+
+# --- returns over decisions that end each at its own time -----------------------------------------
+
+
+def make_life(rng, primitives):
+    """Decisions of one stream in order: rewards of their primitives, and how each ended."""
+    life, left = [], primitives
+    while left > 0:
+        k = min(int(rng.integers(1, 12)), left)
+        left -= k
+        life.append((rng.standard_normal(k), rng.choice(["on", "terminated", "truncated"], p=[0.8, 0.1, 0.1])))
+    return life
+
+
+def sum_returns(life, last_value):
+    """Return from each decision of a stream, primitive by primitive; `last_value` is that of every state reached."""
+    returns = []
+    for start in range(len(life)):
+        total, weight = 0.0, 1.0
+        for rewards, end in life[start:]:
+            for reward in rewards:
+                total += weight * reward
+                weight *= GAMMA
+            if end != "on":
+                break
+        returns.append(total + (0.0 if end == "terminated" else weight * last_value))
+    return returns
+
+
+@pytest.mark.parametrize("count", [1, 8, 64])
+def test_returns_of_ragged_decisions_are_those_summed_by_hand_in_every_stream(count):
+    settings = PPOSettings(gamma=GAMMA, reward_scale=1.0, gae_lambda=1.0, rollout=10**6, hidden=(4,))
+    agent = PPO(gymnasium.spaces.Box(-1, 1, (2,), np.float32), gymnasium.spaces.Discrete(ACTIONS), 0, settings)
+    agent.begin_streams(count, CPU)
+    rng = np.random.default_rng(count)
+    lives = [make_life(rng, 100) for _ in range(count)]
+    ends = [np.cumsum([len(rewards) for rewards, _ in life]) for life in lives]
+    made = [0] * count
+    agent.act_streams(torch.zeros(count, 2), torch.ones(count, ACTIONS, dtype=torch.bool), torch.arange(count))
+    for primitive in range(1, 101):  # every stream at its own pace: rows come in whatever order decisions end
+        rows = [i for i in range(count) if primitive in ends[i]]
+        if not rows:
+            continue
+        ended = [lives[i][made[i]] for i in rows]
+        for i in rows:
+            made[i] += 1
+        rewards = torch.tensor([sum(GAMMA**n * r for n, r in enumerate(one)) for one, _ in ended], dtype=torch.float32)
+        agent.observe_streams(StreamTransitions(
+            torch.tensor(rows), torch.zeros(len(rows), 2), torch.zeros(len(rows), dtype=torch.int64), rewards,
+            torch.tensor([one.sum() for one, _ in ended], dtype=torch.float32),
+            torch.tensor([len(one) for one, _ in ended]), torch.zeros(len(rows), 2),
+            torch.ones(len(rows), ACTIONS, dtype=torch.bool),
+            torch.tensor([end == "terminated" for _, end in ended]),
+            torch.tensor([end == "truncated" for _, end in ended])))
+    rollout = agent._gather()
+    # With lambda = 1 and the same value of every state, the advantage is the return less that value.
+    value = torch.full((len(rollout.place),), 0.7)
+    found = compute_advantages(rollout, value, value, settings) + value
+    for i in range(count):
+        own = rollout.stream == i
+        assert rollout.place[own].tolist() == list(range(len(lives[i])))
+        assert found[own].numpy() == pytest.approx(sum_returns(lives[i], 0.7), abs=1e-4)
+
+
+def test_a_decision_keeps_the_mask_and_the_probability_that_it_was_chosen_with():
+    agent = PPO(gymnasium.spaces.Box(-1, 1, (2,), np.float32), gymnasium.spaces.Discrete(ACTIONS), 0,
+                PPOSettings(hidden=(4,), rollout=10**6))
+    agent.begin_streams(2, CPU)
+    masks = torch.tensor([[True, False, True], [False, True, False]])
+    action = agent.act_streams(torch.tensor([[0.3, -0.2], [0.9, 0.1]]), masks, torch.arange(2))
+    assert action[1] == 1 and action[0] != 1
+    agent.act_streams(torch.zeros(1, 2), torch.tensor([[True, True, False]]), torch.tensor([1]))  # stream 1 again
+    one, zero = torch.ones(1), torch.zeros(1, dtype=torch.bool)
+    agent.observe_streams(StreamTransitions(torch.tensor([0]), torch.tensor([[0.3, -0.2]]), action[:1], one, one,
+                                            torch.tensor([7]), torch.zeros(1, 2), masks[:1], zero, zero))
+    row = agent._gather()
+    assert row.mask.tolist() == masks[:1].tolist() and row.bootstrap.item() == pytest.approx(0.99**7)
+    logits = agent.compute_preferences(np.array([0.3, -0.2], np.float32))
+    chances = np.where([True, False, True], np.exp(logits), 0.0)
+    assert row.log_probability.exp().item() == pytest.approx(chances[int(action[0])] / chances.sum(), rel=1e-5)
+
+
+def test_streams_draw_from_the_policy():
+    agent = PPO(gymnasium.spaces.Box(-1, 1, (2,), np.float32), gymnasium.spaces.Discrete(ACTIONS), 0)
+    agent.policy[-1].weight.data *= 100
+    agent.begin_streams(20_000, CPU)
+    seen = torch.tensor([[0.5, -0.5]]).expand(20_000, 2)
+    mask = torch.tensor([[True, True, False]]).expand(20_000, ACTIONS)
+    action = agent.act_streams(seen, mask, torch.arange(20_000))
+    logits = agent.compute_preferences(np.array([0.5, -0.5], np.float32))[:2].astype(float)
+    expected = np.exp(logits) / np.exp(logits).sum()
+    found = np.bincount(action.numpy(), minlength=3) / 20_000
+    assert found[2] == 0 and found[:2] == pytest.approx(expected, abs=0.015)
+
+
+# --- automatic resets ---------------------------------------------------------------------------------
+
+
+class Counting(gymnasium.Env):
+    """Shows (episode, step); episode n lasts 2 + n % 3 steps, and every other one is truncated."""
+
+    def __init__(self):
+        self.observation_space = gymnasium.spaces.Box(-1.0, 1e4, (2,), np.float32)
+        self.action_space = gymnasium.spaces.Discrete(2)
+        self.episode = -1
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.episode, self.at = self.episode + 1, 0
+        return np.array([self.episode, 0], np.float32), {"action_mask": np.array([1, 1], np.int8)}
+
+    def step(self, action):
+        self.at += 1
+        over = self.at == 2 + self.episode % 3
+        mask = np.array([1, self.at % 2], np.int8)
+        return (np.array([self.episode, self.at], np.float32), float(self.at), over and self.episode % 2 == 0,
+                over and self.episode % 2 == 1, {"action_mask": mask})
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_trap_13_no_outcome_shows_the_next_episode_whichever_way_the_environment_resets(mode):
+    streams = VectorStreams(SyncVectorEnv([Counting] * 3, autoreset_mode=mode), 0.99)
+    streams.reset(0)
+    seen = []
+    for _ in range(40):
+        assert streams.observation[streams.is_waiting].shape[1] == 2
+        step = streams.step(torch.zeros(3, dtype=torch.int64))
+        rows = step.where.nonzero().squeeze(1)
+        seen += zip(step.observation[rows].tolist(), step.next_observation[rows].tolist(), step.reward[rows].tolist(),
+                    step.next_action_mask[rows].tolist(), (step.terminated | step.truncated)[rows].tolist(),
+                    strict=True)
+    assert len(seen) > 80
+    for before, after, reward, mask, over in seen:
+        assert after == [before[0], before[1] + 1] and reward == after[1]
+        assert mask == [True, after[1] % 2 == 1]
+        assert over == (after[1] == 2 + before[0] % 3)
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_rooms_of_the_batched_engine_show_the_state_that_their_episode_ended_in(mode):
+    room = EscapeRoomVectorEnv(8, "paper-one-button", observation="state", output="torch", autoreset_mode=mode)
+    room.room.tables.horizons.fill_(5)
+    streams = VectorStreams(room, 0.99)
+    streams.reset(3)
+    start = streams.observation.clone()
+    ends = 0
+    for step in range(1, 24):
+        done = streams.step(torch.full((8,), 4))  # turn left: away from where the episode began
+        over = done.where & done.truncated
+        ends += int(over.sum())
+        assert not bool((done.next_observation[done.where] == start[done.where]).all(dim=1).any()), step
+        assert torch.equal(streams.observation[over], start[over]) or mode == AutoresetMode.NEXT_STEP
+    assert ends == 8 * 4
+
+
+# --- training ---------------------------------------------------------------------------------------------
+
+
+def make_rooms(count=16):
+    return EscapeRoomVectorEnv(count, "paper-one-button", observation="features", output="torch")
+
+
+class Interrupted(EscapeRoomVectorEnv):
+    """Stops at the n-th step of its life."""
+
+    left = 10**9
+
+    def step(self, actions):
+        self.left -= 1
+        if self.left < 0:
+            raise KeyboardInterrupt
+        return super().step(actions)
+
+
+class InterruptedPoles(SyncVectorEnv):
+    """The same for environments whose episodes cannot be written down."""
+
+    left = 10**9
+
+    def step(self, actions):
+        self.left -= 1
+        if self.left < 0:
+            raise KeyboardInterrupt
+        return super().step(actions)
+
+
+def make_interrupted(kind):
+    if kind == "rooms":
+        return Interrupted(16, "paper-one-button", observation="features", output="torch")
+    env = InterruptedPoles([lambda: gymnasium.make("CartPole-v1")] * 4)
+    env.spec = gymnasium.spec("CartPole-v1")
+    return env
+
+
+@pytest.mark.parametrize(("kind", "stop"), [("rooms", 37), ("poles", 200)])
+def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, kind, stop, monkeypatch):
+    monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 256)
+    arguments = {"primitives": 800 if kind == "rooms" else 1_000, "seed": 1, "settings": SMALL, "eval_every": 250,
+                 "eval_episodes": 1, "checkpoint_seconds": 0.0}
+    whole = train("ppo", make_interrupted(kind), out=tmp_path / "whole", **arguments)
+    env = make_interrupted(kind)
+    env.left = stop
+    with pytest.raises(KeyboardInterrupt):
+        train("ppo", env, out=tmp_path / "cut", **arguments)
+    assert (tmp_path / "cut" / "checkpoint.npz").exists()
+    resumed = train("ppo", make_interrupted(kind), out=tmp_path / "cut", **arguments)
+    assert resumed == whole and len(whole.segments) >= 3
+    assert flatten(resumed.agent.state_dict()) == flatten(whole.agent.state_dict())
+    again = load_agent(tmp_path / "cut")
+    env = load_env(tmp_path / "cut")
+    assert evaluate(again, env, 2) == evaluate(whole.agent, env, 2)
+
+
+def test_the_budget_is_in_primitives_of_all_streams_and_of_every_option():
+    env = BatchedOptionsEnv(8, "paper-one-button", discount=0.99)
+    result = train("smdp-ppo", env, primitives=300, seed=0, settings=SMALL, eval_every=300, eval_episodes=1)
+    assert 300 <= result.primitives < 300 + 8 * 60 and result.decisions < result.primitives
+    last = result.segments[-1]
+    assert (last.primitives, last.decisions) == (result.primitives, result.decisions)
+    assert len(result.evaluations) >= 2 and sum(segment.episodes for segment in result.segments) > 0
+
+
+def test_options_discounted_by_another_gamma_than_the_agents_are_refused():
+    env = BatchedOptionsEnv(4, "paper-one-button", discount=0.9, include_primitives=False)
+    with pytest.raises(DiscountMismatchError):
+        train("smdp-ppo", env, primitives=200, settings=SMALL, eval_episodes=0)
+
+
+def test_what_cannot_train_in_many_environments_says_so():
+    with pytest.raises(AgentSettingsError, match="from many environments at once, such as ppo"):
+        train("sarsa", make_rooms(), primitives=10)
+    poles = SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")] * 2)
+    poles.spec = None
+    with pytest.raises(AgentSettingsError, match="eval_env"):
+        train("ppo", poles, primitives=10)
+
+
+def test_equal_seeds_give_equal_runs_and_others_differ():
+    def run(seed):
+        result = train("ppo", make_rooms(), primitives=300, seed=seed, settings=SMALL, eval_episodes=0)
+        return result.segments, flatten(result.agent.state_dict())
+
+    one = run(1)
+    assert one == run(1) and one != run(2)
+
+
+def test_decisions_of_options_arrive_through_a_vector_environment_with_their_durations():
+    class Grid(ButtonGrid):
+        def step(self, action):
+            *rest, info = super().step(action)
+            rewards = info["rewards"]
+            info = {"duration": info["duration"], "action_mask": info["action_mask"],
+                    "discounted_reward": sum(0.99**n * reward for n, reward in enumerate(rewards))}
+            return *rest, info
+
+    streams = VectorStreams(SyncVectorEnv([Grid] * 2, autoreset_mode=AutoresetMode.SAME_STEP), 0.99)
+    streams.reset(0)
+    lengths = set()
+    for _ in range(12):
+        step = streams.step(streams.action_mask.to(torch.int64).cumsum(1).argmax(1))  # the last legal action
+        for k, reward, discounted in zip(step.duration.tolist(), step.reward, step.discounted_reward, strict=True):
+            lengths.add(k)
+            bonus = float(reward) + k  # 100 with the last primitive of an episode that left
+            assert float(discounted) == pytest.approx(-(1 - 0.99**k) / 0.01 + 0.99 ** (k - 1) * bonus, abs=1e-3)
+    assert max(lengths) > 3
+
+
+def test_counts_of_a_batch_are_those_of_one_visit_after_another():
+    space = gymnasium.spaces.Box(0.0, 1.0, (2,), np.float32)
+    settings = BonusSettings(bonus_weight=3.0)
+    one, many = (CountBonus(space, settings, "test") for _ in range(2))
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        batch = rng.random((50, 2)).astype(np.float32)
+        assert many.visit_many(batch) == pytest.approx([one.visit(row) for row in batch])
+    assert {key: int(count) for key, count in zip(map(bytes, one.state_dict()["keys"]),
+                                                  one.state_dict()["counts"], strict=True)} == {
+        key: int(count) for key, count in zip(map(bytes, many.state_dict()["keys"]), many.state_dict()["counts"],
+                                              strict=True)}
