@@ -82,3 +82,19 @@ def test_a_mistake_is_one_line_and_leaves_no_file(capsys, tmp_path, monkeypatch,
     monkeypatch.chdir(tmp_path)
     assert_refused(capsys, ["train", *arguments], words)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("agent", ["ppo", "smdp-ppo"])
+def test_a_batch_trains_in_many_rooms_at_once(capsys, tmp_path, agent):
+    code, out, _ = call(capsys, "train", agent, "--batch", "8", "--preset", "paper-one-button", "--primitives", "200",
+                        "--eval-episodes", "0", "--settings", "stream_rollout=4", "rollout=32", "epochs=1", "--out",
+                        tmp_path / "run", "--json")
+    report = json.loads(out)
+    assert code == 0 and report["primitives"] >= 200 and report["segments"] and not report["episodes"]
+    assert (report["primitives"] == report["decisions"]) == (agent == "ppo")
+
+
+def test_what_a_batch_cannot_do_is_refused(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert_refused(capsys, ["train", "sarsa", "--batch", "4"], "many environments at once")
+    assert_refused(capsys, ["train", "maxq-q", "--batch", "4", "--leaves", "planned"], "--leaves")
