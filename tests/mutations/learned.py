@@ -9,6 +9,12 @@ def _trap(bug: str, file: str, old: str, new: str, test: str) -> tuple[str, str,
     return bug, f"{ALGORITHMS}/{family}/{name}.py", old, new, f"{ALGORITHMS}/{family}/test_{name}.py{test}"
 
 
+def _discovery(bug: str, file: str, old: str, new: str, test: str) -> tuple[str, str, str, str, str]:
+    """The same for what discoveries share."""
+    folder = "algorithms/skills" if file in ("eigenoptions", "covering_options") else "discovery"
+    return bug, f"agents/{folder}/{file}.py", old, new, f"agents/{test}"
+
+
 OPTION_CRITIC = "options/option_critic"
 
 MUTATIONS = [
@@ -55,4 +61,36 @@ MUTATIONS = [
     _trap("the weight of an option forgets which one ran before", OPTION_CRITIC,
           "self._likely = beta * choice + (1 - beta) * self._eye[self._option]", "self._likely = choice",
           "::test_the_weight_of_an_option_is_the_chance_that_it_runs_given_the_one_before"),
+    # eigenvectors and their signs; ends and beginnings of found options
+    _discovery("an eigenvector has one option", "eigenoptions",
+               "enumerate((1.0, -1.0))", "enumerate((1.0, 1.0))",
+               "algorithms/skills/test_discovery.py"
+               "::test_eigenoptions_of_a_graph_that_was_met_are_those_of_the_graph_that_is"),
+    _discovery("the constant direction counts", "spectral",
+               "values[1 : count + 1], _orient(vectors[:, 1 : count + 1])",
+               "values[:count], _orient(vectors[:, :count])", "discovery/test_spectral.py"),
+    _discovery("directions of the walk keep the root of the degree", "spectral",
+               "        vectors = vectors / np.sqrt(adjacency.sum(axis=1))[:, None]\n", "        pass\n",
+               "discovery/test_spectral.py"),
+    _discovery("an eigenoption never ends", "found_option",
+               "swept = np.maximum(choices.max(axis=1), 0.0)", "swept = choices.max(axis=1)",
+               "discovery/test_spectral.py"),
+    _discovery("an eigenoption is paid for where it is", "found_option",
+               ".reshape(states, actions) - purpose[:, None], -np.inf)", ".reshape(states, actions), -np.inf)",
+               "discovery/test_spectral.py"),
+    _discovery("a covering option may begin anywhere", "found_option",
+               "starts[start] = chosen[start] != NOTHING", "starts[:] = chosen != NOTHING",
+               "discovery/test_spectral.py"),
+    _discovery("the same edge is found again and again", "covering_options",
+               "joined[ends], joined[ends[::-1]] = 1.0, 1.0", "pass",
+               "algorithms/skills/test_discovery.py::test_covering_options_join_the_corners_both_ways"),
+    _discovery("an option that goes on is worth the best choice", "discovering_agent",
+               "if goes_on else best)", "if False else best)",
+               "algorithms/skills/test_discovery.py"
+               "::test_a_chosen_option_is_worth_what_it_earns_on_its_way_and_the_best_choice_where_it_ends"),
+    _discovery("a choice of an option that may not begin", "discovering_agent",
+               "if skill is not None and state < len(skill.actions) and skill.starts[state]:",
+               "if skill is not None and state < len(skill.actions):",
+               "algorithms/skills/test_discovery.py"
+               "::test_a_chosen_option_is_worth_what_it_earns_on_its_way_and_the_best_choice_where_it_ends"),
 ]

@@ -109,6 +109,11 @@ class QTable:
         values[action] = (1 - alpha) * values[action] + alpha * target
         return float(error)
 
+    def forget(self, action: int) -> None:
+        """Give an action its initial value in every state, as if it had never been tried."""
+        for values, counts in zip(self._values.values(), self._counts.values(), strict=True):
+            values[action], counts[action] = self._settings.initial_value, 0
+
     def state_dict(self) -> StateTree:
         """Keys (states, bytes), values and counts (states, actions), in order of first meeting."""
         keys = [np.frombuffer(key, np.uint8) for key in self._values]

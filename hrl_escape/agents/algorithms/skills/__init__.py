@@ -1,0 +1,1 @@
+"""Skills and options found without a task, or backwards from one."""

@@ -1,0 +1,1 @@
+"""Discovery: options made while learning, from the graph of the states that were met."""

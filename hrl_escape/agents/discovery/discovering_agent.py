@@ -1,0 +1,293 @@
+"""Options made while learning: a protocol for those who find them, and an agent that explores or chooses with them.
+
+Found options lie in slots of a declared maximum. An empty slot is masked, numbers never change, and what is found anew
+takes the place of what was found before under the same number.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Protocol
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import RunningCall, SMDPTransition, StateTree, compute_backup, count_actions
+from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, sample_legal
+from hrl_escape.agents.components.tables import QTable
+from hrl_escape.agents.components.tabular_agent import TabularAgent, TabularAgentSettings
+from hrl_escape.agents.discovery.found_option import NOTHING, StateModel, TableSkill
+from hrl_escape.agents.discovery.state_graph import StateGraph
+from hrl_escape.settings import Range
+
+__all__ = ["DiscoveringAgent", "Discovery", "DiscoverySettings", "GraphDiscovery", "GraphDiscoverySettings"]
+
+
+class Discovery(Protocol):
+    """Finds options in what an agent has met."""
+
+    slots: int
+    """Most options that it ever has at once."""
+
+    def observe(self, transition: SMDPTransition, graph: StateGraph) -> None:
+        """Take in one decision, which the graph holds already."""
+        ...
+
+    def propose(self, graph: StateGraph) -> Mapping[int, TableSkill]:
+        """New options by slot; empty most of the time."""
+        ...
+
+    def state_dict(self) -> StateTree:
+        """Everything beside the graph that decides what is found."""
+        ...
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        ...
+
+
+@dataclass(frozen=True)
+class DiscoverySettings(TabularAgentSettings):
+    """Use of found options."""
+
+    use: Literal["explore", "choose"] = "explore"
+    """`explore`: options are run in exploration alone, and the policy is over primitives. `choose`: they are choices
+    beside the primitives, valued by intra-option Q-learning."""
+    option_share: Annotated[float, Range(0, 1)] = 0.2
+    """Share of exploratory choices that begin an option where one may begin; the rest are primitives."""
+
+
+@dataclass(frozen=True)
+class GraphDiscoverySettings(DiscoverySettings):
+    """Discovery in the graph of all states met, at equal distances."""
+
+    discover_every: Annotated[int, Range(1)] = 1_000
+    """Decisions after which all options are found anew."""
+    most_states: Annotated[int, Range(2)] = 1_000
+    """States beyond which none are found anew: eigenvectors take time in their cube."""
+
+
+class GraphDiscovery(ABC):
+    """Base of discoveries that look at the graph now and then.
+
+    Args:
+        settings: say when.
+        slots: most options at once.
+    """
+
+    def __init__(self, settings: GraphDiscoverySettings, slots: int) -> None:
+        self._every, self._most_states, self.slots = settings.discover_every, settings.most_states, slots
+        self._decisions = 0
+
+    def observe(self, transition: SMDPTransition, graph: StateGraph) -> None:
+        """Count."""
+        self._decisions += 1
+
+    def propose(self, graph: StateGraph) -> Mapping[int, TableSkill]:
+        """All options, whenever they are due and some states are connected."""
+        if self._decisions % self._every or len(graph) > self._most_states:
+            return {}
+        adjacency = graph.make_adjacency()
+        states = graph.find_component(adjacency)
+        if len(states) < 3:
+            return {}
+        return self.find(graph.make_model(), adjacency[states][:, states].toarray(), states)
+
+    @abstractmethod
+    def find(
+        self, model: StateModel, adjacency: NDArray[np.float64], states: NDArray[np.int64]
+    ) -> Mapping[int, TableSkill]:
+        """Find options by slot.
+
+        Args:
+            model: of all states.
+            adjacency: of the largest connected part, (states, states).
+            states: numbers of its states.
+        """
+
+    def state_dict(self) -> StateTree:
+        """Decisions counted."""
+        return {"decisions": self._decisions}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        self._decisions = int(state["decisions"])
+
+
+class DiscoveringAgent(TabularAgent):
+    """Q-learning over primitives and the options that a discovery finds.
+
+    For each primitive (s, a) -> r, s' and each option o that would have done a in s, with `use="choose"`:
+
+        Q(s, o) <- Q(s, o) + alpha [r + gamma (Q(s', o) if o goes on in s' else max over o' of Q(s', o')) - Q(s, o)]
+
+    Attributes:
+        graph: the states met.
+        skills: by slot, None where nothing was found yet.
+    """
+
+    settings: DiscoverySettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: DiscoverySettings | None = None,
+    ) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        self.actions = count_actions(action_space, self.name)
+        self.graph = StateGraph(self.actions)
+        self.discovery = self.make_discovery()
+        self.skills: list[TableSkill | None] = [None] * self.discovery.slots
+        self._chooses = self.settings.use == "choose"
+        self.table = QTable(self.actions + self.discovery.slots * self._chooses, self.settings)
+        self._running = NOTHING
+        """Slot of the option that runs."""
+        self._lasted = 0
+        self._evaluation: tuple[np.random.Generator, int] | None = None
+        self._shown: RunningCall | None = None
+
+    @abstractmethod
+    def make_discovery(self) -> Discovery:
+        """The discovery of the algorithm."""
+
+    # --- options at a state -----------------------------------------------------------
+
+    def get_skill_action(self, slot: int, observation: Any) -> int:
+        """What the option in a slot does here; `NOTHING` where it ends."""
+        skill, state = self.skills[slot], self.graph.find(self._discretise(observation))
+        return NOTHING if skill is None or state is None or state >= len(skill.actions) else int(skill.actions[state])
+
+    def compute_available(self, observation: Any, action_mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Options that may begin here, bool (slots,)."""
+        state = self.graph.find(self._discretise(observation))
+        available = np.zeros(len(self.skills), np.bool_)
+        if state is not None:
+            for slot, skill in enumerate(self.skills):
+                if skill is not None and state < len(skill.actions) and skill.starts[state]:
+                    available[slot] = skill.actions[state] != NOTHING and action_mask[skill.actions[state]]
+        return available
+
+    def compute_values(self, observation: Any) -> NDArray[np.float64]:
+        """Q(s, .) of primitives, float64 (actions,)."""
+        return super().compute_values(observation)[: self.actions]
+
+    def _compute_choices(self, observation: Any, mask: NDArray[np.bool_]) -> tuple[NDArray, NDArray[np.bool_]]:
+        """Values of all that the policy may choose, and the legal ones among it."""
+        if not self._chooses:
+            return self.compute_values(observation), mask
+        values = super().compute_values(observation)
+        return values, np.concatenate([mask, self.compute_available(observation, mask)])
+
+    def list_calls(self) -> tuple[RunningCall, ...]:
+        """The option of the latest choice."""
+        return () if self._shown is None else (self._shown,)
+
+    # --- acting -----------------------------------------------------------------------
+
+    def _go_on(self, slot: int, observation: Any, mask: NDArray[np.bool_]) -> int:
+        """The primitive of a running option; `NOTHING` where it is over."""
+        action = NOTHING if slot == NOTHING else self.get_skill_action(slot, observation)
+        return action if action != NOTHING and mask[action] else NOTHING
+
+    def _show(self, slot: int, lasted: int) -> None:
+        skill = None if slot == NOTHING else self.skills[slot]
+        self._shown = None if skill is None else RunningCall(skill.name, None, lasted, 0.0)
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Go on with a running option; else epsilon-greedy, an exploratory choice being an option or a primitive."""
+        action = self._go_on(self._running, observation, action_mask)
+        if action == NOTHING:
+            choice = self._choose(observation, action_mask)
+            self._running, self._lasted = (choice - self.actions, 0) if choice >= self.actions else (NOTHING, 0)
+            action = choice if self._running == NOTHING else self.get_skill_action(self._running, observation)
+        self._show(self._running, self._lasted)
+        return action
+
+    def _choose(self, observation: Any, mask: NDArray[np.bool_]) -> int:
+        """A primitive, or the number of actions and a slot."""
+        if self._rng.random() < compute_epsilon(self.settings, self._steps):
+            available = self.compute_available(observation, mask)
+            if available.any() and self._rng.random() < self.settings.option_share:
+                return self.actions + sample_legal(available, self._rng)
+            return sample_legal(mask, self._rng)
+        return choose_best(*self._compute_choices(observation, mask))
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The best choice; an option runs to its end in the evaluation that belongs to `rng`."""
+        running = self._evaluation[1] if self._evaluation is not None and self._evaluation[0] is rng else NOTHING
+        action = self._go_on(running, observation, action_mask)
+        if action == NOTHING:
+            choice = choose_best(*self._compute_choices(observation, action_mask))
+            running = choice - self.actions if choice >= self.actions else NOTHING
+            action = choice if running == NOTHING else self.get_skill_action(running, observation)
+        self._evaluation = rng, running
+        self._show(running, 0)
+        return action
+
+    # --- learning ---------------------------------------------------------------------
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Learn values, take the decision into the graph, and take what the discovery proposes."""
+        before, after = (self._discretise(o) for o in (transition.observation, transition.next_observation))
+        if not (transition.truncated and transition.duration > 1):
+            self.graph.add(before, transition.action, after)
+        error = self._learn(transition)
+        self._lasted += 1
+        if transition.terminated or transition.truncated:
+            self._running = NOTHING
+        self.discovery.observe(transition, self.graph)
+        for slot, skill in self.discovery.propose(self.graph).items():
+            self._place(slot, skill)
+        found = sum(skill is not None for skill in self.skills)
+        return self.finish_decision(transition, error) | {"skills": found}
+
+    def _place(self, slot: int, skill: TableSkill) -> None:
+        """Put an option into a slot; what was learned of another one there is forgotten."""
+        former, self.skills[slot] = self.skills[slot], skill
+        is_same = former is not None and np.array_equal(former.actions, skill.actions)
+        if self._chooses and former is not None and not is_same:
+            self.table.forget(self.actions + slot)
+        if self._running == slot:
+            self._running = NOTHING
+
+    def _learn(self, transition: SMDPTransition) -> float:
+        """Back up the primitive, and the options that would have done the same."""
+        key = self._discretise(transition.observation)
+        reward, bootstrap = compute_backup(transition, self.settings)
+        values, legal = self._compute_choices(transition.next_observation, transition.next_action_mask)
+        best = float(values[legal].max())
+        doing = [slot for slot in range(len(self.skills) * self._chooses)
+                 if self.get_skill_action(slot, transition.observation) == transition.action]
+        targets = []
+        for slot in doing:
+            goes_on = self._go_on(slot, transition.next_observation, transition.next_action_mask) != NOTHING
+            targets.append(reward + bootstrap * (float(values[self.actions + slot]) if goes_on else best))
+        for slot, target in zip(doing, targets, strict=True):
+            self.table.update(key, self.actions + slot, target)
+        return self.table.update(key, transition.action, reward + bootstrap * best)
+
+    def state_dict(self) -> StateTree:
+        """Graph, options, discovery and the running option beside table, counter and generator."""
+        return super().state_dict() | {
+            "graph": self.graph.state_dict(),
+            "skills": [None if skill is None else {"name": skill.name, "actions": skill.actions,
+                                                   "starts": skill.starts} for skill in self.skills],
+            "discovery": self.discovery.state_dict(),
+            "running": self._running,
+            "lasted": self._lasted,
+        }  # fmt: skip
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        super().load_state_dict(state)
+        self.graph.load_state_dict(state["graph"])
+        self.skills = [None if skill is None else TableSkill(skill["name"], np.array(skill["actions"]),
+                                                             np.array(skill["starts"])) for skill in state["skills"]]
+        self.discovery.load_state_dict(state["discovery"])
+        self._running, self._lasted = int(state["running"]), int(state["lasted"])
+        self._evaluation = None

@@ -1,0 +1,99 @@
+"""Options found in a learned model of states: tables from states to primitives, with an end where there is no entry."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+
+__all__ = ["StateModel", "TableSkill", "make_eigenoption", "make_point_option"]
+
+NOTHING = -1
+"""In place of a primitive: the option ends, or cannot be."""
+TIE = 1e-9
+
+
+class StateModel(NamedTuple):
+    """Learned model of a finite walk.
+
+    Attributes:
+        follow: (states * actions, states), probability of each next state; rows of 0 where nothing is known.
+        known: bool (states, actions), pairs that were tried.
+    """
+
+    follow: sparse.csr_matrix
+    known: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class TableSkill:
+    """A deterministic Markov option over numbered states.
+
+    Attributes:
+        name: tells it from others.
+        actions: int64 (states,), the primitive in each state, `NOTHING` where it ends.
+        starts: bool (states,), where it may begin.
+    """
+
+    name: str
+    actions: NDArray[np.int64]
+    starts: NDArray[np.bool_]
+
+
+def make_eigenoption(
+    name: str, model: StateModel, purpose: NDArray[np.float64], gamma: float, sweeps: int = 10_000
+) -> TableSkill:
+    """Option that climbs a function of the state: paid e(s') - e(s), over where no more can be earned.
+
+    Machado et al. (2017): the policy is optimal with one further action, to end, that earns nothing.
+
+    Args:
+        name: of the option.
+        model: of the primitives.
+        purpose: e, (states,); its negative is another option.
+        gamma: discount of the option's own reward, below 1.
+        sweeps: bound on those of value iteration.
+    """
+    states, actions = model.known.shape
+    gain = np.where(model.known, (model.follow @ purpose).reshape(states, actions) - purpose[:, None], -np.inf)
+    values = np.zeros(states)
+    for _ in range(sweeps):
+        choices = gain + gamma * (model.follow @ values).reshape(states, actions)
+        swept = np.maximum(choices.max(axis=1), 0.0)
+        change, values = np.abs(swept - values).max(initial=0.0), swept
+        if change < 1e-12:
+            break
+    choices = gain + gamma * (model.follow @ values).reshape(states, actions)
+    best = choices.max(axis=1, keepdims=True)
+    chosen = np.where(best[:, 0] > TIE, (choices >= best - TIE).argmax(axis=1), NOTHING)
+    return TableSkill(name, chosen, chosen != NOTHING)
+
+
+def make_point_option(
+    name: str, model: StateModel, start: int, goal: int, gamma: float = 0.99, sweeps: int = 10_000
+) -> TableSkill:
+    """Option from one state to another, to be there soon (Jinnai et al. 2019).
+
+    It maximises the expected gamma^k of arriving. It may begin in `start` alone, and ends in `goal`, and where no way
+    there is known.
+    """
+    states, actions = model.known.shape
+    values = np.zeros(states)
+    values[goal] = 1.0
+    for _ in range(sweeps):
+        choices = gamma * (model.follow @ values).reshape(states, actions)
+        swept = choices.max(axis=1)
+        swept[goal] = 1.0
+        change, values = np.abs(swept - values).max(initial=0.0), swept
+        if change < 1e-12:
+            break
+    choices = gamma * (model.follow @ values).reshape(states, actions)
+    best = choices.max(axis=1, keepdims=True)
+    on_the_way = (best[:, 0] > 0) & (np.arange(states) != goal)
+    chosen = np.where(on_the_way, (choices >= best * (1 - TIE)).argmax(axis=1), NOTHING)
+    starts = np.zeros(states, np.bool_)
+    starts[start] = chosen[start] != NOTHING
+    return TableSkill(name, chosen, starts)
