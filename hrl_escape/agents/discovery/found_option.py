@@ -13,7 +13,7 @@ __all__ = ["StateModel", "TableSkill", "make_eigenoption", "make_point_option"]
 
 NOTHING = -1
 """In place of a primitive: the option ends, or cannot be."""
-TIE = 1e-9
+_TIE = 1e-9
 
 
 class StateModel(NamedTuple):
@@ -68,7 +68,7 @@ def make_eigenoption(
             break
     choices = gain + gamma * (model.follow @ values).reshape(states, actions)
     best = choices.max(axis=1, keepdims=True)
-    chosen = np.where(best[:, 0] > TIE, (choices >= best - TIE).argmax(axis=1), NOTHING)
+    chosen = np.where(best[:, 0] > _TIE, (choices >= best - _TIE).argmax(axis=1), NOTHING)
     return TableSkill(name, chosen, chosen != NOTHING)
 
 
@@ -93,7 +93,7 @@ def make_point_option(
     choices = gamma * (model.follow @ values).reshape(states, actions)
     best = choices.max(axis=1, keepdims=True)
     on_the_way = (best[:, 0] > 0) & (np.arange(states) != goal)
-    chosen = np.where(on_the_way, (choices >= best * (1 - TIE)).argmax(axis=1), NOTHING)
+    chosen = np.where(on_the_way, (choices >= best * (1 - _TIE)).argmax(axis=1), NOTHING)
     starts = np.zeros(states, np.bool_)
     starts[start] = chosen[start] != NOTHING
     return TableSkill(name, chosen, starts)
