@@ -2,6 +2,7 @@ from .arm.reacher import Reacher
 from .best_known import BestKnown, best_known_return, find_best_known, record_return
 from .calls import plan_many, start_planning
 from .goals import ExitGoal, Goal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached, parse_goal
+from .motion.arm_planner import ArmPlanner
 from .paths.navigator import Navigator
 from .paths.problem import PathProblem, PathResult
 from .paths.registry import list_planners, register_planner
@@ -14,6 +15,7 @@ from .symbolic.pddl import export_pddl, save_pddl, solve_pddl
 from .trajectories.limits import MotionLimits
 
 __all__ = [
+    "ArmPlanner",
     "BestKnown",
     "Execution",
     "ExitGoal",

@@ -11,7 +11,7 @@ configuration. Frame `base`: origin on the floor below the base's axis, x ahead,
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import coal
@@ -90,46 +90,81 @@ class ArmKinematics:
 
     def compute_placement(self, angles: Sequence[float]) -> NDArray[np.float64]:
         """Placement of the hand's link in the base frame at given joint angles (rad), shape (4, 4)."""
+        pinocchio.framesForwardKinematics(self.model, self._data, self._make_q(angles))
+        return self._data.oMf[self._frame].homogeneous.copy()
+
+    def compute_jacobian(self, angles: Sequence[float]) -> NDArray[np.float64]:
+        """Jacobian of the hand along the base's axes, shape (6, joints): m/rad (velocity), then rad/rad (rotation)."""
+        columns = [self.model.joints[joint].idx_v for joint in self._used]
+        jacobian = pinocchio.computeFrameJacobian(self.model, self._data, self._make_q(angles), self._frame,
+                                                  pinocchio.LOCAL_WORLD_ALIGNED)
+        return jacobian.reshape(6, self.model.nv)[:, columns]  # of one joint it comes as a vector
+
+    def _make_q(self, angles: Sequence[float]) -> NDArray[np.float64]:
         q = self._rest.copy()
         for joint, angle in zip(self._used, angles, strict=True):
             _set_joint(self.model, q, joint, angle)
-        pinocchio.framesForwardKinematics(self.model, self._data, q)
-        return self._data.oMf[self._frame].homogeneous.copy()
+        return q
 
-    def solve_ik(self, point: ArrayLike, seeds: Sequence[Sequence[float]], tolerance: float,
-                 limits: bool = True) -> NDArray[np.float64] | None:
-        """Joint angles that bring the hand to a point, by damped least squares (Nakamura and Hanafusa 1986).
+    def solve_ik(self, target: ArrayLike, seeds: Iterable[Sequence[float]], tolerance: float, limits: bool = True
+                 ) -> NDArray[np.float64] | None:
+        """Joint angles that bring the hand to a position or a pose; the first that a seed leads to.
 
         Args:
-            point: wanted position of the hand in the base frame, shape (3,), m.
+            target: in the base frame: position of the hand (3,), m, or placement of its link (4, 4).
             seeds: first joint angles of each attempt, rad.
-            tolerance: largest distance from the point, m.
+            tolerance: largest distance from the target, m; for a pose also the largest rotation from it, rad.
             limits: keep the joint limits.
 
         Returns:
             Shape (joints,), rad, or None if no seed led there.
         """
-        point = np.asarray(point, dtype=np.float64)
-        low, high = np.array(self.robot.limits).T
-        columns = [self.model.joints[joint].idx_v for joint in self._used]
         for seed in seeds:
-            angles = np.array(seed, dtype=np.float64)
-            for _ in range(60):
-                q = self._rest.copy()
-                for joint, angle in zip(self._used, angles, strict=True):
-                    _set_joint(self.model, q, joint, angle)
-                jacobian = pinocchio.computeFrameJacobian(
-                    self.model, self._data, q, self._frame, pinocchio.LOCAL_WORLD_ALIGNED)
-                jacobian = jacobian.reshape(6, self.model.nv)[:3, columns]  # of one joint it comes as a vector
-                pinocchio.updateFramePlacement(self.model, self._data, self._frame)
-                error = point - self._data.oMf[self._frame].translation
-                if np.linalg.norm(error) <= tolerance:
-                    return angles
-                damped = jacobian @ jacobian.T + 1e-4 * np.eye(3)
-                angles = angles + np.clip(jacobian.T @ np.linalg.solve(damped, error), -0.5, 0.5)
-                if limits:
-                    angles = np.clip(angles, low, high)
+            angles = self.descend(target, seed, tolerance, limits)
+            if angles is not None:
+                return angles
         return None
+
+    def descend(self, target: ArrayLike, seed: Sequence[float], tolerance: float, limits: bool = True
+                ) -> NDArray[np.float64] | None:
+        """Go from one seed to a target by the Levenberg-Marquardt method (Sugihara 2011), joints held at their limits.
+
+        Arguments and result are those of `solve_ik`.
+        """
+        wanted = np.asarray(target, dtype=np.float64)
+        low, high = np.array(self.robot.limits).T
+        angles, damping = np.array(seed, dtype=np.float64), 1e-2
+        error, jacobian = self._compute_error(angles, wanted)
+        for _ in range(100):
+            if np.linalg.norm(error[:3]) <= tolerance and np.linalg.norm(error[3:]) <= tolerance:
+                return angles
+            gradient = jacobian.T @ error
+            if limits:  # a joint at its limit that would go on is left out of the step
+                stuck = ((angles <= low) & (gradient < 0.0)) | ((angles >= high) & (gradient > 0.0))
+                jacobian = np.where(stuck, 0.0, jacobian)
+            square = float(error @ error)
+            matrix = jacobian @ jacobian.T + damping * square * np.eye(len(error)) + 1e-12 * np.eye(len(error))
+            step = angles + np.clip(jacobian.T @ np.linalg.solve(matrix, error), -0.5, 0.5)
+            step = np.clip(step, low, high) if limits else step
+            new_error, new_jacobian = self._compute_error(step, wanted)
+            if float(new_error @ new_error) < square:
+                angles, error, jacobian, damping = step, new_error, new_jacobian, damping / 4.0
+            else:
+                jacobian, damping = new_jacobian if (step == angles).all() else jacobian, damping * 8.0
+                if damping > 1e8:
+                    return None
+        return None
+
+    def _compute_error(self, angles: NDArray[np.float64], wanted: NDArray[np.float64]
+                       ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What lacks to a position (3,) or pose (6,), and the Jacobian in the same rows."""
+        jacobian = self.compute_jacobian(angles.tolist())
+        pinocchio.updateFramePlacement(self.model, self._data, self._frame)
+        hand = self._data.oMf[self._frame]
+        if wanted.shape == (3,):
+            return wanted - hand.translation, jacobian[:3]
+        turn = pinocchio.log3(wanted[:3, :3] @ hand.rotation.T)
+        return np.concatenate([wanted[:3, 3] - hand.translation, turn]), jacobian
 
 
 class ArmCollisions:
@@ -138,10 +173,14 @@ class ArmCollisions:
     The base against solids is left to `CollisionMap`. Links joined to each other, and pairs that meet with
     all joints at home (the arm's foot and the base), never count. The hand is the sphere that presses, added
     to the shape of its link.
+
+    Attributes:
+        robot: the robot.
+        margin: distance that counts as a collision already, m.
     """
 
-    def __init__(self, robot: Robot, hand_radius: float, solids: Sequence[Solid]) -> None:
-        self.robot = robot
+    def __init__(self, robot: Robot, hand_radius: float, solids: Sequence[Solid], margin: float = 0.0) -> None:
+        self.robot, self.margin = robot, margin
         self._model = pinocchio.buildModelFromXML(robot.urdf, pinocchio.JointModelPlanar())
         self._data = self._model.createData()
         self._used = [self._model.getJointId(name) for name in robot.joint_names]
@@ -166,8 +205,36 @@ class ArmCollisions:
         apart = [(i, j) for i in range(own) for j in range(i + 1, own) if not self._is_joined(geometry, i, j)]
         self._keep_clear(geometry, apart)
         self._geometry = geometry  # the manager refers to it
-        self._manager: Any = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager(
-            self._model, geometry, geometry.createData())
+        data = geometry.createData()
+        for request in data.collisionRequests:
+            request.security_margin = margin
+        self._manager: Any = pinocchio.BroadPhaseManager_DynamicAABBTreeCollisionManager(self._model, geometry, data)
+
+    def compute_sweeps(self) -> NDArray[np.float64]:
+        """Farthest that any point of the robot moves for each radian of a joint, (joints,), m, by links stretched out.
+
+        The base's turn comes last: shape (joints + 1,).
+        """
+        model, far = self._model, np.zeros(len(self._used) + 1)
+        for item in self._geometry.geometryObjects.tolist():
+            if item.parentJoint == 0:  # a solid
+                continue
+            item.geometry.computeLocalAABB()
+            reach = float(np.linalg.norm(item.placement.act(item.geometry.aabb_center))) + item.geometry.aabb_radius
+            joint = item.parentJoint
+            while joint > 0:
+                if joint in self._used:
+                    number = self._used.index(joint)
+                    far[number] = max(far[number], 1.0 if "P" in model.joints[joint].shortname()[-2:] else reach)
+                elif joint == 1:
+                    far[-1] = max(far[-1], reach)
+                reach += float(np.linalg.norm(model.jointPlacements[joint].translation))
+                if "P" in model.joints[joint].shortname()[-2:]:  # it slides
+                    low, high = model.lowerPositionLimit, model.upperPositionLimit
+                    at = model.joints[joint].idx_q
+                    reach += float(max(abs(low[at]), abs(high[at])))
+                joint = model.parents[joint]
+        return far
 
     def _is_joined(self, geometry: Any, i: int, j: int) -> bool:
         a, b = (geometry.geometryObjects[k].parentJoint for k in (i, j))

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 __all__ = ["iterate_routes"]
 
-MARGINS = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
+WAY_MARGINS = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
 """Distances that ways keep from solids, m."""
 PATH_PLANNERS = ("BITstar", "InformedRRTstar")
 """Path planners whose paths are short or become so."""
@@ -45,7 +45,7 @@ def iterate_routes(finder: RouteFinder, state: RoomState, goal: Goal, request: P
             yield route
     if request.objective == "primitives":
         return
-    for margin in MARGINS:
+    for margin in WAY_MARGINS:
         keep_out = list_obstacles(state, finder.instance)[-1] + grow_solids(finder.instance, state, goal, margin)
         try:
             yield finder.find_route_around(state, goal, keep_out, settings.budget, PlanningReport(), refine=False,

@@ -1,0 +1,1 @@
+"""Motion of the arm by itself and with the base: inverse kinematics, reachability, collision-free paths."""
