@@ -157,7 +157,7 @@ class ArmKinematics:
 
     def _compute_error(self, angles: NDArray[np.float64], wanted: NDArray[np.float64]
                        ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """What lacks to a position (3,) or pose (6,), and the Jacobian in the same rows."""
+        """Difference to a position (3,) or pose (6,), and the Jacobian in the same rows."""
         jacobian = self.compute_jacobian(angles.tolist())
         pinocchio.updateFramePlacement(self.model, self._data, self._frame)
         hand = self._data.oMf[self._frame]
