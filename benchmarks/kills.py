@@ -40,8 +40,8 @@ from hrl_escape.options.options_env import OptionsEnv
 
 AGENTS = ("random", "dqn", "smdp-random", "smdp-q-learning", "smdp-dqn", "smdp-ppo")
 LONGEST_SECONDS = 2.0
-ORPHAN_SECONDS = 10.0
-"""Longest that a process may outlive the one that was killed above it."""
+ORPHAN_SECONDS = 60.0
+"""Longest that a process may outlive the one that was killed above it; on a busy machine it may be loading still."""
 class Work(NamedTuple):
     """Work that is killed.
 
@@ -189,8 +189,8 @@ def _read_title(process: int) -> str | None:
 def kill_in_turn(work: Work, folder: Path, kills: Iterator[int], rng: np.random.Generator) -> Iterator[str]:
     """Start the work and kill it, or a process below it, again and again until it is finished; yields what was killed.
 
-    Every fourth kill comes while it starts, the others up to `LONGEST_SECONDS` after a new sign of progress. Two in
-    three hit a process below it alone, where there is one.
+    Every fourth kill comes while it starts, the others up to `LONGEST_SECONDS` after a new sign of progress. Five in
+    six hit a process below it alone, where there is one.
     """
     process = None
     try:
@@ -207,7 +207,7 @@ def kill_in_turn(work: Work, folder: Path, kills: Iterator[int], rng: np.random.
                 continue
             below = {pid: title for pid, title in list_descendants(process.pid).items()
                      if any(words in title for words in work.victims)}
-            if number % 3 and below:
+            if number % 6 and below:
                 victim = int(rng.choice(sorted(below)))
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(victim, signal.SIGKILL)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import ast
 import errno
 import os
+import re
 import signal
 import sys
 import threading
@@ -101,8 +102,8 @@ def _raising_signals() -> Iterator[None]:
 def _check_threads() -> None:
     """Refuse a NUMBA_NUM_THREADS at which numba fails to import."""
     threads = os.environ.get("NUMBA_NUM_THREADS", "1")
-    if not threads.isdecimal() or int(threads) < 1:
-        raise ConfigError("NUMBA_NUM_THREADS", threads, "a whole number of at least 1, or leave it unset")
+    if re.fullmatch("0*[1-9][0-9]{0,3}", threads) is None:
+        raise ConfigError("NUMBA_NUM_THREADS", threads, "a whole number from 1 to 9999, or leave it unset")
 
 
 def _drop_output() -> None:

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import stat
 import sys
 import tempfile
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Literal
 
 from hrl_escape.errors import FileReadError, FileWriteError
 
@@ -27,8 +28,13 @@ else:
 TEMPORARY_PREFIX = ".writing-"
 LARGEST_FILE = 2**28
 """Bytes of the largest file that is read whole, 256 MiB."""
+LARGEST_TOML = 2**20
+"""Bytes of the largest TOML file, 1 MiB: people write these, and their reader is slow."""
 DEEPEST = 100
 """Levels of lists and tables in a JSON or TOML file."""
+DOTTED_KEY = re.compile(r"""(?<![\w.-])(?<!\.[ \t])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*)"""
+                        f"{{{DEEPEST}}}", re.ASCII)
+"""Key of so many parts, on which the reader of TOML takes the square of their number."""
 
 
 @contextmanager
@@ -42,12 +48,13 @@ def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         A binary file object. If the body raises, nothing changes at `path`.
 
     Raises:
-        FileWriteError: the folder cannot be made or written, or the disk is full.
+        FileWriteError: the folder cannot be made or written, the disk is full, or no plain file stands there.
     """
     path = Path(path)
     temporary: Path | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        _check_replaceable(path)
         descriptor, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
         temporary = Path(name)
         with os.fdopen(descriptor, "wb") as file:
@@ -66,6 +73,30 @@ def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
         if temporary is not None:
             with suppress(OSError):
                 temporary.unlink()
+
+
+def open_for_writing(path: str | os.PathLike[str], mode: Literal["ab", "wb"] = "ab") -> IO[bytes]:
+    """Open a plain file that grows in place, such as a log or a lock; see `atomic_writer` for errors."""
+    try:
+        _check_replaceable(Path(path))
+        return open(path, mode)
+    except OSError as error:
+        raise FileWriteError(describe_write_failure(path, error)) from error
+
+
+def _check_replaceable(path: Path) -> None:
+    """Refuse devices and pipes, which a file would take the place of, or which could be waited for in vain."""
+    with suppress(FileNotFoundError):
+        kind = _name_kind(path.stat())
+        if kind:
+            raise FileWriteError(f"cannot write {path}: it is {kind}, and only plain files are written")
+
+
+def _name_kind(status: os.stat_result) -> str:
+    """Kind of what is no plain file, in words; empty for a plain file."""
+    if stat.S_ISREG(status.st_mode):
+        return ""
+    return "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
 
 
 def write_bytes(path: str | os.PathLike[str], content: bytes) -> None:
@@ -120,8 +151,8 @@ def open_plain(path: str | os.PathLike[str], what: str = "file", largest: int = 
 
 
 def _check_plain(status: os.stat_result, path: Path, what: str, largest: int) -> None:
-    if not stat.S_ISREG(status.st_mode):
-        kind = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or a pipe"
+    kind = _name_kind(status)
+    if kind:
         raise FileReadError(f"{path}: cannot read this {what}: it is {kind}, and only plain files are read")
     if status.st_size > largest:
         raise FileReadError(f"{path}: this {what} has {status.st_size:,} bytes; at most {largest:,} are read here")
@@ -150,16 +181,16 @@ def check_files(paths: Iterable[str], what: str, endings: Sequence[str], largest
                                 "simplify them")
 
 
-def read_bytes(path: str | os.PathLike[str], what: str = "file") -> bytes:
+def read_bytes(path: str | os.PathLike[str], what: str = "file", largest: int = LARGEST_FILE) -> bytes:
     """Read a whole file; see `open_plain` for arguments and errors."""
-    with open_plain(path, what) as file:
-        return file.read(LARGEST_FILE)
+    with open_plain(path, what, largest) as file:
+        return file.read(largest)
 
 
-def read_text(path: str | os.PathLike[str], what: str = "file") -> str:
-    """Read a whole UTF-8 file; see `read_bytes` for errors."""
+def read_text(path: str | os.PathLike[str], what: str = "file", largest: int = LARGEST_FILE) -> str:
+    """Read a whole UTF-8 file; see `open_plain` for arguments and errors."""
     try:
-        return read_bytes(path, what).decode("utf-8")
+        return read_bytes(path, what, largest).decode("utf-8")
     except UnicodeDecodeError as error:
         raise FileReadError(f"{path}: this {what} is not UTF-8 text (byte {error.start})") from error
 
@@ -192,7 +223,9 @@ def read_toml(path: str | os.PathLike[str], what: str = "TOML file") -> dict[str
     Raises:
         FileReadError: the file is missing, unreadable or not TOML; the message gives line and column.
     """
-    text = read_text(path, what)
+    text = read_text(path, what, LARGEST_TOML)
+    if DOTTED_KEY.search(text):
+        raise FileReadError(f"{path}: this {what} cannot be read: {_describe_extreme(RecursionError())}")
     try:
         value = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:

@@ -11,7 +11,7 @@ import re
 
 from rich import markup
 
-__all__ = ["make_console_text", "make_file_name"]
+__all__ = ["make_console_text", "make_file_name", "parse_whole"]
 
 LONGEST_FILE_NAME = 120
 """Bytes of a file name that is made from a name; file systems take 255, endings included."""
@@ -37,3 +37,8 @@ def make_console_text(name: str, longest: int = LONGEST_CONSOLE_TEXT) -> str:
     shown = name if len(name) <= longest else f"{name[: longest - 3]}..."
     plain = "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in shown)
     return markup.escape(plain)
+
+
+def parse_whole(text: str) -> int | None:
+    """Read the number in a name such as `clutter#3`: at most 18 digits, 0 to 9; None for any other text."""
+    return int(text) if re.fullmatch("[0-9]{1,18}", text) else None

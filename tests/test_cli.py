@@ -126,7 +126,7 @@ def test_a_signal_ends_a_run_in_order_and_with_its_own_exit_code(tmp_path, numbe
     assert error.count("\n") == 1 and error.startswith("hrl-escape: ")
 
 
-@pytest.mark.parametrize("threads", ["0", "-1", "many", ""])
+@pytest.mark.parametrize("threads", ["0", "-1", "many", "", "\u0663", "9" * 5_000])
 def test_a_wrong_number_of_threads_is_named(capsys, monkeypatch, threads):
     monkeypatch.setenv("NUMBA_NUM_THREADS", threads)
     assert_refused(capsys, ["solve"], "NUMBA_NUM_THREADS")

@@ -16,6 +16,7 @@ from hrl_escape.errors import FileReadError, FileWriteError
 from hrl_escape.files import (
     DEEPEST,
     atomic_writer,
+    open_for_writing,
     read_bytes,
     read_json,
     read_text,
@@ -173,6 +174,10 @@ def test_extreme_json_is_refused_in_words(tmp_path, text, words):
     ("a = " + "[" * 200 + "]" * 200, "nested more than 100 levels deep"),
     ("a = " + "[" * 10**5 + "]" * 10**5, "nested more than 100 levels deep"),
     ("a = " + "7" * 5_000, "a number of thousands of digits"),
+    ("a." * 20_000 + "a = 1", "nested more than 100 levels deep"),
+    ("[" + "'a' . \"b\" ." * 10_000 + "a]", "nested more than 100 levels deep"),
+    ("b = {" + "a." * 20_000 + "a = 1}", "nested more than 100 levels deep"),
+    ("#" * 2**20 + "\n", "1,048,577 bytes; at most 1,048,576"),
 ])
 def test_extreme_toml_is_refused_in_words(tmp_path, text, words):
     (tmp_path / "x.toml").write_text(text)
@@ -181,6 +186,8 @@ def test_extreme_toml_is_refused_in_words(tmp_path, text, words):
 
 
 def test_files_as_deep_as_allowed_are_read(tmp_path):
+    (tmp_path / "x.toml").write_text("a." * (DEEPEST - 1) + "a = \"" + "two words. " * 200 + "\"")
+    assert read_toml(tmp_path / "x.toml")
     write_json(tmp_path / "x.json", json.loads("[" * DEEPEST + "]" * DEEPEST))
     assert read_json(tmp_path / "x.json")
 
@@ -191,3 +198,15 @@ def test_a_name_as_long_as_the_system_allows_is_written_and_a_longer_one_refused
         write_text(tmp_path / ("a" * 256), "x")
     with pytest.raises(FileReadError, match="File name too long"):
         read_text(tmp_path / ("a" * 256))
+
+
+@pytest.mark.parametrize("write", [lambda path: write_json(path, 1), open_for_writing])
+def test_what_is_no_plain_file_is_neither_replaced_nor_waited_for(tmp_path, write):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("pipe")
+    (tmp_path / "folder").mkdir()
+    for name, kind in (("pipe", "a device or a pipe"), ("link", "a device or a pipe"), ("folder", "a folder")):
+        with pytest.raises(FileWriteError, match=f"{name}: it is {kind}"):
+            write(tmp_path / name)
+    assert stat.S_ISFIFO(os.lstat(tmp_path / "pipe").st_mode) and (tmp_path / "link").is_symlink()
+    assert len(list(tmp_path.iterdir())) == 3

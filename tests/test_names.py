@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from hrl_escape.names import LONGEST_FILE_NAME, make_console_text, make_file_name
+from hrl_escape.names import LONGEST_FILE_NAME, make_console_text, make_file_name, parse_whole
 
 HOSTILE = ["../../etc/passwd", "..", ".", "", "a/b", "a\\b", "nul\0", "line\nbreak", "x" * 300, "\N{SNOWMAN}" * 300,
            "[/bold]", "[bold", "\x1b[31mred", "\ud800", ".hidden", "C:\\x", "trailing\\"]
@@ -53,3 +53,10 @@ def test_markup_is_shown_as_it_stands(name: str):
 def test_a_long_name_is_cut_for_the_console():
     assert make_console_text("x" * 100) == "x" * 100
     assert make_console_text("x" * 101) == "x" * 97 + "..."
+
+
+@pytest.mark.parametrize(("text", "number"), [
+    ("0", 0), ("007", 7), ("9" * 18, 10**18 - 1), ("9" * 19, None), ("9" * 5_000, None), ("-1", None), ("", None),
+    ("1.0", None), ("\u00b2", None), ("\u0663", None), ("1_0", None), (" 1", None), ("1\n", None)])
+def test_a_number_in_a_name_is_of_plain_digits(text: str, number: int | None):
+    assert parse_whole(text) == number

@@ -14,6 +14,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.primitives import make_action_table
 from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.names import parse_whole
 
 __all__ = ["Drive", "drive_room", "get_names", "parse_primitives"]
 
@@ -81,13 +82,14 @@ def parse_primitives(text: str, instance: RoomInstance, seed: int = 0) -> list[i
     actions: list[int] = []
     for word in filter(None, re.split(r"[\s,]+", text)):
         name, star, times = word.partition("*")
-        if star and not (times.isdigit() and 0 < int(times) <= MOST_REPEATS):
+        count = parse_whole(times) if star else 1
+        if count is None or not 0 < count <= MOST_REPEATS:
             raise ConfigError("primitives", word, f"name*n with n from 1 to {MOST_REPEATS}")
-        if name.isdigit() and int(name) < len(names):
-            name = names[int(name)]
+        number = parse_whole(name)
+        if number is not None and number < len(names):
+            name = names[number]
         if name not in (*names, RANDOM):
             raise UnknownNameError("primitive", name, (*names, RANDOM))
-        count = int(times) if star else 1
         actions += rng.integers(len(names), size=count).tolist() if name == RANDOM else [names.index(name)] * count
     return actions
 

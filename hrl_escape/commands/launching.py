@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
-from typing import Any
 
+from hrl_escape.commands.room_choice import split_assignment
 from hrl_escape.errors import ConfigError
 from hrl_escape.experiments.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
 from hrl_escape.experiments.grid import Grid
@@ -64,12 +63,7 @@ class LaunchArgs:
         return words
 
     def _make_launcher(self) -> Launcher:
-        resources = {}
-        for text in self.resources:
-            name, sign, value = text.partition("=")
-            if not (name and sign):
-                raise ConfigError("resources", text, "a name and a value, such as num_gpus=1")
-            resources[name] = _parse_value(value)
+        resources = dict(split_assignment(text, "--resources", "num_gpus=1") for text in self.resources)
         if self.slurm is not None and self.ray:
             raise ConfigError("slurm", self.slurm, "without --ray: choose one")
         if resources and not self.ray and self.slurm is None:
@@ -86,10 +80,3 @@ class LaunchArgs:
             return f"{words}; none has finished, so how long one takes is not known"
         return (f"{words}; {seconds:.3g} s of training each in the median of {runs - missing:,}, so about "
                 f"{missing * seconds / 3600:.2g} core hours")
-
-
-def _parse_value(text: str) -> Any:
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text

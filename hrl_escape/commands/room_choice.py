@@ -17,8 +17,8 @@ from hrl_escape.env.observations import list_observations
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.robot import load_urdf
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
-from hrl_escape.files import read_json, read_toml
+from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, UnsupportedError
+from hrl_escape.files import parse_json, read_json, read_toml
 
 __all__ = ["RoomChoice", "VectorObservation", "split_assignment"]
 
@@ -98,14 +98,21 @@ def _read_urdf(fields: dict[str, Any], folder: Path) -> None:
 
 
 def split_assignment(text: str, option: str, example: str) -> tuple[str, Any]:
-    """Read `name=value` given to an option; a value that is not JSON is text."""
+    """Read `name=value` given to an option; a value that is not JSON is text.
+
+    Raises:
+        ConfigError: there is no name or no value.
+        FileReadError: the value is JSON without bounds.
+    """
     name, equals, value = text.partition("=")
     if not equals or not name:
         raise ConfigError(option, text, f"name=value is needed, such as {example}")
     try:
-        return name, json.loads(value)
-    except json.JSONDecodeError:
-        return name, value
+        return name, parse_json(value, f"{option} {name}", "value")
+    except FileReadError as error:
+        if isinstance(error.__cause__, json.JSONDecodeError):
+            return name, value
+        raise
 
 
 def _change(fields: dict[str, Any], path: str, value: Any) -> None:

@@ -21,7 +21,8 @@ from hrl_escape.experiments.launching.local import Failure, Launcher, LocalLaunc
 from hrl_escape.experiments.launching.monitor import Monitor
 from hrl_escape.experiments.places import RunPlace
 from hrl_escape.experiments.runs import RunResult, get_run_folder, load_run_result
-from hrl_escape.files import clear_unfinished, describe_write_failure, write_json
+from hrl_escape.files import clear_unfinished, describe_write_failure, open_for_writing, write_json
+from hrl_escape.names import parse_whole
 from hrl_escape.processes import take_lock
 
 __all__ = ["Comparison", "Shard", "count_missing", "read_comparison", "run_grid", "run_grids"]
@@ -64,10 +65,10 @@ class Shard(NamedTuple):
         Raises:
             ConfigError: it is no part.
         """
-        number, _, parts = text.partition("/")
-        if not (number.isdecimal() and parts.isdecimal() and 1 <= int(number) <= int(parts)):
+        number, _, parts = map(parse_whole, text.partition("/"))
+        if number is None or parts is None or not 1 <= number <= parts:
             raise ConfigError("shard", text, "the number of a part and how many there are, such as 2/8")
-        return cls(int(number), int(parts))
+        return cls(number, parts)
 
     def choose(self, runs: Sequence[GridRun]) -> list[GridRun]:
         """Runs of this part, in order; the parts are disjoint, and together they are all."""
@@ -192,11 +193,9 @@ def _lock(out: Path, shard: Shard = WHOLE) -> Iterator[None]:
     """One comparison at a time in a folder, or one of each part; the lock falls with the process, however it ends."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        name = "lock" if shard == WHOLE else f"lock-{shard.number}-of-{shard.parts}"
-        lock = open(out / name, "ab")
     except OSError as error:
         raise FileWriteError(describe_write_failure(out, error)) from error
-    with lock:
+    with open_for_writing(out / ("lock" if shard == WHOLE else f"lock-{shard.number}-of-{shard.parts}")) as lock:
         if not take_lock(lock):
             raise RunBusyError(
                 f"{out}: another comparison is running in this folder. Wait for it or choose another folder")

@@ -23,6 +23,7 @@ from hrl_escape.files import read_json, write_json
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.keys import compute_task_key
 from hrl_escape.ladder.room_sets import parse_room_set
+from hrl_escape.names import parse_whole
 from hrl_escape.settings import Range, Settings
 
 __all__ = ["RunPlace", "RoomSchedule", "RoomSpec", "Split"]
@@ -171,9 +172,10 @@ class RoomSpec(Settings):
         if "/" in text:
             return cls(set=text)
         preset, _, seed = text.partition("#")
-        if seed and not seed.isdecimal():
+        number = parse_whole(seed or "0")
+        if number is None:
             raise GridError(f"room {text!r}: after # comes the number of the instance, such as {preset}#3")
-        return cls(preset=preset, seed=int(seed or 0))
+        return cls(preset=preset, seed=number)
 
 
 class RoomSchedule(gymnasium.Wrapper, RecordConstructorArgs):

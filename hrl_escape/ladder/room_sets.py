@@ -17,6 +17,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.ladder.benchmark import load_benchmark
 from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.names import parse_whole
 
 __all__ = ["parse_room_set"]
 
@@ -55,7 +56,7 @@ def _find(name: str) -> InstanceSet:
         return InstanceSet.load(name)
     preset, _, seeds = name.partition("#")
     low, _, high = (seeds or "0").partition("..")
-    high = high or low
-    if not (low.isdecimal() and high.isdecimal() and int(low) <= int(high)):
+    first, last = parse_whole(low), parse_whole(high or low)
+    if first is None or last is None or first > last:
         raise ConfigError("rooms", name, f"a range of instances such as {preset}#0..15")
-    return InstanceSet(name, get_preset(preset), range(int(low), int(high) + 1))
+    return InstanceSet(name, get_preset(preset), range(first, last + 1))

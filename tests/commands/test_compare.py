@@ -120,7 +120,7 @@ def test_submitit_that_is_not_installed_is_named_with_its_extra(capsys: pytest.C
 @pytest.mark.parametrize(("arguments", "message"), [
     (["--ray", "--slurm", 2], "without --ray"), (["--slurm", 0], "1 or more"),
     (["--resources", "num_gpus=1"], "with --ray or --slurm"),
-    (["--ray", "--resources", "num_gpus"], "name and a value"),
+    (["--ray", "--resources", "num_gpus"], "name=value is needed"),
 ])
 def test_launchers_that_do_not_go_together_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path,
                                                        arguments: list[object], message: str):

@@ -33,6 +33,7 @@ from hrl_escape.errors import (
 from hrl_escape.files import (
     clear_unfinished,
     describe_write_failure,
+    open_for_writing,
     open_plain,
     parse_json,
     read_json,
@@ -82,7 +83,7 @@ class RunFolder:
             clear_unfinished(self.path)
             self._claim(json.loads(json.dumps(identity)))
             offset = self._restore()
-            self._log = self._open(self.path / "log.jsonl", "ab")
+            self._log = open_for_writing(self.path / "log.jsonl")
             self._log.truncate(offset)
             step = self.rows[-1]["primitives"] + 1 if self.rows else 0
             self._events = _open_events(self.path / "tensorboard", step) if tensorboard else None
@@ -158,18 +159,12 @@ class RunFolder:
             self.path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise FileWriteError(describe_write_failure(self.path, error)) from error
-        lock = self._open(self.path / "lock", "ab")
+        lock = open_for_writing(self.path / "lock")
         if not take_lock(lock):
             lock.close()
             raise RunBusyError(
                 f"{self.path}: another process is training into this folder. Wait for it or choose another folder")
         return lock
-
-    def _open(self, path: Path, mode: str) -> IO[bytes]:
-        try:
-            return open(path, mode)
-        except OSError as error:
-            raise FileWriteError(describe_write_failure(path, error)) from error
 
     def _claim(self, identity: dict[str, Any]) -> None:
         """Write the identity, or compare it with the one that is there."""
