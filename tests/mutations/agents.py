@@ -69,8 +69,8 @@ MUTATIONS = [
     Mutation(
         "progress of an episode is that at its end",
         "agents/training/evaluation.py",
-        'best = max(best, float(info.get("progress", success)))',
-        'best = float(info.get("progress", success))',
+        'self.progress = max(self.progress, float(info.get("progress", self.success)))',
+        'self.progress = float(info.get("progress", self.success))',
         "agents/training/test_train.py::test_progress_of_an_episode_is_the_best_on_its_way",
     ),
     Mutation(

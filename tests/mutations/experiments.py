@@ -13,15 +13,15 @@ MUTATIONS = [
     Mutation(
         "an episode without escape has an efficiency",
         "experiments/statistics.py",
-        "return np.where(np.asarray(escaped, dtype=bool), np.minimum(ratio, 1.0), 0.0)",
-        "return np.minimum(ratio, 1.0)",
+        "return np.where(np.asarray(escaped, dtype=bool), ratio, 0.0)",
+        "return ratio",
         "experiments/test_statistics.py",
     ),
     Mutation(
-        "an efficiency exceeds 1",
+        "an episode's efficiency exceeds 1",
         "experiments/statistics.py",
-        "dtype=bool), np.minimum(ratio, 1.0), 0.0)",
-        "dtype=bool), ratio, 0.0)",
+        "else np.minimum(found, 1.0).mean())",
+        "else found.mean())",
         "experiments/test_statistics.py",
     ),
     Mutation(

@@ -104,8 +104,8 @@ MUTATIONS = [
     Mutation(
         "a range of rooms has one too few",
         "ladder/room_sets.py",
-        "range(int(low), int(high) + 1))",
-        "range(int(low), max(int(high), 1)))",
+        "range(first, last + 1))",
+        "range(first, max(last, 1)))",
         "ladder/test_room_sets.py::test_texts_name_the_rooms_of_rungs_presets_and_files",
     ),
 ]

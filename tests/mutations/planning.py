@@ -27,8 +27,8 @@ MUTATIONS = [
     Mutation(
         "routes with the exit shut are taken for those with it open",
         "planning/route_finder.py",
-        "return goal, method, self.is_solved(state), (*get_pose(state), props)",
-        "return goal, method, False, (*get_pose(state), props)",
+        "return goal, settings, self.is_solved(state), (*get_pose(state), props)",
+        "return goal, settings, False, (*get_pose(state), props)",
         "planning/test_room_planner.py",
     ),
     Mutation(
@@ -48,7 +48,7 @@ MUTATIONS = [
     Mutation(
         "luck is recorded",
         "planning/best_known.py",
-        'if dynamics.noise or dynamics.slip or dynamics.kind == "physics":',
+        'if dynamics.is_random or dynamics.kind == "physics":',
         'if dynamics.kind == "physics":',
         "planning/test_best_known.py::test_luck_is_no_record",
     ),

@@ -131,8 +131,8 @@ MUTATIONS = [
     ),
     Mutation(
         "16 lambda per primitive whatever is set",
-        "agents/algorithms/ppo.py",
-        'powers = rollout.duration if settings.lambda_per == "primitive" else np.ones(len(delta))',
+        "agents/components/policy_gradient.py",
+        'powers = rollout.duration if settings.lambda_per == "primitive" else torch.ones_like(rollout.duration)',
         "powers = rollout.duration",
         "agents/algorithms/test_deep_losses.py::test_trap_16_advantages_equal_the_sum_of_discounted_errors_with_lambda_as_named",
     ),
