@@ -134,6 +134,8 @@ class PrimitiveSearch:
     def adapt(self, instance: RoomInstance, kinematics: Kinematics) -> PrimitiveSearch:
         """Make the search of an edited room; it takes over the grids and fields that the edit leaves as they are.
 
+        Refined grids, which few goals need, are left behind.
+
         Args:
             instance: the edited room.
             kinematics: its kinematics without noise and slip.
@@ -152,8 +154,8 @@ class PrimitiveSearch:
                 goal.target : goal.target + 1]
 
         new._maps = {shut: held.adapt(instance, shut, changed) for shut, held in self._maps.items()}
-        new._makers = {(shut, refinement): maker.adapt(instance, new._maps[shut], changed, keeps)
-                       for (shut, refinement), maker in self._makers.items()}
+        new._makers = {(shut, 0): maker.adapt(instance, new._maps[shut], changed, keeps)
+                       for (shut, refinement), maker in self._makers.items() if not refinement}
         return new
 
     def prepare(self) -> None:

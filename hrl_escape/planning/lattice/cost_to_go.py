@@ -134,6 +134,8 @@ class FieldMaker:
         self._choose_points(0, columns, clock)
         self._find_landings(0, columns, clock)
         self._link_cells()
+        if refinement:  # these grids are large, and are not adapted
+            del self._landing, self._link_cost
         self._fields: OrderedDict[object, _KeptField] = OrderedDict()
 
     def _find_corridor(self, path: NDArray[np.float64] | None, width: float) -> NDArray[np.bool_]:
