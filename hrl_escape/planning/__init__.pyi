@@ -13,6 +13,7 @@ from .room_planner import RoomPlanner, get_planner
 from .scene.scene import Scene
 from .symbolic.pddl import export_pddl, save_pddl, solve_pddl
 from .trajectories.limits import MotionLimits
+from .trajectories.trajectory import TimedTrajectory, make_trajectory
 
 __all__ = [
     "ArmPlanner",
@@ -36,12 +37,14 @@ __all__ = [
     "RegionGoal",
     "RoomPlanner",
     "Scene",
+    "TimedTrajectory",
     "best_known_return",
     "export_pddl",
     "find_best_known",
     "get_planner",
     "is_reached",
     "list_planners",
+    "make_trajectory",
     "parse_goal",
     "plan_many",
     "record_return",

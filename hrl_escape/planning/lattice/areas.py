@@ -11,15 +11,22 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.env.geometry import Footprint, compute_distance_many, make_footprint, stack_footprints
+from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.geometry import (
+    Footprint,
+    compute_distance,
+    compute_distance_many,
+    make_footprint,
+    stack_footprints,
+)
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.errors import GoalError, UnsupportedError
 from hrl_escape.planning.clock import NO_LIMIT, Clock
-from hrl_escape.planning.collision_map import CollisionMap
+from hrl_escape.planning.collision_map import CollisionMap, compute_extent_radius
 from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, PushGoal, RegionGoal, get_region, is_reached
 
-__all__ = ["Area", "compute_goal_area", "find_headings", "sample_places"]
+__all__ = ["Area", "compute_goal_area", "find_headings", "grow_solids", "sample_places"]
 
 
 PLACES = 2_000
@@ -95,3 +102,18 @@ def sample_places(area: Area, collision: CollisionMap, most: int = 64, clock: Cl
         if len(points) or spacing <= 0.04:
             return points[np.linspace(0, len(points) - 1, min(most, len(points))).astype(int)]
         spacing = max(0.02, spacing / 3)
+
+
+def grow_solids(instance: RoomInstance, state: RoomState, goal: Goal, margin: float) -> tuple[Footprint, ...]:
+    """Footprints of the solids grown by a margin, less where the start or the goal is nearer."""
+    radius = instance.robot.body_radius + 2 * CONTACT_SKIN
+    area = compute_goal_area(goal, instance)
+    grown = []
+    for solid in instance.solids:
+        shape = solid.footprint
+        to_goal = compute_distance(area.footprint.x, area.footprint.y, shape) - compute_extent_radius(area.footprint)
+        room = min(compute_distance(state.x, state.y, shape), to_goal - max(area.reach, 0.0)) - radius
+        if min(room, margin) > 0.0:
+            extra = min(room, margin)
+            grown.append(shape._replace(half_x=shape.half_x + extra, half_y=shape.half_y + extra))
+    return tuple(grown)

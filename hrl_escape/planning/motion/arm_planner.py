@@ -27,8 +27,9 @@ from hrl_escape.planning.collision_map import CollisionMap
 from hrl_escape.planning.motion.reachability import ReachMap, make_halton, map_reach
 from hrl_escape.planning.paths.joint_space import find_joint_path
 from hrl_escape.planning.paths.single_query import SINGLE_QUERY_PLANNERS
+from hrl_escape.planning.trajectories.path import MotionPath
 
-__all__ = ["ArmPlanner", "ArmPosture", "MotionPath"]
+__all__ = ["ArmPlanner", "ArmPosture"]
 
 KEPT_MARGINS = (0.02, 0.005, 0.001)
 """Distances from solids that a path keeps, m: the first that start and goal keep, too."""
@@ -53,35 +54,6 @@ class ArmPosture:
     margin: float
     manipulability: float
     is_free: bool
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class MotionPath:
-    """Path through coordinates of a robot, in straight lines.
-
-    Attributes:
-        names: of the coordinates: joints, or `x`, `y`, `heading` and joints.
-        points: places to go through, shape (n, coordinates), m and rad.
-        margin: distance that the robot keeps from solids and itself all along, m.
-        planner: path planner that found it.
-        checks: places that were tested.
-        seconds: wall time.
-    """
-
-    names: tuple[str, ...]
-    points: NDArray[np.float64]
-    margin: float
-    planner: str
-    checks: int
-    seconds: float
-
-    def interpolate(self, step: float) -> NDArray[np.float64]:
-        """Points along the path at most `step` apart in every coordinate, corners included; shape (m, coordinates)."""
-        points = [self.points[:1]]
-        for a, b in zip(self.points, self.points[1:], strict=False):
-            count = max(1, math.ceil(float(np.abs(b - a).max()) / step))
-            points.append(a + (b - a) * (np.arange(1, count + 1) / count)[:, None])
-        return np.concatenate(points)
 
 
 class ArmPlanner:
@@ -295,9 +267,9 @@ class ArmPlanner:
                 budget: int, time_limit: float | None) -> MotionPath:
         """Search with the largest margin that start and goal allow, in coordinates scaled to metres of motion.
 
-        Points of the robot move by at most the sum of the scaled coordinates' changes, which is at most the margin
-        between two tested places. So no point is ever farther than half the margin from where it was tested, and no
-        two links come nearer to each other by more than the margin.
+        Points of the robot move by at most the sum of the scaled coordinates' changes, which is at most half the margin
+        between two tested places. So no point is ever farther than a quarter of the margin from where it was tested,
+        two links come nearer to each other by at most half of it, and the path may still be left by a quarter.
         """
         if planner not in SINGLE_QUERY_PLANNERS:
             raise UnknownNameError("path planner", planner, SINGLE_QUERY_PLANNERS)
@@ -321,7 +293,7 @@ class ArmPlanner:
             scale = np.array(joints if len(joints) == len(start) else (1.0, 1.0, max(turn, 0.1), *joints))
             scale = np.maximum(scale, 1e-3)
             low, high = (np.array(side) * scale for side in box)
-            spacing = margin / math.sqrt(len(scale))
+            spacing = margin / 2.0 / math.sqrt(len(scale))
             try:
                 path, calls = find_joint_path(np.minimum(low, start * scale), np.maximum(high, start * scale),
                                               start * scale, ends * scale,
@@ -331,7 +303,7 @@ class ArmPlanner:
                 raise fail(clock.reason) from None
             tests += calls
             if path is not None:
-                return MotionPath(names, path / scale, margin, planner, tests, read_clock() - began)
+                return MotionPath(names, path / scale, scale, margin / 4.0, planner, tests, read_clock() - began)
             if tests >= budget:
                 break
         raise fail(PlanningReason.BUDGET_EXHAUSTED if tests >= budget else PlanningReason.UNREACHABLE_AT_RESOLUTION)

@@ -10,15 +10,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
-from hrl_escape.env.config import CONTACT_SKIN
-from hrl_escape.env.geometry import Footprint, compute_distance
-from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import PlanningFailed
 from hrl_escape.planning.clock import Clock
-from hrl_escape.planning.collision_map import compute_extent_radius
 from hrl_escape.planning.goals import Goal
-from hrl_escape.planning.lattice.areas import compute_goal_area
+from hrl_escape.planning.lattice.areas import grow_solids
 from hrl_escape.planning.primitive_search import EFFORTS
 from hrl_escape.planning.props import list_obstacles
 from hrl_escape.planning.report import PlanningReport
@@ -56,21 +52,6 @@ def iterate_routes(finder: RouteFinder, state: RoomState, goal: Goal, request: P
         route = _try(finder, state, goal, settings._replace(method=planner), clock)
         if route is not None:
             yield route
-
-
-def grow_solids(instance: RoomInstance, state: RoomState, goal: Goal, margin: float) -> tuple[Footprint, ...]:
-    """Footprints of the solids grown by a margin, less where the start or the goal is nearer."""
-    radius = instance.robot.body_radius + 2 * CONTACT_SKIN
-    area = compute_goal_area(goal, instance)
-    grown = []
-    for solid in instance.solids:
-        shape = solid.footprint
-        to_goal = compute_distance(area.footprint.x, area.footprint.y, shape) - compute_extent_radius(area.footprint)
-        room = min(compute_distance(state.x, state.y, shape), to_goal - max(area.reach, 0.0)) - radius
-        if min(room, margin) > 0.0:
-            extra = min(room, margin)
-            grown.append(shape._replace(half_x=shape.half_x + extra, half_y=shape.half_y + extra))
-    return tuple(grown)
 
 
 def _try(finder: RouteFinder, state: RoomState, goal: Goal, settings: SearchSettings, clock: Clock) -> Route | None:

@@ -20,8 +20,9 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.robot import BASE_LINK
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
-from hrl_escape.planning.motion.arm_planner import ArmPlanner, MotionPath
+from hrl_escape.planning.motion.arm_planner import ArmPlanner
 from hrl_escape.planning.scene.scene import Scene
+from hrl_escape.planning.trajectories.path import MotionPath
 
 
 def make_room(kind: str, joints: int):
@@ -268,8 +269,8 @@ def check_motions(kind: str, joints: int, queries: int) -> tuple[int, int]:
         for _ in range(first, min(first + 10, queries)):
             path = plan_between_random_postures(planner, state, rng)
             if path is not None:
-                sweeps = planner._get_collisions(path.margin).compute_sweeps()[:-1]
-                for angles in path.interpolate(path.margin / math.sqrt(joints) / float(sweeps.max()) / 10):
+                spacing = 2.0 * path.margin / math.sqrt(joints) / float(path.scale.max())
+                for angles in path.interpolate(spacing / 10):
                     check.place(state.x, state.y, planner.rules.get_heading(state), angles.tolist())
                     assert check.compute_clearance() > 0.0
                 planned, bent = planned + 1, bent + (len(path.points) > 2)
