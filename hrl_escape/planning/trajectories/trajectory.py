@@ -32,7 +32,7 @@ __all__ = ["TimedTrajectory", "make_trajectory"]
 
 DIRECTIONS = 8
 """Directions in the plane along which the base's speed and acceleration are limited for toppra."""
-GRID = 0.02
+GRID_DISTANCE = 0.02
 """Largest distance of toppra's grid points along a path, in metres of motion."""
 LEAST_POINTS = 12
 """Fewest grid points on each line and each rounded corner."""
@@ -244,7 +244,7 @@ def _time_by_toppra(path: MotionPath, limits: MotionLimits) -> _Timed:
         sides[:, 1], discretization_scheme=constraint.DiscretizationType.Interpolation)]
     ends = zip(curve.x, curve.x[1:], strict=False)
     grid = np.unique(np.concatenate([
-        np.linspace(a, b, max(LEAST_POINTS, 2 + math.ceil((b - a) / GRID))) for a, b in ends]))
+        np.linspace(a, b, max(LEAST_POINTS, 2 + math.ceil((b - a) / GRID_DISTANCE))) for a, b in ends]))
     search = algorithm.TOPPRA(wanted, Curve(), gridpoints=grid, parametrizer="ParametrizeConstAccel")
     rates_squared = search.compute_parameterization(0.0, 0.0)
     if rates_squared is None or rates_squared[1] is None:
