@@ -30,7 +30,7 @@ from hrl_escape.planning.trajectories.smoothing import smooth_plan
 
 __all__ = ["TimedTrajectory", "make_trajectory"]
 
-DIRECTIONS = 8
+LIMITED_DIRECTIONS = 8
 """Directions in the plane along which the base's speed and acceleration are limited for toppra."""
 GRID_DISTANCE = 0.02
 """Largest distance of toppra's grid points along a path, in metres of motion."""
@@ -222,12 +222,12 @@ def _time_by_toppra(path: MotionPath, limits: MotionLimits) -> _Timed:
     rates = _list_limits(path.names, limits)
     mix = np.eye(len(path.names))
     if path.names[:2] == ("x", "y"):  # the base's speed is limited in every direction, not by its x and y
-        angles = np.arange(DIRECTIONS) * math.pi / DIRECTIONS
-        rows = np.zeros((DIRECTIONS, len(path.names)))
+        angles = np.arange(LIMITED_DIRECTIONS) * math.pi / LIMITED_DIRECTIONS
+        rows = np.zeros((LIMITED_DIRECTIONS, len(path.names)))
         rows[:, 0], rows[:, 1] = np.cos(angles), np.sin(angles)
         mix = np.concatenate([rows, mix[2:]])
-        base = np.array([[limits.speed, limits.acceleration]]) * math.cos(math.pi / (2 * DIRECTIONS))
-        rates = np.concatenate([np.repeat(base, DIRECTIONS, axis=0), rates[2:]])
+        base = np.array([[limits.speed, limits.acceleration]]) * math.cos(math.pi / (2 * LIMITED_DIRECTIONS))
+        rates = np.concatenate([np.repeat(base, LIMITED_DIRECTIONS, axis=0), rates[2:]])
 
     class Curve(interpolator.AbstractGeometricPath):
         """The curve in the directions that are limited."""
