@@ -106,7 +106,7 @@ class Agent(ABC):
     """Name -> settings, beside `corrected`, which is `Settings()`. Names with the prefix `smdp-` hold over options."""
     needs_trace: ClassVar[bool] = False
     """Learns from `SMDPTransition.trace`, so that environments of options are made to give one."""
-    is_markov: ClassVar[bool] = False
+    is_markov: bool = False
     """`act_greedy` is a function of the observation and the legal actions: it draws nothing and remembers nothing."""
     settings: Any
     """The settings that the agent was made with."""

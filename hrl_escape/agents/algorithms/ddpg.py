@@ -119,7 +119,7 @@ class DDPG(ReplayAgent):
     name: ClassVar[str] = "ddpg"
     Settings: ClassVar[type] = DDPGSettings
     settings: DDPGSettings
-    is_markov: ClassVar[bool] = True
+    is_markov: bool = True
 
     def __init__(
         self,

@@ -6,7 +6,7 @@ advantage each decision discounts by its own gamma^k; lambda falls per decision 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
@@ -21,6 +21,7 @@ from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, c
 from hrl_escape.agents.components.distillation import DeepBonusSettings, make_bonus
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_index
 from hrl_escape.agents.components.learner import Learner
+from hrl_escape.agents.components.memory import MemorySettings, cut_stretches, make_memory
 from hrl_escape.agents.components.networks import (
     NetworkSettings,
     ObservationEncoder,
@@ -50,7 +51,8 @@ __all__ = ["PPO", "PPOSettings"]
 
 
 @dataclass(frozen=True)
-class PPOSettings(AdvantageSettings, DeepBonusSettings, ObjectNetworkSettings, NetworkSettings, LearningSettings):
+class PPOSettings(MemorySettings, AdvantageSettings, DeepBonusSettings, ObjectNetworkSettings, NetworkSettings,
+                  LearningSettings):
     """Settings of `ppo`."""
 
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
@@ -87,7 +89,7 @@ class PPO(StreamAgent):
     name: ClassVar[str] = "ppo"
     Settings: ClassVar[type] = PPOSettings
     settings: PPOSettings
-    is_markov: ClassVar[bool] = True
+    is_markov: bool = True
 
     def __init__(
         self,
@@ -100,15 +102,23 @@ class PPO(StreamAgent):
         self._encoder = ObservationEncoder(observation_space, settings.scale_observations)
         self._actions = count_actions(action_space, self.name)
         generator = make_generator(make_rng(seed, "weights"))
-        self.policy = make_action_network(self._encoder, action_space, settings, generator, output_gain=0.01)
-        self.critic = make_state_network(self._encoder, settings, generator)
+        self._memory = make_memory(self._encoder, settings, settings.network == "objects", generator)
+        size = 0 if self._memory is None else self._memory.size
+        self.policy = make_action_network(self._encoder, action_space, settings, generator, 0.01, size)
+        self.critic = make_state_network(self._encoder, settings, generator, size)
         self._forward, self._forward_critic = make_forward(self.policy), make_forward(self.critic)
         networks = {"policy": self.policy, "critic": self.critic}
+        self.is_markov = self._memory is None
+        if self._memory is not None:
+            networks["memory"] = self._memory.network
         self._learner = Learner(self.name, networks, networks, settings)
         self._action_rng, self._batch_rng = make_rng(seed, "actions"), make_rng(seed, "batches")
         self._stream_rng = make_rng(seed, "streams")
         self._bonus = make_bonus(observation_space, seed, settings, settings, self.name)
         self._open: OpenChoices | None = None  # of streams; None while one environment is played
+        self._recollection = self._before = np.zeros(size, np.float32)  # of the one environment: now, and before
+        self._evaluation: tuple[np.random.Generator, NDArray] | None = None  # an evaluation's, which belongs to its rng
+        self._latest: NDArray | None = None
         self._forget()
 
     def _forget(self) -> None:
@@ -118,32 +128,57 @@ class PPO(StreamAgent):
         self._collected = 0
 
     def compute_preferences(self, observation: Any) -> NDArray:
-        """Logits of the policy at an observation, before any mask, float32 (actions,)."""
-        return self._forward(self._encoder.encode(observation))
+        """Logits of the policy at an observation, before any mask, float32 (actions,).
+
+        With a memory: of the latest choice, if this was its observation, else of an episode that begins here.
+        """
+        return self._forward(self._see(observation))
 
     def compute_state_value(self, observation: Any) -> float:
         """V(s) at an observation, in units of return."""
-        return float(self._forward_critic(self._encoder.encode(observation))[0]) / self.settings.reward_scale
+        return float(self._forward_critic(self._see(observation))[0]) / self.settings.reward_scale
+
+    def _see(self, observation: Any, recollection: NDArray | None = None) -> NDArray:
+        """Input of the networks: the encoded observation, with what is remembered once it is seen."""
+        encoded = self._encoder.encode(observation)
+        if self._memory is None:
+            return encoded
+        if recollection is None:
+            if self._latest is not None and np.array_equal(self._latest[: len(encoded)], encoded):
+                return self._latest
+            recollection = np.zeros_like(self._before)
+        both = (torch.from_numpy(part)[None].to(self.policy.weights.device) for part in (encoded, recollection))
+        with torch.no_grad():
+            self._latest = seen = self._memory.read(*both)[0].cpu().numpy()
+        return seen
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Draw from the policy over legal actions."""
-        logits = np.where(action_mask, self.compute_preferences(observation), -np.inf)
+        seen = self._see(observation, self._recollection)
+        self._before, self._recollection = self._recollection, seen[len(seen) - len(self._before) :]
+        logits = np.where(action_mask, self._forward(seen), -np.inf)
         weights = np.exp(logits.astype(np.float64) - logits.max())
         return sample_index(weights / weights.sum(), self._action_rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The likeliest legal action."""
-        return choose_best(self.compute_preferences(observation), action_mask)
+        running, recollection = self._evaluation or (None, None)
+        seen = self._see(observation, recollection if running is rng else np.zeros_like(self._before))
+        self._evaluation = rng, seen[len(seen) - len(self._before) :]
+        return choose_best(self._forward(seen), action_mask)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Keep the decision; update when the rollout is full."""
         reward, bootstrap = compute_backup(transition, self.settings)
         reward += self._bonus.visit(transition.next_observation)
+        over = transition.terminated or transition.truncated
         self._rows.append((
             self._encoder.encode(transition.observation), transition.action_mask, transition.action,
-            reward * self.settings.reward_scale, bootstrap, transition.duration,
-            transition.terminated or transition.truncated, self._encoder.encode(transition.next_observation),
+            reward * self.settings.reward_scale, bootstrap, transition.duration, over,
+            self._encoder.encode(transition.next_observation), self._before,
         ))
+        if over:
+            self._recollection = np.zeros_like(self._before)
         self._collected += 1
         return self._learn() if self._collected >= self.settings.rollout else {}
 
@@ -153,16 +188,21 @@ class PPO(StreamAgent):
         """Move networks and optimiser to a device; every stream begins an episode and a rollout."""
         self._learner.move(device)
         self._forward, self._forward_critic = make_forward(self.policy), make_forward(self.critic)
-        self._open = OpenChoices(count, self._actions, device, self._stream_rng)
+        self._open = OpenChoices(count, self._actions, device, self._stream_rng, len(self._before))
         self._forget()
 
     def act_streams(self, observation: Tensor, mask: Tensor, stream: Tensor) -> Tensor:
         """Draw from the policy over legal actions, for each row."""
         assert self._open is not None, "begin_streams comes first"
+        seen = self._encoder.encode_many(observation)
+        numbers = len(self._before)
         with torch.no_grad():
-            log_policy = compute_log_policy(self.policy(self._encoder.encode_many(observation)), mask)
+            if self._memory is not None:
+                seen = self._memory.read(seen, self._open.memory[stream])
+            log_policy = compute_log_policy(self.policy(seen), mask)
         action = sample_policy(log_policy, self._open.generator)
-        self._open.choose(stream, mask, log_policy.gather(1, action[:, None]).squeeze(1))
+        self._open.choose(stream, mask, log_policy.gather(1, action[:, None]).squeeze(1),
+                          seen[:, seen.shape[1] - numbers :] if numbers else self._open.memory[stream])
         return action
 
     def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
@@ -172,12 +212,12 @@ class PPO(StreamAgent):
         if self.settings.bonus_weight:
             bonus = self._bonus.visit_many(decisions.next_observation.cpu().numpy())
             reward = reward + torch.from_numpy(bonus).to(reward.device)
-        mask, log_probability, place = self._open.end(decisions.stream)
+        over = decisions.terminated | decisions.truncated
+        mask, log_probability, place, memory = self._open.end(decisions.stream, over)
         self._chunks.append(Rollout(
             self._encoder.encode_many(decisions.observation), mask, decisions.action, log_probability,
-            reward * self.settings.reward_scale, bootstrap, decisions.duration,
-            decisions.terminated | decisions.truncated, self._encoder.encode_many(decisions.next_observation),
-            decisions.stream, place,
+            reward * self.settings.reward_scale, bootstrap, decisions.duration, over,
+            self._encoder.encode_many(decisions.next_observation), memory, decisions.stream, place,
         ))
         self._collected += len(place)
         least = max(self.settings.rollout, self.settings.stream_rollout * self._open.count)
@@ -194,41 +234,55 @@ class PPO(StreamAgent):
         """The updates from the rollout, which then begins anew; returns means over them."""
         rollout = self._gather()
         self._forget()
-        observation, mask, action = rollout.observation, rollout.mask, rollout.action
+        mask, action = rollout.mask, rollout.action
+        seen, reached = rollout.observation, rollout.next_observation
         with torch.no_grad():
-            values = self.critic(observation).squeeze(1)
-            next_values = self.critic(rollout.next_observation).squeeze(1)
+            if self._memory is not None:
+                seen = self._memory.read(seen, rollout.memory)
+                reached = self._memory.read(reached, self._memory.get_state(seen))
+            values, next_values = self.critic(seen).squeeze(1), self.critic(reached).squeeze(1)
             old_log_probability = rollout.log_probability
             if self._open is None:  # the policy is still the one that chose
-                log_policy = compute_log_policy(self.policy(observation), mask)
+                log_policy = compute_log_policy(self.policy(seen), mask)
                 old_log_probability = log_policy.gather(1, action[:, None]).squeeze(1)
             else:
                 self._open.begin_rollout()
         advantages = compute_advantages(rollout, values, next_values, self.settings)
         targets = advantages + values
-        batch_size = max(self.settings.batch_size, len(action) * self.settings.batch_size // self.settings.rollout)
         totals = torch.zeros(4, device=action.device)
         count = 0
-        for _ in range(self.settings.epochs):
-            order = torch.from_numpy(self._batch_rng.permutation(len(action))).to(action.device)
-            for rows in order.split(batch_size):
-                if len(rows) < 2:
-                    continue  # one advantage cannot be normalised
-                loss, parts = self.compute_loss(
-                    observation[rows],
-                    mask[rows],
-                    action[rows],
-                    old_log_probability[rows],
-                    advantages[rows],
-                    targets[rows],
-                )
-                self._learner.minimise(loss)
-                totals += parts
-                count += 1
+        for rows, batch in self._draw_batches(rollout):
+            loss, parts = self.compute_loss(
+                batch, mask[rows], action[rows], old_log_probability[rows], advantages[rows], targets[rows])
+            self._learner.minimise(loss)
+            totals += parts
+            count += 1
         names = ("loss", "policy_loss", "value_loss", "entropy")
         mean_value = values.mean().item() / self.settings.reward_scale
         return dict(zip(names, (totals / count).tolist(), strict=True)) | {
             "gradient_norm": self._learner.gradient_norm, "value": mean_value}
+
+    def _draw_batches(self, rollout: Rollout) -> Iterator[tuple[Tensor, Tensor]]:
+        """Rows of each minibatch, and the networks' input there; with a memory, lived through again in stretches."""
+        settings, device = self.settings, rollout.action.device
+        total, batch_size = len(rollout.action), settings.batch_size
+        batch_size = max(batch_size, total * batch_size // settings.rollout)
+        if self._memory is None:
+            stretches, units = None, total
+        else:
+            stretches = cut_stretches(rollout.stream, rollout.place, settings.memory_span)
+            units = stretches.grid.shape[1]
+        for _ in range(settings.epochs):
+            order = torch.from_numpy(self._batch_rng.permutation(units)).to(device)
+            for drawn in order.split(max(1, batch_size * units // total)):
+                part = None if stretches is None else stretches.pick(drawn)
+                rows = drawn if part is None else part.rows
+                if len(rows) < 2:
+                    continue  # one advantage cannot be normalised
+                if part is None or self._memory is None:
+                    yield rows, rollout.observation[rows]
+                else:
+                    yield rows, self._memory.read_stretches(rollout.observation, rollout.memory, rollout.over, part)
 
     def compute_loss(self, observation: Tensor, mask: Tensor, action: Tensor, old_log_probability: Tensor,
                      advantage: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
@@ -248,6 +302,7 @@ class PPO(StreamAgent):
             "learner": self._learner.state_dict(),
             "rollout": self._gather()._asdict() if self._collected else None,
             "streams": None if self._open is None else self._open.state_dict(),
+            "recollection": self._recollection,
             "bonus": self._bonus.state_dict(),
             "action_rng": self._action_rng.bit_generator.state,
             "batch_rng": self._batch_rng.bit_generator.state,
@@ -258,6 +313,7 @@ class PPO(StreamAgent):
         """Restore the result of `state_dict`; streams go on if there are as many, on any device."""
         self._learner.load_state_dict(state["learner"])
         self._bonus.load_state_dict(state["bonus"])
+        self._recollection = np.array(state["recollection"], np.float32)
         self._forget()
         if self._open is not None and state["streams"] is not None:
             self._open.load_state_dict(state["streams"])
@@ -273,7 +329,7 @@ class PPO(StreamAgent):
 
 def _stack(rows: list[tuple], first: int) -> Rollout:
     """Rows of the one environment as a rollout, whose places begin at `first`."""
-    dtypes = (None, np.bool_, np.int64, np.float32, np.float32, np.int64, np.bool_, None)
+    dtypes = (None, np.bool_, np.int64, np.float32, np.float32, np.int64, np.bool_, None, np.float32)
     fields = [torch.from_numpy(np.array(field, dtype))
               for field, dtype in zip(zip(*rows, strict=True), dtypes, strict=True)]
     observation, mask, action, *rest = fields

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import gymnasium
 import numpy as np
@@ -52,7 +52,7 @@ class ActionValueAgent(ReplayAgent):
         average: of the online network's weights, with `average_rate`; the greedy policy follows it.
     """
 
-    is_markov: ClassVar[bool] = True
+    is_markov: bool = True
 
     def __init__(
         self,

@@ -48,14 +48,16 @@ class ObjectLayers(nn.Module):
         settings: hidden layers and initialisation.
         generator: draws the weights.
         output_gain: factor on the last layer's initial weights.
+        memory: numbers after the observation that belong to the rows, as many to each.
     """
 
     _columns: torch.Tensor
 
     def __init__(self, space: ObjectsBox, about: tuple[str | None, ...], settings: NetworkSettings,
-                 generator: torch.Generator, output_gain: float) -> None:
+                 generator: torch.Generator, output_gain: float, memory: int = 0) -> None:
         super().__init__()
         self._shape, self._present = (len(space.rows), len(space.words)), space.words.index("present")
+        self._memory = memory // len(space.rows)
         is_tanh = settings.initialisation == "orthogonal"
         self._activation = nn.Tanh() if is_tanh else nn.ReLU()
         gain = nn.init.calculate_gain("tanh" if is_tanh else "relu")
@@ -68,7 +70,7 @@ class ObjectLayers(nn.Module):
             return linear
 
         widths = settings.hidden
-        self.enter = make(len(space.words) + space.context, widths[0], gain)
+        self.enter = make(len(space.words) + space.context + self._memory, widths[0], gain)
         self.own, self.shared = nn.ModuleList(), nn.ModuleList()
         for width, units in zip(widths, widths[1:], strict=False):
             self.own.append(make(width, units, gain))
@@ -82,7 +84,9 @@ class ObjectLayers(nn.Module):
         """Numbers of all actions, (batch, actions), or of the state, (batch, 1)."""
         count, width = self._shape
         rows = observation[:, : count * width].unflatten(1, self._shape)  # (batch, rows, words)
-        context = observation[:, None, count * width :].expand(-1, count, -1)
+        rest = observation[:, count * width :]
+        context, memory = rest.split((rest.shape[1] - count * self._memory, count * self._memory), dim=1)
+        context = torch.cat([context[:, None].expand(-1, count, -1), memory.unflatten(1, (count, -1))], dim=2)
         present = rows[:, :, self._present, None] > 0.5
         hidden = self._activation(self.enter(torch.cat([rows, context], dim=2)))
         for own, shared in zip(self.own, self.shared, strict=True):
@@ -122,7 +126,7 @@ def _lay_out(rows: tuple[str, ...], about: tuple[str | None, ...]) -> tuple[list
 
 
 def make_action_network(encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
-                        generator: torch.Generator, output_gain: float = 1.0) -> Network:
+                        generator: torch.Generator, output_gain: float = 1.0, memory: int = 0) -> Network:
     """Network of one number an action, as `settings.network` says.
 
     Args:
@@ -131,22 +135,24 @@ def make_action_network(encoder: ObservationEncoder, action_space: gymnasium.Spa
         settings: `NetworkSettings` with `network`.
         generator: draws the weights.
         output_gain: factor on the last layer's initial weights.
+        memory: numbers of a memory after the observation.
 
     Raises:
         UnsupportedSpaceError: `network=objects` with observations that are no rows of objects.
     """
     actions = count_actions(action_space, "network")
     if settings.network == "mlp":
-        return make_network(encoder, actions, settings, generator, output_gain=output_gain)
+        return make_network(encoder, actions, settings, generator, memory, output_gain)
     about = action_space.about if isinstance(action_space, PointingDiscrete) else (None,) * actions
-    return Network(ObjectLayers(_get_rows(encoder), about, settings, generator, output_gain))
+    return Network(ObjectLayers(_get_rows(encoder), about, settings, generator, output_gain, memory))
 
 
-def make_state_network(encoder: ObservationEncoder, settings: Any, generator: torch.Generator) -> Network:
+def make_state_network(encoder: ObservationEncoder, settings: Any, generator: torch.Generator, memory: int = 0
+                       ) -> Network:
     """Network of one number, the value of a state; see `make_action_network`."""
     if settings.network == "mlp":
-        return make_network(encoder, 1, settings, generator)
-    return Network(ObjectLayers(_get_rows(encoder), (), settings, generator, 1.0))
+        return make_network(encoder, 1, settings, generator, memory)
+    return Network(ObjectLayers(_get_rows(encoder), (), settings, generator, 1.0, memory))
 
 
 def _get_rows(encoder: ObservationEncoder) -> ObjectsBox:

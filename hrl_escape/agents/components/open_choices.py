@@ -20,27 +20,38 @@ class OpenChoices:
         actions: number of actions.
         device: device of all tensors.
         rng: seeds the generator.
+        memory: numbers in a stream's recurrent memory.
 
     Attributes:
         generator: on the device, for the draws of all streams.
+        memory: (count, numbers), what each stream remembers now; 0 before an episode's first decision.
     """
 
-    def __init__(self, count: int, actions: int, device: torch.device, rng: np.random.Generator) -> None:
+    def __init__(self, count: int, actions: int, device: torch.device, rng: np.random.Generator,
+                 memory: int = 0) -> None:
         self.count = count
         self.generator = torch.Generator(device).manual_seed(int(rng.integers(2**63)))
         self._mask = torch.ones((count, actions), dtype=torch.bool, device=device)
         self._log_probability = torch.zeros(count, device=device)
         self._place = torch.zeros(count, dtype=torch.int64, device=device)
+        self.memory, self._before = (torch.zeros((count, memory), device=device) for _ in range(2))
 
-    def choose(self, stream: Tensor, mask: Tensor, log_probability: Tensor) -> None:
-        """Keep with what some streams, int64 (n,), have just chosen."""
+    def choose(self, stream: Tensor, mask: Tensor, log_probability: Tensor, memory: Tensor) -> None:
+        """Keep with what some streams, int64 (n,), have just chosen, and what they remember since."""
         self._mask[stream], self._log_probability[stream] = mask, log_probability
+        self._before[stream] = self.memory[stream]
+        self.memory[stream] = memory
 
-    def end(self, stream: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Mask (n, actions), log probability (n,) and place in the rollout (n,) of decisions that ended."""
+    def end(self, stream: Tensor, over: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Choices of decisions that ended; where the episode is `over` too, bool (n,), the stream forgets.
+
+        Returns:
+            Mask (n, actions), log probability (n,), place in the rollout (n,), and memory before the choice.
+        """
         place = self._place[stream]
         self._place[stream] += 1
-        return self._mask[stream], self._log_probability[stream], place
+        self.memory[stream] = torch.where(over[:, None], 0.0, self.memory[stream])
+        return self._mask[stream], self._log_probability[stream], place, self._before[stream]
 
     def begin_rollout(self) -> None:
         """Count places from 0 again."""
@@ -49,7 +60,8 @@ class OpenChoices:
     def state_dict(self) -> StateTree:
         """Choices, places, the generator's state."""
         return {"mask": self._mask.cpu().numpy(), "log_probability": self._log_probability.cpu().numpy(),
-                "place": self._place.cpu().numpy(), "generator": self.generator.get_state().numpy()}
+                "place": self._place.cpu().numpy(), "memory": self.memory.cpu().numpy(),
+                "before": self._before.cpu().numpy(), "generator": self.generator.get_state().numpy()}
 
     def load_state_dict(self, state: StateTree) -> None:
         """Restore the result of `state_dict`.
@@ -57,7 +69,8 @@ class OpenChoices:
         Raises:
             CheckpointError: it is of other streams.
         """
-        for field, name in ((self._mask, "mask"), (self._log_probability, "log_probability"), (self._place, "place")):
+        for field, name in ((self._mask, "mask"), (self._log_probability, "log_probability"), (self._place, "place"),
+                            (self.memory, "memory"), (self._before, "before")):
             if state[name].shape != tuple(field.shape):
                 raise CheckpointError(f"the checkpoint's streams have {name} of shape {state[name].shape}; here are "
                                       f"{tuple(field.shape)}")

@@ -44,6 +44,7 @@ class Rollout(NamedTuple):
         over: bool (n,), the episode ended here, by termination or truncation.
         next_observation: (n, *observation shape), the state reached, also at an episode's end.
         stream: int64 (n,).
+        memory: float32 (n, numbers), recurrent state before the decision; no numbers where there is none.
         place: int64 (n,), 0 for a stream's first decision here, 1 for its second, and so on without a gap.
     """
 
@@ -56,6 +57,7 @@ class Rollout(NamedTuple):
     duration: Tensor
     over: Tensor
     next_observation: Tensor
+    memory: Tensor
     stream: Tensor
     place: Tensor
 

@@ -37,7 +37,7 @@ class TabularAgent(Agent):
     """
 
     name: ClassVar[str]
-    is_markov: ClassVar[bool] = True
+    is_markov: bool = True
 
     def __init__(
         self,

@@ -284,7 +284,8 @@ def make_rollout(seed):
     inside = np.flatnonzero(~over[:-1])
     next_observation[inside] = batch.observation[inside + 1]
     columns = (batch.observation, batch.mask, batch.action, np.zeros(SIZE, np.float32), batch.reward, batch.bootstrap,
-               duration, over, next_observation, np.zeros(SIZE, np.int64), np.arange(SIZE))
+               duration, over, next_observation, np.zeros((SIZE, 0), np.float32), np.zeros(SIZE, np.int64),
+               np.arange(SIZE))
     return Rollout(*map(torch.from_numpy, columns)), torch.from_numpy(terminated)
 
 

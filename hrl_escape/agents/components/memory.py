@@ -1,0 +1,169 @@
+"""Recurrent memory: what a network is told of the episode so far, beside the present observation.
+
+A gated recurrent unit (Cho et al. 2014) turns the encoded observation and the state before it into the next state, zero
+before an episode's first decision. Over rows of objects every row has a unit with the same weights and a state of its
+own, so that what is remembered permutes with the objects. Gradients go back through stretches of at most `memory_span`
+decisions, which begin in the state that was there when they were lived.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import torch
+from torch import Tensor, nn
+
+from hrl_escape.agents.components.networks import Network, ObservationEncoder
+from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.errors import UnsupportedSpaceError
+from hrl_escape.settings import Range
+from hrl_escape.spaces import ObjectsBox
+
+__all__ = ["Memory", "MemorySettings", "Stretches", "cut_stretches", "make_memory"]
+
+
+@dataclass(frozen=True)
+class MemorySettings(AgentSettings):
+    """Recurrent memory."""
+
+    memory: Literal["none", "gru"] = "none"
+    """`gru`: a gated recurrent unit remembers the episode's observations, for tasks that the present one does not
+    decide. It begins every episode empty."""
+    memory_units: Annotated[int, Range(1)] = 32
+    """Size of its state; with `network=objects`, of each object's."""
+    memory_span: Annotated[int, Range(1)] = 32
+    """Most decisions through which a gradient goes back."""
+
+
+class GatedCell(nn.Module):
+    """Gated recurrent unit from observations and states, one after the other in a row, to states."""
+
+    def __init__(self, numbers: int, rows: int, words: int, units: int, generator: torch.Generator) -> None:
+        super().__init__()
+        self._numbers, self._rows, self._words, self._units = numbers, rows, words, units
+        cell: Any = nn.utils.skip_init(nn.GRUCell, words + numbers - rows * words, units)
+        for weight in (cell.weight_ih, cell.weight_hh):
+            for gate in weight.data.split(units):
+                nn.init.orthogonal_(gate, generator=generator)
+        nn.init.zeros_(cell.bias_ih)
+        nn.init.zeros_(cell.bias_hh)
+        self.cell = cell
+
+    def forward(self, given: Tensor) -> Tensor:
+        """States, (n, rows x units), from (n, numbers + rows x units)."""
+        observation, state = given[:, : self._numbers], given[:, self._numbers :]
+        own = observation[:, : self._rows * self._words].unflatten(1, (self._rows, self._words))
+        context = observation[:, None, self._rows * self._words :].expand(-1, self._rows, -1)
+        inputs = torch.cat([own, context], dim=2).flatten(0, 1)
+        return self.cell(inputs, state.reshape(-1, self._units)).view(len(given), -1)
+
+
+class Memory:
+    """A recurrent memory of encoded observations.
+
+    Args:
+        network: of one `GatedCell`.
+        size: numbers in a state.
+
+    Attributes:
+        network: its weights.
+        size: numbers in a state.
+    """
+
+    def __init__(self, network: Network, size: int) -> None:
+        self.network, self.size = network, size
+
+    def read(self, observation: Tensor, state: Tensor) -> Tensor:
+        """Remember an observation; returns it with the new state behind it, (n, numbers + size)."""
+        return torch.cat([observation, self.network(torch.cat([observation, state], dim=1))], dim=1)
+
+    def get_state(self, read: Tensor) -> Tensor:
+        """The states in the result of `read`, (n, size)."""
+        return read[:, -self.size :]
+
+    def read_stretches(self, observation: Tensor, state: Tensor, over: Tensor, stretches: Stretches) -> Tensor:
+        """Live through stretches of decisions again.
+
+        Args:
+            observation: (n, numbers), of all decisions.
+            state: (n, size), before each of them, when they were lived; the first of a stretch is taken.
+            over: bool (n,), the episode ended with the decision.
+            stretches: k decisions in all.
+
+        Returns:
+            `read` of the k decisions, in the order of `stretches.rows`.
+        """
+        places, _ = stretches.grid.shape
+        now = state[stretches.grid[0]]
+        found = []
+        for place in range(places):
+            rows = stretches.grid[place]
+            seen = self.read(observation[rows], now)
+            found.append(seen)
+            now = torch.where(over[rows, None], 0.0, self.get_state(seen))
+        return torch.stack(found)[stretches.is_real]
+
+
+class Stretches:
+    """Stretches of decisions that follow each other in one stream, side by side.
+
+    Args:
+        grid: int64 (places, stretches), rows of the rollout; arbitrary ones where a stretch is shorter.
+        is_real: bool, the same shape.
+
+    Attributes:
+        rows: int64 (k,), the rows in the grid that are real, place by place.
+    """
+
+    def __init__(self, grid: Tensor, is_real: Tensor) -> None:
+        self.grid, self.is_real, self.rows = grid, is_real, grid[is_real]
+
+    def pick(self, columns: Tensor) -> Stretches:
+        """Some of the stretches."""
+        return Stretches(self.grid[:, columns], self.is_real[:, columns])
+
+
+def cut_stretches(stream: Tensor, place: Tensor, span: int) -> Stretches:
+    """Cut the decisions of every stream into stretches.
+
+    Args:
+        stream: int64 (n,).
+        place: int64 (n,), of each decision in its stream, without gaps.
+        span: most decisions in a stretch.
+    """
+    pieces = int(place.max()) // span + 1
+    key = stream * pieces + place // span
+    names, column = torch.unique(key, return_inverse=True)
+    grid = torch.zeros((min(span, int(place.max()) + 1), len(names)), dtype=torch.int64, device=stream.device)
+    is_real = torch.zeros_like(grid, dtype=torch.bool)
+    at = place % span, column
+    grid[at] = torch.arange(len(stream), device=stream.device)
+    is_real[at] = True
+    return Stretches(grid, is_real)
+
+
+def make_memory(encoder: ObservationEncoder, settings: MemorySettings, by_objects: bool, generator: torch.Generator
+                ) -> Memory | None:
+    """Make the memory that settings ask for, if any.
+
+    Args:
+        encoder: of the observations.
+        settings: kind and size.
+        by_objects: give each row of objects a state of its own.
+        generator: draws the weights.
+
+    Raises:
+        UnsupportedSpaceError: a memory of pictures.
+    """
+    if settings.memory == "none":
+        return None
+    if encoder.is_image:
+        raise UnsupportedSpaceError("memory=gru remembers vectors, not pictures: make the environment with another "
+                                    "observation")
+    numbers = encoder.shape[0]
+    rows, words = 1, numbers
+    if by_objects and isinstance(encoder.space, ObjectsBox):
+        rows, words = len(encoder.space.rows), len(encoder.space.words)
+    cell = GatedCell(numbers, rows, words, settings.memory_units, generator)
+    return Memory(Network(cell), rows * settings.memory_units)
