@@ -69,7 +69,8 @@ class AgentSpec(Settings):
 
     _section = "agent"
     name: str = "random"
-    """Name in the registry, or smdp-index-order or planner, which learn nothing; smdp- in front chooses options."""
+    """Name in the registry, or smdp-index-order, smdp-shuffled-round or planner, which learn nothing; smdp- in front
+    chooses options."""
     label: str = ""
     """Name in tables and curves; empty for the agent's name (and recipe)."""
     recipe: str = "corrected"
@@ -99,7 +100,7 @@ class AgentSpec(Settings):
 
     @property
     def is_reference(self) -> bool:
-        """Agent follows a rule, without training: `smdp-index-order` or `planner`."""
+        """Agent follows a rule, without training: one of `REFERENCES`."""
         return self.name in REFERENCES
 
     @property

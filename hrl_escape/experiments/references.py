@@ -1,12 +1,14 @@
 """References beside the learners of a comparison: policies by rule, evaluated on the same episodes without training.
 
 `smdp-index-order` presses buttons 1, 2, ..., n and then leaves, over and over: the score that needs no knowledge of a
-room. `planner` knows the dependency graph and follows the best known plan: the score by which efficiency is measured.
+room. `smdp-shuffled-round` does the same in an order drawn anew for each episode: where numbers say nothing of the
+dependency graph, the two are equally good, but for chance. `planner` knows the dependency graph and follows the best known plan: the score by which efficiency is measured.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import gymnasium
@@ -16,10 +18,10 @@ from numpy.typing import NDArray
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
 from hrl_escape.experiments.episodes import StateRecorder
 
-__all__ = ["INDEX_ORDER", "PLANNER", "REFERENCES", "make_reference"]
+__all__ = ["INDEX_ORDER", "PLANNER", "REFERENCES", "SHUFFLED_ROUND", "make_reference"]
 
-INDEX_ORDER, PLANNER = "smdp-index-order", "planner"
-REFERENCES = (INDEX_ORDER, PLANNER)
+INDEX_ORDER, SHUFFLED_ROUND, PLANNER = "smdp-index-order", "smdp-shuffled-round", "planner"
+REFERENCES = (INDEX_ORDER, SHUFFLED_ROUND, PLANNER)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -46,7 +48,7 @@ class IndexOrder(Reference):
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
         super().__init__(env, recorder)
         names, options = (self._env.get_wrapper_attr(name) for name in ("action_names", "options"))
-        self._order = range(len(names) - len(options), len(names))
+        self._order: Sequence[int] = range(len(names) - len(options), len(names))
         self._next = 0
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
@@ -60,6 +62,17 @@ class IndexOrder(Reference):
             if action_mask[action]:
                 return action
         return int(np.flatnonzero(action_mask)[0])
+
+
+class ShuffledRound(IndexOrder):
+    """Options in an order that is drawn for the episode, the exit last, then from the first again."""
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """Next option in order that may be taken; an episode begins with a new order."""
+        if len(self._recorder.states) == 1:
+            *buttons, leave = sorted(self._order)  # the exit has the last number
+            self._order = [*rng.permutation(buttons).tolist(), leave]
+        return self.act(observation, action_mask)
 
 
 class PlanFollower(Reference):
@@ -86,7 +99,7 @@ def make_reference(name: str, env: gymnasium.Env, recorder: StateRecorder) -> Re
 
     Args:
         name: one of `REFERENCES`.
-        env: its environment, with options for `smdp-index-order`.
+        env: its environment, with options for all but `planner`.
         recorder: around the flat room.
     """
-    return (IndexOrder if name == INDEX_ORDER else PlanFollower)(env, recorder)
+    return {INDEX_ORDER: IndexOrder, SHUFFLED_ROUND: ShuffledRound, PLANNER: PlanFollower}[name](env, recorder)

@@ -14,7 +14,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GridError
 from hrl_escape.experiments.episodes import record_episode
 from hrl_escape.experiments.grid import AgentSpec
-from hrl_escape.experiments.references import INDEX_ORDER, PLANNER, make_reference
+from hrl_escape.experiments.references import INDEX_ORDER, PLANNER, SHUFFLED_ROUND, make_reference
 from hrl_escape.experiments.runs import make_env
 from hrl_escape.experiments.summary import summarise
 from tests.experiments.small import change, run_quietly
@@ -37,6 +37,21 @@ def test_index_order_presses_every_button_by_number_then_leaves_and_begins_again
     order = [*(f"meta-{number:02}" for number in range(1, len(CHAIN.targets) + 1)), "meta-exit"]
     assert names[:5] == order
     assert names == [order[number % 5] for number in range(len(names))]
+
+
+def test_a_shuffled_round_presses_every_button_once_in_an_order_of_the_episode_s_own():
+    room = generate(get_preset("ten-button"), 0)
+    env, recorder = make_env(AgentSpec(SHUFFLED_ROUND), room, "features")
+    reference = make_reference(SHUFFLED_ROUND, env, recorder)
+    buttons, orders = [f"meta-{number:02}" for number in range(1, 11)], []
+    for seed in (0, 1, 0):
+        names = [name for name, _, _ in record_episode(reference, env, recorder, seed)["decisions"]]
+        order = [*names[:10], "meta-exit"]
+        assert sorted(order[:10]) == buttons
+        assert names == [order[number % 11] for number in range(len(names))], "round after round the same"
+        orders.append(order)
+    env.close()
+    assert orders[0] == orders[2] != orders[1] and orders[0][:10] != buttons
 
 
 @pytest.mark.parametrize("name", ["paper-two-button", "four-button-chain", "ten-button"])

@@ -24,7 +24,8 @@ from hrl_escape.experiments.protocols import LadderSettings, find_miscalibration
 from hrl_escape.experiments.summary import summarise
 from hrl_escape.ladder.benchmark import load_benchmark
 
-_YARDSTICKS = ("smdp-random+no-primitives", "smdp-index-order+no-primitives", "planner")
+_YARDSTICKS = ("smdp-random+no-primitives", "smdp-shuffled-round+no-primitives", "smdp-index-order+no-primitives",
+               "planner")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +35,7 @@ class CalibrateArgs:
     rung: tuple[str, ...] = ()
     """Names of rungs; all by default."""
     agents: tuple[str, ...] = ()
-    """Learners beside chance, the order of the numbers and the planner."""
+    """Learners beside chance, a shuffled round, the order of the numbers and the planner."""
     benchmark: str = "ladder-1"
     """Benchmark that comes with the package, or a manifest file."""
     rooms: int = 6
@@ -59,7 +60,7 @@ def run(args: CalibrateArgs) -> int:
         grid = make_protocol_grid(bench, rung, "generalise", agents, settings)
         summary = summarise(run_grid(grid, args.out / rung, LocalLauncher(args.workers)))
         rows[rung] = {agent.label: round(agent.efficiency.value, 4) for agent in summary.agents}
-    faults = {rung: find_miscalibration(row[_YARDSTICKS[0]], row[_YARDSTICKS[2]], bench[rung].config.dynamics.is_random)
+    faults = {rung: find_miscalibration(row[_YARDSTICKS[0]], row[_YARDSTICKS[-1]], bench[rung].config.dynamics.is_random)
               for rung, row in rows.items()}
     if args.json:
         print(json.dumps({"efficiency": rows, "faults": faults}, indent=2))
