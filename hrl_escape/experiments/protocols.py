@@ -5,7 +5,8 @@ Every protocol is a grid for the same comparison; nothing here runs anything.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
 from hrl_escape.errors import ConfigError
@@ -15,7 +16,7 @@ from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.summary import AgentSummary, Summary
 from hrl_escape.ladder.benchmark import Benchmark
 
-__all__ = ["LadderSettings", "Protocol", "RungStanding", "find_miscalibration", "judge", "list_standings",
+__all__ = ["LadderSettings", "Protocol", "RungStanding", "find_miscalibration", "find_steps", "judge", "list_standings",
            "make_protocol_grid", "name_protocol"]
 
 Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer", "few-shot"]
@@ -33,6 +34,8 @@ PASSED_ESCAPES, PASSED_EFFICIENCY = 0.9, 0.5
 """A rung is passed with escapes above the first, by the lower end of Wilson's interval, and efficiency above the
 second."""
 
+STEP = 0.9, 0.1
+"""A learner steps between two neighbouring rungs where it falls from above the first efficiency to below the second."""
 MOST_CHANCE = 0.5
 """Efficiency that random choices among the options must stay below."""
 
@@ -162,3 +165,20 @@ def find_miscalibration(chance: float, planner: float, is_stochastic: bool = Fal
     faults = [f"chance reaches {chance:.2f}, not below {MOST_CHANCE:g}"] if chance >= MOST_CHANCE else []
     least = 0.95 if is_stochastic else 1.0
     return faults + ([f"the planner reaches {planner:.2f}, not 1"] if planner < least else [])
+
+
+def find_steps(rows: Mapping[str, Mapping[str, float]], learners: Iterable[str]) -> dict[str, list[str]]:
+    """Find learners that fall from mastery to nothing from one rung to the next; the rungs between are missing.
+
+    Args:
+        rows: efficiency of each agent on each rung, the rungs in order.
+        learners: agents to look at.
+
+    Returns:
+        Faults of each rung, in words.
+    """
+    faults: dict[str, list[str]] = {rung: [] for rung in rows}
+    for (before, high), (after, low) in itertools.pairwise(rows.items()):
+        faults[after] += [f"{agent} falls from {high[agent]:.2f} on {before} to {low[agent]:.2f}"
+                          for agent in learners if high[agent] > STEP[0] and low[agent] < STEP[1]]
+    return faults

@@ -10,6 +10,7 @@ from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.protocols import (
     LadderSettings,
     find_miscalibration,
+    find_steps,
     judge,
     list_standings,
     make_protocol_grid,
@@ -100,3 +101,10 @@ def test_a_rung_is_calibrated_where_chance_fails_and_the_planner_does_not():
     assert len(find_miscalibration(0.6, 0.9)) == 2
     assert find_miscalibration(0.4, 0.96) == ["the planner reaches 0.96, not 1"]
     assert not find_miscalibration(0.4, 0.96, is_stochastic=True), "its expectation, from which six episodes stray"
+
+
+def test_a_rung_where_a_learner_falls_from_mastery_to_nothing_is_a_step():
+    rows = {"low": {"a": 0.95, "b": 0.95, "chance": 0.95}, "middle": {"a": 0.05, "b": 0.5, "chance": 0.0},
+            "high": {"a": 0.9, "b": 0.05, "chance": 0.0}, "top": {"a": 0.0, "b": 0.0, "chance": 0.0}}
+    assert find_steps(rows, ["a", "b"]) == {
+        "low": [], "middle": ["a falls from 0.95 on low to 0.05"], "high": [], "top": []}

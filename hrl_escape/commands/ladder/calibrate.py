@@ -1,18 +1,23 @@
 """Calibrate a benchmark: how efficient chance, the order of the numbers, the planner and learners are on each rung.
 
-Every agent is tested in the same few test rooms; learners train in as many training rooms first. A rung asks for
-something only where chance stays below 0.5, and it is sound where the planner, who knows the graph, reaches 1.
+Every agent is tested in the same few test rooms. Learners train in each of them from nothing, or with the protocol
+generalise in as many training rooms. A rung asks for something only where chance stays below 0.5, it is sound where the
+planner, who knows the graph, reaches 1, and it is a step too high where a learner falls there from above 0.9 on the
+rung before to below 0.1.
 
 Examples:
     hrl-escape ladder calibrate --rung doormat pair chain
-    hrl-escape ladder calibrate --agents smdp-ppo+objects+memory+no-primitives --primitives 5000
+    hrl-escape ladder calibrate --agents smdp-dqn+no-primitives smdp-ppo+no-primitives --primitives 20000
+    hrl-escape ladder calibrate --agents smdp-ppo+objects+memory+no-primitives --protocol generalise
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 from rich.console import Console
 from rich.table import Table
@@ -20,9 +25,9 @@ from rich.table import Table
 from hrl_escape.experiments.comparison import run_grid
 from hrl_escape.experiments.grid import AgentSpec
 from hrl_escape.experiments.launching.local import LocalLauncher
-from hrl_escape.experiments.protocols import LadderSettings, find_miscalibration, make_protocol_grid
+from hrl_escape.experiments.protocols import LadderSettings, find_miscalibration, find_steps, make_protocol_grid
 from hrl_escape.experiments.summary import summarise
-from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 
 _YARDSTICKS = ("smdp-random+no-primitives", "smdp-shuffled-round+no-primitives", "smdp-index-order+no-primitives",
                "planner")
@@ -38,10 +43,16 @@ class CalibrateArgs:
     """Learners beside chance, a shuffled round, the order of the numbers and the planner."""
     benchmark: str = "ladder-1"
     """Benchmark that comes with the package, or a manifest file."""
+    protocol: Literal["per-instance", "generalise"] = "per-instance"
+    """Protocol of the learners."""
     rooms: int = 6
-    """Test rooms of each rung, and training rooms of learners."""
-    primitives: int = 100
-    """Training budget of learners."""
+    """Test rooms of each rung, and training rooms with the protocol generalise."""
+    runs: int = 1
+    """Training seeds of learners."""
+    primitives: int | None = None
+    """Training budget of learners; the rung's own by default."""
+    eval_episodes: int = 5
+    """Episodes in an evaluation of the protocol per-instance."""
     out: Path = Path("runs/calibration")
     """Folder of runs; finished ones are kept."""
     workers: int | None = None
@@ -53,20 +64,33 @@ class CalibrateArgs:
 def run(args: CalibrateArgs) -> int:
     """Print a row a rung; the exit code is 1 if a rung is not calibrated."""
     bench = load_benchmark(args.benchmark)
-    agents = tuple(AgentSpec.parse(text) for text in (*_YARDSTICKS, *args.agents))
-    settings = LadderSettings(1, args.primitives, args.rooms, (args.rooms,), args.rooms)
-    rows = {}
-    for rung in args.rung or [rung.name for rung in bench]:
-        grid = make_protocol_grid(bench, rung, "generalise", agents, settings)
-        summary = summarise(run_grid(grid, args.out / rung, LocalLauncher(args.workers)))
-        rows[rung] = {agent.label: round(agent.efficiency.value, 4) for agent in summary.agents}
-    faults = {rung: find_miscalibration(row[_YARDSTICKS[0]], row[_YARDSTICKS[-1]], bench[rung].config.dynamics.is_random)
-              for rung, row in rows.items()}
+    learners = tuple(map(AgentSpec.parse, args.agents))
+    rows = {rung: _measure(bench, rung, learners, args) for rung in args.rung or [rung.name for rung in bench]}
+    faults = find_steps(rows, [agent.label for agent in learners])
+    for rung, row in rows.items():
+        faults[rung] += find_miscalibration(row[_YARDSTICKS[0]], row[_YARDSTICKS[-1]],
+                                            bench[rung].config.dynamics.is_random)
     if args.json:
         print(json.dumps({"efficiency": rows, "faults": faults}, indent=2))
     else:
-        table = Table("rung", *(agent.label for agent in agents), "faults", box=None, pad_edge=False)
+        labels = [*_YARDSTICKS, *(agent.label for agent in learners)]
+        table = Table("rung", *labels, "faults", box=None, pad_edge=False)
         for rung, row in rows.items():
-            table.add_row(rung, *(f"{row[agent.label]:.2f}" for agent in agents), "; ".join(faults[rung]))
+            table.add_row(rung, *(f"{row[label]:.2f}" for label in labels), "; ".join(faults[rung]))
         Console(width=140, highlight=False).print(table)
     return 1 if any(faults.values()) else 0
+
+
+def _measure(bench: Benchmark, rung: str, learners: Sequence[AgentSpec], args: CalibrateArgs) -> dict[str, float]:
+    """Efficiency of every agent on a rung."""
+    plain = LadderSettings(1, 100, args.rooms, (args.rooms,), args.rooms)  # yardsticks learn nothing
+    settings = LadderSettings(args.runs, args.primitives, args.rooms, (args.rooms,),
+                              args.eval_episodes if args.protocol == "per-instance" else args.rooms)
+    grids = [make_protocol_grid(bench, rung, "generalise", tuple(map(AgentSpec.parse, _YARDSTICKS)), plain)]
+    if learners:
+        grids.append(make_protocol_grid(bench, rung, args.protocol, learners, settings))
+    found = {}
+    for name, grid in zip(("yardsticks", args.protocol), grids, strict=False):
+        summary = summarise(run_grid(grid, args.out / name / rung, LocalLauncher(args.workers)))
+        found |= {agent.label: round(agent.efficiency.value, 4) for agent in summary.agents}
+    return found

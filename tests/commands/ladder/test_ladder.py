@@ -139,8 +139,11 @@ def test_trials_in_unseen_rooms_are_scored_one_by_one(capsys, tmp_path):
 
 def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
     code, out, _ = call(capsys, "calibrate", "--rung", "doormat", "--rooms", "2", "--workers", "1", "--json", "--out",
-                        str(tmp_path))
+                        str(tmp_path), "--agents", "smdp-q-learning+no-primitives", "--primitives", "60",
+                        "--eval-episodes", "1")
     told = json.loads(out)
+    assert (tmp_path / "per-instance" / "doormat" / "grid.json").exists(), "the learner learns in each room from nothing"
+    assert 0 <= told["efficiency"]["doormat"]["smdp-q-learning+no-primitives"] <= 1
     assert told["efficiency"]["doormat"]["planner"] == 1.0
     chance = told["efficiency"]["doormat"]["smdp-random+no-primitives"]
     assert code == int(chance >= 0.5) == len(told["faults"]["doormat"])
