@@ -4,9 +4,11 @@
     hrl-escape watch smdp-dqn --preset clutter --seed 3
     hrl-escape watch maxq-q --leaves planned
     hrl-escape watch runs/smdp-dqn-paper-two-button-0-5a1d3f0c
+    hrl-escape watch lattice
 
 Without a name the planner drives. An agent's name trains that agent while you watch. The folder of a run (see
-`hrl-escape train`) lets the trained agent drive in its room. Space pauses, P runs one primitive, D one decision.
+`hrl-escape train`) lets the trained agent drive in its room; the name of a rung (see `hrl-escape ladder list`) that of
+the trained agent that comes with the package. Space pauses, P runs one primitive, D one decision.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ import tyro
 from hrl_escape.commands.room_choice import RoomChoice, VectorObservation
 from hrl_escape.commands.serving import PageAddress
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread
-from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_run_room, open_driver
+from hrl_escape.viewer.watch.drivers import PLANNER_NAME, find_driver, find_run_room, open_driver
 from hrl_escape.viewer.watch.gate import Gate
 from hrl_escape.viewer.watch.watch import Watch
 
@@ -31,7 +33,7 @@ class WatchArgs(PageAddress, RoomChoice):
     """Options of `hrl-escape watch`."""
 
     driver: Annotated[str, tyro.conf.Positional] = PLANNER_NAME
-    """The driver: planner, the name of an agent to train, or the folder of a run."""
+    """The driver: planner, the name of an agent to train, the folder of a run, or a rung with a trained agent."""
     pace: float = 5.0
     """Primitives a second at first; 0 for no limit."""
     paused: bool = False
@@ -53,8 +55,9 @@ class WatchArgs(PageAddress, RoomChoice):
 def run(args: WatchArgs) -> None:
     """Serve until interrupted."""
     torch.set_num_threads(1)
-    instance = (None if args.load else find_run_room(args.driver)) or args.make_instance()
-    driver = open_driver(args.driver, instance, observation=args.observation, flavour=args.flavour,
+    text = find_driver(args.driver)
+    instance = (None if args.load else find_run_room(text)) or args.make_instance()
+    driver = open_driver(text, instance, observation=args.observation, flavour=args.flavour,
                          include_primitives=not args.options_only, recipe=args.recipe, seed=args.episode_seed,
                          leaves=args.leaves)
     gate = Gate(args.pace or None, args.paused)

@@ -90,10 +90,11 @@ def freeze_rung(benchmark: str, record: RungRecord) -> RungRecord:
         if stated is None:
             continue
         skipped: list[int] = []
-        seeds = list(stated.seeds)
-        if not seeds:
-            skipped, seeds = choose_seeds(rung.config, rung.iterate_seeds(role), stated.count, seen)
-        keys[role] = [compute_keys(room) for room in InstanceSet("", rung.config, seeds)]
+        if stated.seeds:
+            keys[role] = [compute_keys(room) for room in InstanceSet("", rung.config, stated.seeds)]
+        else:
+            skipped, chosen = choose_seeds(rung.config, rung.iterate_seeds(role), stated.count, seen)
+            keys[role] = list(chosen.values())
         seen |= {each.layout for each in keys[role]}
         root = compute_root([each.content for each in keys[role]])
         record = dataclasses.replace(record, **{role: dataclasses.replace(stated, root=root, skipped=tuple(skipped))})

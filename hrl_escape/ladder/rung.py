@@ -11,11 +11,12 @@ from collections.abc import Collection, Iterable, Iterator
 from functools import cached_property
 
 from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.errors import EscapeError, GenerationError
 from hrl_escape.ladder.hidden import derive_hidden_seed, derive_seed
 from hrl_escape.ladder.instance_set import InstanceSet, LazySeeds
-from hrl_escape.ladder.keys import compute_layout_key, compute_task_key
+from hrl_escape.ladder.keys import RoomKeys, compute_keys, compute_layout_key, compute_task_key
 from hrl_escape.ladder.manifest import ROLES, RungRecord
 
 __all__ = ["Rung", "choose_seeds", "is_held_out"]
@@ -108,11 +109,11 @@ class Rung:
         seeds = ((i, derive_hidden_seed(randomness, self.benchmark, self.name, i)) for i in itertools.count())
         seen = {compute_layout_key(room) for rooms in self.sets.values() for room in rooms}
         _, kept = choose_seeds(self.config, self._keep_tasks(False, seeds), count, seen)
-        return InstanceSet(f"{self.benchmark}/{self.name}/hidden/{randomness}", self.config, kept)
+        return InstanceSet(f"{self.benchmark}/{self.name}/hidden/{randomness}", self.config, list(kept))
 
 
 def choose_seeds(config: RoomConfig, candidates: Iterator[tuple[int, int]], count: int, seen: Collection[str]
-                 ) -> tuple[list[int], list[int]]:
+                 ) -> tuple[list[int], dict[int, RoomKeys]]:
     """Choose the first seeds whose rooms can be generated and look like none that was seen.
 
     Args:
@@ -122,20 +123,20 @@ def choose_seeds(config: RoomConfig, candidates: Iterator[tuple[int, int]], coun
         seen: layout keys of other sets.
 
     Returns:
-        Indices skipped, and the seeds chosen.
+        Indices skipped, and the keys of the rooms chosen, by seed.
 
     Raises:
         EscapeError: almost every candidate must be skipped.
     """
     skipped: list[int] = []
-    kept: list[int] = []
+    kept: dict[int, RoomKeys] = {}
     for index, seed in candidates:
         try:
-            is_new = compute_layout_key(InstanceSet("", config, [seed])[0]) not in seen
+            keys = compute_keys(generate(config, seed))
         except GenerationError:
-            is_new = False
-        if is_new:
-            kept.append(seed)
+            keys = None
+        if keys is not None and keys.layout not in seen:
+            kept[seed] = keys
         else:
             skipped.append(index)
         if len(kept) == count:

@@ -88,10 +88,12 @@ def test_one_room_is_proved_without_the_set():
 def test_rooms_that_look_like_known_ones_are_skipped_and_listed():
     rung = Benchmark(make_manifest())["one"]
     known = {compute_keys(rung.valid[i]).layout for i in (0, 2)}
-    skipped, seeds = choose_seeds(rung.config, rung.iterate_seeds("valid"), 3, known)
+    skipped, chosen = choose_seeds(rung.config, rung.iterate_seeds("valid"), 3, known)
     assert skipped == [0, 2]
     planted = change("one", valid=SetRecord(count=3, skipped=tuple(skipped)))
+    seeds = list(chosen)
     assert list(planted["one"].valid.seeds) == seeds and seeds[0] == rung.valid.seeds[1]
+    assert list(chosen.values()) == [compute_keys(room) for room in planted["one"].valid]
 
 
 def test_a_schematic_that_cannot_vary_is_refused():

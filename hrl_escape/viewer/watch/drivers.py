@@ -20,6 +20,7 @@ from hrl_escape.agents.training.train import load_agent
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import FileReadError, RunMismatchError
+from hrl_escape.ladder.trained import find_trained_agent
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.room_planner import get_planner
 from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
@@ -27,7 +28,7 @@ from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.viewer.step_hooks import StepHooks
 from hrl_escape.viewer.watch.planner_agent import PlannerAgent
 
-__all__ = ["PLANNER_NAME", "Driver", "find_run_room", "open_driver"]
+__all__ = ["PLANNER_NAME", "Driver", "find_driver", "find_run_room", "open_driver"]
 
 PLANNER_NAME = "planner"
 
@@ -101,6 +102,13 @@ def open_driver(text: str, instance: RoomInstance, *, observation: str = "featur
     agent = make_agent(text, env.observation_space, env.action_space, seed, recipe, read_structure(env),
                        **(settings or {}))
     return _make_driver(f"{text}, learning", agent, env, hooks, flavour, trains=True)
+
+
+def find_driver(text: str) -> str:
+    """Folder of the trained agent that comes with the package where `text` names its rung; else the text itself."""
+    if (Path(text) / "run.json").is_file():
+        return text
+    return str(find_trained_agent(text) or text)
 
 
 def find_run_room(text: str) -> RoomInstance | None:

@@ -1,0 +1,81 @@
+"""Run the published baselines of the ladder: every agent on every rung, from nothing and in unseen rooms.
+
+Writes docs/results/ladder.md with a line of JSON a run. Killed or out of time, the same command goes on.
+
+Examples:
+    hrl-escape experiment ladder --minutes 600
+    hrl-escape experiment ladder --rung doormat pair chain --rooms 2 --runs 1 --minutes 10 --docs /tmp/page
+    hrl-escape experiment ladder --from-raw              # the page anew from the lines, nothing is trained
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Literal
+
+from rich.console import Console
+
+from hrl_escape.errors import ConfigError
+from hrl_escape.experiments.baselines.lines import join_lines, load_lines, save_lines
+from hrl_escape.experiments.baselines.page import write_baselines_page
+from hrl_escape.experiments.baselines.running import (
+    BaselineSettings,
+    choose_rungs,
+    collect_lines,
+    list_missing,
+    run_baselines,
+    ship_agents,
+)
+from hrl_escape.experiments.studies.running import StudyArgs
+from hrl_escape.files import claim_folder
+from hrl_escape.ladder.benchmark import load_benchmark
+
+
+@dataclasses.dataclass(frozen=True)
+class LadderArgs(StudyArgs):
+    """Options of `hrl-escape experiment ladder`."""
+
+    rung: tuple[str, ...] = ()
+    """Names of rungs; all by default."""
+    protocol: tuple[Literal["per-instance", "generalise"], ...] = ("per-instance", "generalise")
+    """Protocols."""
+    agents: tuple[str, ...] = ()
+    """Agents, as for `hrl-escape ladder run`; those of the protocol by default."""
+    rooms: int = 10
+    """Test rooms of each rung."""
+    runs: int = 10
+    """Training seeds in each room."""
+    primitives: int | None = None
+    """Training budget of a run; the rung's own by default."""
+    eval_episodes: int = 20
+    """Episodes in an evaluation with per-instance."""
+    minutes: float = 240.0
+    """Begin no run after so long."""
+    ship: Path | None = None
+    """Folder to copy the best agent of each rung to."""
+
+
+def run(args: LadderArgs) -> None:
+    """Run, write lines and page, and say where they are."""
+    bench, raw = load_benchmark("ladder-1"), args.docs / "raw" / "ladder.jsonl"
+    console = Console(highlight=False, soft_wrap=True)
+    lines = load_lines(raw) if raw.exists() else []
+    if not args.from_raw:
+        for name in ("rooms", "runs", "minutes"):
+            if getattr(args, name) <= 0:
+                raise ConfigError(name, getattr(args, name), "above 0")
+        claim_folder(raw.parent)
+        settings = BaselineSettings(choose_rungs(bench, args.rung), args.protocol, args.agents, args.rooms, args.runs,
+                                    args.primitives, args.eval_episodes)
+        found = run_baselines(bench, settings, args.out / "ladder", args.workers, args.minutes)
+        lines = join_lines(lines, collect_lines(found))
+        save_lines(raw, lines)
+        if args.ship is not None:
+            for rung, agent in ship_agents(found, args.ship).items():
+                console.print(f"{rung}: {agent}", markup=False)
+        console.print(f"{list_missing(found)} runs are left for another time")
+    if not lines:
+        raise ConfigError("docs", str(args.docs), "a folder with raw/ladder.jsonl, or leave out --from-raw")
+    write_baselines_page(lines, [rung.name for rung in bench], args.docs / "ladder.md")
+    console.print(f"Page: {args.docs / 'ladder.md'}")

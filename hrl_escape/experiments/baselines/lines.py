@@ -1,0 +1,102 @@
+"""Baselines as data: one line of JSON a run, small enough to come with the documentation.
+
+Lines of other machines are joined; a run that was made again takes the place of its old line.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from hrl_escape.errors import EscapeError, FileReadError, describe_damage
+from hrl_escape.experiments.comparison import Comparison
+from hrl_escape.files import read_text, write_text
+from hrl_escape.settings import read_record
+
+__all__ = ["BaselineRun", "collect_baselines", "join_lines", "load_lines", "save_lines"]
+
+
+@dataclass(frozen=True)
+class BaselineRun:
+    """Result of one run of a rung.
+
+    Attributes:
+        protocol: such as `per-instance`.
+        rung: name.
+        rooms: room, or sets of rooms, in short text.
+        agent: label.
+        seed: of training.
+        primitives: training budget; 0 for agents that learn nothing.
+        efficiency: in the last fifth of training.
+        seen: the same in rooms trained in; None where they are those tested in.
+        escapes: share of the evaluation episodes of the last fifth that escaped.
+        episodes: in an evaluation.
+        progress: mean share of the goal's ancestors lit.
+        first_escape: primitives to the first escape in training; None if there was none.
+        key: hash of everything that decides the run's numbers.
+    """
+
+    protocol: str
+    rung: str
+    rooms: str
+    agent: str
+    seed: int
+    primitives: int
+    efficiency: float
+    seen: float | None
+    escapes: float
+    episodes: int
+    progress: float
+    first_escape: int | None
+    key: str
+
+    @property
+    def place(self) -> tuple[str, str, str, str, int, int]:
+        """What a line is about: another line about the same replaces it."""
+        return self.protocol, self.rung, self.rooms, self.agent, self.seed, self.primitives
+
+
+def collect_baselines(comparison: Comparison, protocol: str, rung: str) -> list[BaselineRun]:
+    """Lines of the finished runs of a rung under a protocol."""
+    return [BaselineRun(
+        protocol=protocol, rung=rung, rooms=run.room, agent=run.agent.label, seed=run.seed,
+        primitives=run.grid.primitives if run.agent.learns else 0,
+        efficiency=round(result.get_final("efficiency"), 4),
+        seen=None if result.seen_efficiency is None else round(result.seen_efficiency, 4),
+        escapes=round(result.get_final("success_rate"), 4), episodes=run.grid.eval_episodes,
+        progress=round(result.get_final("mean_progress"), 4),
+        first_escape=result.first_escape if run.agent.learns else None, key=run.key,
+    ) for run, result in comparison.runs]
+
+
+def join_lines(old: Iterable[BaselineRun], new: Iterable[BaselineRun]) -> list[BaselineRun]:
+    """All lines, new ones in place of old ones about the same run."""
+    return list({line.place: line for line in (*old, *new)}.values())
+
+
+def save_lines(path: Path, lines: Iterable[BaselineRun]) -> None:
+    """Write lines, in an order that does not depend on who made which.
+
+    Raises:
+        FileWriteError: the file cannot be written.
+    """
+    rows = [json.dumps(dataclasses.asdict(line), separators=(",", ":"), allow_nan=False)
+            for line in sorted(lines, key=lambda line: line.place)]
+    write_text(path, "".join(f"{row}\n" for row in rows))
+
+
+def load_lines(path: Path) -> list[BaselineRun]:
+    """Read lines.
+
+    Raises:
+        FileReadError: the file is missing or damaged.
+    """
+    try:
+        return [read_record(BaselineRun, json.loads(row)) for row in read_text(path).splitlines()]
+    except FileReadError:
+        raise
+    except (EscapeError, KeyError, TypeError, ValueError) as error:
+        raise FileReadError(f"{path}: these lines are damaged ({describe_damage(error)})") from error

@@ -1,0 +1,137 @@
+"""The page of the baselines, written from their lines alone."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from hrl_escape.experiments.baselines.lines import BaselineRun
+from hrl_escape.experiments.baselines.running import GENERALISTS, LEARNERS
+from hrl_escape.experiments.inference import compute_wilson_interval
+from hrl_escape.experiments.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES
+from hrl_escape.experiments.statistics import compute_iqm
+from hrl_escape.files import write_text
+
+__all__ = ["write_baselines_page"]
+
+COMMAND = "hrl-escape experiment ladder"
+WORDS = {
+    "per-instance": "Each test room is learned from nothing and tested in itself.",
+    "generalise": "Trained in rooms of the training set, tested in others that were never trained in.",
+}
+
+
+def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], path: Path) -> None:
+    """Write the page.
+
+    Args:
+        lines: at least one.
+        rungs: names of the rungs, in order.
+        path: the page's file.
+
+    Raises:
+        FileWriteError: the file cannot be written.
+    """
+    text = ["# Baselines of the ladder", "", _summarise(lines, rungs), "",
+            "Efficiency is the interquartile mean over runs (fewer than four: the mean); in brackets the runs, rooms "
+            f"times seeds. Bold: {PASSED_ESCAPES:.0%} of the episodes or more escape, with an efficiency of "
+            f"{PASSED_EFFICIENCY:g} or more. A dash: not run. Every run is a line of `raw/ladder.jsonl`.", ""]
+    for protocol in [name for name in WORDS if any(line.protocol == name for line in lines)]:
+        own = [line for line in lines if line.protocol == protocol]
+        text += [f"## {protocol}", "", WORDS[protocol], "", _describe_budgets(own), "",
+                 *_make_table(own, rungs), "", *_name_highest(own, rungs), ""]
+    text += ["```console", COMMAND, "```", "", "The same command goes on with the runs that are missing; "
+             "`--rooms`, `--runs` and `--minutes` say how far.", ""]
+    write_text(path, "\n".join(text))
+
+
+def _summarise(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> str:
+    own = [line for line in lines if line.protocol == "per-instance"] or list(lines)
+    met = {agent: _find_highest(own, agent, rungs) for agent in _list_agents(own)}
+    learners = {agent: rung for agent, rung in met.items() if _is_learner(own, agent)}
+    words = f"{len(lines)} runs on {len({line.rung for line in lines})} rungs."
+    reached = [rung for rung in learners.values() if rung is not None]
+    if not reached:
+        return f"**No learner masters a rung.** {words}"
+    top = max(reached, key=list(rungs).index)
+    best = [f"`{agent}`" for agent, rung in learners.items() if rung == top]
+    return f"**The highest rung that a learner masters is `{top}`, by {', '.join(best)}.** {words}"
+
+
+def _list_agents(lines: Sequence[BaselineRun]) -> list[str]:
+    """Agents in the order of the baselines, others after them."""
+    known = list(dict.fromkeys((*LEARNERS, *GENERALISTS)))
+    return sorted({line.agent for line in lines},
+                  key=lambda agent: (known.index(agent) if agent in known else len(known), agent))
+
+
+def _is_learner(lines: Sequence[BaselineRun], agent: str) -> bool:
+    return any(line.agent == agent and line.primitives for line in lines)
+
+
+def _describe_budgets(lines: Sequence[BaselineRun]) -> str:
+    budgets = sorted({line.primitives for line in lines if line.primitives})
+    episodes = sorted({line.episodes for line in lines})
+    return (f"Learners train for {_join([f'{budget:,}' for budget in budgets]) or 'no'} primitives; "
+            f"{_join([str(number) for number in episodes])} episodes an evaluation.")
+
+
+def _make_table(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
+    agents = _list_agents(lines)
+    rows = ["| rung | " + " | ".join(f"`{agent}`" for agent in agents) + " |", "|---" * (len(agents) + 1) + "|"]
+    for rung in rungs:
+        cells = [_choose(lines, agent, rung) for agent in agents]
+        if any(cells):
+            rows.append(f"| `{rung}` | " + " | ".join(map(_format_cell, cells)) + " |")
+    return rows
+
+
+def _choose(lines: Sequence[BaselineRun], agent: str, rung: str) -> list[BaselineRun]:
+    return [line for line in lines if (line.agent, line.rung) == (agent, rung)]
+
+
+def _format_cell(runs: Sequence[BaselineRun]) -> str:
+    if not runs:
+        return "-"
+    text = f"{_compute_efficiency(runs):.2f}"
+    return f"{f'**{text}**' if _is_mastered(runs) else text} ({len(runs)})"
+
+
+def _compute_efficiency(runs: Sequence[BaselineRun]) -> float:
+    return float(compute_iqm([np.array([run.efficiency for run in runs])]))
+
+
+def _is_mastered(runs: Sequence[BaselineRun]) -> bool:
+    """Return whether the numbers themselves pass, however few they are."""
+    return (float(np.mean([run.escapes for run in runs])) >= PASSED_ESCAPES
+            and _compute_efficiency(runs) >= PASSED_EFFICIENCY)
+
+
+def _is_passed(runs: Sequence[BaselineRun]) -> bool:
+    """Return whether so many runs are enough to be sure; episodes in one room are one try."""
+    tries = len(runs) if runs[0].protocol == "per-instance" else sum(run.episodes for run in runs)
+    low, _ = compute_wilson_interval(float(np.mean([run.escapes for run in runs])), tries)
+    return _is_mastered(runs) and float(low) >= PASSED_ESCAPES
+
+
+def _find_highest(lines: Sequence[BaselineRun], agent: str, rungs: Sequence[str]) -> str | None:
+    found = [rung for rung in rungs if (runs := _choose(lines, agent, rung)) and _is_mastered(runs)]
+    return found[-1] if found else None
+
+
+def _name_highest(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
+    text = ["| agent | highest rung mastered | passed, by Wilson's interval |", "|---|---|---|"]
+    for agent in _list_agents(lines):
+        sure = [rung for rung in rungs if (runs := _choose(lines, agent, rung)) and _is_passed(runs)]
+        text.append(f"| `{agent}` | {_find_highest(lines, agent, rungs) or 'none'} | {sure[-1] if sure else 'none'} |")
+    few = min(len(_choose(lines, line.agent, line.rung)) for line in lines)
+    if few < 35 and lines[0].protocol == "per-instance":
+        text += ["", f"To pass takes 35 runs without a failure at least: the lower end of Wilson's interval reaches "
+                 f"{PASSED_ESCAPES:g} with no fewer. Some cells have {few}."]
+    return text
+
+
+def _join(items: Sequence[str]) -> str:
+    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}" if items else ""

@@ -1,0 +1,140 @@
+"""Runs of the baselines, rung by rung and room by room, so that whatever time there was compares everybody."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from hrl_escape.experiments.baselines.lines import BaselineRun, collect_baselines
+from hrl_escape.experiments.comparison import Comparison, run_grid
+from hrl_escape.experiments.grid import AgentSpec, Grid, GridRun
+from hrl_escape.experiments.launching.local import LocalLauncher
+from hrl_escape.experiments.protocols import LadderSettings, Protocol, make_protocol_grid
+from hrl_escape.experiments.runs import RunResult, get_training_folder
+from hrl_escape.files import claim_folder
+from hrl_escape.ladder.benchmark import Benchmark
+from hrl_escape.ladder.trained import CHECKPOINT
+
+__all__ = ["GENERALISTS", "LEARNERS", "BaselineSettings", "make_baseline_grids", "run_baselines", "ship_agents"]
+
+_REFERENCES = ("smdp-random+no-primitives", "smdp-shuffled-round+no-primitives", "smdp-index-order+no-primitives",
+               "planner")
+LEARNERS = (*_REFERENCES, *(f"smdp-{name}+no-primitives" for name in ("q-learning", "dqn", "ppo", "factored-r-max")),
+            "random", "q-learning", "dqn", "ppo")
+"""Agents that learn a room from nothing, and references: options alone, then primitives alone."""
+GENERALISTS = (*_REFERENCES, *(f"smdp-{name}+objects+memory+no-primitives" for name in ("dqn", "ppo")))
+"""Agents that learn in some rooms and act in others, and references."""
+
+
+class BaselineSettings(NamedTuple):
+    """Size of the baselines.
+
+    Attributes:
+        rungs: names of the rungs.
+        protocols: protocols, in order.
+        agents: agents to run; empty for all of the protocol's.
+        rooms: test rooms; with `per-instance` they are gone through one by one.
+        runs: training seeds.
+        primitives: training budget; None for the rung's own.
+        eval_episodes: episodes in an evaluation with `per-instance`.
+        train_size: training rooms with `generalise`.
+    """
+
+    rungs: tuple[str, ...]
+    protocols: tuple[Protocol, ...] = ("per-instance", "generalise")
+    agents: tuple[str, ...] = ()
+    rooms: int = 10
+    runs: int = 10
+    primitives: int | None = None
+    eval_episodes: int = 20
+    train_size: int = 64
+
+
+def make_baseline_grids(bench: Benchmark, settings: BaselineSettings) -> Iterator[tuple[Protocol, str, Grid]]:
+    """Yield protocol, rung and grid; those of more rooms and seeds hold the runs of those of fewer before them.
+
+    Raises:
+        EscapeError: no such rung or agent.
+    """
+    for runs in range(1, settings.runs + 1):
+        for protocol in settings.protocols:
+            alone = protocol == "per-instance"
+            names = settings.agents or (LEARNERS if alone else GENERALISTS)
+            agents = tuple(map(AgentSpec.parse, names))
+            for rooms in range(1, settings.rooms + 1) if alone else [settings.rooms]:
+                sizes = LadderSettings(runs, settings.primitives, rooms, (settings.train_size,),
+                                       settings.eval_episodes if alone else rooms)
+                for rung in settings.rungs:
+                    yield protocol, rung, make_protocol_grid(bench, rung, protocol, agents, sizes)
+
+
+def run_baselines(bench: Benchmark, settings: BaselineSettings, out: Path, workers: int | None, minutes: float
+                  ) -> dict[tuple[Protocol, str], Comparison]:
+    """Make runs until all are made or the time is up; finished ones are kept.
+
+    Returns:
+        Largest comparison of each protocol and rung.
+
+    Raises:
+        EscapeError: see `run_grid`.
+    """
+    until, found = time.monotonic() + 60 * minutes, {}
+    for protocol, rung, grid in make_baseline_grids(bench, settings):
+        found[protocol, rung] = run_grid(grid, out / protocol / rung, LocalLauncher(workers, begin_until=until))
+    return found
+
+
+def collect_lines(found: dict[tuple[Protocol, str], Comparison]) -> list[BaselineRun]:
+    """Lines of all finished runs."""
+    return [line for (protocol, rung), comparison in found.items()
+            for line in collect_baselines(comparison, protocol, rung)]
+
+
+def ship_agents(found: dict[tuple[Protocol, str], Comparison], folder: Path) -> dict[str, str]:
+    """Copy the best agent that learned in one room of each rung, as of its best evaluation.
+
+    Of several that are equally efficient the smallest is taken.
+
+    Args:
+        found: comparisons, by protocol and rung.
+        folder: takes a folder a rung, with the run's description and its checkpoint.
+
+    Returns:
+        Label of the agent of each rung.
+    """
+    shipped = {}
+    for (protocol, rung), comparison in found.items():
+        learned = [(run, result) for run, result in comparison.runs if run.agent.learns]
+        if protocol != "per-instance" or not learned:
+            continue
+        run, _ = max(learned, key=lambda each: _rate(comparison, *each))
+        source = get_training_folder(comparison.out, run)
+        claim_folder(folder / rung)
+        shutil.copyfile(source / "run.json", folder / rung / "run.json")
+        shutil.copyfile(source / "best.npz", folder / rung / CHECKPOINT)
+        shipped[rung] = run.agent.label
+    return shipped
+
+
+def _rate(comparison: Comparison, run: GridRun, result: RunResult) -> tuple[float, int]:
+    """Best efficiency of an evaluation, and how small the checkpoint is."""
+    size = (get_training_folder(comparison.out, run) / "best.npz").stat().st_size
+    return float(result.get_curve("efficiency").max()), -size
+
+
+def list_missing(found: dict[tuple[Protocol, str], Comparison]) -> int:
+    """Number of runs that the time did not suffice for."""
+    return sum(len(comparison.grid.make_runs(comparison.places)) - len(comparison.runs)
+               for comparison in found.values())
+
+
+def choose_rungs(bench: Benchmark, names: Sequence[str]) -> tuple[str, ...]:
+    """Names of rungs; all by default.
+
+    Raises:
+        UnknownNameError: no such rung.
+    """
+    return tuple(bench[name].name for name in names) or tuple(rung.name for rung in bench)

@@ -1,0 +1,80 @@
+"""Baselines: lines that join, what the page calls mastered and passed, and a real run through the command line."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import pytest
+
+from hrl_escape.agents.training.evaluation import evaluate
+from hrl_escape.agents.training.train import load_agent, load_env
+from hrl_escape.cli import main
+from hrl_escape.errors import FileReadError
+from hrl_escape.experiments.baselines.lines import BaselineRun, join_lines, load_lines, save_lines
+from hrl_escape.experiments.baselines.page import write_baselines_page
+from hrl_escape.experiments.baselines.running import BaselineSettings, make_baseline_grids
+from hrl_escape.ladder.benchmark import load_benchmark
+
+RUNGS = ("low", "middle", "high")
+LINE = BaselineRun("per-instance", "low", "x/low/test[0]", "dqn", 0, 1000, 0.8, None, 1.0, 5, 1.0, 70, "abc")
+
+
+def make_lines(rung: str, agent: str, efficiency: float, escapes: float, runs: int) -> list[BaselineRun]:
+    return [dataclasses.replace(LINE, rung=rung, agent=agent, efficiency=efficiency, escapes=escapes, seed=seed)
+            for seed in range(runs)]
+
+
+def test_lines_survive_their_file_and_new_ones_replace_old_ones(tmp_path: Path):
+    other = dataclasses.replace(LINE, agent="ppo", first_escape=None, seen=0.4)
+    save_lines(tmp_path / "a.jsonl", [other, LINE])
+    assert load_lines(tmp_path / "a.jsonl") == [LINE, other]
+    save_lines(tmp_path / "b.jsonl", [LINE, other])
+    assert (tmp_path / "a.jsonl").read_bytes() == (tmp_path / "b.jsonl").read_bytes()
+    again = dataclasses.replace(LINE, efficiency=0.9, key="def")
+    assert join_lines([LINE, other], [again]) == [again, other]
+    (tmp_path / "a.jsonl").write_text('{"protocol": 3}\n')
+    with pytest.raises(FileReadError, match="damaged"):
+        load_lines(tmp_path / "a.jsonl")
+
+
+def test_the_page_names_the_highest_rung_mastered_and_the_highest_that_enough_runs_prove(tmp_path: Path):
+    lines = [*make_lines("low", "dqn", 0.8, 1.0, 35), *make_lines("middle", "dqn", 0.6, 1.0, 34),
+             *make_lines("high", "dqn", 0.49, 1.0, 1), *make_lines("low", "ppo", 0.9, 0.89, 2)]
+    write_baselines_page(lines, RUNGS, tmp_path / "page.md")
+    page = (tmp_path / "page.md").read_text()
+    assert "| `dqn` | middle | low |" in page, "34 of 34 leave Wilson's interval below 0.9, 35 of 35 do not"
+    assert "| `ppo` | none | none |" in page
+    assert "| `low` | **0.80** (35) | 0.90 (2) |" in page and "| `high` | 0.49 (1) | - |" in page
+    assert "The highest rung that a learner masters is `middle`, by `dqn`" in page
+
+
+def test_grids_of_more_rooms_and_seeds_hold_the_runs_of_those_before():
+    settings = BaselineSettings(("doormat", "pair"), ("per-instance",), ("smdp-dqn",), rooms=2, runs=2, primitives=50)
+    grids = list(make_baseline_grids(load_benchmark("ladder-1"), settings))
+    assert [(rung, len(grid.rooms), grid.runs) for _, rung, grid in grids] == [
+        ("doormat", 1, 1), ("pair", 1, 1), ("doormat", 2, 1), ("pair", 2, 1),
+        ("doormat", 1, 2), ("pair", 1, 2), ("doormat", 2, 2), ("pair", 2, 2)]
+    keys = [{run.folder for run in grid.make_runs(grid.make_places())} for _, rung, grid in grids if rung == "pair"]
+    assert keys[0] < keys[1] < keys[3] and keys[0] < keys[2] < keys[3]
+
+
+def test_baselines_run_join_what_is_there_ship_the_best_agent_and_need_no_runs_for_the_page(tmp_path: Path, capsys):
+    docs, ship = tmp_path / "docs", tmp_path / "agents"
+    save_lines(docs / "raw" / "ladder.jsonl", make_lines("pair", "elsewhere", 1.0, 1.0, 1))
+    command = ["experiment", "ladder", "--rung", "doormat", "--protocol", "per-instance", "--rooms", "1", "--runs", "1",
+               "--primitives", "200", "--eval-episodes", "1", "--agents", "smdp-q-learning+no-primitives", "planner",
+               "--workers", "1", "--out", str(tmp_path / "runs"), "--docs", str(docs), "--ship", str(ship)]
+    assert main(command) == 0
+    assert "0 runs are left" in capsys.readouterr().out
+    lines = {line.agent: line for line in load_lines(docs / "raw" / "ladder.jsonl")}
+    assert set(lines) == {"smdp-q-learning+no-primitives", "planner", "elsewhere"}
+    assert lines["planner"].efficiency == 1.0 and lines["planner"].primitives == 0
+    page = (docs / "ladder.md").read_text()
+    (docs / "ladder.md").unlink()
+    assert main(["experiment", "ladder", "--from-raw", "--docs", str(docs)]) == 0
+    assert (docs / "ladder.md").read_text() == page
+    env = load_env(ship / "doormat")
+    played = evaluate(load_agent(ship / "doormat"), env, 1)
+    assert played.lengths[0] <= env.unwrapped.instance.horizon
+    env.close()
