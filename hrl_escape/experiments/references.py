@@ -2,7 +2,8 @@
 
 `smdp-index-order` presses buttons 1, 2, ..., n and then leaves, over and over: the score that needs no knowledge of a
 room. `smdp-shuffled-round` does the same in an order drawn anew for each episode: where numbers say nothing of the
-dependency graph, the two are equally good, but for chance. `planner` knows the dependency graph and follows the best known plan: the score by which efficiency is measured.
+dependency graph, the two are equally good, but for chance. `planner` knows the dependency graph and follows the best
+known plan: the score by which efficiency is measured.
 """
 
 from __future__ import annotations

@@ -16,8 +16,8 @@ from hrl_escape.files import write_text
 
 __all__ = ["write_baselines_page"]
 
-COMMAND = "hrl-escape experiment ladder"
-WORDS = {
+_COMMAND = "hrl-escape experiment ladder"
+_WORDS = {
     "per-instance": "Each test room is learned from nothing and tested in itself.",
     "generalise": "Trained in rooms of the training set, tested in others that were never trained in.",
 }
@@ -38,11 +38,11 @@ def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], pat
             "Efficiency is the interquartile mean over runs (fewer than four: the mean); in brackets the runs, rooms "
             f"times seeds. Bold: {PASSED_ESCAPES:.0%} of the episodes or more escape, with an efficiency of "
             f"{PASSED_EFFICIENCY:g} or more. A dash: not run. Every run is a line of `raw/ladder.jsonl`.", ""]
-    for protocol in [name for name in WORDS if any(line.protocol == name for line in lines)]:
+    for protocol in [name for name in _WORDS if any(line.protocol == name for line in lines)]:
         own = [line for line in lines if line.protocol == protocol]
-        text += [f"## {protocol}", "", WORDS[protocol], "", _describe_budgets(own), "",
+        text += [f"## {protocol}", "", _WORDS[protocol], "", _describe_budgets(own), "",
                  *_make_table(own, rungs), "", *_name_highest(own, rungs), ""]
-    text += ["```console", COMMAND, "```", "", "The same command goes on with the runs that are missing; "
+    text += ["```console", _COMMAND, "```", "", "The same command goes on with the runs that are missing; "
              "`--rooms`, `--runs` and `--minutes` say how far.", ""]
     write_text(path, "\n".join(text))
 
