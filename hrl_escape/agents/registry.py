@@ -43,7 +43,7 @@ __all__ = [
 ENTRY_POINT_GROUP = "hrl_escape.agents"
 SMDP_PREFIX = "smdp-"
 
-GIVEN_PARTS = ("hierarchy", "program", "landmarks", "tree")
+GIVEN_PARTS = ("hierarchy", "program", "goals", "landmarks", "tree")
 """Names under which agents take a structure, each a kind of its own."""
 
 _CATALOGUE = "hrl_escape.agents.algorithms"

@@ -10,12 +10,13 @@ from hrl_escape.errors import UnsupportedError
 
 __all__ = ["KINDS", "LEAVES", "PARTS", "HierarchyKind", "Leaves", "find_kind", "list_privileges"]
 
-HierarchyKind: TypeAlias = Literal["maxq", "ham"]
+HierarchyKind: TypeAlias = Literal["maxq", "ham", "landmarks", "feudal"]
 Leaves: TypeAlias = Literal["planned", "learned"]
-KINDS: tuple[HierarchyKind, ...] = ("maxq", "ham")
+KINDS: tuple[HierarchyKind, ...] = ("maxq", "ham", "landmarks", "feudal")
 LEAVES: tuple[Leaves, ...] = ("planned", "learned")
 
-PARTS: Mapping[HierarchyKind, str] = {"maxq": "hierarchy", "ham": "program"}
+PARTS: Mapping[HierarchyKind, str] = {"maxq": "hierarchy", "ham": "program", "landmarks": "goals",
+                                              "feudal": "tree"}
 """Kind -> the argument by which agents take it."""
 
 
@@ -39,5 +40,5 @@ def find_kind(agent: str) -> HierarchyKind:
 
 def list_privileges(agent: str, leaves: str) -> tuple[str, ...]:
     """Information that an agent with a synthesised hierarchy is given and a flat one is not."""
-    structure = "task graph" if find_kind(agent) == "maxq" else "program"
+    structure = {"maxq": "task graph", "ham": "program", "landmarks": "landmarks", "feudal": "cells"}[find_kind(agent)]
     return (structure, "state", "planner") if leaves == "planned" else (structure, "state")

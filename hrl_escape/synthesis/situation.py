@@ -50,6 +50,7 @@ class Situations:
         cell: size of the squares by which learned leaves know a place, m; the length of a move by default.
 
     Attributes:
+        model: of the puzzle.
         operators: those relevant to the exit.
         space: of packed observations.
 
@@ -58,7 +59,7 @@ class Situations:
     """
 
     def __init__(self, instance: RoomInstance, cell: float | None = None) -> None:
-        model = instance.puzzle.make_symbolic_model()
+        self.model = model = instance.puzzle.make_symbolic_model()
         self.instance = instance
         self.operators: tuple[Operator, ...] = find_relevant_operators(model)
         if any(operator.action != "press" for operator in self.operators):
@@ -67,6 +68,8 @@ class Situations:
         self._propositions, self._goal = model.propositions, model.goal
         self._cell = cell or instance.robot.move_step
         self._joints = instance.robot.joints
+        self.fact_count = len(model.propositions) + len(instance.targets)
+        self.pose_count = 4 + self._joints + len(instance.targets)
         self._numbers = 4 + 2 * self._joints + len(model.propositions) + len(instance.targets)
         self.space = spaces.Box(-np.inf, np.inf, (self._numbers,), np.float64)
         self.target_names = instance.puzzle.target_names
@@ -125,6 +128,16 @@ class Situations:
         except PlanningFailed:
             return ()
 
+    def plan_to_end(self, seen: Seen, goal: Goal) -> tuple[Sequence[int], tuple[float, float]]:
+        """Primitives of the planner's route from here, and the place of their end, m; none where there is no route."""
+        state = seen.state.state
+        try:
+            route = self.planner.find_route(state, goal)
+        except PlanningFailed:
+            return (), (state.x, state.y)
+        end = self.planner.follow(state, route)
+        return route.primitives, (end.x, end.y)
+
     def can_escape(self, seen: Seen, primitive: int) -> bool:
         """A primitive ends the episode, by the room's rules."""
         return self.planner.rules.step(seen.state.state, primitive).terminated
@@ -145,13 +158,26 @@ class Situations:
         """Facts and touched targets: what is to be done yet, and at which target the robot stands."""
         return tuple(sorted(seen.state.facts)), seen.state.state.touching
 
-    def see_pose(self, seen: Seen) -> Hashable:
+    def see_pose(self, seen: Seen) -> tuple[int, int, int, tuple[int, ...], int, bool]:
         """Cell, sector and joints, what is touched, and an open door; nothing else of the puzzle."""
         state, rules = seen.state.state, self.planner.rules
         sectors = min(SECTORS, rules.headings)
         sector = round(rules.get_heading(state) / (2 * np.pi) * sectors) % sectors
         door = bool(self.instance.door) and seen.state.is_open
         return round(state.x / self._cell), round(state.y / self._cell), sector, state.joint_steps, state.touching, door
+
+    def list_facts(self, seen: Seen) -> NDArray[np.float64]:
+        """The same as `see_place`, as numbers (fact_count,): 1 for facts that hold, 1 for targets that are touched."""
+        here = seen.state
+        return np.array([*(name in here.facts for name in self._propositions),
+                         *(here.state.touching >> target & 1 for target in range(len(self.instance.targets)))],
+                        np.float64)
+
+    def list_pose(self, seen: Seen) -> NDArray[np.float64]:
+        """The same as `see_pose`, as numbers (pose_count,)."""
+        column, row, sector, joints, touching, door = self.see_pose(seen)
+        touched = (touching >> target & 1 for target in range(len(self.instance.targets)))
+        return np.array([column, row, sector, door, *joints, *touched], np.float64)
 
     def see_all(self, seen: Seen) -> Hashable:
         """Pose, and all facts."""

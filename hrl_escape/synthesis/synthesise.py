@@ -10,13 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from hrl_escape.agents.hierarchy.goals import GoalSet
 from hrl_escape.agents.hierarchy.machine import Machine, choose, do, machine
+from hrl_escape.agents.hierarchy.regions import Quadtree
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen
 from hrl_escape.agents.hierarchy.task_graph import Until, View, maxq
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.primitives import BASE_ACTIONS, make_action_table
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.synthesis.kinds import KINDS, LEAVES, PARTS, HierarchyKind, Leaves
+from hrl_escape.synthesis.landmarks import make_landmark_goals
+from hrl_escape.synthesis.regions import make_region_tree
 from hrl_escape.synthesis.situation import Situations
 
 __all__ = ["make_structure", "synthesise"]
@@ -31,12 +35,13 @@ def synthesise(
     *,
     abstract: bool = True,
     cell: float | None = None,
-) -> Hierarchy | Machine:
+) -> Hierarchy | Machine | GoalSet | Quadtree:
     """Make a hierarchy for a room from its symbolic model.
 
     Args:
         instance: the room.
-        kind: `maxq`, a task graph for `maxq-0`, `maxq-q` and `r-maxq`; `ham`, a program for `hamq`.
+        kind: `maxq`, a task graph for `maxq-0`, `maxq-q`, `r-maxq` and `h-uct`; `ham`, a program for `hamq`;
+            `landmarks`, goals for `h-dqn`; `feudal`, cells of the floor for `feudal-rl`.
         leaves: `planned`, the planner walks to each target; `learned`, walking is learned over primitives.
         abstract: let each task see only what is relevant to it; without, all see pose and facts.
         cell: squares by which poses are told apart in learned leaves, m; the length of a move by default.
@@ -61,8 +66,13 @@ def make_structure(situations: Situations, kind: str, leaves: str, abstract: boo
     planned = leaves == "planned"
     if kind == "maxq":
         return {"hierarchy": _make_task_graph(situations, planned, abstract)}
+    if kind == "landmarks":
+        return {"goals": make_landmark_goals(situations, planned, abstract)}
+    if kind == "feudal":
+        return {"tree": make_region_tree(situations, planned)}
     see = situations.see_place if planned and abstract else situations.see_all
-    return {"program": _make_program(situations, planned), "see": see, "read": situations.read}
+    return {"program": _make_program(situations, planned), "see": see, "read": situations.read,
+            "find_place": _make_place_finder(situations)}
 
 
 def _make_task_graph(rooms: Situations, planned: bool, abstract: bool) -> Hierarchy:
@@ -113,6 +123,18 @@ def _make_primitive_view(rooms: Situations, primitive: int, planned: bool) -> Vi
         return rooms.can_escape(seen, primitive) if planned else rooms.see_pose(seen)
 
     return see
+
+
+def _make_place_finder(rooms: Situations) -> Callable[[str, tuple[Any, ...]], tuple[float, float] | None]:
+    """Place of a machine's goal: of the operator or target that it was called with, or the exit."""
+    targets: dict[str, int | None] = {name: number for number, name in enumerate(rooms.target_names)}
+    targets |= {operator.name: targets[operator.target] for operator in rooms.operators} | {EXIT: None}
+
+    def find(name: str, arguments: tuple[Any, ...]) -> tuple[float, float] | None:
+        word = arguments[0] if arguments else EXIT if name == "leave_room" else ""
+        return rooms.get_place(targets[word]) if word in targets else None
+
+    return find
 
 
 def _make_program(rooms: Situations, planned: bool) -> Machine:

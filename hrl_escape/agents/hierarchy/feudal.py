@@ -45,20 +45,42 @@ class FeudalTask(BaseTask):
         self.tree, self.level = tree, level
         self.is_last = level > tree.depth
         super().__init__(f"level {level}", primitives if self.is_last else SEARCH + 1)
-        self._penalty, self._patience = penalty, patience * 2 ** (tree.depth + 1 - level)
+        # An order that a policy obeys is obeyed at last.
+        self._patience = 0 if tree.policy is not None else patience * 2 ** (tree.depth + 1 - level)
+        self._penalty = penalty
         self.below: FeudalTask | None = None
 
     def view(self, seen: Seen, stack: Stack) -> Any:
-        """The cell of its level, row and column; the last level sees the observation."""
-        return seen.observation if self.is_last else np.array(self.tree.find_cell(seen.observation, self.level))
+        """The cell of its level, row and column, and the phase; the last level sees the observation."""
+        if self.is_last:
+            return seen.observation
+        phase = self.tree.phase
+        cell = self.tree.find_cell(seen.observation, self.level)
+        return np.array(cell if phase is None else (*cell, *phase(seen.observation)))
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        """Directions that do not lead out of the square, and the search; primitives on the last level."""
+        """Directions that do not lead out of the square, and the search; primitives on the last level.
+
+        Where a policy obeys, its primitive, and the orders that it can obey.
+        """
         if self.is_last:
-            return seen.mask
+            return seen.mask if self.tree.policy is None else self._obey(seen, context)
         cell = self.tree.find_cell(seen.observation, self.level)
         inside = [self.tree.has_neighbour(cell, self.level, direction) for direction in range(SEARCH)]
-        return np.array([*inside, True], np.bool_)
+        legal = np.array([*inside, True], np.bool_)
+        if self.tree.policy is not None and self.below is not None:
+            for order in legal.nonzero()[0].tolist():
+                legal[order] = self.below.legal(seen, order).any()
+        return legal
+
+    def _obey(self, seen: Seen, order: int | None) -> NDArray[np.bool_]:
+        legal = np.zeros(len(seen.mask), np.bool_)
+        if self.tree.policy is not None and order is not None:
+            cell = self.tree.find_cell(seen.observation, self.tree.depth)
+            primitive = self.tree.policy(seen.observation, cell, order)
+            if primitive is not None:
+                legal[primitive] = seen.mask[primitive]
+        return legal
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
         """The order to the level below; a primitive on the last level."""
@@ -76,15 +98,26 @@ class FeudalTask(BaseTask):
                                       for each in (frame.start, seen))  # fmt: skip
         return None if (top, left) == (row, column) else (row - top, column - left)
 
+    def is_settled(self, frame: Frame, seen: Seen) -> bool:
+        """The cell was left, or what was searched for was found."""
+        return self.find_exit(frame, seen) is not None or self._has_found(frame, seen)
+
+    def _has_found(self, frame: Frame, seen: Seen) -> bool:
+        found = self.tree.has_found
+        is_search = frame.context is not None and frame.context == SEARCH
+        return is_search and found is not None and found(frame.start.observation, seen.observation)
+
     def ends(self, frame: Frame, seen: Seen) -> float:
-        """Certain where the cell is left, in whatever direction, or patience has run out."""
+        """Certain where the cell is left, in whatever direction, a search has found, or patience has run out."""
         given_up = frame.context is not None and 0 < self._patience <= frame.primitives
-        return float(given_up or self.find_exit(frame, seen) is not None)
+        return float(given_up or self.is_settled(frame, seen))
 
     def pay(self, step: Step, frame: Frame) -> float:
-        """1 for leaving as ordered, or for the end of the episode during a search; the penalty for leaving else."""
+        """1 for leaving as ordered, for finding, for an episode's end in a search; else the penalty for leaving."""
         if frame.context is None:
             return step.reward
+        if self._has_found(frame, step.next_seen):
+            return 1.0
         way = self.find_exit(frame, step.next_seen)
         if way is not None:
             was_ordered = frame.context < SEARCH and way == DIRECTIONS[frame.context]
@@ -98,4 +131,6 @@ def make_feudal_hierarchy(tree: Quadtree, primitives: int, penalty: float, patie
     for above, below in zip(levels, levels[1:], strict=False):
         above.below = below
     root, *others = levels
-    return Hierarchy(root, tuple(others), privileges=("cells",) if tree.depth else ())
+    source = "given" if tree.phase is None else "synthesised"
+    told = ("cells",) if tree.depth else ()
+    return Hierarchy(root, tuple(others), source=source, privileges=told)

@@ -7,17 +7,30 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Step
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step
 from hrl_escape.errors import UnsupportedSpaceError
 
-__all__ = ["GoalSet", "Manager", "Worker", "make_goal_hierarchy", "make_goals"]
+__all__ = ["GoalSet", "GoalView", "Manager", "Worker", "make_goal_hierarchy", "make_goals"]
+
+
+@dataclass(frozen=True)
+class GoalView:
+    """Part of an observation that a level sees.
+
+    Attributes:
+        space: of what it sees.
+        see: observation -> that part.
+    """
+
+    space: gymnasium.Space
+    see: Callable[[Any], Any]
 
 
 @dataclass(frozen=True)
@@ -27,10 +40,26 @@ class GoalSet:
     Attributes:
         count: how many there are.
         reached: (observation, goal) -> whether it is reached there.
+        is_open: (observation, goal) -> whether the manager may name it there; anywhere by default.
+        policy: (observation, goal) -> the primitive towards it, None where there is none; by default that is learned.
+        manager_view: what of an observation the manager sees; all by default.
+        worker_view: what of it the worker sees, beside the goal.
+        names: of the goals, for options made of them; numbers by default.
+        places: x and y of each goal on the floor, m, for drawings; none by default.
+        source: where the goals come from.
+        privileges: what they tell the agent that the observation does not.
     """
 
     count: int
     reached: Callable[[Any, int], bool]
+    is_open: Callable[[Any, int], bool] | None = None
+    policy: Callable[[Any, int], int | None] | None = None
+    manager_view: GoalView | None = None
+    worker_view: GoalView | None = None
+    names: tuple[str, ...] = ()
+    places: tuple[tuple[float, float] | None, ...] = ()
+    source: Literal["given", "synthesised"] = "given"
+    privileges: tuple[str, ...] = ("goals",)
 
 
 def make_goals(space: gymnasium.Space, agent: str) -> GoalSet:
@@ -43,7 +72,7 @@ def make_goals(space: gymnasium.Space, agent: str) -> GoalSet:
     """
     if isinstance(space, spaces.Discrete):
         first = int(space.start)
-        return GoalSet(int(space.n), lambda observation, goal: int(observation) == first + goal)
+        return GoalSet(int(space.n), lambda observation, goal: int(observation) == first + goal, privileges=())
     if isinstance(space, spaces.MultiBinary):
         low, high = np.zeros(space.shape), np.ones(space.shape)
     elif isinstance(space, spaces.MultiDiscrete):
@@ -62,20 +91,30 @@ def make_goals(space: gymnasium.Space, agent: str) -> GoalSet:
         index, value = goals[goal]
         return bool(np.asarray(observation).reshape(-1)[index] == value)
 
-    return GoalSet(len(goals), is_reached)
+    return GoalSet(len(goals), is_reached, privileges=())
 
 
 class Manager(BaseTask):
-    """Names a goal that is not reached; paid by the environment."""
+    """Names an open goal that is not reached; paid by the environment."""
 
     def __init__(self, goals: GoalSet, worker: Worker) -> None:
-        super().__init__("manager", goals.count)
+        super().__init__("manager", goals.count, None if goals.manager_view is None else goals.manager_view.space)
         self._goals, self._worker = goals, worker
 
+    def view(self, seen: Seen, stack: Stack) -> Any:
+        """The manager's part of the observation."""
+        view = self._goals.manager_view
+        return seen.observation if view is None else view.see(seen.observation)
+
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        """Goals that are not reached here."""
-        reached = [self._goals.reached(seen.observation, goal) for goal in range(self._goals.count)]
-        return ~np.array(reached, np.bool_)
+        """Goals that are open and not reached here, and towards which the worker can do something."""
+        goals = self._goals
+        return np.array([
+            not goals.reached(seen.observation, goal)
+            and (goals.is_open is None or goals.is_open(seen.observation, goal))
+            and bool(self._worker.legal(seen, goal).any())
+            for goal in range(goals.count)
+        ], np.bool_)  # fmt: skip
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
         """The worker, told the goal."""
@@ -92,12 +131,35 @@ class Worker(BaseTask):
     """
 
     def __init__(self, goals: GoalSet, primitives: int, patience: int = 0) -> None:
-        super().__init__("worker", primitives)
+        super().__init__("worker", primitives, None if goals.worker_view is None else goals.worker_view.space)
         self._goals, self._patience = goals, patience
+        self.is_planned = goals.policy is not None
+
+    def view(self, seen: Seen, stack: Stack) -> Any:
+        """The worker's part of the observation."""
+        view = self._goals.worker_view
+        return seen.observation if view is None else view.see(seen.observation)
+
+    def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
+        """The legal primitives; of a policy that is given, its one."""
+        if self._goals.policy is None:
+            return seen.mask
+        primitive = self._goals.policy(seen.observation, context)
+        return (np.arange(len(seen.mask)) == (-1 if primitive is None else primitive)) & seen.mask
 
     def list_calls(self) -> Mapping[str, Any]:
         """One a goal."""
-        return {f"goal {goal}": goal for goal in range(self._goals.count)}
+        names = self._goals.names or tuple(f"goal {goal}" for goal in range(self._goals.count))
+        return {name: goal for goal, name in enumerate(names)}
+
+    def is_callable(self, seen: Seen, context: Any) -> bool:
+        """The goal is open, not reached, and there is a way."""
+        is_open = self._goals.is_open
+        return (is_open is None or is_open(seen.observation, context)) and super().is_callable(seen, context)
+
+    def find_place(self, context: Any) -> tuple[float, float] | None:
+        """Place of the goal."""
+        return self._goals.places[context] if self._goals.places else None
 
     def is_reached(self, frame: Frame, seen: Seen) -> bool:
         """The goal of a call is reached."""
@@ -113,9 +175,7 @@ class Worker(BaseTask):
         return float(self.is_reached(frame, step.next_seen))
 
 
-def make_goal_hierarchy(
-    goals: GoalSet, primitives: int, patience: int = 0, privileges: tuple[str, ...] = ()
-) -> Hierarchy:
+def make_goal_hierarchy(goals: GoalSet, primitives: int, patience: int = 0) -> Hierarchy:
     """A manager over a worker."""
     worker = Worker(goals, primitives, patience)
-    return Hierarchy(Manager(goals, worker), (worker,), privileges=privileges)
+    return Hierarchy(Manager(goals, worker), (worker,), source=goals.source, privileges=goals.privileges)

@@ -45,10 +45,18 @@ class Quadtree:
     Attributes:
         depth: finest level; level 0 is the whole square.
         place: observation -> (row, column) in the square, each from 0 up to but not including 1.
+        phase: observation -> what every manager sees beside its cell, as numbers; nothing by default.
+        has_found: (observation at the order, observation) -> whether a search has found what it was for; by default
+            only the end of the episode is that.
+        policy: (observation, cell, order) -> the primitive by which the last level obeys an order about a cell of the
+            finest level, None where none does; by default that is learned.
     """
 
     depth: int
     place: Callable[[Any], tuple[float, float]]
+    phase: Callable[[Any], tuple[int, ...]] | None = None
+    has_found: Callable[[Any, Any], bool] | None = None
+    policy: Callable[[Any, tuple[int, int], int], int | None] | None = None
 
     def __post_init__(self) -> None:
         if self.depth < 0:

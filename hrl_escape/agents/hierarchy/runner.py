@@ -130,7 +130,7 @@ class CallRunner(Agent):
         stack, seen = self._latest or ((), None)
         return tuple(
             RunningCall(frame.task.name, frame.context, frame.primitives, frame.task.ends(frame, seen),
-                        frame.task.place)
+                        frame.task.find_place(frame.context))
             for frame in stack if seen is not None
         )
 

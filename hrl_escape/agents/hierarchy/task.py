@@ -140,8 +140,6 @@ class Task(Protocol):
     """Of its choices."""
     view_space: gymnasium.Space | None
     """Of its views; None is the environment's observation space."""
-    place: tuple[float, float] | None
-    """x and y of its goal on the floor, m, for drawings; None where it has no place."""
 
     def view(self, seen: Seen, stack: Stack) -> Any:
         """View that its learner has; `stack` holds the running calls, its own last."""
@@ -149,6 +147,10 @@ class Task(Protocol):
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
         """Choices it has here, bool (choices,); children that would be over at once are not among them."""
+        ...
+
+    def find_place(self, context: Any) -> tuple[float, float] | None:
+        """Place (x, y) of the goal of a call on the floor, m, for drawings; None where it has no place."""
         ...
 
     def is_callable(self, seen: Seen, context: Any) -> bool:
@@ -189,8 +191,6 @@ class BaseTask:
         view_space: of its views; None is the environment's observation space.
     """
 
-    place: tuple[float, float] | None = None
-
     def __init__(self, name: str, choices: int, view_space: gymnasium.Space | None = None) -> None:
         self.name, self.view_space = name, view_space
         self.space = gymnasium.spaces.Discrete(choices)
@@ -202,6 +202,10 @@ class BaseTask:
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
         """The legal primitives."""
         return seen.mask
+
+    def find_place(self, context: Any) -> tuple[float, float] | None:
+        """None."""
+        return None
 
     def is_callable(self, seen: Seen, context: Any) -> bool:
         """Not over here, and with something to choose."""

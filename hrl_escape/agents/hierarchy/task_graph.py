@@ -55,6 +55,7 @@ class GraphTask(BaseTask):
         self.policy = policy
         self.until, self.views, self.primitive_views, self.pseudo = until, views, primitive_views, pseudo
         self.children: tuple[GraphTask | int, ...] = ()
+        self.place: tuple[float, float] | None = None
 
     def view(self, seen: Seen, stack: Stack) -> Any:
         """The moment as `see` shows it, the observation by default."""
@@ -68,6 +69,10 @@ class GraphTask(BaseTask):
             return np.arange(len(self.children)) == (-1 if chosen is None else chosen)
         return np.array([seen.mask[child] if isinstance(child, int) else child.is_callable(seen, None)
                          for child in self.children], np.bool_)  # fmt: skip
+
+    def find_place(self, context: Any) -> tuple[float, float] | None:
+        """Place that the task was given."""
+        return self.place
 
     def is_callable(self, seen: Seen, context: Any) -> bool:
         """The task is not over here and has something to choose."""

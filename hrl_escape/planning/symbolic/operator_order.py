@@ -66,18 +66,29 @@ class TaskPlan:
 
 
 def find_relevant_operators(model: SymbolicModel, goal: Iterable[str] | None = None) -> tuple[Operator, ...]:
-    """Operators relevant to a goal: those that change a fact that it, or another relevant operator, needs."""
-    needed = set(model.goal if goal is None else goal)
-    found: list[Operator] = []
-    left = list(model.operators)
+    """Operators relevant to a goal; without the others it can be reached from the same facts, by no longer a plan.
+
+    Wanted are the goal's facts, and what a relevant operator needs: facts that must hold, facts that must not. An
+    operator is relevant if it brings about something wanted. Nothing is wanted for its own opposite: an operator that
+    lights a lamp asks that it be dark, but a lit lamp need not be put out for that.
+    """
+    wanted = {(fact, True) for fact in (model.goal if goal is None else goal)}
+    found: set[str] = set()
     while True:
-        useful = [op for op in left if (op.add | op.delete) & needed]
-        if not useful:
-            return tuple(op for op in model.operators if op in found)
-        for op in useful:
-            left.remove(op)
-            needed |= op.preconditions | op.forbidden
-        found += useful
+        useful = [(op, made) for op in model.operators if (made := _list_effects(op) & wanted)]
+        grown = wanted.union(*(_list_needs(op) - {(fact, not holds)} for op, made in useful for fact, holds in made))
+        found |= {op.name for op, _ in useful}
+        if grown == wanted:
+            return tuple(op for op in model.operators if op.name in found)
+        wanted = grown
+
+
+def _list_effects(op: Operator) -> set[tuple[str, bool]]:
+    return {(fact, True) for fact in op.add} | {(fact, False) for fact in op.delete - op.add}
+
+
+def _list_needs(op: Operator) -> set[tuple[str, bool]]:
+    return {(fact, True) for fact in op.preconditions} | {(fact, False) for fact in op.forbidden}
 
 
 class _Coded(NamedTuple):

@@ -90,6 +90,44 @@ def test_operators_that_cannot_matter_are_left_out():
     assert names == ["press-button-1", "press-button-2"]
 
 
+def test_operators_that_undo_a_goal_are_left_out_unless_something_asks_for_that():
+    names = [operator.name for operator in find_relevant_operators(BitFlipPuzzle(3).make_symbolic_model())]
+    assert names == ["set-bit-1", "set-bit-2", "set-bit-3"], "nothing needs a bit cleared"
+    none, lamp, door = frozenset(), frozenset({"lamp"}), frozenset({"door"})
+    light = Operator("light", "a", "press", none, lamp, lamp, none)
+    dim = Operator("dim", "b", "press", lamp, none, none, lamp)
+    open_door = Operator("open", "c", "press", none, lamp, door, none)
+    shut = Operator("shut", "d", "press", door, none, none, door)
+    model = SymbolicModel(("lamp", "door"), (light, dim, open_door, shut), door)
+    assert find_relevant_operators(model) == (dim, open_door), "the door opens in the dark only"
+    assert find_relevant_operators(model, ("lamp", "door")) == (light, dim, open_door)
+
+
+FACTS = "abcd"
+SOME = st.frozensets(st.sampled_from(FACTS), max_size=2)
+
+
+def find_shortest(operators, facts, goal):
+    """Length of the shortest plan by breadth-first search; None without one."""
+    front, met, length = {facts}, {facts}, 0
+    while front:
+        if any(goal <= each for each in front):
+            return length
+        front = {op.apply(each) for each in front for op in operators if op.is_applicable(each)} - met
+        met |= front
+        length += 1
+    return None
+
+
+@given(st.lists(st.tuples(SOME, SOME, SOME, SOME), min_size=1, max_size=7), SOME, SOME)
+@settings(max_examples=300)
+def test_without_irrelevant_operators_every_goal_is_as_near_as_with_them(sets, goal, facts):
+    operators = tuple(Operator(f"do-{i}", "x", "press", needs, forbids - needs, adds, deletes - adds)
+                      for i, (needs, forbids, adds, deletes) in enumerate(sets))
+    relevant = find_relevant_operators(SymbolicModel(tuple(FACTS), operators, goal))
+    assert find_shortest(relevant, facts, goal) == find_shortest(operators, facts, goal)
+
+
 def test_what_is_done_already_is_not_done_again():
     puzzle = ButtonsPuzzle(3, ((0, 1), (1, 2)), goal=2)
     found = TaskSearch(puzzle.make_symbolic_model()).find_order(

@@ -96,7 +96,9 @@ class FeudalRl(CallRunner):
         return self.tables[task.name].get_values(self.make_key(task, view, order))
 
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
-        """Explore by the level's values."""
+        """Explore by the level's values; on the last level, obey where the tree says how."""
+        if _get_task(stack).is_last and _get_task(stack).tree.policy is not None:
+            return int(legal.argmax())
         values = self.compute_choice_values(_get_task(stack), view, stack[-1].context)
         return sample_action(values, legal, self.settings, self._steps, self._action_rng)
 
@@ -104,6 +106,8 @@ class FeudalRl(CallRunner):
         self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
     ) -> int:
         """The level's best choice."""
+        if _get_task(stack).is_last and _get_task(stack).tree.policy is not None:
+            return int(legal.argmax())
         return choose_best(self.compute_choice_values(_get_task(stack), view, stack[-1].context), legal)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
@@ -111,10 +115,14 @@ class FeudalRl(CallRunner):
         error = 0.0
         for returned in returns:
             task, frame, decision = _get_task(returned.stack), returned.frame, returned.decision
+            if task.is_last and task.tree.policy is not None:
+                continue
             order, target = frame.context, decision.reward
-            if not returned.terminated and task.find_exit(frame, returned.seen) is None:
+            if not (returned.terminated or task.is_settled(frame, returned.seen)):
                 view = task.view(returned.seen, returned.stack)
                 legal = task.legal(returned.seen, order)
+                if not legal.any():
+                    continue  # stuck
                 values = self.compute_choice_values(task, view, order)
                 target += decision.discount * float(np.where(legal, values, -np.inf).max())
             key = self.make_key(task, decision.view, order)

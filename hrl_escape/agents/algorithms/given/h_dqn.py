@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple, Protocol
 
 import gymnasium
@@ -115,10 +116,12 @@ class HDqn(CallRunner):
         action_space: Discrete.
         seed: fixes exploration and weights.
         settings: see `HDqnSettings`.
-        goals: by default those that `make_goals` finds in the observation space.
+        goals: by default those that `make_goals` finds in the observation space. Where they come with a policy, the
+            worker follows it and does not learn.
     """
 
     Settings: ClassVar[type] = HDqnSettings
+    recipes: ClassVar[Mapping[str, Any]] = MappingProxyType({"table": HDqnSettings(values="table")})
 
     def __init__(
         self,
@@ -130,13 +133,15 @@ class HDqn(CallRunner):
     ) -> None:
         settings = settings or HDqnSettings()
         actions = count_actions(action_space, "h-dqn")
-        privileges = () if goals is None else ("goals",)
         goals = goals or make_goals(observation_space, "h-dqn")
-        super().__init__(make_goal_hierarchy(goals, actions, settings.patience, privileges), seed, settings)
+        super().__init__(make_goal_hierarchy(goals, actions, settings.patience), seed, settings)
+        self._is_planned = goals.policy is not None
+        manager_space, worker_space = (observation_space if view is None else view.space
+                                       for view in (goals.manager_view, goals.worker_view))  # fmt: skip
         self._action_rng = make_rng(seed, "actions")
         make = _NetworkValues if settings.values == "network" else _TableValues
-        self.manager: _Values = make(observation_space, 0, goals.count, settings, make_rng(seed, "manager"))
-        self.worker: _Values = make(observation_space, goals.count, actions, settings, make_rng(seed, "worker"))
+        self.manager: _Values = make(manager_space, 0, goals.count, settings, make_rng(seed, "manager"))
+        self.worker: _Values = make(worker_space, goals.count, actions, settings, make_rng(seed, "worker"))
         self.successes = np.zeros(goals.count)
         """Running success rate of each goal."""
         self._steps = 0
@@ -149,10 +154,12 @@ class HDqn(CallRunner):
     def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
         """Epsilon-greedy: the worker by the goal's success rate, the manager by the schedule."""
         goal = stack[-1].context
+        if goal is not None and self._is_planned:
+            return int(legal.argmax())
         if goal is not None:
             epsilon = self.compute_worker_epsilon(goal)
         else:
-            learning = self._steps - self.settings.worker_warmup
+            learning = self._steps - (0 if self._is_planned else self.settings.worker_warmup)
             epsilon = 1.0 if learning < 0 else compute_epsilon(self.settings, learning)
         if self._action_rng.random() < epsilon:
             return sample_legal(legal, self._action_rng)
@@ -162,6 +169,8 @@ class HDqn(CallRunner):
         self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
     ) -> int:
         """The best goal, the best primitive towards it."""
+        if stack[-1].context is not None and self._is_planned:
+            return int(legal.argmax())
         return choose_best(self._compute(view, stack[-1].context), legal)
 
     def _compute(self, observation: Any, goal: int | None) -> NDArray:
@@ -178,7 +187,9 @@ class HDqn(CallRunner):
             if is_worker and (returned.ended or returned.terminated):
                 rate = self.settings.success_rate
                 self.successes[goal] += rate * (reached - self.successes[goal])
-            if not is_worker and self._steps < self.settings.worker_warmup:
+            if self._is_planned and is_worker:
+                continue
+            if not (is_worker or self._is_planned) and self._steps < self.settings.worker_warmup:
                 continue
             legal = frame.task.legal(returned.seen, goal)
             backup = _Backup(
@@ -187,7 +198,7 @@ class HDqn(CallRunner):
                 decision.choice,
                 decision.reward,
                 0.0 if reached or returned.terminated else decision.discount,
-                returned.seen.observation,
+                frame.task.view(returned.seen, returned.stack),
                 legal,
             )
             level = self.worker if is_worker else self.manager

@@ -96,6 +96,7 @@ class Hamq(Agent):
         program: a machine without arguments; by default one that leaves every primitive open, which is Q-learning.
         see: what of a moment choices depend on; the whole observation by default.
         read: makes `Seen.state` of an observation.
+        find_place: (machine, its arguments) -> x and y of its goal on the floor, m, for drawings; None without one.
     """
 
     Settings: ClassVar[type] = HamqSettings
@@ -109,7 +110,9 @@ class Hamq(Agent):
         program: Machine | None = None,
         see: Callable[[Seen], Any] | None = None,
         read: Callable[[Any], Any] | None = None,
+        find_place: Callable[[str, tuple[Any, ...]], tuple[float, float] | None] | None = None,
     ) -> None:
+        self._find_place = find_place
         self.settings = settings = settings or HamqSettings()
         count_actions(action_space, "hamq")
         self._program, self._see, self._read = program or flat_machine, see, read
@@ -205,7 +208,8 @@ class Hamq(Agent):
     def list_calls(self) -> tuple[RunningCall, ...]:
         """Running machines behind the latest choice, the root first; none says beforehand when it will be over."""
         return tuple(
-            RunningCall(call.name, ", ".join(map(str, call.arguments)) or None, call.primitives, 0.0)
+            RunningCall(call.name, ", ".join(map(str, call.arguments)) or None, call.primitives, 0.0,
+                        None if self._find_place is None else self._find_place(call.name, call.arguments))
             for call in (() if self._latest is None else self._latest.list_calls())
         )
 

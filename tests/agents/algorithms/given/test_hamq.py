@@ -10,11 +10,11 @@ from hrl_escape.agents.algorithms.given.hamq import Hamq
 from hrl_escape.agents.hierarchy.machine import MachineRun, choose, do, machine
 from hrl_escape.agents.hierarchy.price import compute_price
 from hrl_escape.agents.hierarchy.task import Seen
-from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.errors import StepContractError
 from tests.agents.hierarchy.priced import make_tabular_model
 from tests.agents.hierarchy.taxi_program import drive, read
-from tests.agents.running import interact, learn
+from tests.agents.hierarchy.taxi_runs import DYNAMICS, measure_taxi
+from tests.agents.running import learn
 from tests.classic.exact import find_values, make_model
 from tests.classic.four_rooms import EAST_HALLWAY, FourRooms
 from tests.classic.taxi import Taxi
@@ -172,28 +172,9 @@ def test_a_program_that_returns_or_offers_nothing_is_refused():
         make(FourRooms(), offers_nothing).act(0, ALL)
 
 
-DYNAMICS = {"still": {}, "noisy": {"noisy": True}, "fickle": {"fickle": True}, "both": {"noisy": True, "fickle": True}}
-
-
-def measure_taxi(dynamics, episodes, seed, tests=300):
-    env = Taxi(**DYNAMICS[dynamics])
-    settings = Hamq.Settings(
-        gamma=1.0,
-        learning_rate=0.25 if dynamics == "still" else 1.0,
-        learning_rate_power=0.0 if dynamics == "still" else 0.6,
-        epsilon_start=0.3,
-        epsilon_end=0.1,
-        epsilon_steps=100_000,
-        internal=True,
-    )
-    agent = Hamq(env.observation_space, env.action_space, seed, settings, drive, read=read)
-    ended = 0
-    for transition in interact(agent, env, 10**9, seed):
-        ended += transition.terminated or transition.truncated
-        if ended == episodes:
-            break
-    returns = evaluate(agent, env, tests, seed).returns
-    return float(np.mean(returns)), float(np.std(returns) / tests**0.5)
+def make_driver(env, seed, rates):
+    settings = Hamq.Settings(epsilon_steps=100_000, internal=True, **rates)
+    return Hamq(env.observation_space, env.action_space, seed, settings, drive, read=read)
 
 
 @pytest.mark.slow
@@ -206,7 +187,7 @@ def test_taxi_is_solved_over_ten_seeds(dynamics):
     other dynamics.
     """
     optimum = compute_price(make_tabular_model(Taxi(**DYNAMICS[dynamics])), drive, read=read).hierarchical
-    means, errors = zip(*(measure_taxi(dynamics, 5_000, seed) for seed in range(10)), strict=True)
+    means, errors = zip(*(measure_taxi(make_driver, dynamics, 5_000, seed, 300) for seed in range(10)), strict=True)
     error = float(np.sqrt(np.square(errors).sum()) / len(errors))
     print(f"hamq, {dynamics}: {np.mean(means):.2f} +- {error:.2f}, optimum {optimum:.2f}")
     assert -0.25 - 4 * error <= np.mean(means) - optimum <= 4 * error

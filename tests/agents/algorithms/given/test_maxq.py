@@ -12,10 +12,10 @@ from hrl_escape.agents.algorithms.given.maxq_0 import Maxq0
 from hrl_escape.agents.algorithms.given.maxq_q import MaxqQ
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import maxq
-from hrl_escape.agents.training.evaluation import evaluate
 from tests.agents.hierarchy.four_rooms_tasks import HOME, make_nested_walks, make_walks
+from tests.agents.hierarchy.taxi_runs import DYNAMICS, measure_taxi
 from tests.agents.hierarchy.taxi_tasks import make_taxi_tasks
-from tests.agents.running import interact, learn
+from tests.agents.running import learn
 from tests.classic.exact import find_recursive_optimum, find_values, make_model
 from tests.classic.four_rooms import FourRooms
 from tests.classic.tabular import State
@@ -212,27 +212,9 @@ def test_without_a_hierarchy_it_is_q_learning():
 
 # --- Taxi ------------------------------------------------------------------------------
 
-DYNAMICS = {"still": {}, "noisy": {"noisy": True}, "fickle": {"fickle": True}, "both": {"noisy": True, "fickle": True}}
-
-
-def measure_taxi(agent_class, dynamics, episodes, seed, tests=1_000):
-    env = Taxi(**DYNAMICS[dynamics])
-    settings = agent_class.Settings(
-        gamma=1.0,
-        learning_rate=0.25 if dynamics == "still" else 1.0,
-        learning_rate_power=0.0 if dynamics == "still" else 0.6,
-        epsilon_start=0.3,
-        epsilon_end=0.1,
-        epsilon_steps=50_000,
-    )
-    agent = agent_class(env.observation_space, env.action_space, seed, settings, make_taxi_tasks())
-    ended = 0
-    for transition in interact(agent, env, 10**9, seed):
-        ended += transition.terminated or transition.truncated
-        if ended == episodes:
-            break
-    returns = evaluate(agent, env, tests, seed).returns
-    return float(np.mean(returns)), float(np.std(returns) / tests**0.5)
+def make_driver(env, seed, rates):
+    settings = Maxq0.Settings(epsilon_steps=50_000, **rates)
+    return Maxq0(env.observation_space, env.action_space, seed, settings, make_taxi_tasks())
 
 
 def compute_taxi_optima(dynamics):
@@ -246,7 +228,7 @@ def compute_taxi_optima(dynamics):
 def test_taxi_is_solved_in_three_thousand_episodes():
     flat, recursive = compute_taxi_optima("still")
     assert flat == pytest.approx(recursive)
-    mean, error = measure_taxi(Maxq0, "still", 3_000, seed=0)
+    mean, error = measure_taxi(make_driver, "still", 3_000, 0, 1_000)
     assert mean == pytest.approx(recursive, abs=4 * error)
 
 
@@ -271,7 +253,7 @@ def test_without_pseudo_rewards_maxq_q_is_maxq_0_to_the_bit():
 def test_taxi_is_solved_over_ten_seeds_in_all_dynamics(dynamics):
     """One or two minutes of one core each. 0.1 is left for what 3,000 episodes do not settle."""
     _, recursive = compute_taxi_optima(dynamics)
-    means, errors = zip(*(measure_taxi(Maxq0, dynamics, 3_000, seed, 500) for seed in range(10)), strict=True)
+    means, errors = zip(*(measure_taxi(make_driver, dynamics, 3_000, seed, 500) for seed in range(10)), strict=True)
     error = float(np.sqrt(np.square(errors).sum()) / len(errors))
     print(f"maxq-0, {dynamics}: {np.mean(means):.2f} +- {error:.2f}, optimum {recursive:.2f}")
     assert -0.1 - 4 * error <= np.mean(means) - recursive <= 4 * error

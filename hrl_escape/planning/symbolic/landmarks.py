@@ -1,0 +1,72 @@
+"""Landmarks of a symbolic model: facts that every plan makes true on its way to the goal, and their forced order.
+
+Exact for the delete relaxation, in which nothing that was true stops being so (Keyder, Richter and Helmert 2010, by the
+propagation of Zhu and Givan 2003). What an operator forbids counts as a fact of its own, which deletes make true.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import TypeAlias
+
+from hrl_escape.env.puzzles.base import Operator, SymbolicModel
+
+__all__ = ["find_first_operator", "find_landmarks"]
+
+Literal: TypeAlias = tuple[str, bool]
+
+
+def find_landmarks(model: SymbolicModel, facts: frozenset[str], goal: Iterable[str] | None = None
+                   ) -> Mapping[str, frozenset[str]] | None:
+    """Facts that do not hold and that every plan from here makes true.
+
+    Args:
+        model: operators and propositions.
+        facts: those that hold here.
+        goal: facts to make true; None for the model's own goal.
+
+    Returns:
+        Landmark -> the landmarks that every plan makes true before it; None if no plan leads to the goal, even without
+        deletes.
+    """
+    before: dict[Literal, frozenset[Literal]] = {
+        (fact, fact in facts): frozenset() for fact in model.propositions}
+    grew = True
+    while grew:
+        grew = False
+        for operator in model.operators:
+            needs = [(fact, True) for fact in operator.preconditions] + [(fact, False) for fact in operator.forbidden]
+            if any(need not in before for need in needs):
+                continue
+            led = frozenset().union(*(before[need] | {need} for need in needs))
+            made = [(fact, True) for fact in operator.add] + [(fact, False) for fact in operator.delete - operator.add]
+            for literal in made:
+                least = led if literal not in before else before[literal] & led
+                if before.get(literal) != least:
+                    before[literal], grew = least, True
+    wanted = [(fact, True) for fact in (model.goal if goal is None else goal)]
+    if any(literal not in before for literal in wanted):
+        return None
+    found = {fact for literal in wanted for fact, holds in before[literal] | {literal} if holds and fact not in facts}
+    return {fact: frozenset(each for each, holds in before[fact, True] if holds and each not in facts) - {fact}
+            for fact in sorted(found)}
+
+
+def find_first_operator(operators: Iterable[Operator], facts: frozenset[str], wanted: str) -> Operator | None:
+    """First operator of a shortest plan that makes a fact true, by breadth-first search; None where none does."""
+    operators = tuple(operators)
+    front: dict[frozenset[str], Operator | None] = {facts: None}
+    met = {facts}
+    while front:
+        following: dict[frozenset[str], Operator | None] = {}
+        for at, first in front.items():
+            for operator in operators:
+                if operator.is_applicable(at):
+                    after = operator.apply(at)
+                    if wanted in after:
+                        return first or operator
+                    if after not in met:
+                        met.add(after)
+                        following[after] = first or operator
+        front = following
+    return None

@@ -1,0 +1,84 @@
+"""Regions of a room's floor at several resolutions, and what a search in one of them is for: feudal learning's tree.
+
+A manager sees its cell and the facts that hold. An order leads to the next cell, or is to search: to make one of the
+open landmarks true, or to escape.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hrl_escape.agents.hierarchy.regions import DIRECTIONS, Quadtree
+from hrl_escape.agents.hierarchy.task import Seen
+from hrl_escape.planning.goals import RegionGoal
+from hrl_escape.synthesis.landmarks import EXIT, OpenLandmarks
+from hrl_escape.synthesis.situation import Situations
+
+__all__ = ["compute_depth", "make_region_tree"]
+
+MOST_LEVELS = 3
+BORDER_MARGIN = 1e-3
+"""Distance that a region to be walked to keeps from its borders, as a share of its size: a border has one owner."""
+
+
+def compute_depth(rooms: Situations) -> int:
+    """Finest level: its cells are at least two moves wide."""
+    widths = 2 * rooms.instance.reach_x, 2 * rooms.instance.reach_y
+    levels = int(math.log2(max(1.0, min(widths) / (2 * rooms.instance.robot.move_step))))
+    return min(max(levels, 1), MOST_LEVELS)
+
+
+def make_region_tree(rooms: Situations, planned: bool) -> Quadtree:
+    """The floor, cut into four at every level; north is +y.
+
+    With planned leaves the planner obeys: it walks into the next cell, or to the nearest thing that a search in this
+    cell is for, provided that its way ends here.
+
+    Args:
+        rooms: the room.
+        planned: the planner walks; else walking is learned over primitives.
+    """
+    half_width, half_depth = rooms.instance.reach_x, rooms.instance.reach_y
+    landmarks, depth = OpenLandmarks(rooms), compute_depth(rooms)
+    most = math.nextafter(1.0, 0.0)
+
+    def locate(x: float, y: float) -> tuple[float, float]:
+        row, column = (half_depth - y) / (2 * half_depth), (half_width + x) / (2 * half_width)
+        return min(max(row, 0.0), most), min(max(column, 0.0), most)
+
+    def find_place(observation: Any) -> tuple[float, float]:
+        here = rooms.read(observation).state
+        return locate(here.x, here.y)
+
+    def list_facts(observation: Any) -> tuple[int, ...]:
+        facts = rooms.read(observation).facts
+        return tuple(int(fact in facts) for fact in landmarks.names[:-1])
+
+    def has_found(before: Any, after: Any) -> bool:
+        return bool(landmarks.list_open(rooms.read(before).facts) & rooms.read(after).facts)
+
+    def obey(observation: Any, cell: tuple[int, int], order: int) -> int | None:
+        here = rooms.read(observation)
+        seen = Seen(observation, np.zeros(0, np.bool_), here)
+        if order < len(DIRECTIONS):
+            (down, right), size = DIRECTIONS[order], 2**depth
+            row, column = cell[0] + down, cell[1] + right
+            goal = RegionGoal(
+                *(half_width * (2 * (column + side) / size - 1) for side in (BORDER_MARGIN, 1 - BORDER_MARGIN)),
+                *(half_depth * (1 - 2 * (row + side) / size) for side in (1 - BORDER_MARGIN, BORDER_MARGIN)))
+            return next(iter(rooms.plan(seen, goal)), None)
+        ways = []
+        for landmark in sorted(landmarks.list_open(here.facts)):
+            operator = landmarks.find_operator(here.facts, landmark)
+            if operator is None and landmark != EXIT:
+                continue
+            target = None if operator is None else rooms.target_names.index(operator.target)
+            way, end = rooms.plan_to_end(seen, rooms.get_goal(target))
+            if way and tuple(int(each * 2**depth) for each in locate(*end)) == cell:
+                ways.append((len(way), way[0]))
+        return min(ways)[1] if ways else None
+
+    return Quadtree(depth, find_place, list_facts, has_found, obey if planned else None)
