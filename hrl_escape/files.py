@@ -53,8 +53,8 @@ def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     path = Path(path)
     temporary: Path | None = None
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         _check_replaceable(path)
+        path.parent.mkdir(parents=True, exist_ok=True)
         descriptor, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
         temporary = Path(name)
         with os.fdopen(descriptor, "wb") as file:
@@ -86,10 +86,14 @@ def open_for_writing(path: str | os.PathLike[str], mode: Literal["ab", "wb"] = "
 
 def _check_replaceable(path: Path) -> None:
     """Refuse devices and pipes, which a file would take the place of, or which could be waited for in vain."""
-    with suppress(FileNotFoundError):
+    try:
         kind = _name_kind(path.stat())
-        if kind:
-            raise FileWriteError(f"cannot write {path}: it is {kind}, and only plain files are written")
+    except FileNotFoundError:
+        return
+    except ValueError as error:  # a NUL or half a character in the path
+        raise FileWriteError(describe_write_failure(path, error)) from error
+    if kind:
+        raise FileWriteError(f"cannot write {path}: it is {kind}, and only plain files are written")
 
 
 def _name_kind(status: os.stat_result) -> str:
@@ -257,14 +261,22 @@ def _check_depth(value: Any, path: str | os.PathLike[str], what: str) -> None:
     raise FileReadError(f"{path}: this {what} cannot be read: {_describe_extreme(RecursionError())}")
 
 
+def make_folder(path: str | os.PathLike[str]) -> None:
+    """Make a folder, and those above it, where they are missing; see `atomic_writer` for errors."""
+    try:
+        Path(path).mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:  # a ValueError is a NUL or half a character in the path
+        raise FileWriteError(describe_write_failure(path, error)) from error
+
+
 def claim_folder(path: str | os.PathLike[str]) -> None:
     """Make a folder and check that files can be written there, before work begins whose results belong there.
 
     Raises:
         FileWriteError: they cannot.
     """
+    make_folder(path)
     try:
-        Path(path).mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(prefix=TEMPORARY_PREFIX, dir=path):
             pass
     except OSError as error:
@@ -278,9 +290,10 @@ def clear_unfinished(folder: str | os.PathLike[str]) -> None:
             path.unlink()
 
 
-def describe_write_failure(path: str | os.PathLike[str], error: OSError) -> str:
+def describe_write_failure(path: str | os.PathLike[str], error: OSError | ValueError) -> str:
     """Message for a failed write: path, cause and remedy."""
-    return f"cannot write {path}: {error.strerror or error}. Free some space or choose a folder you may write to"
+    cause = getattr(error, "strerror", None) or error
+    return f"cannot write {path}: {cause}. Free some space or choose a folder you may write to"
 
 
 def _umask() -> int:

@@ -16,6 +16,8 @@ from hrl_escape.errors import FileReadError, FileWriteError
 from hrl_escape.files import (
     DEEPEST,
     atomic_writer,
+    claim_folder,
+    make_folder,
     open_for_writing,
     read_bytes,
     read_json,
@@ -210,3 +212,11 @@ def test_what_is_no_plain_file_is_neither_replaced_nor_waited_for(tmp_path, writ
             write(tmp_path / name)
     assert stat.S_ISFIFO(os.lstat(tmp_path / "pipe").st_mode) and (tmp_path / "link").is_symlink()
     assert len(list(tmp_path.iterdir())) == 3
+
+
+@pytest.mark.parametrize("name", ["nul\0", "half\ud800", "nul\0/below", "half\ud800/below"])
+def test_a_name_that_no_file_can_have_is_refused_in_words(tmp_path, name):
+    for write in (lambda path: write_json(path, 1), open_for_writing, make_folder, claim_folder):
+        with pytest.raises(FileWriteError, match="cannot write .*(null byte|surrogates)"):
+            write(tmp_path / name)
+    assert not list(tmp_path.iterdir())

@@ -15,13 +15,13 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from hrl_escape.errors import ConfigError, FileReadError, FileWriteError, RunBusyError
+from hrl_escape.errors import ConfigError, FileReadError, RunBusyError
 from hrl_escape.experiments.grid import Grid, GridRun, load_grid
 from hrl_escape.experiments.launching.local import Failure, Launcher, LocalLauncher
 from hrl_escape.experiments.launching.monitor import Monitor
 from hrl_escape.experiments.places import RunPlace
 from hrl_escape.experiments.runs import RunResult, get_run_folder, load_run_result
-from hrl_escape.files import clear_unfinished, describe_write_failure, open_for_writing, write_json
+from hrl_escape.files import clear_unfinished, make_folder, open_for_writing, write_json
 from hrl_escape.names import parse_whole
 from hrl_escape.processes import take_lock
 
@@ -191,10 +191,7 @@ def _run(plan: _Plan, out: Path, launcher: Launcher, console: Console, is_alone:
 @contextmanager
 def _lock(out: Path, shard: Shard = WHOLE) -> Iterator[None]:
     """One comparison at a time in a folder, or one of each part; the lock falls with the process, however it ends."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileWriteError(describe_write_failure(out, error)) from error
+    make_folder(out)
     with open_for_writing(out / ("lock" if shard == WHOLE else f"lock-{shard.number}-of-{shard.parts}")) as lock:
         if not take_lock(lock):
             raise RunBusyError(

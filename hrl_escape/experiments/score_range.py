@@ -14,7 +14,7 @@ from pathlib import Path
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.errors import EscapeError, FileReadError
+from hrl_escape.errors import EscapeError
 from hrl_escape.experiments.grid import AgentSpec
 from hrl_escape.files import read_json, write_json
 from hrl_escape.version import __version__
@@ -99,11 +99,13 @@ def _find_ends(instance: RoomInstance, state: RoomState, flavour: str | None, ca
         start.append("expected")
     path = cache / instance.id / f"{hashlib.sha256(json.dumps(start).encode()).hexdigest()[:12]}.json"
     if path.exists():
-        with contextlib.suppress(FileReadError, TypeError):  # damaged: computed again
+        with contextlib.suppress(EscapeError, TypeError, LookupError, ValueError):  # damaged: computed again
             known = read_json(path, "best known results")["ends"]
-            return None if known is None else (known[0], known[1], known[2], known[3])
+            if known is None:
+                return None
+            best, fewest, reachable, few = known
+            return float(best), float(fewest), float(reachable), None if few is None else float(few)
     ends = _compute_ends(instance, state, flavour)
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_json(path, {"start": start, "ends": ends}, indent=None)
     return ends
 

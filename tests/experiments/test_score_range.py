@@ -80,5 +80,6 @@ def test_what_planners_found_is_kept_for_other_runs_and_a_damaged_file_is_made_a
     files[0].write_text(json.dumps({**content, "ends": [50.0, 51, 40.0, 61]}))
     kept = compute_score_range(STARTS, AgentSpec("dqn"), tmp_path)
     assert (50.0 in kept.best) and (51 in kept.fewest), "read, not computed"
-    files[0].write_text("{")
-    assert compute_score_range(STARTS, AgentSpec("dqn"), tmp_path) == found
+    for damaged in ("{", "[1]", "{}", '{"ends": [1]}', '{"ends": {}}', '{"ends": [1, 2, 3, "x"]}'):
+        files[0].write_text(damaged)
+        assert compute_score_range(STARTS, AgentSpec("dqn"), tmp_path) == found, damaged

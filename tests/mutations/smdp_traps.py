@@ -155,14 +155,14 @@ MUTATIONS = [
         "agents/components/replay_agent.py",
         'self._replay_rng.bit_generator.state = state["replay_rng"]',
         "pass",
-        "agents/training/test_resuming.py::test_a_restored_agent_goes_on_to_the_same_bits[dqn-corrected-3]",
+        "agents/training/test_resuming.py::test_a_restored_agent_goes_on_to_the_same_bits[dqn-corrected]",
     ),
     Mutation(
         "resuming keeps the log's rows from after the checkpoint",
         "agents/training/run_folder.py",
         "self._log.truncate(offset)",
         "pass",
-        "agents/training/test_resuming.py::test_an_interrupted_run_resumes_to_the_result_of_an_uninterrupted_one[q-learning-corrected-1]",
+        "agents/training/test_resuming.py::test_an_interrupted_run_resumes_to_the_result_of_an_uninterrupted_one[q-learning-corrected]",
     ),
     Mutation(
         "1 the wrapper sums without discount",

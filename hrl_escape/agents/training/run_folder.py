@@ -33,6 +33,7 @@ from hrl_escape.errors import (
 from hrl_escape.files import (
     clear_unfinished,
     describe_write_failure,
+    make_folder,
     open_for_writing,
     open_plain,
     parse_json,
@@ -155,10 +156,7 @@ class RunFolder:
             raise FileWriteError(describe_write_failure(path, error)) from error
 
     def _take_lock(self) -> IO[bytes]:
-        try:
-            self.path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise FileWriteError(describe_write_failure(self.path, error)) from error
+        make_folder(self.path)
         lock = open_for_writing(self.path / "lock")
         if not take_lock(lock):
             lock.close()

@@ -12,6 +12,7 @@ import itertools
 import logging
 import os
 import time
+import traceback
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -104,6 +105,9 @@ def _get_outcome(ray: Any, reference: Any) -> tuple[int | None, dict[str, str] |
     """Exit code of a task and the error that ended its run; no code where its process died for good."""
     try:
         return 0, ray.get(reference)
+    except ray.exceptions.RayTaskError as error:  # raised before the run: that machine cannot import what it needs
+        cause = "".join(traceback.format_exception_only(error.cause)).strip()
+        return None, {"message": f"its task could not begin: {cause}", "traceback": str(error)}
     except ray.exceptions.RayError as error:
         return None, {"message": f"Ray lost its process, and retries of it: {str(error).strip().splitlines()[0]}",
                       "traceback": str(error)}

@@ -21,7 +21,7 @@ import hrl_escape.planning.best_known  # noqa: F401  # preloaded for the process
 from hrl_escape.errors import EscapeError, FileWriteError, RunBusyError
 from hrl_escape.experiments.grid import GridRun
 from hrl_escape.experiments.runs import execute_run, get_run_folder
-from hrl_escape.files import describe_write_failure, open_for_writing
+from hrl_escape.files import make_folder, open_for_writing
 from hrl_escape.processes import die_with_parent
 
 __all__ = ["run_guarded", "work"]
@@ -38,15 +38,12 @@ def work(run: GridRun, out: Path, checkpoint_seconds: float, answer: Connection)
     die_with_parent()
     folder = get_run_folder(out, run)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        make_folder(folder)
         with open_for_writing(folder / "output.txt", "wb") as output:
             os.dup2(output.fileno(), 1)
             os.dup2(output.fileno(), 2)
     except FileWriteError as error:
         answer.send(describe_error(error))
-        return
-    except OSError as error:
-        answer.send(describe_error(FileWriteError(describe_write_failure(folder, error))))
         return
     faulthandler.enable()
     error = run_guarded(run, out, checkpoint_seconds)

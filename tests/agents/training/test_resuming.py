@@ -47,7 +47,8 @@ VARIANTS = [
     *((name, "corrected", SMALL.get(name, {}) | {"bonus_weight": 2.0}) for name in ("dqn", "q-learning", "ppo")),
     ("sarsa", "corrected", {"replay_capacity": 0, "expected": False, "warmup": 5, "hidden": (8,)}),
 ]
-IDS = [f"{name}-{recipe}-{index}" for index, (name, recipe, _) in enumerate(VARIANTS)]
+NAMES = [f"{name}-{recipe}" for name, recipe, _ in VARIANTS]
+IDS = [name if NAMES.index(name) == index else f"{name}-changed" for index, name in enumerate(NAMES)]
 
 
 class Interrupting(ButtonGrid):

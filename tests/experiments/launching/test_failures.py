@@ -19,36 +19,54 @@ from hrl_escape.experiments.launching.local import Failure, report_outcome
 from hrl_escape.experiments.launching.ray import RayLauncher
 from tests.experiments.small import change, plant_strangers
 
+needs_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="needs the extra ray")
 ROOT = Path(__file__).parents[3]
 SCRIPT = """
-import json, sys
+import json, os, sys
+import torch
 from rich.console import Console
 from hrl_escape.experiments.comparison import run_grid
 from hrl_escape.experiments.launching.ray import RayLauncher
 from tests.experiments.small import change
 
 if __name__ == "__main__":
-    grid = change(runs=1, agents=["raiser", "crasher", "random"], primitives=200)
+    os.environ["PYTHONPATH"] = os.pathsep.join([os.path.abspath("of_workers"), os.environ["PYTHONPATH"]])
+    grid = change(runs=1, agents=sys.argv[1:], primitives=200)
     comparison = run_grid(grid, "out", RayLauncher(1, resources={"max_retries": 0}), Console(file=sys.stderr))
     failures = {failed.run.agent.label: [failed.message, failed.traceback] for failed in comparison.failures}
-    print(json.dumps({"runs": [run.agent.label for run, _ in comparison.runs], "failures": failures}))
+    print(json.dumps([[run.agent.label for run, _ in comparison.runs], failures]))
 """
 
 
-@pytest.mark.slow
-@pytest.mark.skipif(importlib.util.find_spec("ray") is None, reason="needs the extra ray")
-def test_a_task_that_raises_and_one_that_crashes_are_told_and_stop_no_others(tmp_path: Path):
-    plant_strangers(tmp_path)
-    (tmp_path / "script.py").write_text(SCRIPT)
-    done = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True,
-                          env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), str(ROOT)])})
+def run_on_ray(folder: Path, *agents: str) -> tuple[list[str], dict[str, list[str]]]:
+    """Agents that finished, and messages and tracebacks of those that failed, as a user's script sees them."""
+    plant_strangers(folder)
+    (folder / "script.py").write_text(SCRIPT)
+    done = subprocess.run([sys.executable, "script.py", *agents], cwd=folder, capture_output=True, text=True,
+                          env=os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)])})
     assert done.returncode == 0, done.stderr
-    outcome = json.loads(done.stdout.splitlines()[-1])
-    assert outcome["runs"] == ["random"]
-    message, trace = outcome["failures"]["raiser"]
+    return tuple(json.loads(done.stdout.splitlines()[-1]))
+
+
+@pytest.mark.slow
+@needs_ray
+def test_a_task_that_raises_and_one_that_crashes_are_told_and_stop_no_others(tmp_path: Path):
+    finished, failures = run_on_ray(tmp_path, "raiser", "crasher", "random")
+    assert finished == ["random"]
+    message, trace = failures["raiser"]
     assert message == "KeyError: 'what a stranger forgot'" and "in fall" in trace
-    message, trace = outcome["failures"]["crasher"]
+    message, trace = failures["crasher"]
     assert message.startswith("Ray lost its process, and retries of it: The worker died unexpectedly") and trace
+
+
+@pytest.mark.slow
+@needs_ray
+def test_a_machine_that_cannot_import_what_a_task_needs_is_told(tmp_path: Path):
+    (tmp_path / "of_workers").mkdir()
+    (tmp_path / "of_workers" / "torch.py").write_text("raise ImportError('no torch on this machine')")
+    finished, failures = run_on_ray(tmp_path, "random")
+    assert finished == []
+    assert failures["random"][0] == "its task could not begin: ImportError: no torch on this machine"
 
 
 class Listener:
