@@ -15,6 +15,11 @@ def _discovery(bug: str, file: str, old: str, new: str, test: str) -> tuple[str,
     return bug, f"agents/{folder}/{file}.py", old, new, f"agents/{test}"
 
 
+def _meteorologists(bug: str, old: str, new: str, test: str) -> tuple[str, str, str, str, str]:
+    """The same for forecasters of structure."""
+    return bug, "agents/factored/meteorologists.py", old, new, f"{ALGORITHMS}/structure/test_met_r_max.py::{test}"
+
+
 OPTION_CRITIC = "options/option_critic"
 
 MUTATIONS = [
@@ -93,4 +98,21 @@ MUTATIONS = [
                "if skill is not None and state < len(skill.actions):",
                "algorithms/skills/test_discovery.py"
                "::test_a_chosen_option_is_worth_what_it_earns_on_its_way_and_the_best_choice_where_it_ends"),
+    # forecasts under noise
+    _meteorologists("a forecast is judged by a sample that it has seen",
+                    "        self._counts[self._rows, contexts, own, result] += 1\n\n    def find_alive",
+                    "\n    def find_alive",
+                    "test_two_forecasts_by_hand"),
+    _meteorologists("the better of two is dropped", "errors[:, None] - errors", "errors - errors[:, None]",
+                    "test_two_forecasts_by_hand"),
+    _meteorologists("any difference is enough to drop one", "(self._worse - np.sqrt(2 * log * self._ranges))",
+                    "self._worse", "test_the_true_parents_are_dropped_no_more_often_than_said_and_wrong_ones_always"),
+    _meteorologists("an action is what it mostly does", "np.rint(1_000 * share * counts)",
+                    "np.rint(1_000 * (1 - share) * counts)",
+                    "test_an_action_that_fails_most_of_the_time_still_does_what_it_does"),
+    _meteorologists("samples before the first effect are lost", "for sample in samples[:-1]:", "for sample in ():",
+                    "test_samples_before_the_first_effect_count"),
+    _meteorologists("the smallest set left predicts",
+                    "alive[np.argsort(np.round(self._code[alive], 6), kind=\"stable\")]", "alive",
+                    "test_two_forecasts_by_hand"),
 ]

@@ -8,6 +8,7 @@ believe, and explore.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium
@@ -113,6 +114,7 @@ class FactoredModel:
         max_parents: largest set of parents that is considered.
         conditions: `all-on` or `any`; see `FactoredRMaxSettings`.
         agent: name of the agent, for messages.
+        make_learner: (sizes of the factors, actions, max_parents, all_on) -> the learner.
 
     Attributes:
         learner: outcomes by parents.
@@ -120,11 +122,13 @@ class FactoredModel:
     """
 
     def __init__(
-        self, space: gymnasium.Space, actions: int, gamma: float, max_parents: int, conditions: str, agent: str
+        self, space: gymnasium.Space, actions: int, gamma: float, max_parents: int, conditions: str, agent: str,
+        make_learner: Callable[..., StructureLearner] = StructureLearner,
     ) -> None:
         if actions > MOST_ACTIONS:
             raise UnsupportedSpaceError(f"{agent} plans with at most {MOST_ACTIONS} actions, not {actions}")
         self.gamma, self._actions, self._max_parents, self._agent = gamma, actions, max_parents, agent
+        self._make_learner = make_learner
         self._reader = FactorReader(space, agent)
         self._all_on = conditions == "all-on" and bool((self._reader.sizes == 2).all())
         self._before: list[NDArray[np.float64]] = []
@@ -139,7 +143,7 @@ class FactoredModel:
     def _rebuild(self, rate: float = 0.0) -> None:
         """Derive the model anew, because the factors or the usual rate have changed."""
         self._packing: Packing | None = None  # at the first need: a Box's numbers are sorted out by then
-        self.learner = StructureLearner(self._reader.sizes, self._actions, self._max_parents, self._all_on)
+        self.learner = self._make_learner(self._reader.sizes, self._actions, self._max_parents, self._all_on)
         self.rate = rate
         self._levels: dict[float, int] = {0.0: 0}
         self._durations: DurationModel | None = None

@@ -18,6 +18,7 @@ from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_acti
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
 from hrl_escape.agents.factored.model import Belief, FactoredModel, PendingPlan
 from hrl_escape.agents.factored.search import ModelPlan
+from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.settings import Range
 
@@ -59,11 +60,18 @@ class PlanningAgent(Agent):
         self.settings = settings or self.Settings()
         actions = count_actions(action_space, self.name)
         self.model = FactoredModel(
-            observation_space, actions, self.gamma, self.settings.max_parents, self.settings.conditions, self.name
+            observation_space, actions, self.gamma, self.settings.max_parents, self.settings.conditions, self.name,
+            self.make_learner,
         )
         self._rng = make_rng(seed, "actions")
         self._pending = PendingPlan()
         self._is_exploring = False
+
+    def make_learner(
+        self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool
+    ) -> StructureLearner:
+        """The learner of structure, new."""
+        return StructureLearner(sizes, actions, max_parents, all_on)
 
     @abstractmethod
     def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:

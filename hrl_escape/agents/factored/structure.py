@@ -80,10 +80,8 @@ class StructureLearner:
         if action not in self._counts:
             self._counts[action] = np.zeros(self._shape, dtype=np.int32)
         counts = self._counts[action]
-        own = np.concatenate([np.where(self._is_bit, before, 0), [0, 0]])
-        result = np.concatenate([after, [int(over), bonus]])
-        sums = self._strides @ before
-        contexts = ((sums < self._set_sizes).astype(np.int64) if self.all_on else sums)[:, None]
+        flat, own, result = self.read_sample(before, after, over, bonus)
+        contexts = flat[:, None]
         cells = counts[self._rows, contexts, self._outcomes, own]  # (hypotheses, outcomes, values)
         best = cells.max(axis=2)
         landed = cells[self._rows, self._outcomes, result]
@@ -91,6 +89,15 @@ class StructureLearner:
         counts[self._rows, contexts, self._outcomes, own, result] += 1
         changed = np.concatenate([after != before, [over, bonus != 0]])
         self._active[action] |= changed
+
+    def read_sample(
+        self, before: NDArray[np.int64], after: NDArray[np.int64], over: bool, bonus: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+        """Context of each hypothesis, (hypotheses,); own value and result of each outcome, (outcomes,) each."""
+        own = np.concatenate([np.where(self._is_bit, before, 0), [0, 0]])
+        result = np.concatenate([after, [int(over), bonus]])
+        sums = self._strides @ before
+        return (sums < self._set_sizes).astype(np.int64) if self.all_on else sums, own, result
 
     def list_active(self, action: int) -> NDArray[np.int64]:
         """Outcomes that this action has been seen to change."""

@@ -1,0 +1,63 @@
+"""Agents that believe every hypothesis which the history leaves: to open outcomes first, then to the end of the task.
+
+As in R-MAX (Brafman and Tennenholtz 2002) the unknown is worth more than anything known, here without bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.factored.planning_agent import PlanningAgent, PlanningSettings
+from hrl_escape.agents.factored.search import ModelPlan
+from hrl_escape.settings import Range
+
+__all__ = ["OptimisticPlanner", "OptimisticSettings"]
+
+
+@dataclass(frozen=True)
+class OptimisticSettings(PlanningSettings):
+    """Samples that settle a context."""
+
+    visits: Annotated[int, Range(1)] = 1
+    """Samples that make a context known; 1 is enough where outcomes have no chance in them."""
+
+
+class OptimisticPlanner(PlanningAgent):
+    """Believes every hypothesis that the history leaves: an outcome on which two of them differ is open."""
+
+    settings: OptimisticSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: OptimisticSettings | None = None,
+    ) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        self._careful = self.model.make_belief(self.model.get_alive, self.settings.visits)
+        self._bold = self.model.make_belief(self.model.get_likeliest, self.settings.visits)
+
+    def get_graph(self) -> frozenset[tuple[int, int]]:
+        """Edges (parent, child) of the smallest hypotheses alive; see `FactoredModel.find_graph`."""
+        return self.model.find_graph(self._bold.choose)
+
+    def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
+        """The way to the soonest open outcome; if none is in reach, to the end of the task."""
+        plan = self._search(self._careful, observation, action_mask, seek_gaps=True)
+        self._is_exploring = bool(plan.actions)
+        return plan if plan.actions else self._find_escape(observation, action_mask)
+
+    def _find_escape(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
+        """The way to the end of the task by what is known, else by what is likeliest."""
+        plan = self._search(self._careful, observation, action_mask, seek_gaps=False)
+        return plan if plan.actions else self._search(self._bold, observation, action_mask, seek_gaps=False)
+
+    def compute_plan_value(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
+        """Discounted return of the best known way to the end of the task; -inf if none is known."""
+        return -np.inf if self.model.is_empty else self._find_escape(observation, action_mask).value
