@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, Protocol
+from typing import Annotated, Any, ClassVar, Literal, Protocol
 
 import gymnasium
 import numpy as np
@@ -21,6 +21,7 @@ from hrl_escape.agents.components.tables import QTable
 from hrl_escape.agents.components.tabular_agent import TabularAgent, TabularAgentSettings
 from hrl_escape.agents.discovery.found_option import NOTHING, StateModel, TableSkill
 from hrl_escape.agents.discovery.state_graph import StateGraph
+from hrl_escape.agents.option_policy import OptionPolicy
 from hrl_escape.settings import Range
 
 __all__ = ["DiscoveringAgent", "Discovery", "DiscoverySettings", "GraphDiscovery", "GraphDiscoverySettings"]
@@ -130,6 +131,7 @@ class DiscoveringAgent(TabularAgent):
     """
 
     settings: DiscoverySettings
+    is_markov: ClassVar[bool] = False
 
     def __init__(
         self,
@@ -187,9 +189,21 @@ class DiscoveringAgent(TabularAgent):
         """The option of the latest choice."""
         return () if self._shown is None else (self._shown,)
 
+    def get_options(self) -> tuple[OptionPolicy, ...]:
+        """Each option that was found, from where it may begin to its end; the whole policy where none was."""
+        found = [slot for slot, skill in enumerate(self.skills) if skill is not None]
+        return tuple(map(self._export, found)) or super().get_options()
+
+    def _export(self, slot: int) -> OptionPolicy:
+        skill, run = self.skills[slot], _Run(self, slot)
+        assert skill is not None
+        return OptionPolicy(skill.name, self, lambda: run,
+                            lambda observation, mask: bool(self.compute_available(observation, mask)[slot]),
+                            is_markov=True)
+
     # --- acting -----------------------------------------------------------------------
 
-    def _go_on(self, slot: int, observation: Any, mask: NDArray[np.bool_]) -> int:
+    def go_on(self, slot: int, observation: Any, mask: NDArray[np.bool_]) -> int:
         """The primitive of a running option; `NOTHING` where it is over."""
         action = NOTHING if slot == NOTHING else self.get_skill_action(slot, observation)
         return action if action != NOTHING and mask[action] else NOTHING
@@ -200,7 +214,7 @@ class DiscoveringAgent(TabularAgent):
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Go on with a running option; else epsilon-greedy, an exploratory choice being an option or a primitive."""
-        action = self._go_on(self._running, observation, action_mask)
+        action = self.go_on(self._running, observation, action_mask)
         if action == NOTHING:
             choice = self._choose(observation, action_mask)
             self._running, self._lasted = (choice - self.actions, 0) if choice >= self.actions else (NOTHING, 0)
@@ -220,7 +234,7 @@ class DiscoveringAgent(TabularAgent):
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The best choice; an option runs to its end in the evaluation that belongs to `rng`."""
         running = self._evaluation[1] if self._evaluation is not None and self._evaluation[0] is rng else NOTHING
-        action = self._go_on(running, observation, action_mask)
+        action = self.go_on(running, observation, action_mask)
         if action == NOTHING:
             choice = choose_best(*self._compute_choices(observation, action_mask))
             running = choice - self.actions if choice >= self.actions else NOTHING
@@ -265,7 +279,7 @@ class DiscoveringAgent(TabularAgent):
                  if self.get_skill_action(slot, transition.observation) == transition.action]
         targets = []
         for slot in doing:
-            goes_on = self._go_on(slot, transition.next_observation, transition.next_action_mask) != NOTHING
+            goes_on = self.go_on(slot, transition.next_observation, transition.next_action_mask) != NOTHING
             targets.append(reward + bootstrap * (float(values[self.actions + slot]) if goes_on else best))
         for slot, target in zip(doing, targets, strict=True):
             self.table.update(key, self.actions + slot, target)
@@ -291,3 +305,19 @@ class DiscoveringAgent(TabularAgent):
         self.discovery.load_state_dict(state["discovery"])
         self._running, self._lasted = int(state["running"]), int(state["lasted"])
         self._evaluation = None
+
+
+class _Run:
+    """A run of a found option; it remembers nothing."""
+
+    def __init__(self, agent: DiscoveringAgent, slot: int) -> None:
+        self._agent, self._slot = agent, slot
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The primitive of the option; asked where it is over, any that is legal."""
+        action = self._agent.go_on(self._slot, observation, action_mask)
+        return int(action_mask.argmax()) if action == NOTHING else action
+
+    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
+        """Certain where it has no primitive, or none that is legal."""
+        return float(self._agent.go_on(self._slot, observation, action_mask) == NOTHING)

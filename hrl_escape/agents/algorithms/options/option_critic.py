@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import gymnasium
@@ -19,6 +20,7 @@ from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, StateTre
 from hrl_escape.agents.components.exploration import make_rng, sample_index
 from hrl_escape.agents.components.option_log import OptionLog
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
+from hrl_escape.agents.option_policy import OptionPolicy
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.settings import Range
 
@@ -169,6 +171,11 @@ class OptionCritic(Agent):
         """The option of the latest choice, in evaluation or in learning."""
         return () if self._shown is None else (self._shown,)
 
+    def get_options(self) -> tuple[OptionPolicy, ...]:
+        """Each option, from anywhere; actions and ends are drawn."""
+        return tuple(OptionPolicy(f"option-{option}", self, partial(_Run, self, option))
+                     for option in range(self.settings.options))
+
     def _draw(self, option: int, decisions: int, observation: Any, mask: NDArray[np.bool_],
               rng: np.random.Generator) -> int:
         """Draw from an option's policy."""
@@ -269,3 +276,18 @@ class OptionCritic(Agent):
         self._likely = np.array(state["likely"])
         self._rng.bit_generator.state = state["rng"]
         self._evaluation = None
+
+
+class _Run:
+    """A run of one option; it remembers nothing."""
+
+    def __init__(self, agent: OptionCritic, option: int) -> None:
+        self._agent, self._option = agent, option
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """Draw from the option's policy."""
+        return sample_index(self._agent.compute_policies(observation, action_mask)[self._option], rng)
+
+    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
+        """Beta of the option."""
+        return float(self._agent.compute_terminations(observation)[self._option])
