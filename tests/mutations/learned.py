@@ -20,6 +20,11 @@ def _meteorologists(bug: str, old: str, new: str, test: str) -> tuple[str, str, 
     return bug, "agents/factored/meteorologists.py", old, new, f"{ALGORITHMS}/structure/test_met_r_max.py::{test}"
 
 
+def _hrc(bug: str, old: str, new: str, test: str) -> tuple[str, str, str, str, str]:
+    """The same for interventions."""
+    return _trap(bug, "structure/hrc", old, new, f"::{test}")
+
+
 OPTION_CRITIC = "options/option_critic"
 
 MUTATIONS = [
@@ -115,4 +120,19 @@ MUTATIONS = [
     _meteorologists("the smallest set left predicts",
                     "alive[np.argsort(np.round(self._code[alive], 6), kind=\"stable\")]", "alive",
                     "test_two_forecasts_by_hand"),
+    # interventions
+    _hrc("a set that was off in a success may be the parents", "            common &= before\n", "            pass\n",
+         "test_parents_are_the_smallest_set_on_in_successes_and_in_the_fewest_failures"),
+    _hrc("failures say nothing", "count = sum(before & mask == mask for before in failed)", "count = 0",
+         "test_parents_are_the_smallest_set_on_in_successes_and_in_the_fewest_failures"),
+    _hrc("actions are tried whatever is on", "if all(before >> bit & 1 for bit in self.interventions):", "if True:",
+         "test_it_finds_the_way_out_and_the_edges_that_matter"),
+    _hrc("an action that failed is never tried again", "self._tried.clear()", "pass",
+         "test_actions_that_fail_are_tried_again"),
+    ("a subgoal of an AND needs any parent", "agents/discovery/interventions.py",
+     'test = all if gate == "and" else any', "test = any",
+     f"{ALGORITHMS}/structure/test_hrc.py::test_expected_costs_are_those_of_a_simulation"),
+    ("others are chosen the more the later", "agents/discovery/interventions.py",
+     "made / (made + 1)", "1 / (made + 1)",
+     f"{ALGORITHMS}/structure/test_hrc.py::test_expected_costs_are_those_of_a_simulation"),
 ]

@@ -1,0 +1,230 @@
+"""HRC: causal interventions on subgoals, one after another, until the way to the goal is known.
+
+Khorasani et al. (2025). Subgoals are the bits of the observation. The agent drives those on that it has chosen to
+intervene on, tries every action that has had no effect yet, and learns which bits an action needs.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_actions
+from hrl_escape.agents.components.exploration import make_rng, sample_index, sample_legal
+from hrl_escape.agents.discovery.interventions import InterventionRule, compute_intervention_probabilities
+from hrl_escape.agents.factored.observation import FactorReader
+from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.errors import UnsupportedSpaceError
+from hrl_escape.settings import Range
+
+__all__ = ["Hrc", "HrcSettings"]
+
+END = -1
+"""In place of a bit: the end of the task."""
+
+
+@dataclass(frozen=True)
+class HrcSettings(AgentSettings):
+    """Settings of `hrc`."""
+
+    gamma: Annotated[float, Range(0, 1)] = 0.99
+    """Discount per primitive."""
+    tries: Annotated[int, Range(1)] = 1
+    """Tries of an action after each intervention; more where actions may fail."""
+    max_parents: Annotated[int, Range(0, 8)] = 2
+    """Most bits that an action needs."""
+    rule: InterventionRule = "uniform"
+    """Choice of the next intervention; the others need `ancestors`, or choose as `uniform` does."""
+    ancestors: tuple[Annotated[int, Range(0)], ...] = ()
+    """Components of the observation that the agent is told to be ancestors of the goal. Privileged."""
+
+
+class Hrc(Agent):
+    """Intervene on subgoals that can be reached, until the end of the task can.
+
+    A bit that an action has turned on can be reached: by that action, where its parents are on. The parents are the
+    smallest set of bits, on in every success, that was on in the fewest failures; of several, the one of which most are
+    on is put to the test. After each intervention every action without an effect is tried with all chosen bits on. Once
+    the end can be reached, the agent goes there.
+
+    Attributes:
+        interventions: components of the chosen bits, in order.
+        cost: sum over bits found after the first intervention of 1 and the interventions by then.
+    """
+
+    name: ClassVar[str] = "hrc"
+    Settings: ClassVar[type] = HrcSettings
+    settings: HrcSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: HrcSettings | None = None,
+    ) -> None:
+        self.settings = settings or HrcSettings()
+        self._actions = count_actions(action_space, self.name)
+        self._reader = FactorReader(observation_space, self.name)
+        if (self._reader.sizes > 2).any():
+            raise UnsupportedSpaceError(f"hrc intervenes on bits, and {observation_space} has factors of more values")
+        self._rng = make_rng(seed, "actions")
+        self._samples: list[tuple[int, int, int, bool]] = []
+        """Of each decision: bits before, action, bits after, over; bit n of a number is component n."""
+        self._find_anew()
+
+    def _find_anew(self) -> None:
+        """Forget all but the samples."""
+        self.interventions: list[int] = []
+        self.cost = 0
+        self._effects: dict[int, int] = {}
+        """Bit, or `END` -> the action that first brought it about."""
+        self._parents: dict[int, list[tuple[int, ...]]] = {}
+        """Bit, or `END` -> the sets that may be its parents."""
+        self._tried: dict[tuple[int, int], int] = {}
+        """(action, interventions made) -> tries."""
+
+    def _read(self, observation: Any) -> int:
+        flat = self._reader.flatten(observation)
+        if self._reader.notice(flat):  # some numbers are no bits
+            left = {END, *self._reader.components.tolist()}
+            self._effects = {bit: action for bit, action in self._effects.items() if bit in left}
+            self.interventions = [bit for bit in self.interventions if bit in left]
+            self._parents = {bit: self._find_parents(bit) for bit in self._effects}
+        return self._read_frozen(observation)
+
+    # --- what is known ----------------------------------------------------------------
+
+    def _find_parents(self, bit: int) -> list[tuple[int, ...]]:
+        """The smallest sets that were on in all successes and in the fewest failures of the bit's action."""
+        action, known = self._effects[bit], sum(1 << int(component) for component in self._reader.components)
+        off = [row for row in self._samples if row[1] == action and (bit == END or not row[0] >> bit & 1)]
+        worked = [row[0] for row in off if (row[3] if bit == END else row[2] >> bit & 1)]
+        failed = [row[0] for row in off if not (row[3] if bit == END else row[2] >> bit & 1)]
+        common = known
+        for before in worked:
+            common &= before
+        bits = [n for n in range(common.bit_length()) if common >> n & 1]
+        best: list[tuple[int, ...]] = []
+        least = len(failed) + 1
+        for size in range(min(self.settings.max_parents, len(bits)) + 1):
+            for chosen in itertools.combinations(bits, size):
+                mask = sum(1 << n for n in chosen)
+                count = sum(before & mask == mask for before in failed)
+                if count < least:
+                    best, least = [chosen], count
+                elif count == least and len(chosen) == len(best[0]):
+                    best.append(chosen)
+        return best
+
+    def get_graph(self) -> frozenset[tuple[int, int]]:
+        """Edges (parent, child) between the components of bits that can be reached."""
+        return frozenset((parent, bit) for bit, sets in self._parents.items() if bit != END for parent in sets[0])
+
+    def _step_towards(self, bit: int, bits: int, depth: int = 0) -> int:
+        """The next action on the way to a bit, or to the end, if its parents are those of which most are on."""
+        for parent in min(self._parents[bit], key=lambda needs: sum(not bits >> parent & 1 for parent in needs)):
+            if not bits >> parent & 1 and parent in self._effects and depth < len(self._effects):
+                return self._step_towards(parent, bits, depth + 1)
+        return self._effects[bit]
+
+    # --- acting -----------------------------------------------------------------------
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Go to the end; else drive on what was chosen, try what had no effect, choose the next intervention."""
+        action = self._choose(self._read(observation), action_mask)
+        return action if action_mask[action] else sample_legal(action_mask, self._rng)
+
+    def _choose(self, bits: int, mask: NDArray[np.bool_]) -> int:
+        if END in self._effects:
+            return self._step_towards(END, bits)
+        while True:
+            for bit in self.interventions:
+                if not bits >> bit & 1 and bit in self._effects:
+                    return self._step_towards(bit, bits)
+            left = self._list_untried()
+            if left.any():
+                return sample_legal(left & mask if (left & mask).any() else mask, self._rng)
+            candidates = [bit for bit in self._effects if bit not in self.interventions]
+            if not candidates:
+                self._tried.clear()  # nothing more was found: some action must have failed by chance
+                return sample_legal(mask, self._rng)
+            shares = compute_intervention_probabilities(candidates, self.settings.ancestors, len(self.interventions),
+                                                        self.settings.rule)
+            self.interventions.append(candidates[sample_index(np.array(shares), self._rng)])
+
+    def _list_untried(self) -> NDArray[np.bool_]:
+        """Actions without an effect so far that are to be tried with the present interventions."""
+        made, working = len(self.interventions), set(self._effects.values())
+        return np.array([action not in working and self._tried.get((action, made), 0) < self.settings.tries
+                         for action in range(self._actions)])
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The next action on the way to the end; any, where none is known."""
+        bits = self._read_frozen(observation)
+        action = self._step_towards(END, bits) if END in self._effects else None
+        return sample_legal(action_mask, rng) if action is None or not action_mask[action] else action
+
+    def _read_frozen(self, observation: Any) -> int:
+        values = self._reader.read(self._reader.flatten(observation))
+        return sum(1 << int(bit) for bit, value in zip(self._reader.components, values, strict=True) if value)
+
+    # --- learning ---------------------------------------------------------------------
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Take a sample; a bit turned on for the first time can be reached from now on."""
+        if not (transition.truncated and transition.duration > 1):  # a cut inside shows no effect
+            before, after = self._read(transition.observation), self._read(transition.next_observation)
+            self._learn((before, transition.action, after, transition.terminated))
+        return {"interventions": len(self.interventions), "intervention_cost": self.cost,
+                "subgoals": len(self._effects)}  # fmt: skip
+
+    def _learn(self, sample: tuple[int, int, int, bool]) -> None:
+        self._samples.append(sample)
+        before, action, after, over = sample
+        made = len(self.interventions)
+        if all(before >> bit & 1 for bit in self.interventions):
+            self._tried[action, made] = self._tried.get((action, made), 0) + 1
+        turned = after & ~before
+        found = [n for n in range(turned.bit_length()) if turned >> n & 1] + [END] * over
+        for bit in found:
+            if bit not in self._effects:
+                self._effects[bit] = action
+                self.cost += (made + 1) * (made > 0)
+        for bit, by in self._effects.items():
+            if by == action:
+                self._parents[bit] = self._find_parents(bit)
+
+    def state_dict(self) -> StateTree:
+        """Samples, interventions, what was found and tried, generator."""
+        return {
+            "samples": [[str(before), action, str(after), over] for before, action, after, over in self._samples],
+            "interventions": list(self.interventions),
+            "cost": self.cost,
+            "effects": [list(item) for item in self._effects.items()],
+            "tried": [[action, made, count] for (action, made), count in self._tried.items()],
+            "factors": self._reader.components,
+            "rng": self._rng.bit_generator.state,
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        self._find_anew()
+        self._samples = [(int(before), int(action), int(after), bool(over))
+                         for before, action, after, over in state["samples"]]
+        dropped = np.setdiff1d(self._reader.components, np.asarray(state["factors"]))
+        if len(dropped):
+            flat = np.zeros(int(self._reader.components.max()) + 1)
+            flat[dropped] = 0.5
+            self._reader.notice(flat)
+        self.interventions, self.cost = [int(bit) for bit in state["interventions"]], int(state["cost"])
+        self._effects = {int(bit): int(action) for bit, action in state["effects"]}
+        self._parents = {bit: self._find_parents(bit) for bit in self._effects}
+        self._tried = {(int(action), int(made)): int(count) for action, made, count in state["tried"]}
+        self._rng.bit_generator.state = state["rng"]

@@ -1,0 +1,171 @@
+"""HRC: costs of interventions against a simulation told as a story, and what the agent spends in puzzles."""
+
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from hrl_escape.agents.agent import make_transition, read_action_mask
+from hrl_escape.agents.algorithms.structure.hrc import END, Hrc, HrcSettings
+from hrl_escape.agents.discovery.interventions import compute_expected_cost, find_ancestors
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.errors import UnsupportedSpaceError
+from hrl_escape.experiments.graph_recovery import find_edges_that_matter
+from tests.agents.puzzle_envs import PuzzleEnv
+
+CHAIN = {n: [n - 1] if n else [] for n in range(8)}
+TREE = {n: [(n - 1) // 2] if n else [] for n in range(10)}
+LAYERED = {0: [], 1: [], 2: [], 3: [0, 1], 4: [1, 2], 5: [0, 2], 6: [3, 4], 7: [4, 5], 8: [6]}
+
+
+def simulate(parents, goal, rule, gate, rng):
+    """One search: cost and interventions."""
+    ancestors, made, cost = find_ancestors(parents, goal), [], 0
+
+    def can_reach(node):
+        on = [need in made for need in parents[node]]
+        return not on or (all(on) if gate == "and" else any(on))
+
+    reachable = {node for node in parents if can_reach(node)}
+    while goal not in reachable:
+        free = sorted(reachable - set(made))
+        wanted = [node for node in free if node in ancestors]
+        others = [node for node in free if node not in ancestors]
+        if rule == "uniform" or not wanted or not others:
+            group = free
+        elif rule == "ancestors" or rng.random() < len(made) / (len(made) + 1):
+            group = wanted
+        else:
+            group = others
+        made.append(group[rng.integers(len(group))])
+        for node in parents:
+            if node not in reachable and can_reach(node):
+                reachable.add(node)
+                cost += len(made) + 1
+    return cost, len(made)
+
+
+@pytest.mark.parametrize("rule", ["uniform", "targeted", "ancestors"])
+@pytest.mark.parametrize(("parents", "gate"), [(CHAIN, "and"), (TREE, "and"), (LAYERED, "and"), (LAYERED, "or")])
+def test_expected_costs_are_those_of_a_simulation(parents, gate, rule):
+    goal, rng = max(parents), np.random.default_rng(0)
+    runs = np.array([simulate(parents, goal, rule, gate, rng) for _ in range(1_500)])
+    exact = compute_expected_cost(parents, goal, rule, gate)
+    error = 4 * runs.std(axis=0) / len(runs) ** 0.5 + 1e-9
+    assert (np.abs(runs.mean(axis=0) - exact) < error).all()
+
+
+def test_a_chain_costs_the_same_by_any_rule_and_a_tree_does_not():
+    n = 20
+    chain = {node: [node - 1] if node else [] for node in range(n)}
+    for rule in ("uniform", "targeted", "ancestors"):
+        assert compute_expected_cost(chain, n - 1, rule) == pytest.approx((n * (n + 1) / 2 - 1, n - 1))
+    tree = [compute_expected_cost(TREE, 9, rule) for rule in ("uniform", "targeted", "ancestors")]
+    assert tree[0] == pytest.approx((29.472, 5.75), abs=1e-3)
+    assert tree[1] == pytest.approx((21.630, 4.068), abs=1e-3)
+    assert tree[2] == (14.0, 3.0)
+
+
+# --- the agent ----------------------------------------------------------------------------
+
+
+def play(agent, env, decisions, seed):
+    """Train until so many decisions; returns the number of escapes."""
+    actions, escapes = int(env.action_space.n), 0
+    observation, info = env.reset(seed=seed)
+    mask = read_action_mask(info, actions)
+    for _ in range(decisions):
+        action = agent.act(observation, mask)
+        transition = make_transition(observation, action, mask, env.step(action), agent.gamma)
+        agent.observe(transition)
+        escapes += transition.terminated
+        observation, mask = transition.next_observation, transition.next_action_mask
+        if transition.terminated or transition.truncated:
+            observation, info = env.reset()
+            mask = read_action_mask(info, actions)
+    return escapes
+
+
+def make_puzzle_env(kind, buttons, rule, seed):
+    config = ButtonsConfig(count=buttons, graph=GraphConfig(kind=kind, max_parents=2), on_violation=rule)
+    return PuzzleEnv(config.make_puzzle(np.random.default_rng(seed)), 20.0, seed)
+
+
+@pytest.mark.parametrize("rule", ["ignore", "reset"])
+@pytest.mark.parametrize("kind", ["chain", "tree", "layered"])
+def test_it_finds_the_way_out_and_the_edges_that_matter(kind, rule):
+    for seed in range(3):
+        env = make_puzzle_env(kind, 7, rule, seed)
+        agent = Hrc(env.observation_space, env.action_space, seed, HrcSettings())
+        assert play(agent, env, 700, seed) > 5
+        edges = {(parent - 2, child - 2) for parent, child in agent.get_graph()}
+        goals = (env.puzzle.goal,)
+        assert find_edges_that_matter(edges, goals) == find_edges_that_matter(env.puzzle.edges, goals)
+
+
+def count_parents(puzzle):
+    """The buttons' parents, and the exit behind the goal."""
+    parents = {node: [p for p, child in puzzle.edges if child == node] for node in range(len(puzzle.target_names))}
+    return parents | {len(parents): [puzzle.goal]}
+
+
+def test_its_cost_lies_below_that_of_subgoals_tried_one_by_one():
+    """Bits that were turned on in trying stay on, so that more than the chosen ones are."""
+    spent, expected = [], []
+    for seed in range(12):
+        env = make_puzzle_env("tree", 9, "ignore", seed)
+        parents = count_parents(env.puzzle)
+        agent = Hrc(env.observation_space, env.action_space, seed, HrcSettings())
+        play(agent, env, 150, seed)
+        assert END in agent._effects
+        spent.append(agent.cost)
+        expected.append(compute_expected_cost(parents, len(parents) - 1, "uniform").cost)
+    assert 0.4 * np.mean(expected) < np.mean(spent) < 0.9 * np.mean(expected)
+
+
+def test_a_hint_is_followed():
+    agent = Hrc(spaces.MultiBinary(4), spaces.Discrete(4), 0, HrcSettings(rule="ancestors", ancestors=(2,)))
+    agent._effects, agent._parents = {0: 0, 1: 1, 2: 2}, {0: [()], 1: [()], 2: [()]}
+    agent._tried = {(3, 0): 1}
+    assert agent.act(np.zeros(4), np.ones(4, np.bool_)) == 2
+    assert agent.interventions == [2]
+
+
+def test_parents_are_the_smallest_set_on_in_successes_and_in_the_fewest_failures():
+    agent = Hrc(spaces.MultiBinary(4), spaces.Discrete(2), 0, HrcSettings())
+    agent._effects[3] = 0
+    for before, works in ((0b0111, True), (0b0011, True), (0b0001, False), (0b0010, False), (0b0110, False)):
+        agent._samples.append((before, 0, before | 0b1000 * works, False))
+    assert agent._find_parents(3) == [(0, 1)]
+    agent._samples.append((0b0011, 0, 0b0011, False))
+    assert agent._find_parents(3) == [(0, 1)], "a failure by chance"
+
+
+def test_actions_that_fail_are_tried_again():
+    class Failing(PuzzleEnv):
+        def step(self, action):
+            if self.np_random.random() >= 0.2:
+                return super().step(action)
+            self.elapsed += 1
+            info = {"duration": 1, "rewards": [-1.0], "action_mask": self.compute_mask()}
+            return self.observe(), -1.0, False, self.elapsed >= self.horizon, info
+
+    for seed in range(3):
+        sound = make_puzzle_env("tree", 6, "ignore", seed)
+        env = Failing(sound.puzzle, 20.0, seed)
+        agent = Hrc(env.observation_space, env.action_space, seed, HrcSettings(tries=2))
+        assert play(agent, env, 600, seed) > 5
+
+
+def test_it_resumes_to_the_bit_and_refuses_what_has_no_bits():
+    env = make_puzzle_env("tree", 6, "ignore", 0)
+    agent = Hrc(env.observation_space, env.action_space, 0, HrcSettings())
+    play(agent, env, 25, 0)
+    other = Hrc(env.observation_space, env.action_space, 0, HrcSettings())
+    other.load_state_dict(agent.state_dict())
+    assert other.get_graph() == agent.get_graph() and other.interventions == agent.interventions
+    play(agent, env, 60, 1)
+    play(other, make_puzzle_env("tree", 6, "ignore", 0), 60, 1)
+    assert other._samples == agent._samples
+    with pytest.raises(UnsupportedSpaceError, match="bits"):
+        Hrc(spaces.MultiDiscrete([3, 2]), spaces.Discrete(2), 0)
