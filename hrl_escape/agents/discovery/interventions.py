@@ -12,7 +12,7 @@ from functools import cache
 from typing import Literal, NamedTuple
 
 __all__ = ["ExpectedCost", "InterventionRule", "compute_expected_cost", "compute_intervention_probabilities",
-           "find_ancestors"]
+           "find_causes"]
 
 InterventionRule = Literal["uniform", "targeted", "ancestors"]
 """`uniform`: any reachable subgoal; `targeted`: with n interventions made, an ancestor of the goal with probability
@@ -31,7 +31,7 @@ class ExpectedCost(NamedTuple):
     interventions: float
 
 
-def find_ancestors(parents: Mapping[int, Collection[int]], goal: int) -> frozenset[int]:
+def find_causes(parents: Mapping[int, Collection[int]], goal: int) -> frozenset[int]:
     """Everything that a goal depends on, directly or not, itself left out."""
     found: set[int] = set()
     waiting = list(parents.get(goal, ()))
@@ -73,7 +73,7 @@ def compute_expected_cost(
         rule: see `InterventionRule`.
         gate: parents that must be on, all or any.
     """
-    ancestors = find_ancestors(parents, goal)
+    ancestors = find_causes(parents, goal)
     test = all if gate == "and" else any
 
     def list_reachable(made: frozenset[int]) -> list[int]:

@@ -6,7 +6,7 @@ from gymnasium import spaces
 
 from hrl_escape.agents.agent import make_transition, read_action_mask
 from hrl_escape.agents.algorithms.structure.hrc import END, Hrc, HrcSettings
-from hrl_escape.agents.discovery.interventions import compute_expected_cost, find_ancestors
+from hrl_escape.agents.discovery.interventions import compute_expected_cost, find_causes
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.errors import UnsupportedSpaceError
@@ -20,7 +20,7 @@ LAYERED = {0: [], 1: [], 2: [], 3: [0, 1], 4: [1, 2], 5: [0, 2], 6: [3, 4], 7: [
 
 def simulate(parents, goal, rule, gate, rng):
     """One search: cost and interventions."""
-    ancestors, made, cost = find_ancestors(parents, goal), [], 0
+    ancestors, made, cost = find_causes(parents, goal), [], 0
 
     def can_reach(node):
         on = [need in made for need in parents[node]]
