@@ -123,6 +123,17 @@ def test_its_cost_lies_below_that_of_subgoals_tried_one_by_one():
     assert 0.4 * np.mean(expected) < np.mean(spent) < 0.9 * np.mean(expected)
 
 
+def test_an_action_counts_as_tried_only_where_all_that_was_chosen_is_on_and_anew_when_nothing_is_left():
+    agent = Hrc(spaces.MultiBinary(4), spaces.Discrete(2), 0, HrcSettings())
+    agent._effects, agent._parents, agent.interventions = {0: 0}, {0: [()]}, [0]
+    agent._learn((0b0000, 1, 0b0000, False))
+    assert agent._list_untried().tolist() == [False, True]
+    agent._learn((0b0001, 1, 0b0001, False))
+    assert not agent._list_untried().any()
+    agent.act(np.array([1.0, 0.0, 0.0, 0.0]), np.ones(2, np.bool_))
+    assert agent._list_untried().tolist() == [False, True], "some action must have failed by chance"
+
+
 def test_a_hint_is_followed():
     agent = Hrc(spaces.MultiBinary(4), spaces.Discrete(4), 0, HrcSettings(rule="ancestors", ancestors=(2,)))
     agent._effects, agent._parents = {0: 0, 1: 1, 2: 2}, {0: [()], 1: [()], 2: [()]}
