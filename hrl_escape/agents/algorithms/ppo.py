@@ -185,7 +185,16 @@ class PPO(StreamAgent):
     # --- streams -------------------------------------------------------------------------
 
     def begin_streams(self, count: int, device: torch.device) -> None:
-        """Move networks and optimiser to a device; every stream begins an episode and a rollout."""
+        """Move networks and optimiser to a device; every stream begins an episode, and what was collected ends there.
+
+        Where streams begin anew in the middle of a rollout, its decisions stay, and their episodes count as truncated.
+        """
+        if self._open is not None and self._open.has(count, device):
+            if self._collected:
+                rollout = self._gather()
+                self._chunks = [rollout._replace(over=rollout.over | self._open.find_last(rollout))]
+            self._open.begin_episodes()
+            return
         self._learner.move(device)
         self._forward, self._forward_critic = make_forward(self.policy), make_forward(self.critic)
         self._open = OpenChoices(count, self._actions, device, self._stream_rng, len(self._before))

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from hrl_escape.agents.agent import StateTree
+from hrl_escape.agents.components.policy_gradient import Rollout
 from hrl_escape.errors import CheckpointError
 
 __all__ = ["OpenChoices"]
@@ -52,6 +53,18 @@ class OpenChoices:
         self._place[stream] += 1
         self.memory[stream] = torch.where(over[:, None], 0.0, self.memory[stream])
         return self._mask[stream], self._log_probability[stream], place, self._before[stream]
+
+    def has(self, count: int, device: torch.device) -> bool:
+        """True if these are the choices of so many streams on that device."""
+        return (self.count, self._place.device) == (count, device)
+
+    def find_last(self, rollout: Rollout) -> Tensor:
+        """True at each stream's last decision in a rollout, bool (n,)."""
+        return rollout.place == self._place[rollout.stream] - 1
+
+    def begin_episodes(self) -> None:
+        """Let every stream forget what it remembers; its present decision is dropped."""
+        self.memory.zero_()
 
     def begin_rollout(self) -> None:
         """Count places from 0 again."""

@@ -244,6 +244,22 @@ def test_the_budget_is_in_primitives_of_all_streams_and_of_every_option():
     assert len(result.evaluations) >= 2 and sum(segment.episodes for segment in result.segments) > 0
 
 
+def test_a_rollout_longer_than_the_time_between_evaluations_is_learned_from_and_cut_where_episodes_were_dropped():
+    poles = SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")] * 4)
+    poles.spec = gymnasium.spec("CartPole-v1")
+    agent = PPO(poles.single_observation_space, poles.single_action_space, 0, PPOSettings(rollout=48, epochs=1))
+    learned, learn = [], agent._learn
+    agent._learn = lambda: (learned.append(agent._gather()), learn())[1]
+    train(agent, poles, primitives=64 * 6, eval_every=16, eval_episodes=0)
+    assert len(learned) >= 2
+    for rollout in learned:
+        for stream in range(4):
+            rows = (rollout.stream == stream).nonzero().squeeze(1)
+            apart = ~torch.isclose(rollout.next_observation[rows[:-1]], rollout.observation[rows[1:]]).all(dim=1)
+            assert torch.equal(apart, rollout.over[rows[:-1]])
+    assert sum(int(rollout.over.sum()) for rollout in learned) > 8, "some were cut"
+
+
 def test_options_discounted_by_another_gamma_than_the_agents_are_refused():
     env = BatchedOptionsEnv(4, "paper-one-button", discount=0.9, include_primitives=False)
     with pytest.raises(DiscountMismatchError):
