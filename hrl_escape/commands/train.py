@@ -74,7 +74,7 @@ class TrainArgs(RoomChoice):
     eval_episodes: int = 5
     """Episodes in an evaluation."""
     batch: int | None = None
-    """Train in so many copies of the room at once, by the batched engine; for agents such as ppo."""
+    """Train in so many copies of the room at once, by the batched engine; for ppo and dqn."""
     device: str = "cpu"
     """Device of the copies, the networks and all that lies between, such as cuda; with --batch."""
     out: Path | None = None

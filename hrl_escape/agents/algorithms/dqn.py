@@ -1,4 +1,4 @@
-"""Deep Q-network over decisions of any duration: double, masked, n-step.
+"""Deep Q-network over decisions of any duration, in one environment or in many: double, masked, n-step.
 
 Mnih et al. (2015) with double estimation (van Hasselt, Guez and Silver 2016) on SMDP backups of n decisions (Sutton
 1988; Hessel et al. 2018). A useless decision costs one reward and one discount, little beside the values' range, so
@@ -10,15 +10,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar
+from typing import Annotated, ClassVar, NamedTuple
 
 import gymnasium
+import numpy as np
 import torch
+from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, StateTree
 from hrl_escape.agents.components.action_value_agent import ActionValueAgent, ActionValueSettings
 from hrl_escape.agents.components.distillation import DeepBonusSettings, make_bonus
+from hrl_escape.agents.components.exploration import compute_epsilon, make_rng
 from hrl_escape.agents.components.replay import Experience, NStep
+from hrl_escape.agents.components.streams.exploration import sample_actions
+from hrl_escape.agents.components.streams.open_choices import OpenChoices
+from hrl_escape.agents.components.streams.replay import StreamNStep, StreamReplay
+from hrl_escape.agents.streams import StreamAgent, StreamTransitions, compute_backups
 from hrl_escape.settings import Range
 
 __all__ = ["DQN", "DQNSettings"]
@@ -39,9 +46,14 @@ class DQNSettings(DeepBonusSettings, ActionValueSettings):
     average_rate: Annotated[float, Range(0, 1)] = 0.005
     """Share of the online network blended, at each update, into the averaged network that the greedy policy follows;
     0 keeps none."""
+    stream_updates: Annotated[int, Range(1)] = 1
+    """Most updates after a step of many streams. Where more are due, minibatches grow, so that every decision is
+    learned from as often."""
+    stream_replay: Annotated[int, Range(1)] = 128
+    """Decisions of each stream, on average, for which replay has room at least."""
 
 
-class DQN(ActionValueAgent):
+class DQN(ActionValueAgent, StreamAgent):
     """Minimise over theta the mean of loss(R + b Q_target(s', o*) - Q_theta(s, o)), o* = argmax of Q_theta(s', .).
 
     R = sum gamma^i r_i, b = gamma^k (1 - terminated), the argmax over actions legal at s'. With `n_step` n, R and b are
@@ -61,6 +73,8 @@ class DQN(ActionValueAgent):
     ) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         self._n_step = NStep(self.settings.n_step)
+        self._stream_rng = make_rng(seed, "streams")
+        self._streams: _DQNStreams | None = None
         self._bonus = make_bonus(observation_space, seed, self.settings, self.settings, self.name)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
@@ -69,6 +83,60 @@ class DQN(ActionValueAgent):
         for joined in self._n_step.push(experience, transition.terminated or transition.truncated):
             self.replay.add(joined)
         return self.learn_from_replay(transition)
+
+    # --- streams -------------------------------------------------------------------------
+
+    def begin_streams(self, count: int, device: torch.device) -> None:
+        """Move networks and replay to a device; every stream begins an episode, and what replay holds stays."""
+        if self._streams is not None and self._streams.open.has(count, device):
+            self._streams.n_step.forget()
+            return
+        self._learner.move(device)
+        self.make_forwards()
+        example = torch.from_numpy(np.zeros((1, *self._encoder.shape), self._encoder.dtype)).to(device)
+        capacity = max(self.settings.replay_capacity, self.settings.stream_replay * count)
+        self._streams = _DQNStreams(
+            OpenChoices(count, self._actions, device, self._stream_rng),
+            StreamReplay(capacity, example, self._actions),
+            StreamNStep(self.settings.n_step, count, example, self._actions))
+
+    def act_streams(self, observation: Tensor, mask: Tensor, stream: Tensor) -> Tensor:
+        """Explore as the settings say, by the online network, for each row."""
+        assert self._streams is not None, "begin_streams comes first"
+        with torch.no_grad():
+            values = self.online(self._encoder.encode_many(observation)) / self.settings.reward_scale
+        choices = self._streams.open
+        choices.choose(stream, mask, torch.zeros_like(values[:, 0]), choices.memory[stream])
+        return sample_actions(values, mask, self.settings, self._steps, choices.generator)
+
+    def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
+        """Store the decisions, then make the updates that are due."""
+        assert self._streams is not None, "begin_streams comes first"
+        choices, replay, n_step = self._streams
+        reward, bootstrap = compute_backups(decisions, self.settings)
+        if self.settings.bonus_weight:
+            bonus = self._bonus.visit_many(decisions.next_observation.cpu().numpy())
+            reward = reward + torch.from_numpy(bonus).to(reward.device)
+        over = decisions.terminated | decisions.truncated
+        mask, *_ = choices.end(decisions.stream, over)
+        experience = Experience(
+            self._encoder.encode_many(decisions.observation), mask, decisions.action,
+            reward * self.settings.reward_scale, bootstrap, self._encoder.encode_many(decisions.next_observation),
+            decisions.next_action_mask)
+        replay.add(n_step.push(decisions.stream, experience, over))
+        steps = int(decisions.duration.sum()) if self.settings.clock == "primitive" else len(over)
+        self._steps += steps
+        metrics = {"epsilon": compute_epsilon(self.settings, self._steps)}
+        if self._steps > self.warmup and len(replay):
+            self._updates_due += steps * self.settings.updates_per_step
+            whole = int(self._updates_due)
+            self._updates_due -= whole
+            count = min(whole, self.settings.stream_updates)
+            for _ in range(count):
+                metrics |= self.update(replay.sample(self.settings.batch_size * whole // count, choices.generator))
+        return metrics
+
+    # --- learning ------------------------------------------------------------------------
 
     def compute_targets(self, batch: Experience, next_action: int | None) -> torch.Tensor:
         """R + b Q_target(s', o*), o* = argmax over legal o of Q_theta(s', o)."""
@@ -79,11 +147,25 @@ class DQN(ActionValueAgent):
         return batch.reward + batch.bootstrap * next_values.gather(1, best).squeeze(1)
 
     def state_dict(self) -> StateTree:
-        """Unfinished n-step backups and the bonus's memory beside networks, replay, counters and generators."""
-        return super().state_dict() | {"n_step": self._n_step.state_dict(), "bonus": self._bonus.state_dict()}
+        """Unfinished n-step backups, streams and the bonus's memory beside networks, replay, counters, generators."""
+        streams = self._streams and {name: part.state_dict() for name, part in self._streams._asdict().items()}
+        return super().state_dict() | {"n_step": self._n_step.state_dict(), "bonus": self._bonus.state_dict(),
+                                       "streams": streams, "stream_rng": self._stream_rng.bit_generator.state}
 
     def load_state_dict(self, state: StateTree) -> None:
         """Restore the result of `state_dict`."""
         super().load_state_dict(state)
         self._n_step.load_state_dict(state["n_step"])
         self._bonus.load_state_dict(state["bonus"])
+        self._stream_rng.bit_generator.state = state["stream_rng"]
+        if self._streams is not None and state["streams"] is not None:
+            for name, part in self._streams._asdict().items():
+                part.load_state_dict(state["streams"][name])
+
+
+class _DQNStreams(NamedTuple):
+    """Choices in progress, replay and unfinished backups of many streams."""
+
+    open: OpenChoices
+    replay: StreamReplay
+    n_step: StreamNStep

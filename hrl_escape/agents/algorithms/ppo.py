@@ -33,7 +33,6 @@ from hrl_escape.agents.components.object_network import (
     make_action_network,
     make_state_network,
 )
-from hrl_escape.agents.components.open_choices import OpenChoices
 from hrl_escape.agents.components.policy_gradient import (
     AdvantageSettings,
     Rollout,
@@ -43,6 +42,7 @@ from hrl_escape.agents.components.policy_gradient import (
     compute_log_policy,
     sample_policy,
 )
+from hrl_escape.agents.components.streams.open_choices import OpenChoices
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.streams import StreamAgent, StreamTransitions, compute_backups
 from hrl_escape.settings import Range

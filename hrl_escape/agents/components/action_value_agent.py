@@ -67,15 +67,19 @@ class ActionValueAgent(ReplayAgent):
                                     for _ in range(2))
         self.target.requires_grad_(False)
         self.target.blend(self.online, 1.0)
-        self._forward = self._exploit = make_forward(self.online)
         networks = {"online": self.online, "target": self.target}
         if self.settings.average_rate:
             self.average = make_action_network(self._encoder, action_space, self.settings, generator)
             self.average.requires_grad_(False)
             self.average.blend(self.online, 1.0)
-            self._exploit = make_forward(self.average)
             networks["average"] = self.average
         self._learner = Learner(self.name, networks, ["online"], self.settings)
+        self.make_forwards()
+
+    def make_forwards(self) -> None:
+        """Make the functions that act; again after networks moved to another device."""
+        self._forward = make_forward(self.online)
+        self._exploit = make_forward(self.average) if self.settings.average_rate else self._forward
 
     def compute_values(self, observation: Any) -> NDArray:
         """Q(s, .) behind the greedy policy at an observation, in units of return, float32 (actions,)."""
@@ -103,10 +107,10 @@ class ActionValueAgent(ReplayAgent):
         """The mean loss over a batch, and Q_theta(s, o), (batch,), without gradient.
 
         Args:
-            batch: of numpy arrays.
+            batch: of numpy arrays or tensors.
             next_action: see `compute_targets`.
         """
-        tensors = Experience(*map(torch.from_numpy, batch))
+        tensors = Experience(*map(torch.as_tensor, batch))
         with torch.no_grad():
             targets = self.compute_targets(tensors, next_action)
         values = self.online(tensors.observation).gather(1, tensors.action.unsqueeze(1)).squeeze(1)

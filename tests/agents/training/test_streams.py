@@ -21,6 +21,7 @@ from tests.agents.training.test_resuming import flatten
 GAMMA, ACTIONS = 0.9, 3
 CPU = torch.device("cpu")
 SMALL = {"hidden": (8,), "rollout": 64, "stream_rollout": 4, "epochs": 2, "batch_size": 16}
+SMALL_DQN = {"hidden": (8,), "batch_size": 8, "warmup": 20, "replay_capacity": 100, "stream_replay": 8}
 
 
 # --- returns over decisions that end each at its own time -----------------------------------------
@@ -216,18 +217,18 @@ def make_interrupted(kind):
     return env
 
 
-@pytest.mark.parametrize(("kind", "stop"), [("rooms", 37), ("poles", 200)])
-def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, kind, stop, monkeypatch):
+@pytest.mark.parametrize(("name", "kind", "stop"), [("ppo", "rooms", 37), ("ppo", "poles", 200), ("dqn", "rooms", 37)])
+def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, kind, stop, monkeypatch):
     monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 256)
-    arguments = {"primitives": 800 if kind == "rooms" else 1_000, "seed": 1, "settings": SMALL, "eval_every": 250,
-                 "eval_episodes": 1, "checkpoint_seconds": 0.0}
-    whole = train("ppo", make_interrupted(kind), out=tmp_path / "whole", **arguments)
+    arguments = {"primitives": 800 if kind == "rooms" else 1_000, "seed": 1, "eval_every": 250, "eval_episodes": 1,
+                 "settings": SMALL if name == "ppo" else SMALL_DQN, "checkpoint_seconds": 0.0}
+    whole = train(name, make_interrupted(kind), out=tmp_path / "whole", **arguments)
     env = make_interrupted(kind)
     env.left = stop
     with pytest.raises(KeyboardInterrupt):
-        train("ppo", env, out=tmp_path / "cut", **arguments)
+        train(name, env, out=tmp_path / "cut", **arguments)
     assert (tmp_path / "cut" / "checkpoint.npz").exists()
-    resumed = train("ppo", make_interrupted(kind), out=tmp_path / "cut", **arguments)
+    resumed = train(name, make_interrupted(kind), out=tmp_path / "cut", **arguments)
     assert resumed == whole and len(whole.segments) >= 3
     assert flatten(resumed.agent.state_dict()) == flatten(whole.agent.state_dict())
     again = load_agent(tmp_path / "cut")
@@ -235,9 +236,11 @@ def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, kind, stop, monkeypatc
     assert evaluate(again, env, 2) == evaluate(whole.agent, env, 2)
 
 
-def test_the_budget_is_in_primitives_of_all_streams_and_of_every_option():
+@pytest.mark.parametrize("name", ["smdp-ppo", "smdp-dqn"])
+def test_the_budget_is_in_primitives_of_all_streams_and_of_every_option(name):
     env = BatchedOptionsEnv(8, "paper-one-button", discount=0.99)
-    result = train("smdp-ppo", env, primitives=300, seed=0, settings=SMALL, eval_every=300, eval_episodes=1)
+    settings = SMALL if name == "smdp-ppo" else SMALL_DQN
+    result = train(name, env, primitives=300, seed=0, settings=settings, eval_every=300, eval_episodes=1)
     assert 300 <= result.primitives < 300 + 8 * 60 and result.decisions < result.primitives
     last = result.segments[-1]
     assert (last.primitives, last.decisions) == (result.primitives, result.decisions)

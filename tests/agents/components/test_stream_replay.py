@@ -1,0 +1,90 @@
+"""Replay and exploration of many streams: row for row what one environment's would be."""
+
+import numpy as np
+import pytest
+import torch
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from hrl_escape.agents import train
+from hrl_escape.agents.components.exploration import ExplorationSettings, compute_policy
+from hrl_escape.agents.components.replay import Experience, NStep
+from hrl_escape.agents.components.streams.exploration import sample_actions
+from hrl_escape.agents.components.streams.replay import StreamNStep, StreamReplay
+from tests.agents.small_envs import Outcome, SmdpEnv, solve
+
+ACTIONS = 3
+
+
+def make_backup(rng, count):
+    """Random backups (count, ...), told apart by their rewards."""
+    return Experience(*map(torch.from_numpy, (
+        rng.standard_normal((count, 2)).astype(np.float32), rng.random((count, ACTIONS)) < 0.7,
+        rng.integers(ACTIONS, size=count), rng.standard_normal(count).astype(np.float32),
+        (0.9 ** rng.integers(1, 9, count)).astype(np.float32), rng.standard_normal((count, 2)).astype(np.float32),
+        rng.random((count, ACTIONS)) < 0.7)))
+
+
+def list_rows(experience):
+    return [tuple(np.asarray(field, np.float32).tobytes() for field in row) for row in zip(*experience, strict=True)]
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5])
+def test_backups_of_n_decisions_are_those_of_every_stream_alone(n):
+    rng, streams = np.random.default_rng(n), 6
+    many, alone = StreamNStep(n, streams, torch.zeros(1, 2), ACTIONS), [NStep(n) for _ in range(streams)]
+    for _ in range(60):  # some streams at a time, in any order
+        rows = rng.permutation(streams)[: rng.integers(1, streams + 1)]
+        experience, over = make_backup(rng, len(rows)), rng.random(len(rows)) < 0.15
+        found = many.push(torch.from_numpy(rows), experience, torch.from_numpy(over))
+        expected = []
+        for at, row in enumerate(rows):
+            one = Experience(*(field[at].numpy() for field in experience))
+            expected += alone[row].push(one, bool(over[at]))
+        assert sorted(list_rows(Experience(*(field.numpy() for field in found)))) == sorted(
+            tuple(np.asarray(field, np.float32).tobytes() for field in one) for one in expected)
+
+
+def test_replay_keeps_the_latest_and_draws_them_all():
+    rng, replay = np.random.default_rng(0), StreamReplay(20, torch.zeros(1, 2), ACTIONS)
+    added = []
+    for count in (7, 1, 30, 5, 9):
+        batch = make_backup(rng, count)
+        replay.add(batch)
+        added += list_rows(batch)
+    drawn = replay.sample(2_000, torch.Generator().manual_seed(0))
+    assert set(list_rows(drawn)) == set(added[-20:])
+
+
+@pytest.mark.parametrize("settings", [
+    ExplorationSettings(epsilon_start=0.4, epsilon_end=0.2, epsilon_steps=100),
+    ExplorationSettings(exploration="boltzmann", temperature=0.7),
+    ExplorationSettings(exploration="boltzmann", temperature=0.5, boltzmann_clip=1.0),
+])
+def test_draws_have_the_probabilities_of_the_policy(settings):
+    values, mask = np.array([0.3, 1.1, -0.4, 2.0]), np.array([True, True, True, False])
+    rows = 40_000
+    action = sample_actions(torch.tensor(values).expand(rows, 4), torch.tensor(mask).expand(rows, 4), settings, 50,
+                            torch.Generator().manual_seed(1))
+    found = np.bincount(action.numpy(), minlength=4) / rows
+    assert found == pytest.approx(compute_policy(values, mask, settings, 50), abs=0.012) and found[3] == 0
+
+
+CHAIN = [  # a step, and a leap of three primitives that may fall short; state 4 is left for good
+    [[Outcome(1.0, at + 1, (-1.0,), at == 3)],
+     [Outcome(0.5, min(at + 2, 4), (-1.0, 0.0, -0.2), at >= 2), Outcome(0.5, at, (-1.0, -1.0))] if at % 2 else []]
+    for at in range(4)] + [[[Outcome(1.0, 4, (0.0,))], []]]
+
+
+def test_dqn_finds_the_exact_values_of_decisions_of_any_duration_in_many_environments_at_once():
+    def make():
+        return SmdpEnv(CHAIN, start=None, one_hot=True, infos="discounted", gamma=0.9, horizon=30)
+
+    many = SyncVectorEnv([make] * 16, autoreset_mode=AutoresetMode.SAME_STEP)
+    settings = {"gamma": 0.9, "hidden": (32,), "learning_rate": 3e-3, "reward_scale": 1.0, "warmup": 100,
+                "target_every": 20, "n_step": 1, "epsilon_end": 0.5, "batch_size": 32}
+    agent = train("dqn", many, primitives=12_000, eval_env=make(), eval_episodes=0, settings=settings).agent
+    exact = solve(CHAIN, 0.9)
+    for state in range(4):
+        legal = np.isfinite(exact[state])
+        assert agent.compute_values(np.eye(5, dtype=np.float32)[state])[legal] == pytest.approx(
+            exact[state][legal], abs=0.15)
