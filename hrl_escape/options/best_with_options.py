@@ -54,7 +54,7 @@ def find_best_with_options(instance: RoomInstance, state: RoomState, options: st
     """
     planner = get_planner(instance)
     if options == "press":
-        return find_by_plan(planner, state, multi_goal=False)
+        return find_by_plan(planner, state, jointly=False)
     if isinstance(options, str) and options not in FLAVOURS:
         raise ConfigError("options", options, f"options, or one of {FLAVOURS}")
     made = make_meta_options(instance, options, planner) if isinstance(options, str) else tuple(options)

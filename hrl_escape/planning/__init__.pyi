@@ -12,6 +12,7 @@ from .requests.request import PlanningRequest, PlanningResult
 from .room_planner import RoomPlanner, get_planner
 from .scene.scene import Scene
 from .symbolic.pddl import export_pddl, save_pddl, solve_pddl
+from .task_motion import TaskMotionPlanner
 from .trajectories.limits import MotionLimits
 from .trajectories.trajectory import TimedTrajectory, make_trajectory
 
@@ -37,6 +38,7 @@ __all__ = [
     "RegionGoal",
     "RoomPlanner",
     "Scene",
+    "TaskMotionPlanner",
     "TimedTrajectory",
     "best_known_return",
     "export_pddl",

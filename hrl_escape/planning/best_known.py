@@ -19,9 +19,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import FileReadError, PlanningFailed
 from hrl_escape.files import read_json, write_json
-from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.lower_bounds import bound_escape
-from hrl_escape.planning.multi_goal_search import find_multi_goal_plan
 from hrl_escape.planning.plan import Plan
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Pose, get_pose
@@ -33,7 +31,6 @@ MOST_STARTS = 32
 """Starts used of an instance that has more."""
 ORDERS = 3
 """Orders of the puzzle's operators that are planned in detail."""
-_PLAIN = (PressGoal, ExitGoal)
 
 
 class BestKnown(NamedTuple):
@@ -81,9 +78,8 @@ def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | 
                     ) -> BestKnown:
     """Find the best known return from one state, with its source, its plan and an upper bound.
 
-    It is the best over all ways known: legs one by one in several orders (that of `RoomPlanner.solve`, and that of
-    a press with its ancestors, among them), the same orders with legs planned together, returns that agents or
-    given options have reached.
+    It is the best over all ways known: the escape of `RoomPlanner.solve`, legs one by one in several orders (that of
+    a press with its ancestors among them), returns that agents or given options have reached.
 
     Args:
         instance: the room.
@@ -95,7 +91,7 @@ def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | 
     with _LOCK:
         found = _KNOWN.get(key)
     if found is None:
-        found = find_by_plan(get_planner(instance), state, multi_goal=True)
+        found = find_by_plan(get_planner(instance), state, jointly=True)
         with _LOCK:
             found = _KNOWN.setdefault(key, found)
     if records is not None:
@@ -191,33 +187,20 @@ def compute_escape_return(instance: RoomInstance, primitives: float) -> float:
     return reward.step * (primitives - 1) + bonus
 
 
-def find_by_plan(planner: RoomPlanner, state: RoomState, multi_goal: bool) -> BestKnown:
+def find_by_plan(planner: RoomPlanner, state: RoomState, jointly: bool) -> BestKnown:
     """Best return by plans.
 
     Args:
         planner: the room's planner.
         state: first state of the episode.
-        multi_goal: plan legs together too, in each of the cheapest orders; else only one by one, as options do.
+        jointly: plan legs together, too, over all orders; else only one by one, as options do.
     """
     instance = planner.instance
     bound = compute_escape_return(instance, bound_escape(instance, state))
     try:
-        plans = planner.list_escapes(state, ORDERS)
+        best = planner.list_escapes(state, ORDERS)[0]
+        best = min(best, planner.solve(state), key=lambda plan: plan.cost) if jointly else best
     except PlanningFailed:
         return BestKnown(compute_worst_return(instance), "nothing", bound)
-    best = plans[0]
-    if multi_goal and instance.dynamics.press_with == "body":
-        for plan in plans:
-            if all(isinstance(part.goal, _PLAIN) for part in plan.parts):
-                best = _plan_together(planner, state, plan, best)
-    return BestKnown(compute_escape_return(instance, best.cost), "planner" if multi_goal else "options", bound,
+    return BestKnown(compute_escape_return(instance, best.cost), "planner" if jointly else "options", bound,
                      best.cost, best)
-
-
-def _plan_together(planner: RoomPlanner, state: RoomState, plan: Plan, best: Plan) -> Plan:
-    """The escape in the order of a plan with legs planned together, if it is shorter than the best one."""
-    goals: list[Goal] = [part.goal for part in plan.parts if isinstance(part.goal, PressGoal)]
-    goals.append(ExitGoal())
-    found = find_multi_goal_plan(planner.rules, state, goals, planner.get_field_maker(True),
-                                 planner.get_field_maker(False), best.cost)
-    return planner.make_plan(state, found, goals, "multi-goal search") if found else best

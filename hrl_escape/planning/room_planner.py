@@ -11,13 +11,15 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
+from typing import Any
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnsupportedError
 from hrl_escape.kernels import read_clock
-from hrl_escape.planning.clock import Clock
+from hrl_escape.planning.clock import Clock, OutOfTime
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, PushGoal, describe_goal, make_goal, parse_goal
+from hrl_escape.planning.joint_search import HEURISTIC_OFFSETS, NODES_A_SEARCH, JointSearch
 from hrl_escape.planning.lower_bounds import bound_escape
 from hrl_escape.planning.plan import Plan, PlanPart, join_parts
 from hrl_escape.planning.requests.improvement import iterate_routes
@@ -30,6 +32,8 @@ from hrl_escape.planning.task_planner import REAL_LEGS, TaskPlanner
 
 __all__ = ["RoomPlanner", "get_planner"]
 
+EFFORT_OFFSETS = (*HEURISTIC_OFFSETS, 3, 5)
+"""Heuristic offsets of the joint searches for an escape; the last two where more effort is asked for."""
 ESCAPES = 8
 """Orders of the puzzle's operators that are planned in detail for a request that asks for better plans."""
 
@@ -59,6 +63,13 @@ class RoomPlanner(TaskPlanner):
     def __init__(self, instance: RoomInstance, method: str = "auto", budget: int = 300_000,
                  time_limit: float | None = None) -> None:
         super().__init__(instance, method, budget, time_limit)
+
+    def _open(self) -> None:
+        super()._open()
+        self._joint: JointSearch | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in super().__getstate__().items() if k != "_joint"}
 
     # --- plans -------------------------------------------------------------------------
 
@@ -128,10 +139,11 @@ class RoomPlanner(TaskPlanner):
         if not goals:
             yield self._solve(state, settings, clock)
             if is_thorough:
+                yield from (self._solve(state, settings._replace(effort=effort), clock) for effort in (1, 2))
                 yield from self.list_escapes(state, ESCAPES, clock, settings)
             return
         if len(goals) > 1:
-            yield self._follow_goals(state, goals, clock, settings)
+            yield self.follow_goals(state, goals, clock, settings)
             return
         yield self._make_leg(state, goals[0], self.find_route(state, goals[0], None, clock, settings))
         if is_thorough:
@@ -146,7 +158,10 @@ class RoomPlanner(TaskPlanner):
         return SearchSettings(method or self.method, budget or self.budget, seed)
 
     def solve(self, state: RoomState, method: str | None = None) -> Plan:
-        """Plan the whole escape: the puzzle's operators in the cheapest order, then the exit.
+        """Plan the whole escape: the puzzle's operators, then the exit, with few primitives in all.
+
+        Legs are first planned one by one, in the cheapest order. Where the body presses, one search over all orders
+        then looks for a shorter escape, whose legs end where the rest is short.
 
         Args:
             state: first state.
@@ -161,12 +176,51 @@ class RoomPlanner(TaskPlanner):
         return self._solve(state, settings, Clock(self.time_limit))
 
     def _solve(self, state: RoomState, settings: SearchSettings, clock: Clock) -> Plan:
+        """Escape leg by leg in the cheapest order, or a shorter one by a search over all legs and orders at once."""
         began = read_clock()
-        plan = self._follow_goals(state, self._order_goals(state, clock, settings), clock, settings)
+        plan = self._solve_by_legs(state, settings, clock)
+        if settings.method in ("auto", "fields"):
+            plan = self._shorten_escape(state, plan, settings, clock)
         return dataclasses.replace(plan, seconds=read_clock() - began, timed_out=clock.has_stopped)
 
-    def _follow_goals(self, state: RoomState, goals: Sequence[Goal], clock: Clock, settings: SearchSettings) -> Plan:
-        """Plan to goals in order, to each from the true end of the one before."""
+    def _solve_by_legs(self, state: RoomState, settings: SearchSettings, clock: Clock) -> Plan:
+        return self.follow_goals(state, self._order_goals(state, clock, settings), clock, settings)
+
+    def _shorten_escape(self, state: RoomState, plan: Plan, settings: SearchSettings, clock: Clock) -> Plan:
+        """The escape, or a shorter one found jointly; presses by hand, props and odd headings stay as they are."""
+        room = self.instance
+        if (room.dynamics.press_with == "hand" or room.props or state.heading_offset or not plan.parts
+                or not all(isinstance(part.goal, (PressGoal, ExitGoal)) for part in plan.parts)):
+            return plan
+        with self._lock:
+            if self._joint is None:
+                self._joint = JointSearch(self.rules, self.get_field_maker(True), self.get_field_maker(False))
+            offsets = EFFORT_OFFSETS[: 2 + settings.effort]
+            nodes = min(settings.budget, NODES_A_SEARCH * 4**settings.effort)
+            try:
+                found, spent = self._joint.find_plan(state, [[part.goal for part in plan.parts]], plan.cost,
+                                                     clock=clock, offsets=offsets, nodes=nodes)
+            except OutOfTime:
+                return plan
+            if found is None:
+                return dataclasses.replace(plan, expansions=plan.expansions + spent)
+            goals = self._joint.list_goals(state, found)
+        return dataclasses.replace(self.make_plan(state, found, goals, "joint search"),
+                                   expansions=plan.expansions + spent)
+
+    def follow_goals(self, state: RoomState, goals: Sequence[Goal], clock: Clock, settings: SearchSettings) -> Plan:
+        """Plan to goals in order, to each from the true end of the one before.
+
+        Args:
+            state: first state.
+            goals: the goals.
+            clock: time limit.
+            settings: of each search.
+
+        Raises:
+            PlanningFailed: a goal cannot be reached.
+            UnsupportedError: one of the goals is a push.
+        """
         legs: list[Plan] = []
         here = state
         for goal in goals:
@@ -183,14 +237,14 @@ class RoomPlanner(TaskPlanner):
 
     def list_escapes(self, state: RoomState, count: int, clock: Clock | None = None,
                      settings: SearchSettings | None = None) -> list[Plan]:
-        """List escapes leg by leg in several of the cheapest orders, that of `solve` included; the shortest first.
+        """List escapes leg by leg, as options make them, in several of the cheapest orders; the shortest first.
 
         Raises:
             PlanningFailed: there is no escape; its reason says why.
             UnsupportedError: the puzzle needs pushes.
         """
         clock, settings = clock or Clock(self.time_limit), settings or self.settings
-        first = self._solve(state, settings, clock)
+        first = self._solve_by_legs(state, settings, clock)
         facts = self.instance.puzzle.get_facts(state.puzzle)
         search = TaskSearch(self._model, lower_bound=self._bounds.bound_leg, relevant_only=False)
         tasks = search.find_orders(facts, state, self._make_extend(state, clock, settings, None, None), count,
@@ -202,7 +256,7 @@ class RoomPlanner(TaskPlanner):
         plans = {first.primitives: first}
         for goals in orders:
             try:
-                plan = self._follow_goals(state, goals, clock, settings)
+                plan = self.follow_goals(state, goals, clock, settings)
             except PlanningFailed:
                 continue
             if self.has_escaped(plan.states[-1]):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -17,59 +18,61 @@ from hrl_escape.env.puzzles.base import Operator, SymbolicModel
 from hrl_escape.errors import MissingExtraError, PlanningFailed, PlanningReason
 from hrl_escape.files import write_text
 
-__all__ = ["export_pddl", "make_domain", "make_problem", "save_pddl", "solve_pddl"]
+__all__ = ["clean_name", "export_pddl", "make_domain", "make_problem", "read_problem", "run_engine", "save_pddl",
+           "solve_pddl", "write_all", "write_atom"]
 
 _PREDICATE = re.compile(r"^([^()]+)\(([^()]*)\)$")
 
 
-def _clean(word: str) -> str:
+def clean_name(word: str) -> str:
     """A PDDL name: letters, digits, - and _, beginning with a letter; PDDL ignores case."""
     name = re.sub(r"[^a-z0-9_-]+", "-", word.strip().lower()).strip("-") or "x"
     return name if name[0].isalpha() else f"x-{name}"
 
 
-def _write_atom(fact: str) -> str:
+def write_atom(fact: str) -> str:
     """`on(button-1)` becomes `(on button-1)`, anything else a predicate without arguments."""
     match = _PREDICATE.match(fact)
     if match is None:
-        return f"({_clean(fact)})"
+        return f"({clean_name(fact)})"
     words = [match.group(1), *(word for word in match.group(2).split(",") if word.strip())]
-    return f"({' '.join(map(_clean, words))})"
+    return f"({' '.join(map(clean_name, words))})"
 
 
-def _write_all(facts: Iterable[str], negated: Iterable[str] = ()) -> str:
-    atoms = [_write_atom(fact) for fact in sorted(facts)]
-    atoms += [f"(not {_write_atom(fact)})" for fact in sorted(negated)]
+def write_all(facts: Iterable[str], negated: Iterable[str] = ()) -> str:
+    """Write the conjunction of facts that hold and facts that do not: `(and (on button-1) (not (on button-2)))`."""
+    atoms = [write_atom(fact) for fact in sorted(facts)]
+    atoms += [f"(not {write_atom(fact)})" for fact in sorted(negated)]
     return f"(and {' '.join(atoms)})"
 
 
 def make_domain(model: SymbolicModel, name: str = "escape-room") -> str:
     """Write the model's propositions and operators as a PDDL domain."""
-    atoms = {fact: _write_atom(fact)[1:-1].split() for fact in model.propositions}
+    atoms = {fact: write_atom(fact)[1:-1].split() for fact in model.propositions}
     if len({tuple(words) for words in atoms.values()}) < len(atoms):
         raise ValueError(f"two of these propositions have the same name in PDDL: {', '.join(atoms)}")
     predicates = sorted({(words[0], len(words) - 1) for words in atoms.values()})
     constants = sorted({word for words in atoms.values() for word in words[1:]})
-    lines = [f"(define (domain {_clean(name)})", "  (:requirements :strips :negative-preconditions)"]
+    lines = [f"(define (domain {clean_name(name)})", "  (:requirements :strips :negative-preconditions)"]
     if constants:
         lines.append(f"  (:constants {' '.join(constants)})")
     lines.append("  (:predicates " + " ".join(
         f"({' '.join([head, *(f'?x{i}' for i in range(count))])})" for head, count in predicates) + ")")
     for op in model.operators:
         lines += [
-            f"  (:action {_clean(op.name)}",
+            f"  (:action {clean_name(op.name)}",
             "    :parameters ()",
-            f"    :precondition {_write_all(op.preconditions, op.forbidden)}",
-            f"    :effect {_write_all(op.add, op.delete - op.add)})",
+            f"    :precondition {write_all(op.preconditions, op.forbidden)}",
+            f"    :effect {write_all(op.add, op.delete - op.add)})",
         ]
     return "\n".join(lines) + ")\n"
 
 
 def make_problem(model: SymbolicModel, facts: frozenset[str], name: str = "room", domain: str = "escape-room") -> str:
     """Write the facts that hold now and those that open the exit as a PDDL problem."""
-    begin = " ".join(_write_atom(fact) for fact in sorted(facts))
-    return (f"(define (problem {_clean(name)})\n  (:domain {_clean(domain)})\n"
-            f"  (:init {begin})\n  (:goal {_write_all(model.goal)}))\n")
+    begin = " ".join(write_atom(fact) for fact in sorted(facts))
+    return (f"(define (problem {clean_name(name)})\n  (:domain {clean_name(domain)})\n"
+            f"  (:init {begin})\n  (:goal {write_all(model.goal)}))\n")
 
 
 def export_pddl(instance: RoomInstance, state: RoomState | None = None) -> tuple[str, str]:
@@ -111,26 +114,41 @@ def solve_pddl(instance: RoomInstance, state: RoomState | None = None, engine: s
         MissingExtraError: unified-planning is not installed.
         PlanningFailed: the planner found none.
     """
-    try:
-        from unified_planning.engines import PlanGenerationResultStatus
-        from unified_planning.io import PDDLReader
-        from unified_planning.shortcuts import OneshotPlanner, get_environment
-    except ImportError:
-        raise MissingExtraError("unified-planning", "pddl", "solving PDDL") from None
-    get_environment().credits_stream = None  # else it prints a banner
     model = instance.puzzle.make_symbolic_model()
     if state is not None and model.goal <= instance.puzzle.get_facts(state.puzzle):
+        read_problem(*export_pddl(instance, state))  # says if the extra is missing
         return ()
-    problem = PDDLReader().parse_problem_string(*export_pddl(instance, state))
-    with OneshotPlanner(name=engine) as planner:
-        result = planner.solve(problem, timeout=time_limit)  # type: ignore[attr-defined]  # mixed in
-    if result.plan is None:
-        timed_out = result.status == PlanGenerationResultStatus.TIMEOUT
+    plan, status = run_engine(read_problem(*export_pddl(instance, state)), engine, time_limit)
+    if plan is None:
         start = instance.starts[0]
         pose = (start.x, start.y, 0.0) if state is None else (state.x, state.y, 0.0)
         raise PlanningFailed(
-            PlanningReason.TIMEOUT if timed_out else PlanningReason.PRECONDITION_UNMET,
-            "the puzzle's solution", pose, planners=(engine,), nearest=f"status {result.status.name}",
+            PlanningReason.TIMEOUT if status == "TIMEOUT" else PlanningReason.PRECONDITION_UNMET,
+            "the puzzle's solution", pose, planners=(engine,), nearest=f"status {status}",
         )
-    operators = {_clean(op.name): op for op in model.operators}
-    return tuple(operators[action.action.name] for action in result.plan.actions)
+    operators = {clean_name(op.name): op for op in model.operators}
+    return tuple(operators[action.action.name] for action in plan.actions)
+
+
+def read_problem(domain: str, problem: str) -> Any:
+    """Read PDDL texts as a `Problem` of unified-planning.
+
+    Raises:
+        MissingExtraError: unified-planning is not installed.
+    """
+    try:
+        from unified_planning.io import PDDLReader
+        from unified_planning.shortcuts import get_environment
+    except ImportError:
+        raise MissingExtraError("unified-planning", "pddl", "solving PDDL") from None
+    get_environment().credits_stream = None  # else it prints a banner
+    return PDDLReader().parse_problem_string(domain, problem)
+
+
+def run_engine(problem: Any, engine: str, time_limit: float) -> tuple[Any, str]:
+    """Solve a problem with a planner of unified-planning; returns its plan, or None, and the name of its status."""
+    from unified_planning.shortcuts import OneshotPlanner
+
+    with OneshotPlanner(name=engine) as planner:
+        result = planner.solve(problem, timeout=time_limit)  # type: ignore[attr-defined]  # mixed in
+    return result.plan, result.status.name

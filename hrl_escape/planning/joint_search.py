@@ -1,0 +1,241 @@
+"""Whole escapes at once: one A* over poses and states of the puzzle, so that each leg ends where the rest is shortest.
+
+Options reach one goal after another, each with the fewest primitives, and so may end where the next
+leg is longer, or press in an order whose legs do not fit together. Here every state of the puzzle has a
+cost-to-go field of its own: its seeds are the poses from which one primitive presses a target, at the
+cost-to-go that the puzzle's next state has where the primitive ends. A* over the room's own
+kinematics follows these fields through all orders at once. It is for presses by the body: after a press by
+hand the arm's posture would count, too.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+from collections.abc import Hashable, Iterable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.geometry import compute_distance_many, stack_footprints
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.planning.clock import NO_LIMIT, Clock
+from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
+from hrl_escape.planning.lattice.areas import compute_goal_area
+from hrl_escape.planning.lattice.cost_to_go import FieldMaker, Seeds
+
+__all__ = ["JointSearch"]
+
+MOST_PUZZLE_STATES = 64
+"""Puzzle states that get fields: all subsets of six buttons. A puzzle with more gets those along given orders."""
+HEURISTIC_OFFSETS = (0, 2)
+"""Primitives subtracted from the cost-to-go in each search: none for a quick plan, then some for a shorter one."""
+NODES_A_SEARCH = 20_000
+"""Nodes that each search may expand."""
+
+
+class _Presses(NamedTuple):
+    """Poses of the grid from which one primitive presses a target.
+
+    Attributes:
+        states: cell * classes + heading, shape (n,).
+        places: where the primitives lead, as (cell, class) of the grid, shape (n,).
+    """
+
+    states: NDArray[np.int64]
+    places: NDArray[np.int64]
+
+
+class JointSearch:
+    """Fields of one room's puzzle states, and searches through them.
+
+    Attributes:
+        rules: kinematics without noise and slip.
+    """
+
+    def __init__(self, rules: Kinematics, shut: FieldMaker, opened: FieldMaker) -> None:
+        """Prepare nothing yet.
+
+        Args:
+            rules: kinematics without noise and slip.
+            shut: field maker of the room with its door shut.
+            opened: the same with the door open.
+        """
+        self.rules, self._shut, self._opened = rules, shut, opened
+        self._presses: dict[int, _Presses] = {}
+        self._fields: dict[tuple, NDArray[np.int16]] = {}
+
+    def find_plan(self, state: RoomState, orders: Iterable[Sequence[Goal]], most: int, *, clock: Clock = NO_LIMIT,
+                  offsets: Sequence[int] = HEURISTIC_OFFSETS, nodes: int = NODES_A_SEARCH
+                  ) -> tuple[tuple[int, ...] | None, int]:
+        """Search for the fewest primitives that escape.
+
+        Args:
+            state: first state; its heading is on the lattice.
+            orders: orders of goals, whose puzzle states are looked at if the puzzle has more than fit.
+            most: plans of this many primitives or more are discarded.
+            clock: time limit.
+            offsets: primitives subtracted from the cost-to-go, one search each.
+            nodes: nodes that each search may expand.
+
+        Returns:
+            Fewer than `most` primitives that end the episode by escaping, or None; and the nodes expanded.
+        """
+        fields = self._make_fields(state, self._list_puzzle_states(state.puzzle, orders), clock)
+        best, spent = None, 0
+        for offset in offsets:
+            if clock.is_up() or state.puzzle not in fields:
+                break
+            found, used = self._search(state, fields, offset, most if best is None else len(best), nodes, clock)
+            best, spent = found or best, spent + used
+        return best, spent
+
+    def list_goals(self, state: RoomState, primitives: Sequence[int]) -> tuple[Goal, ...]:
+        """Presses that change the puzzle on the way of a plan, in order, and the exit."""
+        goals: list[Goal] = []
+        for primitive in primitives:
+            step = self.rules.step(state, primitive)
+            if step.pressed and step.state.puzzle != state.puzzle:
+                goals.append(PressGoal(step.pressed[-1]))
+            state = step.state
+        return (*goals, ExitGoal())
+
+    # --- puzzle states -------------------------------------------------------------------
+
+    def _press(self, puzzle: Hashable, target: int) -> Hashable:
+        return self.rules.instance.puzzle.update(puzzle, Contacts((target,)))
+
+    def _list_puzzle_states(self, begin: Hashable, orders: Iterable[Sequence[Goal]]) -> list[Hashable]:
+        """All puzzle states that presses lead to, or those along orders if there are too many."""
+        targets = range(len(self.rules.instance.targets))
+        known, queue = {begin: None}, [begin]
+        while queue and len(known) <= MOST_PUZZLE_STATES:
+            puzzle = queue.pop(0)
+            for then in (self._press(puzzle, target) for target in targets):
+                if then not in known:
+                    known[then] = None
+                    queue.append(then)
+        if len(known) <= MOST_PUZZLE_STATES:
+            return list(known)
+        known = {begin: None}
+        for goals in orders:
+            puzzle = begin
+            for goal in goals:
+                if isinstance(goal, PressGoal):
+                    puzzle = self._press(puzzle, goal.target)
+                    known[puzzle] = None
+        return list(known)
+
+    def _make_fields(self, state: RoomState, puzzles: list[Hashable], clock: Clock
+                     ) -> dict[Hashable, NDArray[np.int16]]:
+        """Fields of puzzle states, from the solved ones backwards; states with the same prospects share one."""
+        targets = range(len(self.rules.instance.targets))
+        is_solved = self.rules.instance.puzzle.is_solved
+        fields: dict[Hashable, tuple] = {puzzle: ("exit",) for puzzle in puzzles if is_solved(puzzle)}
+        left = [puzzle for puzzle in puzzles if puzzle not in fields]
+        if ("exit",) not in self._fields:
+            area = compute_goal_area(ExitGoal(), self.rules.instance)
+            self._fields["exit",] = self._opened.make_field(self._opened.find_seeds(*area), clock=clock)
+        while left:
+            ready = {}
+            for puzzle in left:
+                ways = tuple((t, fields[then]) for t in targets if (then := self._press(puzzle, t)) in fields)
+                if ways:
+                    ready[puzzle] = ways
+            if not ready:
+                break
+            for puzzle, ways in ready.items():
+                if ways not in self._fields:
+                    self._fields[ways] = self._make_field(state, ways, clock)
+                fields[puzzle] = ways
+            left = [puzzle for puzzle in left if puzzle not in ready]
+        return {puzzle: self._fields[ways] for puzzle, ways in fields.items()}
+
+    def _make_field(self, state: RoomState, ways: tuple, clock: Clock) -> NDArray[np.int16]:
+        """Field of a puzzle state: (target, key of the field after its press) for each press that leads on."""
+        states, costs = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
+        for target, after in ways:
+            presses = self._find_presses(state, target)
+            cost = self._fields[after][presses.places].astype(np.int64)
+            states.append(presses.states[cost >= 0])
+            costs.append(1 + cost[cost >= 0])
+        return self._shut.make_field(Seeds(np.concatenate(states), np.concatenate(costs), self._shut.classes),
+                                     clock=clock)
+
+    def _find_presses(self, state: RoomState, target: int) -> _Presses:
+        if target not in self._presses:
+            maker, rules = self._shut, self.rules
+            area = compute_goal_area(PressGoal(target), rules.instance)
+            away = compute_distance_many(maker.points, stack_footprints([area.footprint]))
+            step = rules.instance.robot.move_step
+            near = np.flatnonzero(maker.standing & (away > area.reach) & (away <= area.reach + step))
+            found = []
+            for cell, heading in itertools.product(near.tolist(), range(maker.classes)):
+                x, y = maker.points[cell].tolist()
+                begin = state._replace(x=x, y=y, heading_steps=heading, heading_offset=0.0, touching=0,
+                                       puzzle=rules.instance.puzzle.make_state())
+                for action in rules.actions.translations:
+                    reached = rules.step(begin, action)
+                    if reached.pressed == (target,):
+                        found.append((cell * maker.classes + heading, self._find_place(reached.state)))
+            table = np.array(found, dtype=np.int64).reshape(-1, 2)
+            self._presses[target] = _Presses(table[:, 0], table[:, 1])
+        return self._presses[target]
+
+    def _find_place(self, state: RoomState) -> int:
+        """Index of the cell and heading class of a pose."""
+        maker = self._shut
+        i = min(max(int((state.x - maker.low[0]) / maker.size), 0), maker.shape[0] - 1)
+        j = min(max(int((state.y - maker.low[1]) / maker.size), 0), maker.shape[1] - 1)
+        return (i * maker.shape[1] + j) * maker.classes + state.heading_steps % maker.classes
+
+    # --- the search ----------------------------------------------------------------------
+
+    def _search(self, state: RoomState, fields: dict[Hashable, NDArray[np.int16]], offset: int, most: int, nodes: int,
+                clock: Clock) -> tuple[tuple[int, ...] | None, int]:
+        """A* over primitives; poses in one cell of the grid, with the same puzzle state, count as one."""
+        rules, (low_x, low_y), size = self.rules, self._shut.low.tolist(), self._shut.size
+        (columns, rows), classes = self._shut.shape, self._shut.classes
+        costs = {puzzle: field.tolist() for puzzle, field in fields.items()}
+        tie = itertools.count()
+        heap: list[tuple[int, int, int, RoomState, Any]] = [(0, 0, next(tie), state, None)]
+        best: dict[tuple[Hashable, int, bool], int] = {}
+        for expanded in range(nodes):
+            if not heap or (expanded % 500 == 0 and clock.is_up()):
+                return None, expanded
+            _, less, _, here, trail = heapq.heappop(heap)  # ties go to the longest plan so far
+            if trail is not None and trail[2]:
+                return _list_primitives(trail), expanded
+            spent = 1 - less
+            for action in rules.actions.base:
+                step = rules.step(here, action)
+                after = step.state
+                if after.has_pose_of(here):
+                    continue
+                if step.terminated:
+                    if spent < most:
+                        heapq.heappush(heap, (spent, -spent, next(tie), after, (trail, action, True)))
+                    continue
+                field = costs.get(after.puzzle)
+                if field is None:
+                    continue
+                i = min(max(int((after.x - low_x) / size), 0), columns - 1)
+                j = min(max(int((after.y - low_y) / size), 0), rows - 1)
+                place = (i * rows + j) * classes + after.heading_steps % classes
+                cost_to_go = field[place]
+                total = spent + max(cost_to_go - offset, 0)
+                key = (after.puzzle, place, after.touching != 0)
+                if 0 <= cost_to_go and total < most and spent < best.get(key, most):
+                    best[key] = spent
+                    heapq.heappush(heap, (total, -spent, next(tie), after, (trail, action, False)))
+        return None, nodes
+
+
+def _list_primitives(trail: tuple | None) -> tuple[int, ...]:
+    actions = []
+    while trail is not None:
+        trail, action, _ = trail
+        actions.append(action)
+    return tuple(reversed(actions))

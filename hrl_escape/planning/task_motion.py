@@ -1,0 +1,221 @@
+"""`TaskMotionPlanner`: a room's task for planners that know no geometry, with costs and constraints from motion.
+
+A task is exported as PDDL whose actions cost the primitives of their legs, from where the action
+before ends. A leg that no motion makes is no action. What a stranger's planner answers is carried out by
+the room's own planner; a leg that fails then goes back as a constraint, and the task is solved again.
+Solving needs the extra `pddl`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
+from hrl_escape.planning.clock import Clock
+from hrl_escape.planning.goals import ExitGoal, Goal, PushGoal, make_goal
+from hrl_escape.planning.plan import Plan
+from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.symbolic.pddl import clean_name, read_problem, run_engine, write_all, write_atom
+
+__all__ = ["TaskMotionPlanner"]
+
+START, LEAVE = "start", "leave"
+MOST_ROUNDS = 50
+"""Plans of the symbolic planner that are tried before the task is given up."""
+
+
+class TaskMotionPlanner:
+    """Task of one room with the costs of its motion.
+
+    Actions are called `press-button-2-from-button-1`, and `leave-from-button-2` for the way to the exit; `start` is
+    the place in the first state.
+
+    Args:
+        planner: the room's planner.
+
+    Raises:
+        UnsupportedError: the puzzle needs pushes, whose effect no plan predicts.
+    """
+
+    def __init__(self, planner: RoomPlanner) -> None:
+        self.planner = planner
+        room = planner.instance
+        self._model = room.puzzle.make_symbolic_model()
+        if any(isinstance(make_goal(op, room), PushGoal) for op in self._model.operators):
+            raise UnsupportedError(f"a {room.puzzle.kind} task cannot be planned ahead: pushing takes physics. "
+                                   "Use pursue(env), which runs in closed loop")
+        self._operators = {clean_name(op.name): op for op in self._model.operators}
+
+    # --- our problem out -----------------------------------------------------------------
+
+    def compute_costs(self, state: RoomState, goals: Iterable[str] | None = None) -> dict[tuple[str, str], int]:
+        """Primitives of each leg that can be made, by (place before, operator or `leave`).
+
+        The place before is `start` or an operator, whose leg then begins where it ends if it comes first of all, or
+        else where it ends after the first operator from which it can be reached.
+
+        Args:
+            state: first state.
+            goals: facts to make true; without them the task is the escape, and has legs to the exit.
+        """
+        self.planner.check_query(state)
+        ends, costs, queue = {START: state}, {}, [START]
+        while queue:
+            before = queue.pop(0)
+            for name, op in self._operators.items():
+                if name == before:
+                    continue
+                found = self._try_leg(ends[before]._replace(puzzle=state.puzzle), make_goal(op, self.planner.instance))
+                if found is None:
+                    continue
+                costs[before, name] = found[0]
+                if name not in ends:
+                    ends[name] = found[1]
+                    queue.append(name)
+            if goals is None:
+                leaving = self._try_leg(ends[before]._replace(puzzle=self.planner.solved_puzzle), ExitGoal())
+                if leaving is not None:
+                    costs[before, LEAVE] = max(1, leaving[0])
+        return costs
+
+    def _try_leg(self, begin: RoomState, goal: Goal) -> tuple[int, RoomState] | None:
+        try:
+            route = self.planner.find_route(begin, goal)
+        except PlanningFailed:
+            return None
+        return len(route.primitives), self.planner.follow(begin, route)
+
+    def export(self, state: RoomState, goals: Iterable[str] | None = None,
+               forbidden: Iterable[tuple[str, str]] = ()) -> tuple[str, str]:
+        """Write the task as PDDL with action costs: (domain, problem).
+
+        Args:
+            state: first state.
+            goals: facts to make true, such as `on(button-2)`; None for the escape.
+            forbidden: legs (place before, operator or `leave`) that must not be made.
+
+        Raises:
+            UnknownNameError: a goal is none of the puzzle's facts.
+        """
+        wanted = self._model.goal if goals is None else frozenset(goals)
+        for fact in wanted:
+            if fact not in self._model.propositions:
+                raise UnknownNameError("fact", fact, self._model.propositions)
+        costs, barred = self.compute_costs(state, goals), set(forbidden)
+        places = [START, *self._operators]
+        atoms = [write_atom(fact)[1:-1].split() for fact in self._model.propositions]
+        arities = {(words[0], len(words) - 1) for words in atoms} | {("at", 1), ("escaped", 0)}
+        names = sorted({word for words in atoms for word in words[1:]} | {f"place-{place}" for place in places})
+        predicates = " ".join(f"({' '.join([head, *(f'?x{i}' for i in range(n))])})" for head, n in sorted(arities))
+        lines = ["(define (domain task-and-motion)",
+                 "  (:requirements :strips :negative-preconditions :action-costs)",
+                 f"  (:constants {' '.join(names)})", f"  (:predicates {predicates})",
+                 "  (:functions (total-cost) - number)"]
+        for (before, name), cost in costs.items():
+            if (before, name) in barred:
+                continue
+            at = f"(at place-{before})"
+            if name == LEAVE:
+                needs, effect = write_all(wanted), f"(escaped) (not {at})"
+            else:
+                op = self._operators[name]
+                needs = write_all(op.preconditions, op.forbidden)
+                effect = f"{write_all(op.add, op.delete - op.add)[5:-1]} (not {at}) (at place-{name})"
+            lines += [f"  (:action {name}-from-{before}", "    :parameters ()",
+                      f"    :precondition (and {at} {needs[5:-1]})",
+                      f"    :effect (and {effect} (increase (total-cost) {cost})))"]
+        facts = " ".join(sorted(map(write_atom, self.planner.instance.puzzle.get_facts(state.puzzle))))
+        goal = "(and (escaped))" if goals is None else write_all(wanted)
+        problem = (f"(define (problem room-{self.planner.instance.id})\n  (:domain task-and-motion)\n"
+                   f"  (:init (at place-{START}) (= (total-cost) 0) {facts})\n  (:goal {goal})\n"
+                   "  (:metric minimize (total-cost)))\n")
+        return "\n".join(lines) + ")\n", problem
+
+    def make_problem(self, state: RoomState, goals: Iterable[str] | None = None,
+                     forbidden: Iterable[tuple[str, str]] = ()) -> Any:
+        """Make the task a `Problem` of unified-planning; arguments as in `export`.
+
+        Raises:
+            MissingExtraError: unified-planning is not installed.
+        """
+        return read_problem(*self.export(state, goals, forbidden))
+
+    # --- a stranger's plan in ------------------------------------------------------------
+
+    def follow(self, state: RoomState, actions: Any) -> Plan:
+        """Plan the motion of a stranger's plan, each leg from the true end of the one before.
+
+        Args:
+            state: first state.
+            actions: a sequential plan of unified-planning, or names of actions or operators, in order.
+
+        Raises:
+            PlanningFailed: a leg cannot be made, or an operator's preconditions do not hold when its turn comes.
+            UnknownNameError: there is no such action.
+        """
+        names = _list_names(actions)
+        goals = [self._find_goal(name) for name in names]
+        facts = self.planner.instance.puzzle.get_facts(state.puzzle)
+        for name, goal in zip(names, goals, strict=True):
+            if isinstance(goal, ExitGoal):
+                continue
+            op = self._operators[_split(name)[0]]
+            if not op.is_applicable(facts):
+                raise self.planner.make_failure(PlanningReason.PRECONDITION_UNMET, state, goal,
+                                                advice=f"{name} needs {', '.join(sorted(op.preconditions - facts))}")
+            facts = op.apply(facts)
+        return self.planner.follow_goals(state, goals, Clock(self.planner.time_limit), self.planner.settings)
+
+    def _find_goal(self, name: str) -> Goal:
+        operator = _split(name)[0]
+        if operator == LEAVE:
+            return ExitGoal()
+        if operator not in self._operators:
+            raise UnknownNameError("action", name, (*self._operators, LEAVE))
+        return make_goal(self._operators[operator], self.planner.instance)
+
+    def solve(self, state: RoomState, goals: Iterable[str] | None = None, *, engine: str = "fast-downward-opt",
+              forbidden: Iterable[tuple[str, str]] = (), time_limit: float = 30.0) -> Plan:
+        """Solve the task with a planner of unified-planning and plan the motion of its answer.
+
+        Args:
+            state: first state.
+            goals: facts to make true; None for the escape.
+            engine: name of a planner known to unified-planning; `fast-downward-opt` minimises the costs.
+            forbidden: legs that must not be made.
+            time_limit: of each call of the engine, s.
+
+        Raises:
+            MissingExtraError: unified-planning is not installed.
+            PlanningFailed: the task has no solution that motion can carry out.
+        """
+        barred = set(forbidden)
+        for _ in range(MOST_ROUNDS):
+            plan, status = run_engine(self.make_problem(state, goals, barred), engine, time_limit)
+            if plan is None:
+                reason = PlanningReason.TIMEOUT if status == "TIMEOUT" else PlanningReason.PRECONDITION_UNMET
+                raise self.planner.make_failure(reason, state, None, planners=(engine,), nearest=f"status {status}")
+            names = _list_names(plan)
+            here = state
+            for before, name in zip([START, *(_split(n)[0] for n in names)], names, strict=False):
+                try:
+                    here = self.follow(here, [name]).states[-1]
+                except PlanningFailed:
+                    barred.add((before, _split(name)[0]))
+                    break
+            else:
+                return self.follow(state, names)
+        raise self.planner.make_failure(PlanningReason.BUDGET_EXHAUSTED, state, None, planners=(engine,))
+
+
+def _list_names(actions: Any) -> list[str]:
+    """Names of the actions of a plan of unified-planning, or the names themselves."""
+    return [a if isinstance(a, str) else a.action.name for a in getattr(actions, "actions", actions)]
+
+
+def _split(name: str) -> tuple[str, str]:
+    """Operator of an action, and the place before it; empty if the name does not say."""
+    operator, _, before = name.partition("-from-")
+    return operator, before
