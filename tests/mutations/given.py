@@ -25,8 +25,8 @@ MUTATIONS = [
           "decision.discount",
           "test_h_dqn.py::test_the_manager_learns_in_the_state_where_the_goal_was_named"),
     _trap("an order that was given up counts as obeyed or left", "feudal_rl",
-          "if not returned.terminated and task.find_exit(frame, returned.seen) is None:",
-          "if not returned.terminated and not returned.ended:",
+          "if not (returned.terminated or task.is_settled(frame, returned.seen)):",
+          "if not (returned.terminated or returned.ended):",
           "test_feudal_rl.py::test_an_order_given_up_bootstraps"),
     # a* from the right table, pseudo-reward never in C
     _trap("a* is the best of what is reported", "maxq_q",
@@ -102,7 +102,7 @@ MUTATIONS = [
           "values[decision.choice] if was_cut else", "values[decision.choice] if False else",
           "test_macro_q.py::test_a_macro_that_is_cut_goes_on_with_its_own_value"),
     _trap("a cut call of a feudal level is over", "feudal_rl",
-          "if not returned.terminated and task", "if not (returned.terminated or returned.truncated) and task",
+          "if not (returned.terminated or task", "if not (returned.terminated or returned.truncated or task",
           "test_feudal_rl.py::test_the_last_level_obeys_every_order_by_the_shortest_way"),
     # pay, optimism, planning
     _trap("the world pays every level", "feudal",

@@ -88,7 +88,7 @@ def machine(function: Callable[..., Program]) -> Machine:
 def find_machines(root: Machine) -> dict[str, Machine]:
     """Machines that a program can call, by name: those that its functions name, in whatever scope, and itself."""
     found: dict[str, Machine] = {}
-    left = [root]
+    left: list[Any] = [root]
     while left:
         each = left.pop()
         function = getattr(each, "__wrapped__", None)

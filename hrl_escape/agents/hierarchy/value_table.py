@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Hashable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,7 @@ class ValueTable:
     def __contains__(self, key: Hashable) -> bool:
         return key in self._values
 
-    def __iter__(self) -> Iterator[Hashable]:
+    def __iter__(self) -> Iterator[Any]:
         return iter(self._values)
 
     def get(self, key: Hashable) -> float:
