@@ -89,7 +89,7 @@ MUTATIONS = [
                ".reshape(states, actions) - purpose[:, None], -np.inf)", ".reshape(states, actions), -np.inf)",
                "discovery/test_spectral.py"),
     _discovery("a covering option may begin anywhere", "found_option",
-               "starts[start] = chosen[start] != NOTHING", "starts[:] = chosen != NOTHING",
+               "option.starts & (states == start)", "option.starts",
                "discovery/test_spectral.py"),
     _discovery("the same edge is found again and again", "covering_options",
                "joined[ends], joined[ends[::-1]] = 1.0, 1.0", "pass",
@@ -135,4 +135,21 @@ MUTATIONS = [
     ("others are chosen the more the later", "agents/discovery/interventions.py",
      "made / (made + 1)", "1 / (made + 1)",
      f"{ALGORITHMS}/structure/test_hrc.py::test_expected_costs_are_those_of_a_simulation"),
+    # initiation connected to its target
+    _discovery("an initiation set is never connected to its target", "found_option",
+               "return TableSkill(name, chosen, on_the_way)", "return TableSkill(name, chosen, inside & ~targets)",
+               "algorithms/skills/test_skill_chaining.py"
+               "::test_states_without_a_known_way_inside_the_set_are_left_out"),
+    _discovery("the way to a target may leave the set", "found_option",
+               "np.where(inside, choices.max(axis=1), 0.0))", "choices.max(axis=1))",
+               "algorithms/skills/test_skill_chaining.py"
+               "::test_states_without_a_known_way_inside_the_set_are_left_out"),
+    _trap("the next target is the first one again", "skills/skill_chaining",
+          "self.targets.setdefault(state, level + 1)", "self.targets.setdefault(state, 0)", ""),
+    _trap("one arrival is enough", "skills/skill_chaining",
+          "self._arrivals < self._settings.gestation or", "self._arrivals < 1 or",
+          "::test_gestation_and_reach_are_counted_in_arrivals_and_decisions"),
+    _trap("the chain grows past the start", "skills/skill_chaining",
+          "level >= self.slots or self._begins_inside", "level >= self.slots",
+          "::test_a_complete_chain_grows_no_further"),
 ]

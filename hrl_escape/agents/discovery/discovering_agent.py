@@ -33,8 +33,8 @@ class Discovery(Protocol):
     slots: int
     """Most options that it ever has at once."""
 
-    def observe(self, transition: SMDPTransition, graph: StateGraph) -> None:
-        """Take in one decision, which the graph holds already."""
+    def observe(self, transition: SMDPTransition, before: int, after: int) -> None:
+        """Take in one decision, between states of these numbers in the graph."""
         ...
 
     def propose(self, graph: StateGraph) -> Mapping[int, TableSkill]:
@@ -83,7 +83,7 @@ class GraphDiscovery(ABC):
         self._every, self._most_states, self.slots = settings.discover_every, settings.most_states, slots
         self._decisions = 0
 
-    def observe(self, transition: SMDPTransition, graph: StateGraph) -> None:
+    def observe(self, transition: SMDPTransition, before: int, after: int) -> None:
         """Count."""
         self._decisions += 1
 
@@ -254,7 +254,7 @@ class DiscoveringAgent(TabularAgent):
         self._lasted += 1
         if transition.terminated or transition.truncated:
             self._running = NOTHING
-        self.discovery.observe(transition, self.graph)
+        self.discovery.observe(transition, self.graph.number(before), self.graph.number(after))
         for slot, skill in self.discovery.propose(self.graph).items():
             self._place(slot, skill)
         found = sum(skill is not None for skill in self.skills)

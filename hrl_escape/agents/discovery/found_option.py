@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
 
-__all__ = ["StateModel", "TableSkill", "make_eigenoption", "make_point_option"]
+__all__ = ["StateModel", "TableSkill", "make_eigenoption", "make_point_option",
+           "make_subgoal_option"]
 
 NOTHING = -1
 """In place of a primitive: the option ends, or cannot be."""
@@ -72,28 +73,43 @@ def make_eigenoption(
     return TableSkill(name, chosen, chosen != NOTHING)
 
 
-def make_point_option(
-    name: str, model: StateModel, start: int, goal: int, gamma: float = 0.99, sweeps: int = 10_000
-) -> TableSkill:
+def make_point_option(name: str, model: StateModel, start: int, goal: int, gamma: float = 0.99) -> TableSkill:
     """Option from one state to another, to be there soon (Jinnai et al. 2019).
 
-    It maximises the expected gamma^k of arriving. It may begin in `start` alone, and ends in `goal`, and where no way
-    there is known.
+    It may begin in `start` alone, and ends in `goal`, and where no way there is known.
+    """
+    states = np.arange(len(model.known))
+    option = make_subgoal_option(name, model, states == states, states == goal, gamma)
+    return TableSkill(name, option.actions, option.starts & (states == start))
+
+
+def make_subgoal_option(
+    name: str, model: StateModel, inside: NDArray[np.bool_], targets: NDArray[np.bool_], gamma: float = 0.99,
+    sweeps: int = 10_000,
+) -> TableSkill:
+    """Option that stays inside some states until it is in one of its targets, to be there soon.
+
+    It maximises the expected gamma^k of arriving. It may begin wherever a way to a target is known that stays inside,
+    so that it is never begun where it cannot arrive; it ends in targets, and everywhere else.
+
+    Args:
+        name: of the option.
+        model: of the primitives.
+        inside: bool (states,).
+        targets: bool (states,).
+        gamma: discount, below 1.
+        sweeps: bound on those of value iteration.
     """
     states, actions = model.known.shape
-    values = np.zeros(states)
-    values[goal] = 1.0
+    values = targets.astype(np.float64)
     for _ in range(sweeps):
         choices = gamma * (model.follow @ values).reshape(states, actions)
-        swept = choices.max(axis=1)
-        swept[goal] = 1.0
+        swept = np.where(targets, 1.0, np.where(inside, choices.max(axis=1), 0.0))
         change, values = np.abs(swept - values).max(initial=0.0), swept
         if change < 1e-12:
             break
     choices = gamma * (model.follow @ values).reshape(states, actions)
     best = choices.max(axis=1, keepdims=True)
-    on_the_way = (best[:, 0] > 0) & (np.arange(states) != goal)
+    on_the_way = (best[:, 0] > 0) & inside & ~targets
     chosen = np.where(on_the_way, (choices >= best * (1 - _TIE)).argmax(axis=1), NOTHING)
-    starts = np.zeros(states, np.bool_)
-    starts[start] = chosen[start] != NOTHING
-    return TableSkill(name, chosen, starts)
+    return TableSkill(name, chosen, on_the_way)
