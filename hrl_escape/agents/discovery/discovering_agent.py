@@ -160,7 +160,7 @@ class DiscoveringAgent(TabularAgent):
     # --- options at a state -----------------------------------------------------------
 
     def get_skill_action(self, slot: int, observation: Any) -> int:
-        """What the option in a slot does here; `NOTHING` where it ends."""
+        """Primitive of the option in a slot; `NOTHING` where it ends."""
         skill, state = self.skills[slot], self.graph.find(self._discretise(observation))
         return NOTHING if skill is None or state is None or state >= len(skill.actions) else int(skill.actions[state])
 
