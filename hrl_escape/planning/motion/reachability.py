@@ -84,7 +84,8 @@ def map_reach(instance: RoomInstance, rules: Rules, point: tuple[float, float, f
         reached[cells[:, 0], cells[:, 1]] = True
         counts += reached
     grid = list_cells((0, 0), shape)
-    free = floor.are_free(low + (grid + 0.5) * cell).reshape(shape)
+    centres = np.add(low, (grid + 0.5) * cell, dtype=np.float64)
+    free = floor.are_free(centres).reshape(shape)
     return ReachMap(instance, point, low, cell, np.where(free, counts / rules.headings, 0.0))
 
 

@@ -232,9 +232,17 @@ def _time_by_toppra(path: MotionPath, limits: MotionLimits) -> _Timed:
     class Curve(interpolator.AbstractGeometricPath):
         """The curve in the directions that are limited."""
 
-        dof = len(mix)
-        path_interval = np.array([curve.x[0], curve.x[-1]])
-        waypoints = None
+        @property
+        def dof(self) -> int:
+            return len(mix)
+
+        @property
+        def path_interval(self) -> Any:
+            return np.array([curve.x[0], curve.x[-1]])
+
+        @property
+        def waypoints(self) -> Any:
+            return None
 
         def __call__(self, path_positions: Any, order: int = 0) -> Any:
             return curve(path_positions, order) @ mix.T
