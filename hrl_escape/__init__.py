@@ -14,9 +14,10 @@ from hrl_escape.version import __version__ as __version__
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
 
-_DOORS: dict[str, tuple[str, str | None]] = {  # suffix of the id: (one room, many rooms at once)
+_DOORS: dict[str, tuple[str, str]] = {  # suffix of the id: (one room, many rooms at once)
     "": ("hrl_escape.env.escape_room:EscapeRoomEnv", "hrl_escape.env.vector_env:EscapeRoomVectorEnv"),
-    "Options": ("hrl_escape.options.options_env:make_options_env", None),
+    "Options": ("hrl_escape.options.options_env:make_options_env",
+                "hrl_escape.options.batched.vector_env:OptionsVectorEnv"),
 }
 
 for _suffix, (_one, _many) in _DOORS.items():

@@ -214,7 +214,8 @@ class BatchedOptionsEnv:
         """Give waiting rooms their decisions and run one primitive in every room.
 
         Args:
-            action: int64 (rooms,) on the rooms' device; read only where `is_waiting`.
+            action: int64 (rooms,) on the rooms' device; read only where `is_waiting`. A negative one leaves the room
+                waiting as it is.
 
         Returns:
             The decisions that ended with this primitive.
@@ -272,7 +273,7 @@ class BatchedOptionsEnv:
         """Plan for all rooms pressed by hand, else for those where the greedy policy has made no progress."""
         primitives = self._settings.primitives
         if self._by_hand:
-            running = begin_decisions(running, self.is_waiting, action, view.observation)
+            running = begin_decisions(running, self.is_waiting & (action >= 0), action, view.observation)
         where = (running.action >= primitives) & (running.plan_left == 0) & ~self.is_over
         goals = running.action - primitives
         if self._by_hand:
@@ -287,11 +288,10 @@ class BatchedOptionsEnv:
                 or action.device != self.device:
             raise BatchError("action", action, f"a tensor of shape ({self.count},), torch.int64, on {self.device}")
         if self.device.type != "cpu":
-            return action.clamp(0, self.actions - 1)
-        low, high = torch.aminmax(torch.where(self.is_waiting, action, 0))
-        for extreme in (int(low), int(high)):
-            if not 0 <= extreme < self.actions:
-                raise ActionError(extreme, self.actions)
+            return action.clamp(-1, self.actions - 1)
+        highest = int(torch.where(self.is_waiting, action, 0).max())
+        if highest >= self.actions:
+            raise ActionError(highest, self.actions)
         if not self._settings.autoreset and bool(self.is_over.all()):
             raise ResetNeededError("every room's episode has ended and autoreset is false: reset some first")
         return action

@@ -63,7 +63,8 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
                    ) -> tuple[TensorState, OpenDecisions, AgentView, Transitions]:
     """Run one primitive in every room, and begin and end decisions; the function that is compiled."""
     is_over = state.has_ended != 0
-    running = begin_decisions(running, (running.action < 0) & ~is_over, action, view.observation)
+    running = begin_decisions(running, (running.action < 0) & ~is_over & (action >= 0), action, view.observation)
+    is_over = is_over | (running.action < 0)  # rooms that wait and are given no action stand still as well
     is_new = running.duration == 0
     is_option = running.action >= settings.primitives
     goal = (running.action - settings.primitives).clamp(min=0)
@@ -96,7 +97,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     is_press = goal < layout.targets
     has_pressed = (pressed >> goal.clamp(max=max(layout.targets - 1, 0))) & 1 != 0
     is_there = torch.where(is_press, has_pressed, is_in_exit(layout, tables, after.instance, after.x, after.y))
-    has_ended = terminated | truncated
+    has_ended = (terminated | truncated) & ~is_over
     ended = torch.where(stalled > settings.fail_after, FAILED, -1)
     ended = torch.where(running.duration >= settings.max_duration, TIMEOUT, ended)
     ended = torch.where(has_ended, EPISODE_OVER, ended)
