@@ -1,4 +1,4 @@
-"""Stable-Baselines3 and sb3-contrib, unmodified, on primitives and on options.
+"""Stable-Baselines3 and sb3-contrib, unmodified, on primitives and on options; and a model of theirs as an option.
 
 They count and discount an option as one step, where an SMDP agent discounts by its duration, and only MaskablePPO
 knows which options are legal. Needs the extra `bench`: pip install 'hrl-escape[bench]'.
@@ -13,7 +13,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
 import hrl_escape  # noqa: F401  # registers the environments
-from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.options import LearnedOption, OptionsEnv
 
 
 def make_flat() -> gymnasium.Env:
@@ -47,6 +47,18 @@ def main(steps: int = 4_000, seed: int = 0) -> None:
         model.learn(steps)
         mean, _ = evaluate_policy(model, make(), n_eval_episodes=2, deterministic=False)
         print(f"{name}: {steps:,} steps, then return {mean:.1f}")
+    show_model_as_option(steps, seed)
+
+
+def show_model_as_option(steps: int, seed: int) -> None:
+    """Run a model as one option among the primitives: it balances until the cart has left the middle."""
+    model = PPO("MlpPolicy", "CartPole-v1", seed=seed, device="cpu", n_steps=256).learn(steps)
+    balance = LearnedOption("balance", model, termination=lambda state: float(abs(state[0]) > 0.5))
+    env = OptionsEnv(gymnasium.make("CartPole-v1"), [balance])
+    env.reset(seed=seed)
+    _, reward, _, _, info = env.step(env.action_names.index("balance"))
+    print(f"PPO as the option {info['option']['name']}: {info['duration']} primitives, reward {reward:.0f}, "
+          f"ended by {info['option']['ended']}")
 
 
 if __name__ == "__main__":

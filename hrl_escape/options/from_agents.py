@@ -7,8 +7,9 @@ offer is said by protocols.
 from __future__ import annotations
 
 import copy
+import numbers
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,6 +68,7 @@ class GivenPolicy(Protocol):
         ...
 
 
+@runtime_checkable
 class TeachingAgent(Protocol):
     """Agent that gives what it learned; those of `hrl_escape.agents` do."""
 
@@ -176,8 +178,14 @@ def make_learned_options(
         prefix: put before every name, to tell the options of several agents apart.
 
     Raises:
-        OptionError: the agent gives nothing.
+        OptionError: it is no agent that could give anything, gives nothing, or `legal` is neither a number nor a
+            function.
     """
+    if not isinstance(agent, TeachingAgent):
+        raise OptionError(f"{agent!r} has no get_options: give a trained agent, as train and load_agent return it")
+    if not callable(legal) and (isinstance(legal, bool) or not isinstance(legal, numbers.Integral) or legal < 1):
+        raise OptionError(f"legal is {legal!r}: give the number of the agent's actions, or a function of the state "
+                          "that gives a bool for each")
     given = agent.get_options()
     if not given:
         raise OptionError(f"{type(agent).__name__} has learned nothing that it could give: train it first")

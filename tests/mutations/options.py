@@ -111,4 +111,18 @@ MUTATIONS = [
         "for frame in self._stack[:1]:",
         "options/test_options_env.py::test_planning_of_a_nested_option_is_told_while_it_still_runs",
     ),
+    Mutation(
+        "an end that the caller adds takes the place of the policy's own",
+        "options/from_agents.py",
+        "1.0 - (1.0 - own) * (1.0 - float(self._until(state)))",
+        "float(self._until(state))",
+        "options/test_from_agents.py::test_until_adds_to_an_end_of_ones_own",
+    ),
+    Mutation(
+        "a call below ends at every primitive where the task runs as an option",
+        "agents/hierarchy/runner.py",
+        'if runner.settings.polled == "never" and len(before) > 2:',
+        "if False:",
+        "options/test_from_agents.py::test_a_call_inside_an_option_runs_to_its_own_end",
+    ),
 ]

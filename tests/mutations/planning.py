@@ -108,4 +108,19 @@ MUTATIONS = [
         "{_write_all(op.preconditions)}",
         "planning/symbolic/test_pddl.py",
     ),
+    Mutation(
+        "an operator that lights a lamp asks for it to be put out",
+        "planning/symbolic/operator_order.py",
+        "(_list_needs(op) - {(fact, not holds)} for op, made",
+        "(_list_needs(op) for op, made",
+        "planning/symbolic/test_operator_order.py::"
+        "test_operators_that_undo_a_goal_are_left_out_unless_something_asks_for_that",
+    ),
+    Mutation(
+        "what one way of many makes true is a landmark",
+        "planning/symbolic/landmarks.py",
+        "else before[literal] & led",
+        "else before[literal] | led",
+        "planning/symbolic/test_landmarks.py::test_they_are_those_without_which_the_goal_is_out_of_reach",
+    ),
 ]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import itertools
 import json
 
 import gymnasium
@@ -22,6 +23,7 @@ from hrl_escape.agents.algorithms.given.r_maxq import RMaxq
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.hierarchy.goals import GoalSet
 from hrl_escape.agents.hierarchy.regions import Landmarks, Quadtree
+from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.registry import list_agents
 from hrl_escape.checks import check_option
 from hrl_escape.env.escape_room import EscapeRoomEnv
@@ -34,6 +36,7 @@ from tests.agents.hierarchy.taxi_tasks import GRAPH, SEE, UNTIL, make_taxi_tasks
 from tests.agents.hierarchy.wall_macros import make_wall_macros
 from tests.agents.running import learn
 from tests.agents.test_registry import SMALL
+from tests.classic.empty_room import GRID as ROOM
 from tests.classic.empty_room import EmptyRoom
 from tests.classic.four_rooms import GRID, HALLWAYS, FourRooms
 from tests.classic.taxi import DEPOTS, Taxi
@@ -107,6 +110,28 @@ def test_the_calls_of_a_hierarchy_are_options_that_run_as_they_ran_inside_it(nam
             compared += len(primitives)
     assert compared > 20
     assert json.dumps(agent.state_dict(), default=repr) == before, "running its options teaches an agent nothing"
+
+
+def test_a_call_inside_an_option_runs_to_its_own_end():
+    """Nothing is learned here: each turn at a wall is drawn, and none is made on the way."""
+    def is_at_wall(direction):
+        return lambda seen: ROOM.move(seen.observation, direction) == seen.observation
+
+    walls = {"north": is_at_wall(0), "south": is_at_wall(1)}
+    wander = maxq({"root": ["wander"], "wander": list(walls), "north": [0], "south": [1]},
+                  walls | {"wander": lambda seen: False})
+    env = EmptyRoom(goal=None, horizon=60)
+    wrapped = OptionsEnv(env, make_learned_options(StackAgent(wander, env.observation_space, 0), 4), trace=True)
+    turns = 0
+    for seed in range(3):
+        wrapped.reset(seed=seed)
+        trace = wrapped.step(wrapped.action_names.index("wander"))[4]["trace"]
+        assert len(trace) == 60
+        for before, after in itertools.pairwise(trace):
+            if before.action != after.action:
+                assert walls[("north", "south")[before.action]](Seen(before.next_state, ALL)), "it turns at a wall"
+                turns += 1
+    assert turns > 3
 
 
 @functools.cache
@@ -231,7 +256,8 @@ def test_landmarks_are_options_that_lead_there_by_the_shortest_way():
 def test_any_agent_gives_its_policy(name):
     lake = gymnasium.make("FrozenLake-v1")
     agent = make_agent(name, lake.observation_space, lake.action_space, 0, **SMALL.get(name, {}))
-    (option,) = make_learned_options(agent, 4, until=lambda cell: float(cell in (6, 14)), prefix=f"{name}: ")
+    (option,) = make_learned_options(agent, lake.action_space.n, until=lambda cell: float(cell in (6, 14)),
+                                     prefix=f"{name}: ")
     assert option.name == f"{name}: policy"
     env = OptionsEnv(lake, [option], trace=True, max_duration=30)
 
@@ -266,6 +292,16 @@ def test_a_call_that_begins_nowhere_is_masked():
     agent = make(MaxqQ, Taxi(), maxq(GRAPH, UNTIL, SEE, read=read))
     options = make_learned_options(agent, lambda observation: np.zeros(6, np.bool_))
     assert not any(option.initiation(0) for option in options)
+
+
+@pytest.mark.parametrize(("agent", "legal", "message"), [
+    (3, 4, "no get_options: give a trained agent"),
+    (make_agent("random", Taxi().observation_space, Taxi().action_space, 0), "all", "legal is 'all'"),
+    (make_agent("random", Taxi().observation_space, Taxi().action_space, 0), 0, "the number of the agent's actions"),
+])
+def test_what_gives_no_options_is_refused(agent, legal, message):
+    with pytest.raises(OptionError, match=message):
+        make_learned_options(agent, legal)
 
 
 # --- provenance ---------------------------------------------------------------------------------
