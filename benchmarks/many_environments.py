@@ -2,6 +2,7 @@
 
     python benchmarks/many_environments.py curves              # CartPole at 1, 8, 64 and 512 environments, beside SB3
     python benchmarks/many_environments.py rates               # one room at 1 to 4,096, beside SB3
+    python benchmarks/many_environments.py options             # options a second, beside the single environment
     python benchmarks/many_environments.py curves --quick      # seconds: shows that everything runs
 
 `ppo` at its default settings, Stable-Baselines3's PPO (`sb3`) at its own, with 1 and 8 environments. Seconds are of the
@@ -26,6 +27,7 @@ import hrl_escape  # noqa: F401  # registers the rooms
 from hrl_escape.agents import evaluate, train
 
 CURVES, RATES = "CartPole-v1", "hrl_escape/PaperTwoButton-v1"
+OPTIONS = "hrl_escape/PaperTwoButtonOptions-v1"
 BUDGET, EVALUATIONS, EPISODES = 100_000, 10, 10
 PEERS = (1, 8)
 RATE_SETTINGS: dict[str, dict[str, Any]] = {"10 epochs": {}, "4 epochs": {"epochs": 4}}
@@ -91,12 +93,48 @@ def measure_peer(count: int, budget: int) -> float:
     return model.num_timesteps / (time.process_time() - started)
 
 
+def measure_options(contender: str, count: int, quick: bool) -> float:
+    """Masked random options that end in a second of processor time."""
+    arguments = {"observation": "features", "include_primitives": False}
+    rng, steps = np.random.default_rng(0), 20 if quick else 60
+    if contender == "single":
+        env: Any = gymnasium.make(OPTIONS, **arguments)
+        _, info = env.reset(seed=0)
+        started = 0.0
+        for number in range(50 + 10 * steps):
+            if number == 50:  # kernels are loaded, and some plans remembered
+                started = time.process_time()
+            *_, terminated, truncated, info = env.step(int(rng.choice(np.flatnonzero(info["action_mask"]))))
+            if terminated or truncated:
+                _, info = env.reset()
+        return 10 * steps / (time.process_time() - started)
+    env = gymnasium.make_vec(OPTIONS, num_envs=count, output="torch", autoreset_mode="SameStep", **arguments)
+    if contender == "vector environment":
+        _, info = env.reset(seed=0)
+        started = time.process_time()
+        for _ in range(steps // 5):
+            *_, info = env.step(torch.multinomial(info["action_mask"].float(), 1).squeeze(1))
+        return count * (steps // 5) / (time.process_time() - started)
+    streams: Any = env.unwrapped
+    streams, ended = streams.get_streams(), 0
+    streams.reset(0)
+    started = time.process_time()
+    for _ in range(steps):
+        ended += int(streams.step(torch.multinomial(streams.action_mask.float(), 1).squeeze(1)).where.sum())
+    return ended / (time.process_time() - started)
+
+
 def list_runs(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """What each run is, without its outcome."""
     if arguments.what == "curves":
         return [{"what": "curves", "contender": contender, "count": count, "seed": seed}
                 for seed in arguments.seeds
                 for contender, counts in (("ppo", arguments.counts), ("sb3", PEERS)) for count in counts]
+    if arguments.what == "options":
+        return [{"what": "options", "contender": contender, "count": count, "round": number}
+                for number in range(arguments.rounds)
+                for contender, counts in (("single", [1]), ("vector environment", arguments.counts),
+                                          ("own pace", arguments.counts)) for count in counts]
     return [{"what": "rates", "contender": contender, "count": count, "round": number}
             for number in range(arguments.rounds)
             for contender, counts in (*((name, arguments.counts) for name in RATE_SETTINGS), ("sb3", PEERS))
@@ -109,6 +147,8 @@ def execute(run: dict[str, Any], quick: bool) -> dict[str, Any]:
     if run["what"] == "curves":
         budget = BUDGET // 50 if quick else BUDGET
         return {"scores": (train_peer if peer else train_ours)(count, run["seed"], budget)}
+    if run["what"] == "options":
+        return {"rate": measure_options(run["contender"], count, quick)}
     budget = 4_096 if quick or peer or count <= 8 else 64 * count
     rate = measure_peer(count, budget) if peer else measure_ours(count, budget, RATE_SETTINGS[run["contender"]])
     return {"rate": rate}
@@ -120,10 +160,11 @@ def summarise(rows: list[dict[str, Any]], what: str) -> str:
     for row in rows:
         if row["what"] == what:
             groups.setdefault((row["contender"], row["count"]), []).append(row)
-    if what == "rates":
+    if what != "curves":
         median = {key: float(np.median([row["rate"] for row in found])) for key, found in groups.items()}
-        base = median.get(("sb3", 1), float("nan"))
-        lines = ["| contender | environments | primitives a second | to sb3 with one |", "|---|---|---|---|"]
+        peer, unit = ("sb3", "primitives") if what == "rates" else ("single", "options")
+        base = median.get((peer, 1), float("nan"))
+        lines = [f"| contender | environments | {unit} a second | to {peer} with one |", "|---|---|---|---|"]
         return "\n".join([*lines, *(f"| {name} | {count:,} | {rate:,.0f} | {rate / base:.1f} |"
                                     for (name, count), rate in median.items())])
     lines = ["| contender | environments | runs | at a tenth | at three tenths | half | end | end at 475 |",
@@ -139,7 +180,7 @@ def summarise(rows: list[dict[str, Any]], what: str) -> str:
 def main() -> None:
     """Run what is missing, then print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["curves", "rates"])
+    parser.add_argument("what", choices=["curves", "rates", "options"])
     parser.add_argument("--counts", nargs="+", type=int, help="numbers of environments")
     parser.add_argument("--seeds", nargs="+", type=int, default=list(range(10)))
     parser.add_argument("--rounds", type=int, default=3)
@@ -147,7 +188,8 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small budgets, one seed")
     arguments = parser.parse_args()
     if arguments.counts is None:
-        arguments.counts = [1, 8, 64, 512] if arguments.what == "curves" else [1, 8, 64, 512, 4096]
+        arguments.counts = {"curves": [1, 8, 64, 512], "rates": [1, 8, 64, 512, 4096], "options": [256, 2048]}[
+            arguments.what]
     if arguments.quick:
         arguments.seeds, arguments.rounds = arguments.seeds[:1], 1
     torch.set_num_threads(1)
