@@ -104,8 +104,8 @@ MUTATIONS = [
     Mutation(
         "PDDL leaves out what must not hold",
         "planning/symbolic/pddl.py",
-        "{_write_all(op.preconditions, op.forbidden)}",
-        "{_write_all(op.preconditions)}",
+        "{write_all(op.preconditions, op.forbidden)}",
+        "{write_all(op.preconditions)}",
         "planning/symbolic/test_pddl.py",
     ),
     Mutation(
