@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal, Protocol
+from typing import Annotated, Any, Literal, Protocol
 
 import gymnasium
 import numpy as np
@@ -130,8 +130,7 @@ class DiscoveringAgent(TabularAgent):
         skills: by slot, None where nothing was found yet.
     """
 
-    settings: DiscoverySettings
-    is_markov: ClassVar[bool] = False
+    is_markov: bool = False
 
     def __init__(
         self,

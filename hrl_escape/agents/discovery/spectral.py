@@ -68,7 +68,7 @@ def compute_successor_representation(transition: NDArray[np.float64], gamma: flo
         transition: P of a policy, (states, states).
         gamma: discount, below 1.
     """
-    return np.linalg.inv(np.eye(len(transition)) - gamma * transition)
+    return np.asarray(np.linalg.inv(np.eye(len(transition)) - gamma * transition), np.float64)
 
 
 def find_slow_directions_of_successors(successors: NDArray[np.float64], count: int) -> Directions:
@@ -76,9 +76,9 @@ def find_slow_directions_of_successors(successors: NDArray[np.float64], count: i
 
     A directed walk may have complex ones, of which the real parts are taken.
     """
-    values, vectors = np.linalg.eig(successors)
-    order = np.argsort(-values.real, kind="stable")[1 : count + 1]
-    return Directions(1 / values.real[order], _orient(vectors.real[:, order]))
+    values, vectors = (np.real(part) for part in np.linalg.eig(successors))
+    order = np.argsort(-values, kind="stable")[1 : count + 1]
+    return Directions(1 / values[order], _orient(vectors[:, order]))
 
 
 def _orient(vectors: NDArray[np.float64]) -> NDArray[np.float64]:

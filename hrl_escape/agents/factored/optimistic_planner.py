@@ -30,8 +30,6 @@ class OptimisticSettings(PlanningSettings):
 class OptimisticPlanner(PlanningAgent):
     """Believes every hypothesis that the history leaves: an outcome on which two of them differ is open."""
 
-    settings: OptimisticSettings
-
     def __init__(
         self,
         observation_space: gymnasium.Space,
