@@ -1,13 +1,11 @@
-"""The smallest puzzle, 26 lines, solved by a planner. Each press toggles a light, and all must be on."""
+"""The smallest puzzle, 16 lines, solved by a planner. Each press toggles a light, and all must be on."""
 # ruff: noqa: E731  # rules as one-liners, so that all of them are seen at once
 
 import dataclasses
 
 from hrl_escape import RoomConfig, RoomPlanner, generate
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.env.puzzles.base import Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel, register_puzzle
-
-NONE = frozenset()
+from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig, register_puzzle
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,16 +26,6 @@ class Toggles(Puzzle):
     is_solved = lambda self, state: state == 7
     get_lit = lambda self, state: tuple(bool(state >> bit & 1) for bit in range(3))
     observe = lambda self, state: tuple(map(float, self.get_lit(state)))
-
-    def get_facts(self, state):
-        """The lights that are on."""
-        return frozenset(name for name, lit in zip(self.target_names, self.get_lit(state), strict=True) if lit)
-
-    def make_symbolic_model(self):
-        """The planner's model: a press turns a light on that was off."""
-        press = [Operator(f"press-{name}", name, "press", NONE, frozenset({name}), frozenset({name}), NONE)
-                 for name in self.target_names]
-        return SymbolicModel(self.target_names, tuple(press), frozenset(self.target_names))
 
 
 register_puzzle(TogglesConfig, Toggles)

@@ -32,6 +32,7 @@ __all__ = [
     "count_steps",
     "make_transition",
     "read_action_mask",
+    "read_success",
 ]
 
 StateTree = dict[str, Any]
@@ -204,6 +205,11 @@ def read_action_mask(info: Mapping[str, Any], actions: int) -> NDArray[np.bool_]
     if not legal.any():
         raise StepContractError("info['action_mask'] is all zero: at least one action must always be legal")
     return legal
+
+
+def read_success(info: Mapping[str, Any], terminated: bool) -> bool:
+    """Read success at an episode's end: `info["is_success"]` or `info["success"]` if given, else `terminated`."""
+    return bool(info.get("is_success", info.get("success", terminated)))
 
 
 def check_observation(observation: Any, when: str) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from hrl_escape.checks.claims import Claims
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.noise import draw_chance
 from hrl_escape.planning.room_planner import RoomPlanner
 
 __all__ = ["ReferenceDomain", "check_isomorphism"]
@@ -27,12 +28,15 @@ class ReferenceDomain(Protocol):
         """All states in which the task is not over."""
         ...
 
-    def step(self, state: Any, action: int) -> Hashable:
-        """The state after an action; action i presses target i of the room."""
+    def step(self, state: Any, action: int, uniform: float = 0.0, /) -> Hashable:
+        """The state after an action; action i presses target i of the room.
+
+        A random domain turns the uniform number, which is the room's own, into the outcome; others need not take it.
+        """
         ...
 
     def is_over(self, state: Any) -> bool:
-        """Say whether the task is done."""
+        """Say whether the task is done, or failed."""
         ...
 
     def encode(self, state: Any) -> Hashable:
@@ -44,7 +48,7 @@ def check_isomorphism(env: gymnasium.Env, reference: ReferenceDomain, pairs: int
     """Check that pressing in a room does what the actions of a domain do.
 
     Each pair of state and action is tried from the start and from the target's own panel, to which the robot must then
-    come back.
+    come back. In a random room, both take the same uniform number.
 
     Args:
         env: a flat environment of a kinematic room, such as `gymnasium.make("hrl_escape/Hanoi-v1")`.
@@ -87,16 +91,25 @@ class _IsomorphismCheck(Claims):
 
     def try_pair(self, state: Any, action: int, start: RoomState) -> None:
         """Press once from the start, and once more from where that ended, in the same state of the puzzle."""
-        self.require(self.puzzle.is_solved(start.puzzle) == self.reference.is_over(state), "both are over, or neither",
-                     state)
-        after = self.reference.step(state, action)
-        expected = self.reference.encode(after)
+        self.require(self.is_over(start) == self.reference.is_over(state), "both are over, or neither", state)
         ended = self.press(action, start)
-        self.require(ended.puzzle == expected, "a press does what the action does", (state, action, ended.puzzle))
-        self.require(self.puzzle.is_solved(ended.puzzle) == self.reference.is_over(after), "both are over, or neither",
-                     after)
+        after = self.follow(state, action, ended)
+        self.require(ended.puzzle == self.reference.encode(after), "a press does what the action does",
+                     (state, action, ended.puzzle))
+        self.require(self.is_over(ended) == self.reference.is_over(after), "both are over, or neither", after)
         again = self.press(action, ended._replace(puzzle=start.puzzle, primitives=0))
+        expected = self.reference.encode(self.follow(state, action, again))
         self.require(again.puzzle == expected, "so it does from the target's own panel", (state, action, again.puzzle))
+
+    def is_over(self, state: RoomState) -> bool:
+        """The exit is open, or the puzzle was failed."""
+        return self.puzzle.is_solved(state.puzzle) or self.puzzle.is_failed(state.puzzle)
+
+    def follow(self, state: Any, action: int, ended: RoomState) -> Any:
+        """The domain's state after an action, by the uniform number of the primitive that pressed in the room."""
+        if not self.puzzle.is_random:
+            return self.reference.step(state, action)
+        return self.reference.step(state, action, draw_chance(ended.noise_key, ended.primitives - 1))
 
     def press(self, action: int, start: RoomState) -> RoomState:
         """State of the room after the plan to press a target was carried out."""

@@ -9,7 +9,8 @@ from collections.abc import Hashable
 import numpy as np
 
 from hrl_escape.checks.claims import Claims
-from hrl_escape.env.puzzles.base import Contacts, Operator, Puzzle, SymbolicModel
+from hrl_escape.env.puzzles.base import Contacts, Puzzle
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 
 __all__ = ["check_puzzle"]
 
@@ -44,8 +45,9 @@ class _PuzzleCheck(Claims):
         self.check_names()
         self.check_model()
         self.check_round_trip()
-        state = self.puzzle.make_state()
+        state, self.starts = self.puzzle.make_state(), self.puzzle.list_starts()
         self.require(state == self.puzzle.make_state(), "make_state gives the same state each time", state)
+        self.require(self.starts[:1] == (state,), "list_starts begins with the state of make_state", self.starts[:1])
         self.check_state(state)
         state, poses = self.begin()
         self.check_reach(state)
@@ -75,7 +77,7 @@ class _PuzzleCheck(Claims):
         names = [operator.name for operator in model.operators]
         self.require(len(set(names)) == len(names), "no two operators have one name", names)
         for op in model.operators:
-            used = op.preconditions | op.forbidden | op.add | op.delete
+            used = op.reads | op.may_change
             self.require(used <= known, f"operator {op.name!r} is made of propositions", used - known)
             if op.action == "press":
                 self.require(op.target in self.targets, f"operator {op.name!r} presses a target", op.target)
@@ -121,10 +123,9 @@ class _PuzzleCheck(Claims):
 
     def check_reach(self, state: Hashable) -> None:
         """The goal must be reachable under delete relaxation."""
-        reached, grown = self.puzzle.get_facts(state), True
-        while grown:
-            useful = [op for op in self.model.operators if op.preconditions <= reached and not op.add <= reached]
-            reached, grown = reached.union(*(op.add for op in useful)), bool(useful)
+        reached, before = self.puzzle.get_facts(state), None
+        while reached != before:
+            before, reached = reached, reached.union(*(op.relax(reached) for op in self.model.operators))
         missing = sorted(self.model.goal - reached)
         self.require(not missing, "the symbolic goal can be reached by operators", f"no way to {missing}")
 
@@ -132,14 +133,14 @@ class _PuzzleCheck(Claims):
 
     def begin(self) -> tuple[Hashable, Poses]:
         """A new episode."""
-        state, poses = self.puzzle.make_state(), self.draw_poses()
+        state, poses = self.starts[int(self.rng.integers(len(self.starts)))], self.draw_poses()
         return (self.update(state, (), poses) if poses else state), poses
 
     def finish(self, state: Hashable, poses: Poses) -> None:
         """Follow operators that add something, as far as that leads, so that solved states are seen."""
         for _ in range(2 * len(self.model.operators)):
             facts = self.puzzle.get_facts(state)
-            useful = [op for op in self.model.operators if op.is_applicable(facts) and not op.add <= facts]
+            useful = [op for op in self.model.operators if op.is_applicable(facts) and not op.apply(facts) <= facts]
             if not useful or self.model.goal <= facts:
                 break
             state, poses = self.perform(useful[0], state, poses)
@@ -153,11 +154,11 @@ class _PuzzleCheck(Claims):
             return self.perform(applicable[int(self.rng.integers(len(applicable)))], state, poses)
         number = min(int(self.rng.integers(3)), len(self.targets))
         chosen = sorted(self.rng.choice(len(self.targets), number, replace=False).tolist()) if number else []
-        poses = self.draw_poses()
-        after = self.update(state, tuple(chosen), poses)
+        poses, chance = self.draw_poses(), float(self.rng.random())
+        after = self.update(state, tuple(chosen), poses, chance)
         one_by_one = state
         for target in chosen:
-            one_by_one = self.update(one_by_one, (target,), poses)
+            one_by_one = self.update(one_by_one, (target,), poses, chance)
         if chosen:
             self.require(after == one_by_one, "presses of one primitive count in index order",
                          {"state": state, "pressed": chosen, "together": after, "one by one": one_by_one})
@@ -171,14 +172,23 @@ class _PuzzleCheck(Claims):
         moved[self.props[op.target]] = poses[self.props[op.destination or ""]]
         return self.update(state, (), tuple(moved)), tuple(moved)
 
-    def update(self, state: Hashable, pressed: tuple[int, ...], poses: Poses) -> Hashable:
+    def update(self, state: Hashable, pressed: tuple[int, ...], poses: Poses, chance: float = 0.0) -> Hashable:
         before = hash(state)
-        contacts = Contacts(pressed, poses)
+        contacts = Contacts(pressed, poses, chance)
         after = self.puzzle.update(state, contacts)
         again = self.puzzle.update(state, contacts)
         self.require(after == again and hash(state) == before,
                      "update is pure: the same state and contacts give the same state, nothing is changed in place",
                      {"state": state, "pressed": pressed, "first": after, "second": again})
+        if not self.puzzle.is_random:
+            other = self.puzzle.update(state, contacts._replace(uniform=0.999))
+            self.require(other == after, "update reads contacts.uniform only where is_random says so",
+                         {"state": state, "pressed": pressed, "first": after, "second": other})
+        reward = self.puzzle.compute_reward(state, after, contacts)
+        self.require(isinstance(reward, float) and math.isfinite(reward), "rewards are finite floats", reward)
+        failed = self.puzzle.is_failed(after)
+        self.require(isinstance(failed, bool) and not (failed and self.puzzle.is_solved(after)),
+                     "is_failed says true or false, and never of a solved puzzle", (after, failed))
         return after
 
     def draw_poses(self) -> Poses:

@@ -26,7 +26,7 @@ from hrl_escape.env.drawing.maps import FORMATS, Trajectory, save_map
 from hrl_escape.env.drawing.video import VIDEO_FORMATS, save_picture, save_video
 from hrl_escape.env.engine import check_camera, film
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.puzzles.base import SymbolicModel
+from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text
@@ -105,12 +105,12 @@ def _describe(instance: RoomInstance) -> dict[str, Any]:
 
 def _find_dead_end(model: SymbolicModel) -> str | None:
     """Name goals that are unreachable even under delete relaxation; None if all are reachable."""
-    facts: set[str] = set(model.propositions) - {fact for operator in model.operators for fact in operator.add}
+    facts = frozenset(model.propositions).difference(*(operator.may_add for operator in model.operators))
     while True:
-        reached = {fact for o in model.operators if o.preconditions <= facts for fact in o.add} - facts
-        if not reached:
+        reached = facts.union(*(operator.relax(facts) for operator in model.operators))
+        if reached == facts:
             break
-        facts |= reached
+        facts = reached
     lost = sorted(model.goal - facts)
     return f"the puzzle cannot reach {', '.join(lost)}" if lost else None
 

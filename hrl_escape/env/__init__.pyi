@@ -17,13 +17,11 @@ from .presets import PRESETS, get_preset
 from .primitives import Primitive
 from .puzzles.base import (
     Contacts,
-    Operator,
     Panels,
     Place,
     Prop,
     Puzzle,
     PuzzleConfig,
-    SymbolicModel,
     list_puzzles,
     register_puzzle,
 )
@@ -31,6 +29,7 @@ from .puzzles.bit_flip import BitFlipConfig
 from .puzzles.buttons import ButtonsConfig
 from .puzzles.graphs import GraphConfig
 from .puzzles.push_block import PushBlockConfig
+from .puzzles.symbolic import Operator, SymbolicModel
 from .robot import Robot
 from .sampling.generation import generate
 from .torchrl_env import EscapeRoomTorchRLEnv

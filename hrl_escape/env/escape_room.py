@@ -63,14 +63,14 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     same in [-1, 1]), `egocentric` (ranges, bearings, lidar), `pixels` (84 x 84 RGB), and your own.
 
     ## Rewards
-    -1 for every primitive, +100 more on the primitive that exits.
+    -1 for every primitive, +100 more on the primitive that exits; some puzzles add their own.
 
     ## Starting state
-    One of the instance's start poses, chosen by the episode seed; all buttons off, arm at home.
+    One of the instance's start poses and one of the puzzle's first states, chosen by the episode seed; arm at home.
 
     ## Episode end
-    `terminated` when the body's axis is inside the exit and the puzzle is solved;
-    `truncated` after `horizon` primitives (1,000).
+    `terminated` when the body's axis is inside the exit and the puzzle is solved (`success`), or where a puzzle
+    that can be failed has been; `truncated` after `horizon` primitives (1,000).
 
     ## Information
     `info` has `instance` (content hash), `primitives` (so far), `buttons_on` and `pressed` (int8, one a target: 1
@@ -253,7 +253,8 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
             self._trail.append((self._state.x, self._state.y))
         if self.render_mode == "human":
             self.render()
-        return self._observe(), reward, terminated, truncated, self._inform(pressed, terminated)
+        escaped = terminated and self.rules.has_escaped(self._state)
+        return self._observe(), reward, terminated, truncated, self._inform(pressed, escaped)
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """Return a frame (height, width, 3), uint8, or keep Bullet's window in step."""

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 from hrl_escape.env.instance import RoomInstance, Start
-from hrl_escape.env.noise import compute_noise
+from hrl_escape.env.noise import compute_noise, draw_chance, draw_puzzle_start
 from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.robot import make_robot
@@ -88,13 +88,17 @@ def compute_heading(steps: int, offset: float, turn_step: float) -> float:
 class Rules:
     """The part of the MDP that every dynamics shares: touching, presses, the puzzle, reward, exit and horizon.
 
+    Args:
+        instance: the room.
+        is_still: nothing is random, as planners suppose: no noise, no slip, and a puzzle's most likely outcomes.
+
     Attributes:
         instance: the room.
         robot: its robot.
         actions: the robot's action table.
     """
 
-    def __init__(self, instance: RoomInstance) -> None:
+    def __init__(self, instance: RoomInstance, is_still: bool = False) -> None:
         self.instance = instance
         self.robot = make_robot(instance.robot)
         self.actions = make_action_table(instance.robot.joints)
@@ -103,6 +107,8 @@ class Rules:
         self._angles = tuple(compute_heading(n, 0.0, self.turn_step) for n in range(self.headings))
         self._rotations = tuple((round(math.cos(a), 15), round(math.sin(a), 15)) for a in self._angles)
         self._puzzle = instance.puzzle
+        self._puzzle_starts = instance.puzzle.list_starts()
+        self._is_random = instance.puzzle.is_random and not is_still
         self._exit = instance.exit
         reward = instance.reward
         self._step_reward = reward.step
@@ -199,7 +205,8 @@ class Rules:
         """State at the beginning of an episode; targets touched there count as touched before."""
         steps = (0,) * self.instance.robot.joints
         touching = self.compute_touching(start.x, start.y, start.heading_steps, start.heading_offset, steps, ())
-        puzzle = self._puzzle.make_state()
+        starts = self._puzzle_starts
+        puzzle = starts[draw_puzzle_start(noise_key, len(starts)) if len(starts) > 1 else 0]
         if self.instance.props:
             puzzle = self._puzzle.update(puzzle, Contacts((), tuple((p.x, p.y, p.yaw) for p in self.instance.props)))
         return RoomState(start.x, start.y, start.heading_steps, start.heading_offset, steps, (),
@@ -220,28 +227,39 @@ class Rules:
         begun = moved.touching & ~before.touching
         if begun:
             pressed = tuple(i for i in range(begun.bit_length()) if begun >> i & 1)
+        more, failed = 0.0, False
         if begun or prop_poses:
-            puzzle = self._puzzle.update(puzzle, Contacts(pressed, prop_poses))
+            chance = draw_chance(before.noise_key, before.primitives) if self._is_random else 0.0
+            contacts = Contacts(pressed, prop_poses, chance)
+            puzzle = self._puzzle.update(puzzle, contacts)
+            more = self._puzzle.compute_reward(before.puzzle, puzzle, contacts)
+            failed = self._puzzle.is_failed(puzzle)
         count = before.primitives + 1
-        terminated = self._exit.contains(moved.x, moved.y) and self._puzzle.is_solved(puzzle)
+        escaped = self._exit.contains(moved.x, moved.y) and self._puzzle.is_solved(puzzle)
+        terminated = escaped or failed
         state = RoomState(moved.x, moved.y, moved.heading_steps, moved.heading_offset, moved.joint_steps,
                           moved.joint_offsets, puzzle, moved.touching, count, moved.noise_key, moved.z, moved.pitch,
                           moved.roll, moved.physics)
-        reward = self._exit_reward if terminated else self._step_reward
+        reward = (self._exit_reward if escaped else self._step_reward) + more
         return Transition(state, reward, terminated, not terminated and count >= self._horizon, pressed)
+
+
+    def has_escaped(self, state: RoomState) -> bool:
+        """The exit is open and the robot stands in it."""
+        return self._puzzle.is_solved(state.puzzle) and self._exit.contains(state.x, state.y)
 
 
 class Kinematics(Rules):
     """The kinematic MDP of an instance: exact first contact, no sliding, arms pass through."""
 
-    def __init__(self, instance: RoomInstance) -> None:
-        super().__init__(instance)
+    def __init__(self, instance: RoomInstance, is_still: bool = False) -> None:
+        super().__init__(instance, is_still)
         robot, dynamics = instance.robot, instance.dynamics
         self._radius = robot.body_radius + CONTACT_SKIN
-        self._noise, self._slip = dynamics.noise, dynamics.slip
+        self._noise, self._slip = (0.0, 0.0) if is_still else (dynamics.noise, dynamics.slip)
         self.footprints = tuple(solid.footprint for solid in instance.solids)
         self._door = instance.door and instance.door.footprint
-        self._span = robot.move_step * (2.0 if dynamics.noise else 1.0)
+        self._span = robot.move_step * (2.0 if self._noise else 1.0)
         self._solid_cells: dict[tuple[int, int], tuple[Footprint, ...]] = {}
         self._primitives = self.actions.primitives
         self._moves = tuple(

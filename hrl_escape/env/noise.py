@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["EPISODE_PURPOSE", "compute_noise", "draw_episode", "philox"]
+__all__ = ["CHANCE_PURPOSE", "EPISODE_PURPOSE", "PUZZLE_PURPOSE", "compute_noise", "draw_chance", "draw_episode",
+           "draw_puzzle_start", "philox"]
 
 _MASK = 0xFFFFFFFF
 _MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
@@ -17,6 +18,10 @@ _WEYL = (0x9E3779B9, 0xBB67AE85)
 ROUNDS = 10
 EPISODE_PURPOSE = 1
 """Third word of the counter for draws at an episode's start, told apart from noise, whose word is 0."""
+CHANCE_PURPOSE = 2
+"""Third word of the counter for what is random in a puzzle."""
+PUZZLE_PURPOSE = 3
+"""Third word of the counter for the puzzle's first state."""
 
 
 def philox(counter: tuple[int, int, int, int], key: tuple[int, int]) -> tuple[int, int, int, int]:
@@ -41,6 +46,17 @@ def draw_episode(seed: int, episode: int, starts: int) -> tuple[int, int]:
     counter = (episode & _MASK, episode >> 32, EPISODE_PURPOSE, 0)
     first, second, third, _ = philox(counter, (seed & _MASK, seed >> 32 & _MASK))
     return first * starts >> 32, ((second << 32) | third) & (2**63 - 1)
+
+
+def draw_puzzle_start(key: int, starts: int) -> int:
+    """Return the number of the puzzle's first state in an episode, by the 64-bit key of the episode's noise."""
+    return philox((0, 0, PUZZLE_PURPOSE, 0), (key & _MASK, key >> 32))[0] * starts >> 32
+
+
+def draw_chance(key: int, primitive: int) -> float:
+    """Return the uniform number in (0, 1) that decides what is random in a puzzle at a primitive of an episode."""
+    word, *_ = philox((primitive & _MASK, primitive >> 32, CHANCE_PURPOSE, 0), (key & _MASK, key >> 32))
+    return (word + 0.5) / 2**32
 
 
 def compute_noise(key: int, primitive: int) -> tuple[float, float]:

@@ -24,8 +24,10 @@ from hrl_escape.env.puzzles.base import Panels, Place, PuzzleConfig
 from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.code_lock import CodeLockConfig
+from hrl_escape.env.puzzles.deep_sea import DeepSeaConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
+from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 from hrl_escape.env.puzzles.push_block import PushBlockConfig
 from hrl_escape.errors import ConfigError, UnknownNameError
@@ -143,9 +145,22 @@ def push_block() -> RoomConfig:
                       room=ShapeConfig(width=10, depth=10), dynamics=DynamicsConfig(kind="physics"))
 
 
-def _panel_puzzle(name: str, puzzle: PuzzleConfig) -> RoomConfig:
+def _panel_puzzle(name: str, puzzle: PuzzleConfig, **parts: Any) -> RoomConfig:
     return RoomConfig(name=name, puzzle=puzzle, robot=RobotConfig(body_radius=0.4),
-                      room=ShapeConfig(width=12, depth=12))
+                      room=ShapeConfig(width=12, depth=12), **parts)
+
+
+EVERYWHERE = ExitConfig(place="fixed", width=200, depth=200)
+"""An exit on the whole floor: the primitive that solves the puzzle ends the episode."""
+
+
+def deep_sea(size: int = 10) -> RoomConfig:
+    """Deep Sea of bsuite on two panels; its rewards are the only ones.
+
+    Args:
+        size: rows and columns, 2 to 50.
+    """
+    return _panel_puzzle("deep-sea", DeepSeaConfig(size=size), exit=EVERYWHERE, reward=RewardConfig(step=0.0, exit=0.0))
 
 
 PRESETS: dict[str, Callable[..., RoomConfig]] = {
@@ -162,6 +177,8 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "lights-out": lambda: _panel_puzzle("lights-out", LightsOutConfig(scramble=4)),
     "hanoi": lambda: _panel_puzzle("hanoi", HanoiConfig()),
     "code-lock": lambda: _panel_puzzle("code-lock", CodeLockConfig()),
+    "light-box": lambda: _panel_puzzle("light-box", LightBoxConfig()),
+    "deep-sea": deep_sea,
     "push-block": push_block,
 }
 

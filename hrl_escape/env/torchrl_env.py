@@ -26,7 +26,7 @@ class EscapeRoomTorchRLEnv(EnvBase):
 
     Keys, all with the batch size (num_envs,) in front: `observation` (float32), `action` (int64, categorical),
     `reward` (float32, 1), `done`, `terminated` and `truncated` (bool, 1), `buttons_on` (int8, one a target).
-    `terminated` is success: nothing else ends an episode early.
+    `terminated` is success, except in puzzles that can be failed.
 
     `set_seed(n)` seeds room i with n + i at its next reset; without it, seeds come from the system's entropy.
 

@@ -143,8 +143,7 @@ class EscapeRoomVectorEnv(VectorEnv):
             raise ConfigError("reset_mask", "(all false)", "true for at least one room")
         seeds = self._make_seeds(seed)
         observation = self.room.reset(seeds, where)
-        success = torch.zeros(self.num_envs, dtype=torch.bool, device=self.room.device)
-        return self._give(observation), self._make_infos(self.room.inform(), success)
+        return self._give(observation), self._make_infos(self.room.inform())
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Run one primitive in every room.
@@ -155,12 +154,12 @@ class EscapeRoomVectorEnv(VectorEnv):
         self._check_open()
         action = actions if isinstance(actions, Tensor) else self._take(actions)
         seen, reward, terminated, truncated, info, final_seen, final_info = self.room.step(action)
-        infos = self._make_infos(info, terminated)
+        infos = self._make_infos(info)
         if final_info is not None and bool((ended := terminated | truncated).any()):
             which = self._give(ended)
-            infos = self._make_infos(info, torch.zeros_like(terminated)) | {
+            infos |= {
                 "final_obs": self._give(final_seen), "_final_obs": which,
-                "final_info": self._make_infos(final_info, terminated, which), "_final_info": which,
+                "final_info": self._make_infos(final_info, which), "_final_info": which,
             }
         return self._give(seen), self._give(reward), self._give(terminated), self._give(truncated), infos
 
@@ -213,9 +212,9 @@ class EscapeRoomVectorEnv(VectorEnv):
     def _give(self, tensor: Tensor | None) -> Any:
         return tensor if tensor is None or not self._is_numpy else tensor.cpu().numpy()
 
-    def _make_infos(self, info: RoomInfo, success: Tensor, which: Any = None) -> dict[str, Any]:
+    def _make_infos(self, info: RoomInfo, which: Any = None) -> dict[str, Any]:
         """Information of some rooms (all by default), with Gymnasium's masks."""
-        values = {"primitives": info.primitives, "success": success, "pressed": info.pressed,
+        values = {"primitives": info.primitives, "success": info.success != 0, "pressed": info.pressed,
                   "buttons_on": info.buttons_on, "instance_index": info.instance}
         infos: dict[str, Any] = {name: self._give(value) for name, value in values.items()}
         if self._is_numpy:

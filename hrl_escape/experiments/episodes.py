@@ -13,7 +13,7 @@ from typing import Any
 
 import gymnasium
 
-from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.agent import Agent, read_success
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
@@ -57,7 +57,7 @@ class StateRecorder(gymnasium.Wrapper):
         self.states.append(self._get_state())
         if self.states[-1].puzzle != self.states[-2].puzzle:
             self._progress = max(self._progress, self._measure_progress())
-        self._progress = 1.0 if terminated else self._progress
+        self._progress = 1.0 if read_success(info, terminated) else self._progress
         return observation, reward, terminated, truncated, {**info, "progress": self._progress}
 
     def _measure_progress(self) -> float:
@@ -95,7 +95,7 @@ def record_episode(agent: Agent, env: gymnasium.Env, recorder: StateRecorder, se
         total += transition.summed_reward
         option = info.get("option") or {"name": names[transition.action], "ended": "reached"}
         decisions.append([option["name"], transition.duration, option["ended"]])
-        success = bool(info.get("is_success", transition.terminated))
+        success = read_success(info, transition.terminated)
     return {
         "return": total,
         "primitives": len(recorder.states) - 1,

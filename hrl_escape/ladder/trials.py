@@ -46,7 +46,7 @@ class TrialsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         observation, reward, terminated, truncated, info = self.env.step(action)
         info = {**info, "trial": self._trial, "trial_ended": terminated or truncated}
         if terminated or truncated:
-            info["is_success"] = bool(info.get("is_success", terminated))
+            info["is_success"] = bool(info.get("is_success", info.get("success", terminated)))
             if self._trial + 1 < self._trials:
                 self._trial += 1
                 observation, begun = self.env.reset(options=self._find_room())

@@ -108,7 +108,8 @@ def simulate(option: Option, state: RoomState, rules: Kinematics, most: int) -> 
             step = rules.step(here, int(run.choose(here)))
             here, count = step.state, count + 1
             if step.terminated:
-                return here, count, True
+                escaped = rules.has_escaped(here)
+                return here, count if escaped else 0, escaped  # what fails the puzzle leads nowhere
             if run.ends_at(here):
                 break
     except PlanningFailed:

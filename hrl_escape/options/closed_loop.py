@@ -33,7 +33,7 @@ class ClosedLoopExecution:
         states: states, the first one included.
         rewards: one a primitive.
         is_reached: the goal was reached.
-        terminated: the robot escaped.
+        terminated: the robot escaped, or the puzzle was failed.
         truncated: the episode was cut off.
     """
 
@@ -80,5 +80,5 @@ def pursue(env: gymnasium.Env, goal: Goal | str | None = None, planner: RoomPlan
         states += [step.next_state for step in info["trace"]]
         rewards += info["rewards"]
         failures = 0 if info["option"]["ended"] == "reached" else failures + 1
-        is_reached = terminated if goal is None else info["option"]["ended"] == "reached"
+        is_reached = planner.rules.has_escaped(states[-1]) if goal is None else info["option"]["ended"] == "reached"
     return ClosedLoopExecution(tuple(decisions), tuple(states), tuple(rewards), is_reached, terminated, truncated)

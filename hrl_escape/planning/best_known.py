@@ -8,8 +8,10 @@ agent has beaten.
 
 from __future__ import annotations
 
+import math
 import threading
 import warnings
+from collections.abc import Hashable
 from pathlib import Path
 from typing import NamedTuple
 
@@ -53,7 +55,7 @@ class BestKnown(NamedTuple):
 
 def best_known_return(instance: RoomInstance, *, state: RoomState | None = None,
                       records: str | Path | None = None) -> float:
-    """Return the best known return of a room, without noise, slip and physics.
+    """Return the best known return of a room, without noise, slip and physics, by a puzzle's most likely outcomes.
 
     Args:
         instance: the room.
@@ -69,9 +71,13 @@ def best_known_return(instance: RoomInstance, *, state: RoomState | None = None,
 
 
 def list_start_states(instance: RoomInstance) -> list[RoomState]:
-    """The instance's start states, at most the first `MOST_STARTS`."""
-    rules = get_planner(instance).rules
-    return [rules.make_state(start) for start in instance.starts[:MOST_STARTS]]
+    """The instance's start states: its first `MOST_STARTS` starts, or as many pairs with the puzzle's first states."""
+    rules, puzzles = get_planner(instance).rules, instance.puzzle.list_starts()
+    states = [rules.make_state(start) for start in instance.starts[:MOST_STARTS]]
+    if len(puzzles) == 1:
+        return states
+    pairs = [state._replace(puzzle=puzzle) for puzzle in puzzles for state in states]
+    return [pairs[n] for n in np.linspace(0, len(pairs) - 1, min(len(pairs), MOST_STARTS)).astype(int)]
 
 
 def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | Path | None = None
@@ -87,7 +93,7 @@ def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | 
         records: see `best_known_return`.
     """
     get_planner(instance).check_query(state)
-    key = (instance.id, get_pose(state))
+    key = (instance.id, get_pose(state), state.puzzle)
     with _LOCK:
         found = _KNOWN.get(key)
     if found is None:
@@ -106,14 +112,14 @@ def improve_best_known(instance: RoomInstance, state: RoomState, found: BestKnow
     known = find_best_known(instance, state)
     if found.value > known.value:
         with _LOCK:
-            _KNOWN[instance.id, get_pose(state)] = found._replace(upper_bound=known.upper_bound)
+            _KNOWN[instance.id, get_pose(state), state.puzzle] = found._replace(upper_bound=known.upper_bound)
 
 
 def record_return(instance: RoomInstance, state: RoomState, value: float, source: str,
                   records: str | Path | None = None) -> bool:
     """Record a return that beats the best known one, and warn.
 
-    Rooms with noise, slip or physics keep theirs: a lucky episode is no reference.
+    Rooms with noise, slip, physics or a random puzzle keep theirs: a lucky episode is no reference.
 
     Args:
         instance: the room.
@@ -126,13 +132,13 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
         True if it was better.
     """
     dynamics = instance.dynamics
-    if dynamics.is_random or dynamics.kind == "physics":
+    if dynamics.is_random or dynamics.kind == "physics" or instance.puzzle.is_random:
         return False
     known = find_best_known(instance, state, records=records)
     if value <= known.value + 1e-9:
         return False
     with _LOCK:
-        _KNOWN[instance.id, get_pose(state)] = _make_record(known, instance, value, source)
+        _KNOWN[instance.id, get_pose(state), state.puzzle] = _make_record(known, instance, value, source)
         if records is not None:
             content = _read_records(records)
             content[_name_record(instance, state)] = {"return": value, "source": source}
@@ -145,19 +151,21 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
     return True
 
 
-_KNOWN: dict[tuple[str, Pose], BestKnown] = {}
+_KNOWN: dict[tuple[str, Pose, Hashable], BestKnown] = {}
 _LOCK = threading.RLock()
 
 
 def _name_record(instance: RoomInstance, state: RoomState) -> str:
     arm = "".join(f" {n}" for n in state.joint_steps)
-    return f"{instance.id} {state.x!r} {state.y!r} {state.heading_steps} {state.heading_offset!r}{arm}"
+    begun = "" if state.puzzle == instance.puzzle.make_state() else f" {state.puzzle!r}"
+    return f"{instance.id} {state.x!r} {state.y!r} {state.heading_steps} {state.heading_offset!r}{arm}{begun}"
 
 
 def _make_record(known: BestKnown, instance: RoomInstance, value: float, source: str) -> BestKnown:
     """Best known return that an agent reached; without noise its length follows from it."""
     step = instance.reward.step
-    primitives = 1 + round((value - compute_escape_return(instance, 1)) / step) if step else None
+    is_told = step and not instance.puzzle.has_reward
+    primitives = 1 + round((value - compute_escape_return(instance, 1)) / step) if is_told else None
     return BestKnown(value, source, known.upper_bound, primitives)
 
 
@@ -202,5 +210,7 @@ def find_by_plan(planner: RoomPlanner, state: RoomState, jointly: bool) -> BestK
         best = min(best, planner.solve(state), key=lambda plan: plan.cost) if jointly else best
     except PlanningFailed:
         return BestKnown(compute_worst_return(instance), "nothing", bound)
+    if instance.puzzle.has_reward:
+        return BestKnown(best.compute_return(), "planner" if jointly else "options", math.inf, best.cost, best)
     return BestKnown(compute_escape_return(instance, best.cost), "planner" if jointly else "options", bound,
                      best.cost, best)

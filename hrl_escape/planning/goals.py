@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 
 from hrl_escape.env.instance import Rectangle, RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
-from hrl_escape.env.puzzles.base import Operator
+from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.errors import GoalError, UnknownNameError, show_value
 
 __all__ = [

@@ -215,7 +215,7 @@ class JointSearch:
                 if after.has_pose_of(here):
                     continue
                 if step.terminated:
-                    if spent < most:
+                    if spent < most and rules.has_escaped(after):
                         heapq.heappush(heap, (spent, -spent, next(tie), after, (trail, action, True)))
                     continue
                 field = costs.get(after.puzzle)

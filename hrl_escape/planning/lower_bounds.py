@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.geometry import Footprint, compute_distance, make_footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.puzzles.base import Operator
+from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.env.robot import make_robot
 from hrl_escape.planning.goals import Goal, PressGoal, PushGoal, make_goal
 from hrl_escape.planning.lattice.areas import compute_goal_area

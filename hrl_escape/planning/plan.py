@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.primitives import make_action_table
 from hrl_escape.errors import EscapeError
 from hrl_escape.planning.goals import Goal, describe_goal
@@ -105,6 +105,9 @@ class Plan:
 
     def compute_return(self) -> float:
         """Compute the undiscounted return of the plan as predicted, regardless of the horizon."""
+        if self.instance.puzzle.has_reward:
+            rules = Kinematics(self.instance, is_still=True)
+            return sum(rules.step(*pair).reward for pair in zip(self.states, self.primitives, strict=False))
         reward, last = self.instance.reward, self.states[-1]
         escapes = self.instance.exit.contains(last.x, last.y) and self.instance.puzzle.is_solved(last.puzzle)
         if not escapes:

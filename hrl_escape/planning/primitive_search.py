@@ -88,14 +88,10 @@ class PrimitiveSearch:
 
         Args:
             instance: the room. Noise and slip are ignored; physics is planned as if kinematic.
-            kinematics: its kinematics without noise and slip, if they exist already.
+            kinematics: its kinematics with nothing random, if they exist already.
         """
         self.instance = instance
-        dynamics = instance.dynamics
-        if kinematics is None or dynamics.is_random:
-            still = dataclasses.replace(dynamics, noise=0.0, slip=0.0)
-            kinematics = Kinematics(dataclasses.replace(instance, dynamics=still))
-        self.kinematics = kinematics
+        self.kinematics = kinematics or Kinematics(instance, is_still=True)
         self._makers: dict[tuple[bool, int], FieldMaker] = {}
         self._maps: dict[bool, CollisionMap] = {}
 

@@ -44,7 +44,8 @@ class RoomPlanner(TaskPlanner):
     Thread-safe by a lock. Pickling drops the remembered routes.
 
     Args:
-        instance: the room. Under noise, slip or physics, plans are for the kinematic room without these.
+        instance: the room. Under noise, slip or physics, plans are for the kinematic room without these; in a random
+            puzzle they suppose its most likely outcomes.
         method: `fields` (cost-to-go fields); a path planner round whose path to search, such as `RRTConnect`
             (see `list_planners`), with `corridor` for the default one; or `auto`, which takes the corridor for places
             on floors of more than 3,000 m^2, and fields for everything else.
@@ -54,7 +55,7 @@ class RoomPlanner(TaskPlanner):
 
     Attributes:
         instance: the room as given.
-        rules: its kinematics without noise and slip, by which plans are checked.
+        rules: its kinematics with nothing random, by which plans are checked.
 
     Raises:
         UnknownNameError: no such method.
@@ -189,8 +190,8 @@ class RoomPlanner(TaskPlanner):
     def _shorten_escape(self, state: RoomState, plan: Plan, settings: SearchSettings, clock: Clock) -> Plan:
         """The escape, or a shorter one found jointly; presses by hand, props and odd headings stay as they are."""
         room = self.instance
-        if (room.dynamics.press_with == "hand" or room.props or state.heading_offset or not plan.parts
-                or not all(isinstance(part.goal, (PressGoal, ExitGoal)) for part in plan.parts)):
+        if (room.dynamics.press_with == "hand" or room.props or state.heading_offset or room.puzzle.has_reward
+                or not plan.parts or not all(isinstance(part.goal, (PressGoal, ExitGoal)) for part in plan.parts)):
             return plan
         with self._lock:
             if self._joint is None:

@@ -49,7 +49,7 @@ class RouteFinder:
 
     Attributes:
         instance: the room as given.
-        rules: its kinematics without noise and slip, by which routes are checked.
+        rules: its kinematics with nothing random, by which routes are checked.
     """
 
     def __init__(self, instance: RoomInstance, method: str = "auto", budget: int = 300_000,
@@ -63,9 +63,9 @@ class RouteFinder:
         self.method, self.budget, self.time_limit = method, budget, time_limit
         # pressing under physics takes force: being within the margin is not enough
         margin = 0.0 if instance.dynamics.kind == "physics" else instance.dynamics.press_margin
-        quiet = dataclasses.replace(instance.dynamics, noise=0.0, slip=0.0, press_margin=margin)
-        self._quiet = dataclasses.replace(instance, dynamics=quiet)
-        self.rules = Kinematics(self._quiet)
+        self._quiet = dataclasses.replace(
+            instance, dynamics=dataclasses.replace(instance.dynamics, press_margin=margin))
+        self.rules = Kinematics(self._quiet, is_still=True)
         self._radius = instance.robot.body_radius + CONTACT_SKIN
         self._open()
 
@@ -339,7 +339,7 @@ class RouteFinder:
 
     def has_escaped(self, state: RoomState) -> bool:
         """The exit is open and the robot stands in it."""
-        return self.is_solved(state) and self.instance.exit.contains(state.x, state.y)
+        return self.rules.has_escaped(state)
 
 
 def check_method(method: str) -> None:

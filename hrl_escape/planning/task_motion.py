@@ -46,6 +46,9 @@ class TaskMotionPlanner:
         if any(isinstance(make_goal(op, room), PushGoal) for op in self._model.operators):
             raise UnsupportedError(f"a {room.puzzle.kind} task cannot be planned ahead: pushing takes physics. "
                                    "Use pursue(env), which runs in closed loop")
+        if any(op.when for op in self._model.operators):
+            raise UnsupportedError(f"a {room.puzzle.kind} task has conditional effects, which are not written out: "
+                                   "use export_pddl, or RoomPlanner.solve")
         self._operators = {clean_name(op.name): op for op in self._model.operators}
 
     # --- our problem out -----------------------------------------------------------------

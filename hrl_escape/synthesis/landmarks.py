@@ -14,7 +14,7 @@ from gymnasium import spaces
 
 from hrl_escape.agents.hierarchy.goals import GoalSet, GoalView
 from hrl_escape.agents.hierarchy.task import Seen
-from hrl_escape.env.puzzles.base import Operator
+from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.planning.symbolic.landmarks import find_first_operator, find_landmarks
 from hrl_escape.synthesis.situation import Situations
 

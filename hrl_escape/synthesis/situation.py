@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.puzzles.base import Operator
+from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.errors import PlanningFailed, UnsupportedError
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
@@ -65,6 +65,9 @@ class Situations:
         if any(operator.action != "press" for operator in self.operators):
             raise UnsupportedError(f"no hierarchy is synthesised for the puzzle {instance.puzzle.kind!r}: its props "
                                    "must be pushed, and tasks are made of presses")
+        if any(operator.when for operator in self.operators):
+            raise UnsupportedError(f"no hierarchy is synthesised for the puzzle {instance.puzzle.kind!r}: its "
+                                   "operators have conditional effects, and tasks are made of preconditions")
         self._propositions, self._goal = model.propositions, model.goal
         self._cell = cell or instance.robot.move_step
         self._joints = instance.robot.joints

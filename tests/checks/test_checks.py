@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from hrl_escape.checks import check_puzzle
-from hrl_escape.env.puzzles.base import Contacts, Operator, get_puzzle_kind, list_puzzles
+from hrl_escape.env.puzzles.base import Contacts, get_puzzle_kind, list_puzzles
 from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.push_block import PushBlockConfig, PushBlockPuzzle
+from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.errors import ContractError
 
 # --- puzzles ---------------------------------------------------------------------------------

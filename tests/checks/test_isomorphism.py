@@ -9,7 +9,10 @@ import pytest
 import hrl_escape
 from hrl_escape.checks import check_isomorphism
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
+from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.code_lock import CodeLockConfig
+from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 from hrl_escape.errors import ContractError
 
@@ -115,3 +118,70 @@ def test_a_lock_is_its_state_machine():
             return state
 
     assert check_isomorphism(env, Lock()) == 16
+
+
+class Box:
+    """Six lights in two rows, each of the second on two of the first; a press fails once in four times."""
+
+    parents = ((), (), (), (0, 1), (1, 2), (3, 4))
+
+    def list_states(self):
+        for on in itertools.product((False, True), repeat=6):
+            if all(not on[i] or all(on[j] for j in parents) for i, parents in enumerate(self.parents)):
+                yield on
+
+    def step(self, state, action, uniform):
+        on = list(state)
+        if uniform >= 0.75:
+            return state
+        if not on[action] and not all(on[i] for i in self.parents[action]):
+            return (False,) * 6
+        on[action] = not on[action]
+        for light, parents in enumerate(self.parents):
+            on[light] = on[light] and all(on[i] for i in parents)
+        return tuple(on)
+
+    def is_over(self, state):
+        return state[5]
+
+    def encode(self, state):
+        return sum(on << i for i, on in enumerate(state))
+
+
+class Lucky(Box):
+    def step(self, state, action, uniform):
+        return super().step(state, action, uniform / 2)
+
+
+def test_a_random_domain_takes_the_rooms_own_chances():
+    edges = tuple((parent, child) for child, parents in enumerate(Box.parents) for parent in parents)
+    env = make_env(LightBoxConfig(count=6, graph=GraphConfig(kind="edges", edges=edges), success=0.75))
+    assert check_isomorphism(env, Box()) == 6 * len(list(Box().list_states()))
+    with pytest.raises(ContractError, match="what the action does"):
+        check_isomorphism(env, Lucky())
+
+
+class Sea:
+    """Three rows of a deep sea: (row, column), and "treasure" where it was found."""
+
+    meaning = np.random.RandomState(42).binomial(1, 0.5, [3, 3])
+
+    def list_states(self):
+        return [(row, column) for row in range(3) for column in range(row + 1)]
+
+    def step(self, state, action):
+        row, column = state
+        if action != self.meaning[row, column]:
+            return row + 1, max(column - 1, 0)
+        return "treasure" if column == 2 else (row + 1, column + 1)
+
+    def is_over(self, state):
+        return state == "treasure" or state[0] == 3
+
+    def encode(self, state):
+        return 1 << 12 | 3 << 6 | 2 if state == "treasure" else state[0] << 6 | state[1]
+
+
+def test_a_dive_that_fails_is_over():
+    env = gymnasium.make("hrl_escape/EscapeRoom-v1", config=get_preset("deep-sea", size=3))
+    assert check_isomorphism(env, Sea()) == 12

@@ -22,6 +22,7 @@ from hrl_escape.agents.agent import (
     count_actions,
     make_transition,
     read_action_mask,
+    read_success,
 )
 
 __all__ = ["Evaluation", "compute_episode_seed", "evaluate", "evaluate_trials", "play_episode"]
@@ -37,7 +38,7 @@ class Evaluation:
         returns: undiscounted return of each episode.
         lengths: primitives of each episode.
         decision_counts: decisions of each episode.
-        successes: whether each succeeded: `info["is_success"]` at its end if given, else `terminated`.
+        successes: whether each succeeded: what `read_success` says of its end.
         progress: share of the task done at best in each: the largest `info["progress"]` if given, else 1 for success.
         seconds: wall time of the evaluation; left out of comparisons between results.
     """
@@ -181,7 +182,7 @@ class _Sums:
         self.total += transition.summed_reward
         self.length += transition.duration
         self.count += 1
-        self.success = bool(info.get("is_success", transition.terminated))
+        self.success = read_success(info, transition.terminated)
         self.progress = max(self.progress, float(info.get("progress", self.success)))
 
 

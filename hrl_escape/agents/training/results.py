@@ -29,7 +29,7 @@ METRICS = {
     "train/return": "undiscounted return of a training episode, exploration included",
     "train/length": "primitives in a training episode",
     "train/decisions": "decisions in a training episode",
-    "train/success": "1 if it succeeded (info['is_success'] if given, else terminated), else 0",
+    "train/success": "1 if it succeeded (info['is_success'] or info['success'] if given, else terminated), else 0",
     "train/episodes": "episodes that ended in a segment of training in many streams",
     "train/successes": "those of them that succeeded",
     "train/end": "how it ended: terminated, truncated, or budget where the run's budget cut it",
@@ -79,7 +79,7 @@ class EpisodeRecord:
         decisions: decisions trained for, at its end.
         episode_return: undiscounted sum of primitive rewards.
         length: primitives in it.
-        success: `info["is_success"]` at its end if given, else `terminated`.
+        success: what `read_success` says of its end.
         end: `terminated`, `truncated`, or `budget` where the run's budget cut it.
         seconds: seconds of training at its end, without evaluations; left out of comparisons.
     """

@@ -25,6 +25,7 @@ from hrl_escape.agents.agent import (
     count_actions,
     make_transition,
     read_action_mask,
+    read_success,
 )
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts
@@ -343,7 +344,7 @@ class _Tally:
         self.length += transition.duration
         self.decisions += 1
         if transition.terminated or transition.truncated:
-            self.success = bool(info.get("is_success", transition.terminated))
+            self.success = read_success(info, transition.terminated)
         if (option := info.get("option")) is not None:
             name = option["name"]
             self._choices[name] = self._choices.get(name, 0) + 1

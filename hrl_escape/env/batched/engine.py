@@ -19,7 +19,7 @@ from hrl_escape.env.batched.devices import check_compiler, find_device
 from hrl_escape.env.batched.observations import TensorObservation, compute_bounds, load_observation, observe
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle, unpack_bits
-from hrl_escape.env.batched.rules import begin, restart, step
+from hrl_escape.env.batched.rules import begin, is_in_exit, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables, make_layout, map_tensors, pick, stack_instances
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
@@ -57,12 +57,14 @@ class RoomInfo(NamedTuple):
         pressed: 1 for each target pressed by this primitive, int8 (rooms, targets).
         buttons_on: 1 for each target that is on, int8 (rooms, targets).
         instance: index of the instance, int64 (rooms,).
+        success: 1 if the episode has ended by an escape, else 0, int32 (rooms,).
     """
 
     primitives: Tensor
     pressed: Tensor
     buttons_on: Tensor
     instance: Tensor
+    success: Tensor
 
 
 class Outcome(NamedTuple):
@@ -111,9 +113,11 @@ def advance(layout: Layout, observation: TensorObservation, autoreset: Autoreset
 
 def inform(layout: Layout, tables: Tables, state: TensorState, pressed: Tensor) -> RoomInfo:
     """Make the info of every room; `pressed` holds bits, int64 (rooms,)."""
-    lit = get_tensor_puzzle(layout.puzzle).get_lit(pick(layout, tables.puzzle, state.instance), state.puzzle)
+    form, columns = get_tensor_puzzle(layout.puzzle), pick(layout, tables.puzzle, state.instance)
+    lit = form.get_lit(columns, state.puzzle)
     begun, on = (unpack_bits(words, layout.targets, torch.int8).T.contiguous() for words in (pressed, lit))
-    return RoomInfo(state.primitives, begun, on, state.instance)
+    success = is_in_exit(layout, tables, state.instance, state.x, state.y) & form.is_solved(columns, state.puzzle)
+    return RoomInfo(state.primitives, begun, on, state.instance, state.has_ended * success.to(torch.int32))
 
 
 # For the compiler of CPU kernels: keep loops over a few solids as loops, and read far ahead before

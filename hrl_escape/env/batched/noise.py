@@ -11,9 +11,9 @@ import math
 import torch
 from torch import Tensor
 
-from hrl_escape.env.noise import EPISODE_PURPOSE, ROUNDS
+from hrl_escape.env.noise import CHANCE_PURPOSE, EPISODE_PURPOSE, PUZZLE_PURPOSE, ROUNDS
 
-__all__ = ["compute_noise", "draw_words", "philox", "scale_word"]
+__all__ = ["compute_noise", "draw_chance", "draw_puzzle_start", "draw_words", "philox", "scale_word"]
 
 _MASK = 0xFFFFFFFF
 _MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
@@ -59,6 +59,16 @@ def compute_noise(key: Tensor, primitive: Tensor) -> tuple[Tensor, Tensor]:
     scale = 1.0 / 2**32
     first, second, third = ((word.to(torch.float64) + 0.5) * scale for word in (a, b, c))
     return torch.sqrt(-2.0 * torch.log(first)) * torch.cos(2.0 * math.pi * second), third
+
+
+def draw_chance(key: Tensor, primitive: Tensor) -> Tensor:
+    """Return the uniform numbers in (0, 1) that decide what is random in puzzles, float64 (rooms,)."""
+    return (_run(key, primitive, CHANCE_PURPOSE)[0].to(torch.float64) + 0.5) / 2**32
+
+
+def draw_puzzle_start(key: Tensor, starts: Tensor) -> Tensor:
+    """Return the number of each puzzle's first state of its `starts`, int64 (rooms,)."""
+    return scale_word(_run(key, torch.zeros_like(key), PUZZLE_PURPOSE)[0], starts)
 
 
 def draw_words(seed: Tensor, episode: Tensor) -> Words:

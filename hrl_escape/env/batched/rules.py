@@ -13,14 +13,14 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact
-from hrl_escape.env.batched.noise import compute_noise, draw_words, scale_word
+from hrl_escape.env.batched.noise import compute_noise, draw_chance, draw_puzzle_start, draw_words, scale_word
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching
-from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle
+from hrl_escape.env.batched.puzzles.base import TensorContacts, get_tensor_puzzle
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.primitives import BASE_ACTIONS
 
-__all__ = ["TensorTransition", "begin", "restart", "step"]
+__all__ = ["TensorTransition", "begin", "is_in_exit", "restart", "step"]
 
 
 class TensorTransition(NamedTuple):
@@ -148,16 +148,26 @@ def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorSta
     columns = pick(layout, tables.puzzle, before.instance)
     touching = compute_touching(layout, tables, moved)
     pressed = touching & ~before.touching
-    puzzle = form.update(columns, before.puzzle, pressed, layout.targets)
+    chance = draw_chance(before.noise_key, before.primitives) if layout.is_puzzle_random else torch.zeros_like(before.x)
+    contacts = TensorContacts(pressed, chance)
+    puzzle = form.update(columns, before.puzzle, contacts, layout.targets)
     primitives = before.primitives + 1
-    x_min, x_max, y_min, y_max = pick(layout, tables.exits, before.instance)
-    is_inside = (x_min <= moved.x) & (moved.x <= x_max) & (y_min <= moved.y) & (moved.y <= y_max)
-    terminated = is_inside & form.is_solved(columns, puzzle)
+    escaped = is_in_exit(layout, tables, moved.instance, moved.x, moved.y) & form.is_solved(columns, puzzle)
+    failed, more = form.is_failed(columns, puzzle), form.compute_reward(columns, before.puzzle, puzzle, contacts)
+    terminated = escaped if failed is None else escaped | (failed & (pressed != 0))
     truncated = ~terminated & (primitives >= pick(layout, tables.horizons, before.instance)[0])
     each, final = pick(layout, tables.rewards, before.instance)
     state = moved._replace(puzzle=puzzle, touching=touching, primitives=primitives,
                            has_ended=(terminated | truncated).to(torch.int32))
-    return TensorTransition(state, torch.where(terminated, final, each), terminated, truncated, pressed)
+    reward = torch.where(escaped, final, each)
+    reward = reward if more is None else reward + torch.where(pressed != 0, more, 0.0)
+    return TensorTransition(state, reward, terminated, truncated, pressed)
+
+
+def is_in_exit(layout: Layout, tables: Tables, instance: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """Return true where a place is inside the exit, bool (rooms,)."""
+    x_min, x_max, y_min, y_max = pick(layout, tables.exits, instance)
+    return (x_min <= x) & (x <= x_max) & (y_min <= y) & (y <= y_max)
 
 
 # --- episodes ------------------------------------------------------------------------------
@@ -182,11 +192,14 @@ def restart(layout: Layout, tables: Tables, state: TensorState, where: Tensor) -
         chosen = scale_word(first, pick(layout, tables.start_counts, instance)[0])
         noise_key = ((second << 32) | third) & (2**63 - 1)
     column = torch.zeros_like(instance) if layout.is_shared else instance
+    begun = torch.zeros_like(instance)
+    if len(tables.puzzle_starts) > 1:
+        begun = draw_puzzle_start(noise_key, pick(layout, tables.puzzle_start_counts, instance)[0])
     x, y, offset = tables.starts[:, chosen, column]
     fresh = state._replace(
         x=x, y=y, heading_steps=tables.start_headings[chosen, column], heading_offset=offset,
         joint_steps=torch.zeros_like(state.joint_steps), joint_offsets=torch.zeros_like(state.joint_offsets),
-        puzzle=pick(layout, tables.puzzle_start, instance)[0].expand_as(state.puzzle),
+        puzzle=tables.puzzle_starts[begun, column],
         touching=tables.start_touching[chosen, column], primitives=torch.zeros_like(state.primitives),
         noise_key=noise_key, instance=instance, episode=episode, has_ended=torch.zeros_like(state.has_ended),
     )

@@ -55,7 +55,8 @@ class Layout:
         has_door: True if any exit has a door.
         has_offsets: True if headings can leave the lattice of turn steps (noise, or a start off it).
         is_shared: True for a single instance, so that tables need no look-up.
-        draws: True if anything is random at the start of an episode.
+        is_puzzle_random: True if something is random in the puzzle of any room.
+        draws: True if anything is random in an episode.
         resample: True if a new episode draws another instance.
     """
 
@@ -68,6 +69,7 @@ class Layout:
     has_door: bool
     has_offsets: bool
     is_shared: bool
+    is_puzzle_random: bool
     draws: bool
     resample: bool
 
@@ -103,7 +105,8 @@ class Tables(NamedTuple):
         start_touching: bits of the targets touched there, int64 (starts, instances).
         start_counts: starts that each instance has, int64 (1, instances).
         puzzle: tables of the puzzle's own, (..., instances).
-        puzzle_start: the puzzle's state at the start of an episode, int64 (1, instances).
+        puzzle_starts: states of the puzzle in which episodes may begin, int64 (puzzle starts, instances).
+        puzzle_start_counts: those that each instance has, int64 (1, instances).
         headings: angle, cosine and sine of each turn step, (3, headings).
         total: number of instances, int64 ().
     """
@@ -125,7 +128,8 @@ class Tables(NamedTuple):
     start_touching: Tensor
     start_counts: Tensor
     puzzle: dict[str, Tensor]
-    puzzle_start: Tensor
+    puzzle_starts: Tensor
+    puzzle_start_counts: Tensor
     headings: Tensor
     total: Tensor
 
@@ -189,6 +193,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
                 raise UnsupportedError(f"instance {index} of a batch has another {what} than instance 0 ({theirs} "
                                        f"and not {mine}): make one batch for each")
     noise = first.dynamics.noise
+    is_puzzle_random = any(instance.puzzle.is_random for instance in instances)
     return Layout(
         robot=first.robot,
         actions=make_action_table(first.robot.joints),
@@ -199,7 +204,9 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
         has_door=any(instance.door for instance in instances),
         has_offsets=bool(noise) or any(start.heading_offset for instance in instances for start in instance.starts),
         is_shared=len(instances) == 1,
-        draws=resample or bool(noise or first.dynamics.slip) or any(len(i.starts) > 1 for i in instances),
+        is_puzzle_random=is_puzzle_random,
+        draws=(resample or is_puzzle_random or bool(noise or first.dynamics.slip)
+               or any(len(i.starts) > 1 or len(i.puzzle.list_starts()) > 1 for i in instances)),
         resample=resample,
     )
 
@@ -227,6 +234,8 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
              for n in range(layout.headings)]
     form = get_tensor_puzzle(layout.puzzle)
     puzzle = form.make_tables([i.puzzle for i in instances], layout.targets)
+    puzzle_starts = [[as_signed(form.encode(state)) for state in i.puzzle.list_starts()] for i in instances]
+    most_puzzle = max(map(len, puzzle_starts))
 
     def pad(values: Sequence[float]) -> list[float]:
         return [*values, *[-1.0] * (layout.targets - len(values))]
@@ -250,7 +259,8 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
         start_touching=integers([[as_signed(row[k].touching) for row in begins] for k in range(most)]),
         start_counts=integers([[len(i.starts) for i in instances]]),
         puzzle={name: torch.as_tensor(values).to(device) for name, values in puzzle.items()},
-        puzzle_start=integers([[as_signed(form.encode(i.puzzle.make_state())) for i in instances]]),
+        puzzle_starts=integers([[row[min(k, len(row) - 1)] for row in puzzle_starts] for k in range(most_puzzle)]),
+        puzzle_start_counts=integers([[len(row) for row in puzzle_starts]]),
         headings=floats(columns(turns)),
         total=integers(len(instances)),
     )

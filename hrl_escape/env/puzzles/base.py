@@ -11,25 +11,25 @@ from __future__ import annotations
 import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Hashable, Mapping
+from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from typing_extensions import Self
 
+from hrl_escape.env.puzzles.symbolic import SOLVED, Operator, SymbolicModel, derive_model, name_state
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.plugins import load_entry_points
 from hrl_escape.settings import Range, Settings
 
 __all__ = [
     "Contacts",
-    "Operator",
     "Panels",
     "Place",
     "Prop",
     "Puzzle",
     "PuzzleConfig",
     "PuzzleKind",
-    "SymbolicModel",
     "get_puzzle_kind",
     "list_puzzles",
     "register_puzzle",
@@ -46,52 +46,14 @@ class Contacts(NamedTuple):
         prop_poses: (x, y, yaw) of each prop in the room frame, metres and radians; they
             move under physics dynamics only. A puzzle with props is told where they stand
             once before the first primitive, with nothing pressed.
+        uniform: number between 0 and 1 drawn for this primitive, if the puzzle is random. 0, which is never drawn,
+            stands for the most likely outcome: planners press with it, so an outcome of probability p should be that
+            of numbers below p.
     """
 
     pressed: tuple[int, ...]
     prop_poses: tuple[tuple[float, float, float], ...] = ()
-
-
-@dataclasses.dataclass(frozen=True)
-class Operator:
-    """One symbolic action: a STRIPS operator over propositions.
-
-    Attributes:
-        name: verb phrase, such as `press-button-2`.
-        target: name of the target or prop it acts on.
-        action: what to do with it: `press` a target, or `push` a prop to `destination`.
-        preconditions: propositions that must hold.
-        forbidden: propositions that must not hold.
-        add: propositions made true.
-        delete: propositions made false.
-        destination: name of the prop that `target` is pushed onto, if `action` is `push`.
-    """
-
-    name: str
-    target: str
-    action: str
-    preconditions: frozenset[str]
-    forbidden: frozenset[str]
-    add: frozenset[str]
-    delete: frozenset[str]
-    destination: str | None = None
-
-    def is_applicable(self, facts: frozenset[str]) -> bool:
-        """Say whether the operator may be applied where `facts` hold."""
-        return self.preconditions <= facts and not self.forbidden & facts
-
-    def apply(self, facts: frozenset[str]) -> frozenset[str]:
-        """Return the facts after applying the operator."""
-        return (facts - self.delete) | self.add
-
-
-@dataclasses.dataclass(frozen=True)
-class SymbolicModel:
-    """A puzzle as planners see it: propositions, operators, and the facts that solve it."""
-
-    propositions: tuple[str, ...]
-    operators: tuple[Operator, ...]
-    goal: frozenset[str]
+    uniform: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -242,9 +204,18 @@ class Puzzle(_OfKind):
         """Things on the floor that the room must place."""
         return ()
 
+    @property
+    def is_random(self) -> bool:
+        """`update` reads `contacts.uniform`."""
+        return False
+
     @abstractmethod
     def make_state(self) -> PuzzleState:
         """Return the state at the start of an episode."""
+
+    def list_starts(self) -> tuple[PuzzleState, ...]:
+        """List the states in which episodes may begin; each draws one, all alike. The first is `make_state()`."""
+        return (self.make_state(),)
 
     def is_state(self, state: Any) -> bool:
         """Say whether a value from outside is a state of this puzzle; by default, if its numbers are within bounds."""
@@ -263,6 +234,19 @@ class Puzzle(_OfKind):
     def is_solved(self, state: PuzzleState) -> bool:
         """Say whether the exit is open."""
 
+    def is_failed(self, state: PuzzleState) -> bool:
+        """Say whether the episode ends here without an escape, as the primitive that led here is over."""
+        return False
+
+    def compute_reward(self, before: PuzzleState, after: PuzzleState, contacts: Contacts) -> float:
+        """Reward of a primitive that pressed something, on top of the room's own."""
+        return 0.0
+
+    @property
+    def has_reward(self) -> bool:
+        """The puzzle has rewards of its own, so that a return does not follow from a number of primitives."""
+        return type(self).compute_reward is not Puzzle.compute_reward
+
     @property
     @abstractmethod
     def bounds(self) -> tuple[tuple[float, float], ...]:
@@ -276,13 +260,38 @@ class Puzzle(_OfKind):
     def get_lit(self, state: PuzzleState) -> tuple[bool, ...]:
         """Say for each target whether it is on."""
 
-    @abstractmethod
-    def get_facts(self, state: PuzzleState) -> frozenset[str]:
-        """Return the propositions of the symbolic model that hold."""
+    # --- for planners --------------------------------------------------------------------
 
-    @abstractmethod
+    def get_facts(self, state: PuzzleState) -> frozenset[str]:
+        """Return the propositions of the symbolic model that hold; override it with `make_symbolic_model`.
+
+        Raises:
+            ConfigError: no presses lead to this state, and the model is derived.
+        """
+        number = self._derived[1].get(state)
+        if number is None:
+            raise ConfigError("puzzle.state", state, "a state that presses lead to from a start")
+        return frozenset({name_state(number), *([SOLVED] if self.is_solved(state) else [])})
+
     def make_symbolic_model(self) -> SymbolicModel:
-        """Return the model that planners, option synthesis and PDDL export read."""
+        """Return the model that planners, option synthesis and PDDL export read.
+
+        By default it is derived from the rules, by visiting every state that presses lead to.
+
+        Raises:
+            UnsupportedError: there are too many states for that.
+        """
+        return self._derived[0]
+
+    def plan(self, state: PuzzleState) -> tuple[Operator, ...] | None:
+        """Return the operators that solve the puzzle from here, if it knows better than a search; else None."""
+        return None
+
+    @cached_property
+    def _derived(self) -> tuple[SymbolicModel, dict[PuzzleState, int]]:
+        return derive_model(
+            self.kind, self.list_starts(), self.target_names, self.is_solved, is_random=self.is_random,
+            press=lambda state, target, chance: self.update(state, Contacts((target,), uniform=chance)))
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:

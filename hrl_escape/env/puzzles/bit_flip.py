@@ -16,8 +16,9 @@ from typing import Annotated
 
 import numpy as np
 
-from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, PuzzleConfig, SymbolicModel, register_puzzle
+from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.bits import BitPuzzle
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.settings import Range
 
 __all__ = ["BitFlipConfig", "BitFlipPuzzle"]

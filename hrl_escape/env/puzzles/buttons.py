@@ -12,9 +12,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, PuzzleConfig, SymbolicModel, register_puzzle
+from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.bits import BitPuzzle
 from hrl_escape.env.puzzles.graphs import ButtonNumber, GraphConfig, compute_order, sample_graph
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 

@@ -12,7 +12,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from hrl_escape.env.puzzles.base import Contacts, Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel, register_puzzle
+from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.settings import Range
 
 __all__ = ["HAND", "PEGS", "HanoiConfig", "HanoiPuzzle"]

@@ -73,6 +73,8 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator) -> Floorplan:
         exit_area, door, alcove = _make_alcove(config, sides[side], at)
     elif config.exit.place == "fixed":
         exit_area = _rectangle(config.exit.x, config.exit.y, config.exit.width / 2, config.exit.depth / 2)
+        if exit_area.contains(half_x, half_y) and exit_area.contains(-half_x, -half_y):
+            exit_area = _rectangle(0.0, 0.0, half_x, half_y)  # everywhere: no further than the floor
     else:
         exit_area = _place_exit(config, rng)
     solids: list[Solid] = []

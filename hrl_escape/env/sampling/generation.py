@@ -126,12 +126,14 @@ def _paper_places(config: RoomConfig, panels: Panels) -> tuple[Place, ...]:
 
 def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorplan, others: list[Target],
                    rng: np.random.Generator) -> Target:
-    """Hang a panel on a random wall: no overlap with others, not in the exit."""
+    """Hang a panel on a random wall: no overlap with others, not in the exit unless that is everywhere."""
     faces = [f for f in plan.faces if f.length >= panels.width]
     if not faces:
         raise Rejected(f"{name} must fit onto a wall")
     room = np.array([f.length - panels.width + 1e-3 for f in faces])
     inset = panels.thickness / 2 if panels.inset is None else panels.inset
+    half_x, half_y = config.room.width / 2, config.room.depth / 2
+    is_everywhere = plan.exit.contains(half_x, half_y) and plan.exit.contains(-half_x, -half_y)
     for _ in range(200):
         face: Face = faces[int(rng.choice(len(faces), p=room / room.sum()))]
         along = panels.width / 2 + float(rng.uniform(0.0, face.length - panels.width))
@@ -144,7 +146,7 @@ def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorpla
                       for o in others)
         exit_x, exit_y = plan.exit.centre
         area = make_footprint(exit_x, exit_y, plan.exit.x_max - exit_x, plan.exit.y_max - exit_y)
-        if not crowded and compute_distance(target.x, target.y, area) > radius:
+        if not crowded and (is_everywhere or compute_distance(target.x, target.y, area) > radius):
             return target
     raise Rejected(f"{len(others) + 1} buttons must fit onto the walls without overlap, outside the exit")
 

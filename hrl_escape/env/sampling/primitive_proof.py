@@ -13,7 +13,6 @@ certificate is the geometric one.
 
 from __future__ import annotations
 
-import dataclasses
 import heapq
 import itertools
 import math
@@ -45,6 +44,8 @@ _EXPANSIONS = 4000
 _FINENESS = (0.05, 0.3, 1e-4)
 """Share of a step within which two places count as one: the search is made again where it failed."""
 _HANDS = 4000
+_MOST_PRESSES = 4
+"""Presses of a target, on average, of the longest solution that is tried out in primitives."""
 
 
 def find_unmet_constraint(instance: RoomInstance) -> str | None:
@@ -69,8 +70,7 @@ def find_unproven(instance: RoomInstance, floors: Floors) -> str | None:
     """
     if instance.dynamics.kind == "physics" or meets_condition(instance):
         return None
-    dynamics = dataclasses.replace(instance.dynamics, noise=0.0, slip=0.0)
-    return _Search(dataclasses.replace(instance, dynamics=dynamics), floors).find_unproven()
+    return _Search(instance, floors).find_unproven()
 
 
 # --- the condition -------------------------------------------------------------------------
@@ -139,7 +139,7 @@ class _Search:
     def __init__(self, instance: RoomInstance, floors: Floors) -> None:
         self._instance, self._floors = instance, floors
         self._work = floors.shut.work
-        self._rules = Kinematics(instance)
+        self._rules = Kinematics(instance, is_still=True)
         self._step = instance.robot.move_step
         quarter = self._rules.headings // 4 if self._rules.headings % 4 == 0 else self._rules.headings
         self._alike = quarter if instance.dynamics.press_with == "body" else self._rules.headings
@@ -158,7 +158,7 @@ class _Search:
         """See `find_unproven`."""
         for start in self._instance.starts:
             state = self._rules.make_state(start)
-            for _ in range(4 * len(self._instance.targets) + 1):
+            for _ in range(_MOST_PRESSES * len(self._instance.targets) + 1):
                 if self._instance.puzzle.is_solved(state.puzzle):
                     break
                 wanted = self._choose_target(state.puzzle)
@@ -176,12 +176,17 @@ class _Search:
         """Next target to press on the way to the puzzle's goal, deletions left out of account."""
         puzzle = self._instance.puzzle
         model, names = puzzle.make_symbolic_model(), puzzle.target_names
+        if any(operator.when for operator in model.operators):
+            path = puzzle.plan(puzzle_state) or model.find_fewest(puzzle.get_facts(puzzle_state)) or ()
+            is_short = 0 < len(path) <= _MOST_PRESSES * len(names)
+            return names.index(path[0].target) if is_short and path[0].action == "press" else None
         first = {fact: None for fact in puzzle.get_facts(puzzle_state)}
         layer = True
         while layer and not model.goal <= first.keys():
-            layer = [op for op in model.operators if op.preconditions <= first.keys() and op.add - first.keys()]
-            for operator in layer:
-                for fact in operator.add - first.keys():
+            known = frozenset(first)
+            layer = [(op, new) for op in model.operators if (new := op.relax(known) - known)]
+            for operator, new in layer:
+                for fact in new - first.keys():
                     first[fact] = operator  # type: ignore[assignment]  # the first that adds it
         if not model.goal <= first.keys():
             return None

@@ -115,8 +115,7 @@ def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
 
 
 def _compute(instance: RoomInstance) -> InstanceFields:
-    quiet = dataclasses.replace(instance.dynamics, noise=0.0, slip=0.0)
-    rules = Kinematics(dataclasses.replace(instance, dynamics=quiet))
+    rules = Kinematics(instance, is_still=True)
     offsets = {start.heading_offset for start in instance.starts}
     offset = offsets.pop() if len(offsets) == 1 and not instance.dynamics.noise else 0.0
     grids = [_FieldGrid(instance, rules, offset, is_solved) for is_solved in (False, True)]

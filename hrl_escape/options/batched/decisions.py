@@ -33,7 +33,7 @@ class Transitions(NamedTuple):
         discount: gamma^k, float32 (rooms,).
         next_observation: observation at its end, before any automatic reset.
         next_action_mask: the actions legal there, bool (rooms, actions).
-        terminated: the robot escaped, bool (rooms,).
+        terminated: the robot escaped, or the puzzle was failed, bool (rooms,).
         truncated: the horizon was reached, bool (rooms,); bootstrap from the state reached.
         ended: its ending, an index into `ENDINGS`, int8 (rooms,).
         pressed: bit i is set if target i was pressed by any of the k primitives, int64 (rooms,).

@@ -15,6 +15,7 @@ from torch import Tensor
 from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact
 from hrl_escape.env.batched.poses import TensorState, compute_rotation
 from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle
+from hrl_escape.env.batched.rules import is_in_exit
 from hrl_escape.env.batched.tables import Layout, Tables, pick
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.primitives import BASE_ACTIONS
@@ -27,7 +28,7 @@ from hrl_escape.options.batched.cost_to_go import (
 )
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 
-__all__ = ["MEMORY", "Choice", "can_start", "choose_primitive", "is_in_exit", "is_solved"]
+__all__ = ["MEMORY", "Choice", "can_start", "choose_primitive", "is_solved"]
 
 MEMORY = 8
 """Cells whose cost a room remembers."""
@@ -52,12 +53,6 @@ class Choice(NamedTuple):
 def is_solved(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
     """Return whether the exit is open, bool (rooms,)."""
     return get_tensor_puzzle(layout.puzzle).is_solved(pick(layout, tables.puzzle, state.instance), state.puzzle)
-
-
-def is_in_exit(layout: Layout, tables: Tables, instance: Tensor, x: Tensor, y: Tensor) -> Tensor:
-    """Return whether positions (..., rooms) are in each room's exit."""
-    x_min, x_max, y_min, y_max = pick(layout, tables.exits, instance)
-    return (x_min <= x) & (x <= x_max) & (y_min <= y) & (y <= y_max)
 
 
 def can_start(layout: Layout, tables: Tables, state: TensorState) -> Tensor:

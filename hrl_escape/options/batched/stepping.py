@@ -14,12 +14,12 @@ from torch import Tensor
 
 from hrl_escape.env.batched.observations import TensorObservation, observe
 from hrl_escape.env.batched.poses import TensorState
-from hrl_escape.env.batched.rules import restart, step
+from hrl_escape.env.batched.rules import is_in_exit, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables
 from hrl_escape.env.primitives import BASE_ACTIONS
 from hrl_escape.options.batched.cost_to_go import CostFields
 from hrl_escape.options.batched.decisions import ENDINGS, PLAN_LENGTH, OpenDecisions, Transitions
-from hrl_escape.options.batched.policy import MEMORY, Choice, can_start, choose_primitive, is_in_exit
+from hrl_escape.options.batched.policy import MEMORY, Choice, can_start, choose_primitive
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 
 __all__ = ["FAIL_AFTER", "PLAN_AFTER", "AgentView", "StepSettings", "begin_decisions", "make_decisions", "make_view",

@@ -112,8 +112,7 @@ class Reacher:
                                    "a Reacher is for dynamics.press_with = 'hand'")
         self.instance = instance
         self.collide = instance.dynamics.kind == "physics" if collide is None else collide
-        exact = dataclasses.replace(instance.dynamics, noise=0.0, slip=0.0)
-        self.kinematics = Kinematics(dataclasses.replace(instance, dynamics=exact))
+        self.kinematics = Kinematics(instance, is_still=True)
         hand = instance.robot.hand_radius
         self.limit = (max(hand - _PUSH, hand / 2) if self.collide else hand + instance.dynamics.press_margin) - _SKIN
         self._boxes = np.array([

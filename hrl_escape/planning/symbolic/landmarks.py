@@ -6,10 +6,12 @@ propagation of Zhu and Givan 2003). What an operator forbids counts as a fact of
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 from collections.abc import Iterable, Mapping
 from typing import TypeAlias
 
-from hrl_escape.env.puzzles.base import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 
 __all__ = ["find_first_operator", "find_landmarks"]
 
@@ -34,7 +36,7 @@ def find_landmarks(model: SymbolicModel, facts: frozenset[str], goal: Iterable[s
     grew = True
     while grew:
         grew = False
-        for operator in model.operators:
+        for operator in itertools.chain(*map(_split, model.operators)):
             needs = [(fact, True) for fact in operator.preconditions] + [(fact, False) for fact in operator.forbidden]
             if any(need not in before for need in needs):
                 continue
@@ -50,6 +52,14 @@ def find_landmarks(model: SymbolicModel, facts: frozenset[str], goal: Iterable[s
     found = {fact for literal in wanted for fact, holds in before[literal] | {literal} if holds and fact not in facts}
     return {fact: frozenset(each for each, holds in before[fact, True] if holds and each not in facts) - {fact}
             for fact in sorted(found)}
+
+
+def _split(operator: Operator) -> list[Operator]:
+    """The operator without conditional effects, and one for each of these."""
+    parts = [dataclasses.replace(operator, preconditions=operator.preconditions | effect.condition,
+                                 forbidden=operator.forbidden | effect.forbidden, add=effect.add, delete=effect.delete,
+                                 when=()) for effect in operator.when]
+    return [dataclasses.replace(operator, when=()), *parts]
 
 
 def find_first_operator(operators: Iterable[Operator], facts: frozenset[str], wanted: str) -> Operator | None:

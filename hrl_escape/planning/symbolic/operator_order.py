@@ -15,7 +15,7 @@ import math
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeAlias
 
-from hrl_escape.env.puzzles.base import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 
 __all__ = ["ExtendLeg", "Leg", "TaskPlan", "TaskSearch", "find_relevant_operators"]
 
@@ -84,20 +84,31 @@ def find_relevant_operators(model: SymbolicModel, goal: Iterable[str] | None = N
 
 
 def _list_effects(op: Operator) -> set[tuple[str, bool]]:
-    return {(fact, True) for fact in op.add} | {(fact, False) for fact in op.delete - op.add}
+    gone = op.may_change - op.add
+    return {(fact, True) for fact in op.may_add} | {(fact, False) for fact in gone}
 
 
 def _list_needs(op: Operator) -> set[tuple[str, bool]]:
-    return {(fact, True) for fact in op.preconditions} | {(fact, False) for fact in op.forbidden}
+    needs = {(fact, True) for fact in op.preconditions} | {(fact, False) for fact in op.forbidden}
+    for effect in op.when:
+        needs |= {(fact, True) for fact in effect.condition} | {(fact, False) for fact in effect.forbidden}
+    return needs
 
 
 class _Coded(NamedTuple):
-    """Operator as bits of facts."""
+    """Operator, or a conditional effect of one, as bits of facts."""
 
     needs: int
     forbids: int
     adds: int
     deletes: int
+
+
+class _Effects(NamedTuple):
+    """Conditional effects by one bit of their condition, 0 for those without, and all of those bits."""
+
+    by_bit: dict[int, list[_Coded]]
+    bits: int
 
 
 class TaskSearch:
@@ -126,12 +137,14 @@ class TaskSearch:
         self._coded = [
             _Coded(*map(self._encode, (op.preconditions, op.forbidden, op.add, op.delete))) for op in self.operators
         ]
+        self._when = [self._encode_effects(op) for op in self.operators]
         numbers = range(len(self.operators))
         froms: list[Operator | None] = [*self.operators, None]
         self._least_to = [min((lower_bound(last, op) for last in froms if last is not op), default=0.0)
                           for op in self.operators]
         self._least_exit = min((lower_bound(last, None) for last in froms), default=0.0)
-        makers = {bit: [n for n in numbers if self._coded[n].adds & bit] for bit in self._bits.values()}
+        adds = [self._encode(op.may_add) for op in self.operators]
+        makers = {bit: [n for n in numbers if adds[n] & bit] for bit in self._bits.values()}
         self._sole_maker = {bit: made_by[0] for bit, made_by in makers.items() if len(made_by) == 1}
         self._estimates: dict[int, float] = {}
 
@@ -140,6 +153,28 @@ class TaskSearch:
         for fact in facts:
             code |= self._bits[fact]
         return code
+
+    def _encode_effects(self, op: Operator) -> _Effects:
+        table: dict[int, list[_Coded]] = {}
+        for effect in op.when:
+            coded = _Coded(*map(self._encode, (effect.condition, effect.forbidden, effect.add, effect.delete)))
+            table.setdefault(coded.needs & -coded.needs, []).append(coded)
+        return _Effects(table, sum(table))
+
+    def _apply(self, n: int, facts: int) -> int:
+        """Facts after operator number `n`."""
+        op, when = self._coded[n], self._when[n]
+        adds, deletes = op.adds, op.deletes
+        left = facts & when.bits
+        bits = [0] if when.by_bit else []
+        while left:
+            bits.append(left & -left)
+            left &= left - 1
+        for bit in bits:
+            for effect in when.by_bit.get(bit, ()):
+                if effect.needs & ~facts == 0 and not effect.forbids & facts:
+                    adds, deletes = adds | effect.adds, deletes | effect.deletes
+        return facts & ~deletes | adds
 
     def _list_next(self, facts: int) -> list[int]:
         return [n for n, op in enumerate(self._coded) if op.needs & ~facts == 0 and not op.forbids & facts]
@@ -172,8 +207,7 @@ class TaskSearch:
                 continue
             for n in self._list_next(at):
                 legs += 1
-                op = self._coded[n]
-                then = (at & ~op.deletes | op.adds, n)
+                then = (self._apply(n, at), n)
                 if then not in seen:
                     seen.add(then)
                     queue.append(then)
@@ -258,8 +292,7 @@ class TaskSearch:
         for n in self._list_next(at):
             leg = extend(here, self.operators[n])
             if leg is not None:
-                op = self._coded[n]
-                yield n, leg, at & ~op.deletes | op.adds if leg.facts is None else self._encode(leg.facts)
+                yield n, leg, self._apply(n, at) if leg.facts is None else self._encode(leg.facts)
 
     def _search_beam(self, begin: int, place: Any, extend: ExtendLeg, bound: float, searched: int,
                      width: int) -> TaskPlan | None:

@@ -1,8 +1,9 @@
 """PDDL export of any puzzle's symbolic model, and solving it with unified-planning.
 
 The export is plain text in the STRIPS subset with negative preconditions, ground: one action
-an operator, which every classical planner reads. Solving needs the extra `pddl`; our own
-search, which knows what each leg costs, is `operator_order.py`.
+an operator, which every classical planner reads. Conditional effects and action costs are declared
+where a model has some. Solving needs the extra `pddl`; our own search, which knows what each leg
+costs, is `operator_order.py`.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.puzzles.base import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import MissingExtraError, PlanningFailed, PlanningReason
 from hrl_escape.files import write_text
 
@@ -53,26 +54,45 @@ def make_domain(model: SymbolicModel, name: str = "escape-room") -> str:
         raise ValueError(f"two of these propositions have the same name in PDDL: {', '.join(atoms)}")
     predicates = sorted({(words[0], len(words) - 1) for words in atoms.values()})
     constants = sorted({word for words in atoms.values() for word in words[1:]})
-    lines = [f"(define (domain {clean_name(name)})", "  (:requirements :strips :negative-preconditions)"]
+    extra = " :conditional-effects" if any(op.when for op in model.operators) else ""
+    extra += " :action-costs" if _has_costs(model) else ""
+    lines = [f"(define (domain {clean_name(name)})", f"  (:requirements :strips :negative-preconditions{extra})"]
     if constants:
         lines.append(f"  (:constants {' '.join(constants)})")
     lines.append("  (:predicates " + " ".join(
         f"({' '.join([head, *(f'?x{i}' for i in range(count))])})" for head, count in predicates) + ")")
+    if _has_costs(model):
+        lines.append("  (:functions (total-cost) - number)")
     for op in model.operators:
         lines += [
             f"  (:action {clean_name(op.name)}",
             "    :parameters ()",
             f"    :precondition {write_all(op.preconditions, op.forbidden)}",
-            f"    :effect {write_all(op.add, op.delete - op.add)})",
+            f"    :effect {_write_effects(op, _has_costs(model))})",
         ]
     return "\n".join(lines) + ")\n"
+
+
+def _has_costs(model: SymbolicModel) -> bool:
+    return any(op.cost != 1.0 for op in model.operators)
+
+
+def _write_effects(op: Operator, has_costs: bool) -> str:
+    parts = [write_all(op.add, op.delete - op.add)[len("(and ") : -1]]
+    parts += [f"(when {write_all(effect.condition, effect.forbidden)} "
+              f"{write_all(effect.add, effect.delete - effect.add)})" for effect in op.when]
+    if has_costs:
+        parts.append(f"(increase (total-cost) {op.cost:g})")
+    return f"(and {' '.join(filter(None, parts))})"
 
 
 def make_problem(model: SymbolicModel, facts: frozenset[str], name: str = "room", domain: str = "escape-room") -> str:
     """Write the facts that hold now and those that open the exit as a PDDL problem."""
     begin = " ".join(write_atom(fact) for fact in sorted(facts))
+    costs = _has_costs(model)
     return (f"(define (problem {clean_name(name)})\n  (:domain {clean_name(domain)})\n"
-            f"  (:init {begin})\n  (:goal {write_all(model.goal)}))\n")
+            f"  (:init {begin}{' (= (total-cost) 0)' if costs else ''})\n  (:goal {write_all(model.goal)})"
+            f"{' (:metric minimize (total-cost))' if costs else ''})\n")
 
 
 def export_pddl(instance: RoomInstance, state: RoomState | None = None) -> tuple[str, str]:

@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from hrl_escape.env.batched.engine import TensorRoom
-from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle
+from hrl_escape.env.batched.puzzles.base import TensorContacts, as_signed, get_tensor_puzzle
 from hrl_escape.env.batched.tables import map_tensors
 from hrl_escape.env.config import DynamicsConfig, ObstaclesConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.kinematics import Kinematics
@@ -191,7 +191,7 @@ def test_puzzles_follow_their_scalar_rules_up_to_64_bits(count):
             presses = [tuple(np.flatnonzero(rng.random(count) < 0.6 ** np.abs(np.arange(count) - near)).tolist())
                        for _ in group]
             bits = torch.tensor([as_signed(sum(1 << i for i in pressed)) for pressed in presses])
-            words = form.update(tables, words, bits, count)
+            words = form.update(tables, words, TensorContacts(bits, torch.zeros(len(bits))), count)
             states = [puzzle.update(state, base.Contacts(pressed))
                       for puzzle, state, pressed in zip(group, states, presses, strict=True)]
             assert [word % 2**64 for word in words.tolist()] == states

@@ -4,13 +4,15 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle
+from hrl_escape.env.batched.puzzles.base import TensorContacts, as_signed, get_tensor_puzzle
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.code_lock import CodeLockConfig
+from hrl_escape.env.puzzles.deep_sea import DeepSeaConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
+from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 
 KINDS = {
@@ -21,6 +23,9 @@ KINDS = {
     "hanoi": HanoiConfig(discs=4),
     "code-lock": CodeLockConfig(digits=4, length=6, memory="slide"),
     "code-lock, hidden": CodeLockConfig(digits=3, length=4, shown=False),
+    "light-box": LightBoxConfig(),
+    "light-box, sure": LightBoxConfig(count=6, graph=GraphConfig(kind="random", max_parents=2), success=1.0),
+    "deep-sea": DeepSeaConfig(size=5),
 }
 
 
@@ -29,21 +34,36 @@ def test_a_tensor_form_does_what_the_puzzle_does(name):
     puzzles = [KINDS[name].make_puzzle(np.random.default_rng(seed)) for seed in range(32)]
     form, targets = get_tensor_puzzle(KINDS[name].kind), len(puzzles[0].target_names)
     tables = {key: torch.from_numpy(np.array(value)) for key, value in form.make_tables(puzzles, targets).items()}
-    states = [puzzle.make_state() for puzzle in puzzles]
-    words = torch.tensor([as_signed(form.encode(state)) for state in states])
-    rng, solved = np.random.default_rng(0), 0
-    for _ in range(300):
+    rng, solved, failed = np.random.default_rng(0), 0, 0
+    for round_ in range(300):
+        if round_ % 30 == 0:
+            states = [starts[int(rng.integers(len(starts)))] for starts in map(type(puzzles[0]).list_starts, puzzles)]
+            words = torch.tensor([as_signed(form.encode(state)) for state in states])
         pressed = [tuple(np.flatnonzero(rng.random(targets) < 1.2 / targets).tolist()) for _ in puzzles]
-        states = [puzzle.update(state, Contacts(press)) for puzzle, state, press in
-                  zip(puzzles, states, pressed, strict=True)]
+        chances = rng.random(len(puzzles))
+        contacts = [Contacts(press, uniform=chance) for press, chance in zip(pressed, chances.tolist(), strict=True)]
+        before, words_before = states, words
+        states = [puzzle.update(*pair) for puzzle, *pair in zip(puzzles, states, contacts, strict=True)]
         bits = torch.tensor([sum(1 << target for target in press) for press in pressed])
-        words = form.update(tables, words, bits, targets)
+        touched = TensorContacts(bits, torch.from_numpy(chances))
+        words = form.update(tables, words, touched, targets)
         assert words.tolist() == [as_signed(form.encode(state)) for state in states]
         both = list(zip(puzzles, states, strict=True))
+        steps = zip(puzzles, before, states, contacts, strict=True)
+        rewards = [puzzle.compute_reward(*step) for puzzle, *step in steps]
+        earned = form.compute_reward(tables, words_before, words, touched)
+        earned = torch.zeros(len(bits)) if earned is None else torch.where(bits != 0, earned, 0.0)
+        assert np.array_equal(earned.numpy(), np.array(rewards, dtype=np.float32))
+        lost = form.is_failed(tables, words)
+        lost = [False] * len(bits) if lost is None else lost.tolist()
+        assert lost == [puzzle.is_failed(state) for puzzle, state in both]
+        failed += sum(lost)
         assert form.is_solved(tables, words).tolist() == [puzzle.is_solved(state) for puzzle, state in both]
         solved += int(form.is_solved(tables, words).sum())
         lit = [as_signed(sum(1 << i for i, on in enumerate(puzzle.get_lit(state)) if on)) for puzzle, state in both]
         assert form.get_lit(tables, words).tolist() == lit
         seen = np.array([puzzle.observe(state) for puzzle, state in both], dtype=np.float32)
         assert np.array_equal(form.observe(tables, words, targets).numpy().T, seen)
-    assert solved or name in ("bit-flip", "lights-out", "lights-out 4 x 6", "hanoi"), "also the end was compared"
+    rare = ("bit-flip", "lights-out", "lights-out 4 x 6", "hanoi", "light-box")
+    assert solved or name in rare, "also the end was compared"
+    assert failed or name != "deep-sea"

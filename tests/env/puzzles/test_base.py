@@ -43,7 +43,8 @@ STRANGER = '''
 import dataclasses
 from typing import Annotated
 
-from hrl_escape.env.puzzles.base import Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel
+from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.settings import Range
 
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hrl_escape.env.puzzles.base import Operator, SymbolicModel
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.planning.symbolic.landmarks import find_first_operator, find_landmarks
 
 FACTS = "abcde"

@@ -11,9 +11,10 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hrl_escape.env.presets import PRESETS, get_preset
-from hrl_escape.env.puzzles.base import Contacts, Operator, SymbolicModel
+from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.planning.lower_bounds import LegBounds
 from hrl_escape.planning.room_planner import RoomPlanner

@@ -9,8 +9,8 @@ import pytest
 
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import PRESETS, get_preset
-from hrl_escape.env.puzzles.base import Operator, SymbolicModel
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import MissingExtraError
 from hrl_escape.planning.room_planner import RoomPlanner
@@ -60,6 +60,25 @@ def test_the_text_is_what_planners_read():
     :effect (and (on button-2))))
 """
     assert "(:init (on button-1))" in make_problem(model, frozenset({"on(button-1)"}))
+
+
+@pytest.mark.parametrize(("dear", "engine"), [(None, "fast-downward"), (5.0, "fast-downward-opt")])
+def test_conditional_effects_and_costs_are_read_and_heeded_by_an_independent_planner(dear, engine, monkeypatch):
+    """The long way works by a condition only (which that optimal planner does not take), or it is the cheap one."""
+    none, done, ready = frozenset(), frozenset({"done"}), frozenset({"ready"})
+    finish = Operator("finish", "button-2", "press", none, none, none, none, when=(Effect(ready, none, done, ready),))
+    if dear:
+        finish = Operator("finish", "button-2", "press", ready, none, done, none)
+    ways = (Operator("prepare", "button-1", "press", none, none, ready, none), finish)
+    ways += (Operator("dear", "button-1", "press", none, none, done, none, cost=dear),) if dear else ()
+    model = SymbolicModel(("ready", "done"), ways, done)
+    domain = make_domain(model)
+    assert (":conditional-effects" in domain) == (not dear) and (":action-costs" in domain) == bool(dear)
+    assert dear or "(when (and (ready)) (and (done) (not (ready))))" in domain
+    monkeypatch.setattr(ButtonsPuzzle, "make_symbolic_model", lambda puzzle: model)
+    monkeypatch.setattr(ButtonsPuzzle, "get_facts", lambda puzzle, state: none)
+    found = solve_pddl(generate(get_preset("paper-one-button"), 0), engine=engine)
+    assert [operator.name for operator in found] == ["prepare", "finish"]
 
 
 def test_names_that_become_the_same_are_refused():

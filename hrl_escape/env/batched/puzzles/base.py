@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from hrl_escape.errors import UnsupportedError
 
 __all__ = [
     "PuzzleTables",
+    "TensorContacts",
     "TensorPuzzle",
     "as_signed",
     "get_tensor_puzzle",
@@ -23,6 +24,18 @@ __all__ = [
 ]
 
 PuzzleTables = dict[str, Tensor]
+
+
+class TensorContacts(NamedTuple):
+    """Contacts of one primitive in each room.
+
+    Attributes:
+        pressed: bits of the newly touched targets, int64 (rooms,).
+        uniform: numbers in (0, 1) drawn for this primitive, float64 (rooms,); 0 where no puzzle is random.
+    """
+
+    pressed: Tensor
+    uniform: Tensor
 
 
 class TensorPuzzle(ABC):
@@ -41,19 +54,28 @@ class TensorPuzzle(ABC):
         """
 
     @abstractmethod
-    def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
+    def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
         """Apply presses in index order.
 
         Args:
             tables: columns of each room, (..., rooms) or (..., 1).
             state: int64 (rooms,).
-            pressed: bits of the newly touched targets, int64 (rooms,).
+            contacts: what was touched.
             targets: number of targets.
         """
 
     @abstractmethod
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
         """Return true where the exit is open, bool (rooms,)."""
+
+    def is_failed(self, tables: PuzzleTables, state: Tensor) -> Tensor | None:
+        """Return true where a press has ended the episode without an escape, bool (rooms,); None if none ever does."""
+        return None
+
+    def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts
+                       ) -> Tensor | None:
+        """Reward of a primitive that pressed something, on top of the room's own, float32 (rooms,); None for none."""
+        return None
 
     def encode(self, state: Any) -> int:
         """Turn the puzzle's own state into an unsigned word."""

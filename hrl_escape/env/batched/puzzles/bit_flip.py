@@ -10,7 +10,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorPuzzle, as_signed, register_tensor_puzzle
+from hrl_escape.env.batched.puzzles.base import (
+    PuzzleTables,
+    TensorContacts,
+    TensorPuzzle,
+    as_signed,
+    register_tensor_puzzle,
+)
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
 
 __all__ = ["BitFlipTensorPuzzle"]
@@ -23,12 +29,12 @@ class BitFlipTensorPuzzle(TensorPuzzle):
         """The word with all bits on (instances,)."""
         return {"all_on": np.array([as_signed((1 << puzzle.count) - 1) for puzzle in puzzles], dtype=np.int64)}
 
-    def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
+    def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
         """Each press flips its bit if all lower ones are on, and else clears it and them."""
         for number in range(targets):
             bit, lower = as_signed(1 << number), (1 << number) - 1
             after = torch.where((state & lower) == lower, state ^ bit, state & ~(lower | bit))
-            state = torch.where((pressed & bit) != 0, after, state)
+            state = torch.where((contacts.pressed & bit) != 0, after, state)
         return state
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:

@@ -10,7 +10,13 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorPuzzle, as_signed, register_tensor_puzzle
+from hrl_escape.env.batched.puzzles.base import (
+    PuzzleTables,
+    TensorContacts,
+    TensorPuzzle,
+    as_signed,
+    register_tensor_puzzle,
+)
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 
 __all__ = ["ButtonsTensorPuzzle"]
@@ -31,7 +37,7 @@ class ButtonsTensorPuzzle(TensorPuzzle):
             "allow_off": np.array([puzzle.allow_off for puzzle in puzzles]),
         }
 
-    def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
+    def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
         """Each press turns its button on if its parents are, one after the other."""
         for button in range(targets):
             bit = as_signed(1 << button)
@@ -39,7 +45,7 @@ class ButtonsTensorPuzzle(TensorPuzzle):
             when_off = torch.where(is_ready, state | bit, torch.where(tables["resets"], 0, state))
             when_on = torch.where(tables["allow_off"], state & ~bit, state)
             after = torch.where((state & bit) != 0, when_on, when_off)
-            state = torch.where((pressed & bit) != 0, after, state)
+            state = torch.where((contacts.pressed & bit) != 0, after, state)
         return state
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:

@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorPuzzle, register_tensor_puzzle
+from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, TensorPuzzle, register_tensor_puzzle
 from hrl_escape.env.puzzles.code_lock import CodeLockPuzzle
 
 __all__ = ["CodeLockTensorPuzzle"]
@@ -36,13 +36,13 @@ class CodeLockTensorPuzzle(TensorPuzzle):
                 "digits": np.array([(1 << puzzle.digits) - 1 for puzzle in puzzles], dtype=np.int64),
                 "shown": np.array([puzzle.shown for puzzle in puzzles])}
 
-    def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
+    def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
         """Each press goes on to its row's next progress."""
         after = tables["after"]
         for digit in range(targets):
             row = (state * targets + digit).unsqueeze(0)
             then = after.expand(-1, state.shape[0]).gather(0, row).squeeze(0)
-            state = torch.where((pressed >> digit & 1) != 0, then, state)
+            state = torch.where((contacts.pressed >> digit & 1) != 0, then, state)
         return state
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from hrl_escape.env.batched.puzzles.base import (
     PuzzleTables,
+    TensorContacts,
     TensorPuzzle,
     register_tensor_puzzle,
     unpack_bits,
@@ -31,7 +32,7 @@ class HanoiTensorPuzzle(TensorPuzzle):
         return {"discs": np.full(len(puzzles), word, dtype=np.int64),
                 "bits": np.tile(np.arange(4 * discs)[:, None], len(puzzles))}
 
-    def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
+    def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
         """Each press lifts the peg's top disc, or puts the lifted one down where no smaller disc lies."""
         for peg in range(targets):
             here, held = (_get_lowest(state >> place & tables["discs"]) for place in (peg, HAND))
@@ -39,7 +40,7 @@ class HanoiTensorPuzzle(TensorPuzzle):
             lifts = (held == 0) & (here != 0)
             moved = torch.where(puts, held, torch.where(lifts, here, 0))
             after = state ^ (moved << peg | moved << HAND)
-            state = torch.where((pressed >> peg & 1) != 0, after, state)
+            state = torch.where((contacts.pressed >> peg & 1) != 0, after, state)
         return state
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:

@@ -12,6 +12,7 @@ from torch import Tensor
 
 from hrl_escape.env.batched.puzzles.base import (
     PuzzleTables,
+    TensorContacts,
     TensorPuzzle,
     as_signed,
     register_tensor_puzzle,
@@ -33,11 +34,11 @@ class LightsOutTensorPuzzle(TensorPuzzle):
         return {"flips": np.ascontiguousarray(flips.T),
                 "goal": np.array([puzzle.goal for puzzle in puzzles], dtype=np.int64)}
 
-    def update(self, tables: PuzzleTables, state: Tensor, pressed: Tensor, targets: int) -> Tensor:
+    def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
         """Each press flips its light and the neighbours."""
         for light in range(targets):
             bit = as_signed(1 << light)
-            state = torch.where((pressed & bit) != 0, state ^ tables["flips"][light], state)
+            state = torch.where((contacts.pressed & bit) != 0, state ^ tables["flips"][light], state)
         return state
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:

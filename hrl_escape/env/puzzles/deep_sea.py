@@ -1,0 +1,141 @@
+"""Deep Sea (Osband et al. 2019, bsuite): each press dives one row, and only one panel leads to the treasure.
+
+On a square of N x N cells, one panel moves a diver down and to the right at a reward of -0.01 / N, the other down and
+to the left; which is which is drawn for each cell. Moving right in the last cell earns 1 and opens the exit; after N
+presses the episode ends in any case. All presses to the right return 0.99, random ones find the treasure once in 2^N
+episodes. The state is (row, column, treasure found) as a number.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+from typing import Annotated, Any
+
+import numpy as np
+
+from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.settings import Range
+
+__all__ = ["COLUMN_BITS", "MOVE_COST", "DeepSeaConfig", "DeepSeaPuzzle"]
+
+MOVE_COST = 0.01
+"""Reward lost by moving right N times."""
+COLUMN_BITS = 6
+"""Bits of a state's column; the row is above them, and above that one bit more for the treasure."""
+_TREASURE = 1 << 2 * COLUMN_BITS
+
+SeaSize = Annotated[int, Range(2, 50)]
+MappingSeed = Annotated[int, Range(0, 2**32 - 1)]
+
+
+@dataclasses.dataclass(frozen=True)
+class DeepSeaConfig(PuzzleConfig):
+    """Schematic of Deep Sea."""
+
+    kind = "deep-sea"
+    size: SeaSize = 10
+    """Rows and columns."""
+    mapping_seed: MappingSeed = 42
+    """Seed of the panels' meanings; bsuite's is 42."""
+    buttons: Panels = Panels(width=1.5)
+    """Sizes and places of the two panels."""
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        self.buttons.check_places(2)
+
+    @property
+    def panels(self) -> Panels:
+        """Sizes and places of the two panels."""
+        return self.buttons
+
+    def make_puzzle(self, rng: np.random.Generator) -> DeepSeaPuzzle:
+        """Nothing depends on the instance seed."""
+        return DeepSeaPuzzle(self.size, self.mapping_seed)
+
+
+@dataclasses.dataclass(frozen=True)
+class DeepSeaPuzzle(Puzzle):
+    """A concrete sea; panel i is called `dive-<i+1>`."""
+
+    kind = "deep-sea"
+    size: SeaSize = 2
+    """Rows and columns."""
+    mapping_seed: MappingSeed = 42
+    """Seed of the panels' meanings."""
+
+    @cached_property
+    def rights(self) -> tuple[tuple[int, ...], ...]:
+        """Number of the panel that moves right, by row and column."""
+        drawn = np.random.RandomState(self.mapping_seed).binomial(1, 0.5, [self.size, self.size])
+        return tuple(map(tuple, drawn.tolist()))
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """`dive-1` and `dive-2`."""
+        return ("dive-1", "dive-2")
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Every number is 0 or 1."""
+        return ((0.0, 1.0),) * (2 * self.size)
+
+    def make_state(self) -> int:
+        """The top left cell."""
+        return 0
+
+    def _read(self, state: int) -> tuple[int, int]:
+        return (state & ~_TREASURE) >> COLUMN_BITS, state & (1 << COLUMN_BITS) - 1
+
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside is a cell of the sea, or below its last row."""
+        if type(state) is not int or not 0 <= state < 2 * _TREASURE:
+            return False
+        row, column = self._read(state)
+        return row <= self.size and column <= min(row, self.size - 1) and (
+            state < _TREASURE or (row == self.size and column == self.size - 1))
+
+    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+        """Dive a row with each press, in index order."""
+        for panel in contacts.pressed:
+            row, column = self._read(state)
+            if row == self.size:
+                break
+            if self.rights[row][column] == panel:
+                found = column == self.size - 1
+                column = min(column + 1, self.size - 1)
+            else:
+                found, column = False, max(column - 1, 0)
+            state = _TREASURE * found | row + 1 << COLUMN_BITS | column
+        return state
+
+    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+        """The treasure has been found."""
+        return state >= _TREASURE
+
+    def is_failed(self, state: int) -> bool:  # type: ignore[override]
+        """The last row has been left without it."""
+        return state >> COLUMN_BITS == self.size
+
+    def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:  # type: ignore[override]
+        """1 for the treasure, and the cost of each move to the right."""
+        reward, here = 0.0, before
+        for panel in contacts.pressed:
+            row, column = self._read(here)
+            if row < self.size and self.rights[row][column] == panel:
+                reward -= MOVE_COST / self.size
+            here = self.update(here, Contacts((panel,)))
+        return reward + float(self.is_solved(after) and not self.is_solved(before))
+
+    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
+        """One number a row, then one a column: 1 where the diver is, no row once the episode is over."""
+        row, column = self._read(state)
+        return tuple(float(i == at) for at in (row, column) for i in range(self.size))
+
+    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
+        """Panels tell nothing, until the treasure is found."""
+        return (self.is_solved(state),) * 2
+
+
+register_puzzle(DeepSeaConfig, DeepSeaPuzzle)
