@@ -8,10 +8,11 @@ from __future__ import annotations
 import ast
 
 NUMPY_ALLOWED = {
-    *("default_rng", "Generator", "SeedSequence", "BitGenerator"),
+    *("default_rng", "RandomState", "Generator", "SeedSequence", "BitGenerator"),
     "get_state",  # reading tells whether somebody has drawn
     *("PCG64", "PCG64DXSM", "Philox", "SFC64", "MT19937"),
 }
+NUMPY_SEEDED = {"default_rng", "RandomState"}
 TORCH_GLOBAL = {
     *("torch.manual_seed", "torch.seed", "torch.initial_seed", "torch.set_rng_state"),
     *("torch.default_generator", "torch.random"),
@@ -67,7 +68,7 @@ def _is_global(name: str, call: ast.Call | None) -> bool:
         return not (rest == "Random" and _has_arguments(call))
     if name.startswith("numpy.random."):
         sampler = name.split(".")[2]
-        return sampler not in NUMPY_ALLOWED or (sampler == "default_rng" and not _has_arguments(call))
+        return sampler not in NUMPY_ALLOWED or (sampler in NUMPY_SEEDED and not _has_arguments(call))
     if name in TORCH_SAMPLERS:
         return not _has_generator(call)
     return any(name == banned or name.startswith(f"{banned}.") for banned in TORCH_GLOBAL) or (

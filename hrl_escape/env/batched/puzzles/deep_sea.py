@@ -71,7 +71,7 @@ class DeepSeaTensorPuzzle(TensorPuzzle):
 
 @lru_cache
 def _tabulate(puzzle: DeepSeaPuzzle) -> tuple[tuple[int, int, int, float], ...]:
-    """What presses do: (number of the presses, state, state after them, reward)."""
+    """Outcomes of presses: (number of the presses, state, state after them, reward)."""
     rows = []
     for word in filter(puzzle.is_state, range((puzzle.size + 1) << COLUMN_BITS)):
         for row, pressed in enumerate(((0,), (1,), (0, 1))):
