@@ -9,10 +9,8 @@ from typing import Annotated
 
 from hrl_escape import RoomConfig, RoomPlanner, generate
 from hrl_escape.checks import check_puzzle
+from hrl_escape.env import Kinematics, Operator, Panels, Puzzle, PuzzleConfig, SymbolicModel, register_puzzle
 from hrl_escape.env.config import RobotConfig, ShapeConfig
-from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig, register_puzzle
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.settings import Range
 
 # The schematic part declares the settings and draws what is random, here the order.
