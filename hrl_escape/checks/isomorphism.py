@@ -1,24 +1,25 @@
 """Isomorphism of a room and a published domain, transition by transition.
 
-Each action of the domain is a press, run from a pose of the room to its end. What is equal then is the puzzle after
-each press, from any pose: numbers of presses, state counts and learning curves in decisions carry over. Numbers in
-primitives do not, for presses take different times.
+Each action of a `ReferenceDomain` is a press, run from a pose of the room to its end. What is equal then is the puzzle
+after each press, from any pose: numbers of presses, state counts and learning curves in decisions carry over. Numbers
+in primitives do not, for presses take different times. Each action of a `ReferenceGrid` is one primitive: then
+everything carries over.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable
-from typing import Any, Protocol
+from collections.abc import Hashable, Iterable, Sequence
+from typing import Any, NamedTuple, Protocol, cast
 
 import gymnasium
 import numpy as np
 
 from hrl_escape.checks.claims import Claims
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.noise import draw_chance
+from hrl_escape.env.noise import compute_noise, draw_chance
 from hrl_escape.planning.room_planner import RoomPlanner
 
-__all__ = ["ReferenceDomain", "check_isomorphism"]
+__all__ = ["GridOutcome", "ReferenceDomain", "ReferenceGrid", "check_isomorphism"]
 
 
 class ReferenceDomain(Protocol):
@@ -44,11 +45,49 @@ class ReferenceDomain(Protocol):
         ...
 
 
-def check_isomorphism(env: gymnasium.Env, reference: ReferenceDomain, pairs: int = 10_000, seed: int = 0) -> int:
-    """Check that pressing in a room does what the actions of a domain do.
+class GridOutcome(NamedTuple):
+    """Result of an action of a grid world.
 
-    Each pair of state and action is tried from the start and from the target's own panel, to which the robot must then
-    come back. In a random room, both take the same uniform number.
+    Attributes:
+        state: the state after it.
+        reward: its reward.
+        is_over: the episode has ended.
+    """
+
+    state: Hashable
+    reward: float
+    is_over: bool
+
+
+class ReferenceGrid(Protocol):
+    """A published grid world, each action of which is a primitive of the room.
+
+    Attributes:
+        primitives: name of the primitive that each action is.
+    """
+
+    primitives: Sequence[str]
+
+    def list_states(self) -> Iterable[Hashable]:
+        """All states in which the episode is not over."""
+        ...
+
+    def step(self, state: Any, action: int, slip: float, chance: float, /) -> GridOutcome:
+        """The outcome of an action, by the room's own uniform numbers for slips and for its puzzle."""
+        ...
+
+    def encode(self, state: Any) -> tuple[float, float, Hashable]:
+        """Place of the robot, m, and state of the puzzle that stand for this one."""
+        ...
+
+
+def check_isomorphism(env: gymnasium.Env, reference: ReferenceDomain | ReferenceGrid, pairs: int = 10_000,
+                      seed: int = 0) -> int:
+    """Check that pressing in a room, or its primitives, do what the actions of a domain do.
+
+    Each pair of state and press is tried from the start and from the target's own panel, to which the robot must then
+    come back; of a grid world, each primitive is tried at the start's heading, and rewards are compared too. In a
+    random room, both take the same uniform numbers.
 
     Args:
         env: a flat environment of a kinematic room, such as `gymnasium.make("hrl_escape/Hanoi-v1")`.
@@ -63,7 +102,48 @@ def check_isomorphism(env: gymnasium.Env, reference: ReferenceDomain, pairs: int
         ContractError: the first transition that differs.
         PlanningFailed: a target cannot be pressed.
     """
-    return _IsomorphismCheck(env, reference).run(pairs, np.random.default_rng(seed))
+    rng = np.random.default_rng(seed)
+    if hasattr(reference, "primitives"):
+        return _GridCheck(env, cast("ReferenceGrid", reference)).run(pairs, rng)
+    return _IsomorphismCheck(env, cast("ReferenceDomain", reference)).run(pairs, rng)
+
+
+class _GridCheck(Claims):
+    """The primitives of one room beside the actions of one grid world."""
+
+    def __init__(self, env: gymnasium.Env, reference: ReferenceGrid) -> None:
+        self.env, self.reference = env, reference
+        self.room: Any = env.unwrapped
+        super().__init__(f"puzzle {self.room.instance.puzzle.kind!r}")
+        self.actions = [self.room.rules.actions.find(name) for name in reference.primitives]
+
+    def run(self, most: int, rng: np.random.Generator) -> int:
+        states = list(self.reference.list_states())
+        codes = [self.reference.encode(state) for state in states]
+        self.require(len(set(codes)) == len(states), "different states have different codes", len(set(codes)))
+        tried = rng.permutation(len(states) * len(self.actions))[:most].tolist()
+        self.env.reset(seed=0)
+        start = self.room.get_state()
+        for key, number in enumerate(sorted(tried)):
+            place, action = divmod(number, len(self.actions))
+            x, y, puzzle = codes[place]
+            touching = self.room.rules.compute_touching(x, y, *start.pose[2:])
+            begin = start._replace(x=x, y=y, puzzle=puzzle, primitives=0, noise_key=key, touching=touching)
+            self.try_pair(states[place], action, begin)
+        return len(tried)
+
+    def try_pair(self, state: Any, action: int, begin: RoomState) -> None:
+        """Run one primitive."""
+        self.room.set_state(begin)
+        _, reward, terminated, _, _ = self.env.step(self.actions[action])
+        ended = self.room.get_state()
+        slip, chance = compute_noise(begin.noise_key, 0)[1], draw_chance(begin.noise_key, 0)
+        after = self.reference.step(state, action, slip, chance)
+        seen = (ended.x, ended.y, ended.puzzle)
+        self.require(seen == self.reference.encode(after.state) and ended.heading_steps == begin.heading_steps,
+                     "a primitive does what the action does", (state, action, seen))
+        self.require(float(reward) == after.reward, "both earn the same", (state, action, reward, after.reward))
+        self.require(terminated == after.is_over, "both are over, or neither", (state, action))
 
 
 class _IsomorphismCheck(Claims):

@@ -9,7 +9,7 @@ from collections.abc import Hashable
 import numpy as np
 
 from hrl_escape.checks.claims import Claims
-from hrl_escape.env.puzzles.base import Contacts, Puzzle
+from hrl_escape.env.puzzles.base import Contacts, Puzzle, make_contacts
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 
 __all__ = ["check_puzzle"]
@@ -79,11 +79,11 @@ class _PuzzleCheck(Claims):
         for op in model.operators:
             used = op.reads | op.may_change
             self.require(used <= known, f"operator {op.name!r} is made of propositions", used - known)
-            if op.action == "press":
-                self.require(op.target in self.targets, f"operator {op.name!r} presses a target", op.target)
+            if op.action in ("press", "grip", "release"):
+                self.require(op.target in self.targets, f"operator {op.name!r} acts on a target", op.target)
             else:
                 self.require(op.action == "push" and op.target in self.props and op.destination in self.props,
-                             f"operator {op.name!r} presses a target, or pushes a prop to a prop",
+                             f"operator {op.name!r} presses, grips or releases at a target, or pushes a prop to a prop",
                              (op.action, op.target, op.destination))
         again = self.puzzle.make_symbolic_model()
         self.require(again == model, "make_symbolic_model gives the same model each time", again)
@@ -166,24 +166,26 @@ class _PuzzleCheck(Claims):
 
     def perform(self, op: Operator, state: Hashable, poses: Poses) -> tuple[Hashable, Poses]:
         """Do physically what an operator means."""
-        if op.action == "press":
-            return self.update(state, (self.targets[op.target],), poses), poses
+        if op.action != "push":
+            return self.follow(state, make_contacts(op, self.puzzle.target_names)._replace(prop_poses=poses)), poses
         moved = list(poses)
         moved[self.props[op.target]] = poses[self.props[op.destination or ""]]
         return self.update(state, (), tuple(moved)), tuple(moved)
 
     def update(self, state: Hashable, pressed: tuple[int, ...], poses: Poses, chance: float = 0.0) -> Hashable:
+        return self.follow(state, Contacts(pressed, poses, chance, pressed))
+
+    def follow(self, state: Hashable, contacts: Contacts) -> Hashable:
         before = hash(state)
-        contacts = Contacts(pressed, poses, chance)
         after = self.puzzle.update(state, contacts)
         again = self.puzzle.update(state, contacts)
         self.require(after == again and hash(state) == before,
                      "update is pure: the same state and contacts give the same state, nothing is changed in place",
-                     {"state": state, "pressed": pressed, "first": after, "second": again})
+                     {"state": state, "contacts": contacts, "first": after, "second": again})
         if not self.puzzle.is_random:
             other = self.puzzle.update(state, contacts._replace(uniform=0.999))
             self.require(other == after, "update reads contacts.uniform only where is_random says so",
-                         {"state": state, "pressed": pressed, "first": after, "second": other})
+                         {"state": state, "contacts": contacts, "first": after, "second": other})
         reward = self.puzzle.compute_reward(state, after, contacts)
         self.require(isinstance(reward, float) and math.isfinite(reward), "rewards are finite floats", reward)
         failed = self.puzzle.is_failed(after)

@@ -96,7 +96,7 @@ def parse_primitives(text: str, instance: RoomInstance, seed: int = 0) -> list[i
 
 def get_names(instance: RoomInstance) -> tuple[str, ...]:
     """Names of the room's primitives, in action order."""
-    return make_action_table(instance.robot.joints).names
+    return make_action_table(instance.robot.joints, instance.robot.gripper).names
 
 
 def drive_room(instance: RoomInstance, actions: Sequence[int], seed: int = 0) -> Drive:

@@ -8,6 +8,7 @@ from .config import (
     RoomConfig,
     ShapeConfig,
     StartConfig,
+    Wall,
 )
 from .escape_room import EscapeRoomEnv
 from .instance import Rectangle, RoomInstance, Start, Target
@@ -17,6 +18,7 @@ from .presets import PRESETS, get_preset
 from .primitives import Primitive
 from .puzzles.base import (
     Contacts,
+    Pads,
     Panels,
     Place,
     Prop,
@@ -51,6 +53,7 @@ __all__ = [
     "ObstaclesConfig",
     "Operator",
     "PRESETS",
+    "Pads",
     "Panels",
     "Place",
     "Primitive",
@@ -71,6 +74,7 @@ __all__ = [
     "StartConfig",
     "SymbolicModel",
     "Target",
+    "Wall",
     "generate",
     "get_preset",
     "list_puzzles",

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Annotated, Literal
 
+from hrl_escape.env.primitives import SlipKind
 from hrl_escape.env.puzzles.base import PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.errors import ConfigError
@@ -29,6 +30,7 @@ __all__ = [
     "RoomConfig",
     "ShapeConfig",
     "StartConfig",
+    "Wall",
     "compute_resolution",
 ]
 
@@ -52,11 +54,32 @@ ROBOT_KINDS = ("arm", "kuka-iiwa", "franka-panda", "urdf")
 
 
 @dataclasses.dataclass(frozen=True)
+class Wall(Settings):
+    """An explicit interior wall, straight from one place to another along x or y."""
+
+    _section = "wall"
+    x: Annotated[float, Range(-110, 110, "m")] = 0.0
+    """Begin."""
+    y: Annotated[float, Range(-110, 110, "m")] = 0.0
+    """Begin."""
+    to_x: Annotated[float, Range(-110, 110, "m")] = 0.0
+    """End."""
+    to_y: Annotated[float, Range(-110, 110, "m")] = 1.0
+    """End."""
+
+    def check(self) -> None:
+        """Check that it has one direction."""
+        if (self.x == self.to_x) == (self.y == self.to_y):
+            raise ConfigError("wall", (self.x, self.y, self.to_x, self.to_y), "two places on one line along x or y")
+
+
+@dataclasses.dataclass(frozen=True)
 class ShapeConfig(Settings):
     """Floor plan: a rectangle centred on the origin, split into rooms by interior walls."""
 
     _section = "room"
     _takes_ranges = True
+    _left_out = frozenset({"cell", "map", "walls"})
     width: Annotated[float, Range(5, 200, "m")] = 20.0
     """Inner size along x."""
     depth: Annotated[float, Range(5, 200, "m")] = 20.0
@@ -69,6 +92,20 @@ class ShapeConfig(Settings):
     """Rooms that interior walls divide the floor into."""
     doorway_width: Annotated[float, Range(0.2, 50, "m")] = 2.5
     """Width of the doorway in each interior wall."""
+    cell: Annotated[float, Range(0.5, 20, "m")] = 1.0
+    """Side of the cells of a grid world: of `map`, and of starts in cells."""
+    map: tuple[str, ...] = ()
+    """Rows of a grid world from the top, one character a cell: # is wall, anything else floor."""
+    walls: tuple[Wall, ...] = ()
+    """Explicit interior walls."""
+
+    def check(self) -> None:
+        """Check that the map is as large as the floor."""
+        if self.map:
+            wide = {len(row) for row in self.map}
+            if wide != {round(self.width / self.cell, 9)} or len(self.map) != round(self.depth / self.cell, 9):
+                raise ConfigError("room.map", f"{len(self.map)} rows of {sorted(wide)} cells",
+                                  "rows and columns of cells that fill room.width and room.depth")
 
     @property
     def resolution(self) -> float:
@@ -81,6 +118,7 @@ class RobotConfig(Settings):
     """A wheeled base (an upright cylinder) with an arm of 1-DoF joints."""
 
     _section = "robot"
+    _left_out = frozenset({"gripper"})
     kind: Literal["arm", "kuka-iiwa", "franka-panda", "urdf"] = "arm"
     """Arm on the base: generated links, a named arm, or a URDF."""
     body_radius: Annotated[float, Range(0.05, 5, "m")] = 0.75
@@ -107,6 +145,8 @@ class RobotConfig(Settings):
     """URDF text of the user's arm (kind 'urdf'); see `load_urdf`."""
     hand_link: str | None = None
     """Link of the URDF whose origin is the hand (default: the last link)."""
+    gripper: bool = False
+    """Two primitives more, grip and release, for puzzles in which things are picked up."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -154,8 +194,8 @@ class StartConfig(Settings):
 
     _section = "start"
     _takes_ranges = True
-    place: Literal["random", "fixed"] = "random"
-    """Sampled with the instance, or fixed at x, y, heading_deg."""
+    place: Literal["random", "fixed", "cells"] = "random"
+    """Sampled with the instance, fixed at x, y, heading_deg, or in the middle of any free cell of the grid."""
     x: Annotated[float, Range(-100, 100, "m")] = 0.0
     """Fixed start."""
     y: Annotated[float, Range(-100, 100, "m")] = 0.0
@@ -167,8 +207,8 @@ class StartConfig(Settings):
 
     def check(self) -> None:
         """Check what spans several fields."""
-        if self.place == "fixed" and self.choices != 1:
-            raise ConfigError("start.choices", self.choices, "1 where start.place is 'fixed'")
+        if self.place != "random" and self.choices != 1:
+            raise ConfigError("start.choices", self.choices, "1 unless start.place is 'random'")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -209,6 +249,7 @@ class DynamicsConfig(Settings):
     """Dynamics: exact kinematics or Bullet's rigid bodies, noise and slip, and the part that presses."""
 
     _section = "dynamics"
+    _left_out = frozenset({"blocked", "slip_kind"})
     kind: Literal["kinematic", "physics"] = "kinematic"
     """Exact kinematics or rigid-body physics."""
     press_with: Literal["body", "hand"] = "body"
@@ -218,7 +259,18 @@ class DynamicsConfig(Settings):
     noise: Annotated[float, Range(0, 1)] = 0.0
     """Standard deviation of the relative error of every displacement."""
     slip: Annotated[float, Range(0, 1, open_high=True)] = 0.0
-    """Probability that a primitive does nothing."""
+    """Probability that a primitive does nothing, or a move goes elsewhere."""
+    slip_kind: SlipKind = "stay"
+    """A primitive that slips does nothing, or a move goes to either side, to either side unless it is blocked ahead, in
+    any of the three other directions, or to a free neighbour."""
+    blocked: Literal["contact", "stay"] = "contact"
+    """A blocked move ends at contact, or is not made at all: robots then stay on the lattice of their moves."""
+
+    def check(self) -> None:
+        """Check that bodies with inertia have only the dynamics of their own."""
+        if self.kind == "physics" and (self.blocked, self.slip_kind) != ("contact", "stay"):
+            raise ConfigError("dynamics.blocked", (self.blocked, self.slip_kind),
+                              "'contact', and slip_kind 'stay', under physics")
 
     @property
     def is_random(self) -> bool:
@@ -269,5 +321,8 @@ class RoomConfig(Settings):
             raise ConfigError("exit.width", self.exit.width, f"more than the {body:g} m that the robot needs to pass")
         if self.dynamics.press_with == "hand" and self.robot.joints == 0:
             raise ConfigError("dynamics.press_with", "hand", "'body', or a robot with robot.joints >= 1")
+        if self.puzzle.pads is not None and (self.dynamics.press_with, self.dynamics.kind) != ("body", "kinematic"):
+            raise ConfigError("dynamics", (self.dynamics.press_with, self.dynamics.kind),
+                              "press_with 'body' and kind 'kinematic' for a puzzle with pads")
         if self.puzzle.needs_physics and self.dynamics.kind != "physics":
             raise ConfigError("dynamics.kind", self.dynamics.kind, f"'physics' for puzzle {self.puzzle.kind!r}")

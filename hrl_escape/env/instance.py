@@ -13,7 +13,7 @@ import json
 import math
 from functools import cached_property
 from pathlib import Path
-from typing import Annotated, Any, cast
+from typing import Annotated, Any, Literal, cast
 
 from typing_extensions import Self
 
@@ -33,9 +33,10 @@ SCHEMA_VERSION = 1
 
 @dataclasses.dataclass(frozen=True)
 class Target(Settings):
-    """A box on a wall that can be pressed; in kinematic mode it blocks nothing."""
+    """A box on a wall that can be pressed, in kinematic mode it blocks nothing; or a pad on the floor."""
 
     _section = "target"
+    _left_out = frozenset({"kind"})
     name: str = "button-1"
     """Unique name."""
     x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
@@ -52,6 +53,8 @@ class Target(Settings):
     """Half its height."""
     yaw: Annotated[float, Range(-10, 10, "rad")] = 0.0
     """Direction of its width."""
+    kind: Literal["panel", "pad"] = "panel"
+    """A panel is pressed by touching it, a pad by the body's axis being over it."""
 
     @cached_property
     def footprint(self) -> Footprint:
@@ -149,6 +152,7 @@ class RoomInstance(Settings):
     """
 
     _section = "instance"
+    _left_out = frozenset({"shared"})
     name: str = "custom"
     """Name of the schematic."""
     seed: Annotated[int, Range(0, 2**63 - 1)] | None = None
@@ -202,6 +206,9 @@ class RoomInstance(Settings):
                                   f"from 0 to {headings - 1} at turns of {self.robot.turn_step_deg:g} degrees")
         if self.dynamics.press_with == "hand" and self.robot.joints == 0:
             raise ConfigError("dynamics.press_with", "hand", "'body', or a robot with robot.joints >= 1")
+        for target in self.targets:
+            if (target.kind == "pad") != (target.name in self.puzzle.pad_names):
+                raise ConfigError("target.kind", target.kind, "'pad' exactly for the puzzle's pads")
 
     def _check_frame(self, frame: SpaceLayout) -> None:
         names = self.puzzle.target_names
@@ -239,6 +246,8 @@ class RoomInstance(Settings):
         Returns:
             Metres from the body's axis (or from the hand) to the target's footprint.
         """
+        if target.kind == "pad":
+            return 0.0
         if self.dynamics.press_with == "hand":
             gap = max(abs(hand_height - target.z) - target.half_z, 0.0)
             limit, extra = self.robot.hand_radius + self.dynamics.press_margin, 0.0
@@ -259,10 +268,7 @@ class RoomInstance(Settings):
 
     def to_dict(self) -> dict[str, Any]:
         """Return nested plain values, with the schema version; a frame of its own is left out."""
-        fields = super().to_dict()
-        if self.shared is None:
-            del fields["shared"]
-        return {"schema": SCHEMA_VERSION} | fields
+        return {"schema": SCHEMA_VERSION} | super().to_dict()
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:

@@ -16,7 +16,7 @@ from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.noise import compute_noise, draw_chance, draw_puzzle_start
-from hrl_escape.env.primitives import make_action_table
+from hrl_escape.env.primitives import list_slips, make_action_table
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.robot import make_robot
 
@@ -101,7 +101,7 @@ class Rules:
     def __init__(self, instance: RoomInstance, is_still: bool = False) -> None:
         self.instance = instance
         self.robot = make_robot(instance.robot)
-        self.actions = make_action_table(instance.robot.joints)
+        self.actions = make_action_table(instance.robot.joints, instance.robot.gripper)
         self.headings = round(360 / instance.robot.turn_step_deg)
         self.turn_step = math.tau / self.headings
         self._angles = tuple(compute_heading(n, 0.0, self.turn_step) for n in range(self.headings))
@@ -109,6 +109,7 @@ class Rules:
         self._puzzle = instance.puzzle
         self._puzzle_starts = instance.puzzle.list_starts()
         self._is_random = instance.puzzle.is_random and not is_still
+        self._is_watching = instance.puzzle.is_watching
         self._exit = instance.exit
         reward = instance.reward
         self._step_reward = reward.step
@@ -213,7 +214,7 @@ class Rules:
                          puzzle, touching, 0, noise_key)
 
     def judge(self, before: RoomState, moved: RoomState,
-              prop_poses: tuple[tuple[float, float, float], ...] = ()) -> Transition:
+              prop_poses: tuple[tuple[float, float, float], ...] = (), grip: int = 0) -> Transition:
         """Complete a motion: presses, puzzle, reward, exit and horizon.
 
         Args:
@@ -221,6 +222,7 @@ class Rules:
             moved: state after its motion, with what is touched now; its puzzle state and
                 primitive count are still those of `before`.
             prop_poses: where the props are now (physics).
+            grip: 1 if the primitive grips, -1 if it releases.
         """
         pressed: tuple[int, ...] = ()
         puzzle = before.puzzle
@@ -228,9 +230,11 @@ class Rules:
         if begun:
             pressed = tuple(i for i in range(begun.bit_length()) if begun >> i & 1)
         more, failed = 0.0, False
-        if begun or prop_poses:
+        if begun or prop_poses or grip or self._is_watching:
             chance = draw_chance(before.noise_key, before.primitives) if self._is_random else 0.0
-            contacts = Contacts(pressed, prop_poses, chance)
+            touching = tuple(i for i in range(moved.touching.bit_length()) if moved.touching >> i & 1)
+            has_moved = moved.x != before.x or moved.y != before.y
+            contacts = Contacts(pressed, prop_poses, chance, touching, grip, has_moved)
             puzzle = self._puzzle.update(puzzle, contacts)
             more = self._puzzle.compute_reward(before.puzzle, puzzle, contacts)
             failed = self._puzzle.is_failed(puzzle)
@@ -257,6 +261,8 @@ class Kinematics(Rules):
         robot, dynamics = instance.robot, instance.dynamics
         self._radius = robot.body_radius + CONTACT_SKIN
         self._noise, self._slip = (0.0, 0.0) if is_still else (dynamics.noise, dynamics.slip)
+        self._slip_kind, self._stays = dynamics.slip_kind, dynamics.blocked == "stay"
+        self._slips = tuple(list_slips(dynamics.slip_kind, action) for action in range(len(self.actions)))
         self.footprints = tuple(solid.footprint for solid in instance.solids)
         self._door = instance.door and instance.door.footprint
         self._span = robot.move_step * (2.0 if self._noise else 1.0)
@@ -274,18 +280,36 @@ class Kinematics(Rules):
         scale = 1.0
         if self._noise or self._slip:
             normal, uniform = compute_noise(state.noise_key, state.primitives)
-            if uniform < self._slip:
-                return self.judge(state, state)
             scale += self._noise * normal
+            if uniform < self._slip:
+                if self._slip_kind == "stay":
+                    return self.judge(state, state)
+                action = self._slide(state, action, scale, uniform / self._slip)
         if primitive.joint >= 0:
             moved = self._move_joint(state, primitive.joint, primitive.joint_change, scale)
         elif primitive.turn:
             moved = self._turn(state, primitive.turn, scale)
+        elif primitive.grip:
+            moved = state
         else:
             moved = self._translate(state, action, scale)
-        return self.judge(state, moved)
+        return self.judge(state, moved, grip=primitive.grip)
 
-    def _translate(self, state: RoomState, action: int, scale: float) -> RoomState:
+    def _slide(self, state: RoomState, action: int, scale: float, share: float) -> int:
+        """Translation that one slips to, by a uniform number; another primitive does not slip."""
+        others = self._slips[action]
+        if self._slip_kind == "neighbour":
+            others = tuple(n for n in others if self._is_free(state, n, scale))
+        elif self._slip_kind == "lateral-if-free" and others and not self._is_free(state, action, scale):
+            return action
+        return others[min(int(share * len(others)), len(others) - 1)] if others else action
+
+    def _is_free(self, state: RoomState, action: int, scale: float) -> bool:
+        dx, dy = self._compute_displacement(state, action, scale)
+        return self.compute_free_fraction(state.x, state.y, dx, dy, state.puzzle) >= 1.0
+
+    def _compute_displacement(self, state: RoomState, action: int, scale: float) -> tuple[float, float]:
+        """Displacement of a translation that nothing blocks, m."""
         steps, offset = state.heading_steps, state.heading_offset
         if offset == 0.0:
             dx, dy = self._moves[action][steps]
@@ -293,10 +317,15 @@ class Kinematics(Rules):
             length = self.instance.robot.move_step
             dx, dy = self._primitives[action].compute_move(*self.get_rotation(steps, offset))
             dx, dy = length * dx, length * dy
-        if scale != 1.0:
-            dx, dy = scale * dx, scale * dy
+        return (scale * dx, scale * dy) if scale != 1.0 else (dx, dy)
+
+    def _translate(self, state: RoomState, action: int, scale: float) -> RoomState:
+        steps, offset = state.heading_steps, state.heading_offset
+        dx, dy = self._compute_displacement(state, action, scale)
         fraction = self.compute_free_fraction(state.x, state.y, dx, dy, state.puzzle)
         if fraction < 1.0:
+            if self._stays:
+                return state
             dx, dy = fraction * dx, fraction * dy
         x, y = state.x + dx, state.y + dy
         touching = self.compute_touching(x, y, steps, offset, state.joint_steps, state.joint_offsets)

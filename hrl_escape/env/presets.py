@@ -19,8 +19,9 @@ from hrl_escape.env.config import (
     RoomConfig,
     ShapeConfig,
     StartConfig,
+    Wall,
 )
-from hrl_escape.env.puzzles.base import Panels, Place, PuzzleConfig
+from hrl_escape.env.puzzles.base import Pads, Panels, Place, PuzzleConfig
 from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.code_lock import CodeLockConfig
@@ -29,7 +30,9 @@ from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
+from hrl_escape.env.puzzles.pin_pad import PinPadConfig
 from hrl_escape.env.puzzles.push_block import PushBlockConfig
+from hrl_escape.env.puzzles.taxi import TaxiConfig
 from hrl_escape.errors import ConfigError, UnknownNameError
 
 __all__ = ["PRESETS", "describe_schematic", "get_preset", "make_env_name"]
@@ -163,6 +166,56 @@ def deep_sea(size: int = 10) -> RoomConfig:
     return _panel_puzzle("deep-sea", DeepSeaConfig(size=size), exit=EVERYWHERE, reward=RewardConfig(step=0.0, exit=0.0))
 
 
+def taxi(rainy: bool = False, fickle: bool = False) -> RoomConfig:
+    """Taxi (Dietterich 2000; Gymnasium's Taxi-v4), cell by cell.
+
+    Args:
+        rainy: a move that is not blocked ahead goes to either side with probability 0.1 each.
+        fickle: the passenger may change the destination once, on the first ride of one cell.
+    """
+    places = tuple(Place(x, y) for x, y in ((-4, 4), (4, 4), (-4, -4), (2, -4)))
+    return RoomConfig(
+        name="taxi",
+        room=ShapeConfig(width=10, depth=10, cell=2,
+                         walls=(Wall(-1, 5, -1, 1), Wall(-3, -1, -3, -5), Wall(1, -1, 1, -5))),
+        robot=RobotConfig(body_radius=0.4, move_step=2, turn_step_deg=90, gripper=True),
+        puzzle=TaxiConfig(fickleness=0.3 if fickle else 0.0, depots=Pads(1.6, 1.6, places)),
+        start=StartConfig(place="cells"), exit=EVERYWHERE,
+        reward=RewardConfig(exit=20, exit_replaces_step=True),
+        dynamics=DynamicsConfig(blocked="stay", slip=0.2 if rainy else 0.0,
+                                slip_kind="lateral-if-free" if rainy else "stay"),
+        horizon=200,
+    )
+
+
+FOUR_ROOMS = ("     #     ", "     #     ", "           ", "     #     ", "     #     ", "# ####     ", "     ### ##",
+              "     #     ", "     #     ", "           ", "     #     ")
+"""Map of the four rooms of Sutton, Precup and Singh (1999), without its outer walls."""
+
+
+def four_rooms(slip: str = "any", row: int = 6, column: int = 8) -> RoomConfig:
+    """Four Rooms (Sutton, Precup and Singh 1999), cell by cell: 1 on arrival at the goal, 0 for all else.
+
+    Args:
+        slip: `any` for the paper's moves, 1/9 for each other direction; `neighbour` for a free neighbour once in three
+            moves (Bacon, Harb and Precup 2017); `none`.
+        row: of the goal, from 0 at the top; by default the goal is the east hallway.
+        column: of the goal.
+    """
+    goal = Place(column - 5.0, 5.0 - row)
+    return RoomConfig(
+        name="four-rooms",
+        room=ShapeConfig(width=11, depth=11, map=FOUR_ROOMS),
+        robot=RobotConfig(body_radius=0.2, move_step=1, turn_step_deg=90),
+        puzzle=PinPadConfig(count=1, floor=Pads(0.6, 0.6, (goal,))),
+        start=StartConfig(place="cells"),
+        exit=ExitConfig(place="fixed", x=goal.x, y=goal.y, width=1, depth=1),
+        reward=RewardConfig(step=0.0, exit=1.0, exit_replaces_step=True),
+        dynamics=DynamicsConfig(blocked="stay", slip=0.0 if slip == "none" else 1 / 3,
+                                slip_kind="stay" if slip == "none" else slip),  # type: ignore[arg-type]  # checked there
+    )
+
+
 PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "paper-one-button": lambda: paper_room(1),
     "paper-two-button": lambda: paper_room(2),
@@ -179,6 +232,9 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "code-lock": lambda: _panel_puzzle("code-lock", CodeLockConfig()),
     "light-box": lambda: _panel_puzzle("light-box", LightBoxConfig()),
     "deep-sea": deep_sea,
+    "four-rooms": four_rooms,
+    "taxi": taxi,
+    "pin-pad": lambda: _panel_puzzle("pin-pad", PinPadConfig()),
     "push-block": push_block,
 }
 

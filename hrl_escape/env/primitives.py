@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BASE_ACTIONS", "ActionTable", "JointActions", "Primitive", "make_action_table"]
+__all__ = ["BASE_ACTIONS", "ActionTable", "JointActions", "Primitive", "SlipKind", "list_slips", "make_action_table"]
 
 
 class Primitive(NamedTuple):
@@ -26,6 +26,7 @@ class Primitive(NamedTuple):
         turn: turn steps, counter-clockwise positive.
         joint: index of the joint that moves, or -1.
         joint_change: joint steps.
+        grip: 1 to grip, -1 to release.
     """
 
     name: str
@@ -34,6 +35,7 @@ class Primitive(NamedTuple):
     turn: int = 0
     joint: int = -1
     joint_change: int = 0
+    grip: int = 0
 
     def compute_move(self, cos: Any, sin: Any) -> tuple[Any, Any]:
         """Displacement along x and y at a heading, in move steps; takes numbers and arrays alike."""
@@ -49,7 +51,7 @@ class JointActions(NamedTuple):
 
 @dataclass(frozen=True)
 class ActionTable:
-    """The primitives of a robot in action order: translations, turns, then the joints.
+    """The primitives of a robot in action order: translations, turns, the joints, then the gripper.
 
     The groups hold action numbers. Those of the base come first and are the same for every robot.
 
@@ -60,6 +62,7 @@ class ActionTable:
         turns: turns of the base.
         base: translations and turns.
         joints: the pair of each joint.
+        gripper: grip and release; empty without a gripper.
         wait: the primitive to pass time with: it is always possible and presses nothing that the body is not touching.
     """
 
@@ -69,6 +72,7 @@ class ActionTable:
     turns: range
     base: range
     joints: tuple[JointActions, ...]
+    gripper: range
     wait: int
 
     def __len__(self) -> int:
@@ -95,11 +99,12 @@ _TRANSLATIONS = (
     Primitive("strafe-right", left=-1),
 )
 _TURNS = (Primitive("turn-left", turn=1), Primitive("turn-right", turn=-1))
+_GRIPPER = (Primitive("grip", grip=1), Primitive("release", grip=-1))
 _WAIT = "turn-left"
 
 
 @lru_cache
-def make_action_table(joints: int) -> ActionTable:
+def make_action_table(joints: int, gripper: bool = False) -> ActionTable:
     """Make the action table of a robot; names number its joints from 1."""
     base = _TRANSLATIONS + _TURNS
     arm = tuple(
@@ -107,7 +112,8 @@ def make_action_table(joints: int) -> ActionTable:
         for joint in range(joints)
         for word, change in (("increment", 1), ("decrement", -1))
     )
-    primitives = base + arm
+    hand = _GRIPPER if gripper else ()
+    primitives = base + arm + hand
     names = tuple(primitive.name for primitive in primitives)
     pairs = [(names.index(f"joint-{joint + 1}-increment"), names.index(f"joint-{joint + 1}-decrement"))
              for joint in range(joints)]
@@ -118,8 +124,27 @@ def make_action_table(joints: int) -> ActionTable:
         turns=range(len(_TRANSLATIONS), len(base)),
         base=range(len(base)),
         joints=tuple(JointActions(*pair) for pair in pairs),
+        gripper=range(len(base + arm), len(primitives)),
         wait=names.index(_WAIT),
     )
+
+
+SlipKind = Literal["stay", "lateral", "lateral-if-free", "any", "neighbour"]
+
+
+def list_slips(kind: SlipKind, action: int) -> tuple[int, ...]:
+    """Translations that one may slip to, all alike; those of `neighbour` are tried for being free.
+
+    `lateral`: the two at right angles to it; `any`: the three others; `neighbour`: all four; none of another primitive.
+    """
+    if action >= len(_TRANSLATIONS) or action < 0:
+        return ()
+    if kind == "neighbour":
+        return tuple(range(len(_TRANSLATIONS)))
+    others = tuple(n for n in range(len(_TRANSLATIONS)) if n != action)
+    if kind == "any":
+        return others
+    return tuple(n for n in others if bool(_TRANSLATIONS[n].forward) != bool(_TRANSLATIONS[action].forward))
 
 
 BASE_ACTIONS = make_action_table(0)

@@ -88,7 +88,7 @@ def record_episode(agent: Agent, env: gymnasium.Env, recorder: StateRecorder, se
         `make_frames`.
     """
     room: Any = env.unwrapped
-    names = make_action_table(room.instance.robot.joints).names
+    names = make_action_table(room.instance.robot.joints, room.instance.robot.gripper).names
     total, success = 0.0, False
     decisions: list[list[Any]] = []
     for transition, info in play_episode(agent, env, seed):

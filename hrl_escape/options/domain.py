@@ -250,7 +250,7 @@ class RoomDomain(OptionDomain):
         """Names of the room's action table, or of the actions of the environment of options below."""
         if self.lower is not None:
             return super().action_names
-        return make_action_table(self.room.instance.robot.joints).names
+        return make_action_table(self.room.instance.robot.joints, self.room.instance.robot.gripper).names
 
     def make_default_options(self, flavour: str, planner: str) -> Any:
         """Make the function that synthesises the meta-actions of any room.

@@ -15,7 +15,7 @@ from hrl_escape.env.noise import philox
 from hrl_escape.errors import OptionError, PlanningReason, UnknownNameError
 from hrl_escape.options.flavours import FLAVOURS
 from hrl_escape.options.option import Option, OptionAction
-from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, PushGoal, is_reached, make_goal
+from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PressGoal, PushGoal, is_reached, make_goal
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import get_pose
 
@@ -240,7 +240,7 @@ def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: R
 
 def name_object(goal: Goal, instance: RoomInstance) -> str | None:
     """Name of the object that a goal is about: a target, the prop to be pushed, or `exit`; None for a mere place."""
-    if isinstance(goal, PressGoal):
+    if isinstance(goal, (PressGoal, GripGoal)):
         return instance.frame.target_names[goal.target]
     if isinstance(goal, PushGoal):
         return instance.props[goal.prop].prop.name

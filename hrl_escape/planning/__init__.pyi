@@ -1,7 +1,7 @@
 from .arm.reacher import Reacher
 from .best_known import BestKnown, best_known_return, find_best_known, record_return
 from .calls import plan_many, start_planning
-from .goals import ExitGoal, Goal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached, parse_goal
+from .goals import ExitGoal, Goal, GripGoal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached, parse_goal
 from .motion.arm_planner import ArmPlanner
 from .paths.navigator import Navigator
 from .paths.problem import PathProblem, PathResult
@@ -22,6 +22,7 @@ __all__ = [
     "Execution",
     "ExitGoal",
     "Goal",
+    "GripGoal",
     "MotionLimits",
     "Navigator",
     "PathProblem",

@@ -20,12 +20,14 @@ __all__ = [
     "FARTHEST",
     "ExitGoal",
     "Goal",
+    "GripGoal",
     "PoseGoal",
     "PressGoal",
     "PushGoal",
     "RegionGoal",
     "check_goal",
     "describe_goal",
+    "find_grip",
     "find_push",
     "get_region",
     "is_reached",
@@ -92,10 +94,23 @@ class PushGoal:
     destination: int
 
 
+@dataclasses.dataclass(frozen=True)
+class GripGoal:
+    """Grip, or release, while touching a target, with the effect that the puzzle's symbolic model says.
+
+    Attributes:
+        target: index of the target.
+        release: release instead of gripping.
+    """
+
+    target: int
+    release: bool = False
+
+
 FARTHEST = 1e6
 """Bound of a goal's numbers, m or rad; one beyond is taken for infinite."""
 
-Goal: TypeAlias = PressGoal | ExitGoal | PoseGoal | RegionGoal | PushGoal
+Goal: TypeAlias = PressGoal | ExitGoal | PoseGoal | RegionGoal | PushGoal | GripGoal
 
 
 def check_goal(goal: Goal, instance: RoomInstance) -> None:
@@ -106,6 +121,9 @@ def check_goal(goal: Goal, instance: RoomInstance) -> None:
     """
     if isinstance(goal, PressGoal):
         _check_index("target", goal.target, len(instance.targets))
+    elif isinstance(goal, GripGoal):
+        _check_index("target", goal.target, len(instance.targets))
+        find_grip(goal, instance)
     elif isinstance(goal, PushGoal):
         _check_index("prop", goal.prop, len(instance.props))
         _check_index("prop", goal.destination, len(instance.props))
@@ -120,8 +138,8 @@ def check_goal(goal: Goal, instance: RoomInstance) -> None:
                 and goal.x_min <= goal.x_max and goal.y_min <= goal.y_max):
             raise GoalError(f"{show_value(goal)} is no region: finite numbers, x_min <= x_max and y_min <= y_max")
     elif not isinstance(goal, ExitGoal):
-        raise GoalError(f"{show_value(goal)} is no goal: a PressGoal, ExitGoal, PoseGoal, RegionGoal or PushGoal, or "
-                        "its text")
+        raise GoalError(f"{show_value(goal)} is no goal: a PressGoal, ExitGoal, PoseGoal, RegionGoal, PushGoal or "
+                        "GripGoal, or its text")
 
 
 def _check_index(kind: str, index: Any, count: int) -> None:
@@ -138,8 +156,8 @@ def parse_goal(text: str, instance: RoomInstance) -> Goal:
     """Read a goal from text.
 
     Args:
-        text: a target's name (`button-2`), `exit`, a place `x,y`, a pose `x,y,heading_deg`, or
-            `block->plate` to push one prop onto another.
+        text: a target's name (`button-2`), `exit`, a place `x,y`, a pose `x,y,heading_deg`,
+            `block->plate` to push one prop onto another, `grip red` or `release red` to do so at a target.
         instance: the room with the targets and props.
 
     Raises:
@@ -154,6 +172,9 @@ def parse_goal(text: str, instance: RoomInstance) -> Goal:
     targets = [target.name for target in instance.targets]
     if word in targets:
         return PressGoal(targets.index(word))
+    action, _, name = word.partition(" ")
+    if action in ("grip", "release") and name in targets:
+        return GripGoal(targets.index(name), action == "release")
     if "->" in word:
         props = [placed.prop.name for placed in instance.props]
         pair = [part.strip() for part in word.split("->", 1)]
@@ -183,6 +204,8 @@ def describe_goal(goal: Goal, instance: RoomInstance) -> str:
         return instance.targets[goal.target].name
     if isinstance(goal, ExitGoal):
         return "exit"
+    if isinstance(goal, GripGoal):
+        return f"{'release' if goal.release else 'grip'} {instance.targets[goal.target].name}"
     if isinstance(goal, PushGoal):
         return f"{instance.props[goal.prop].prop.name}->{instance.props[goal.destination].prop.name}"
     if isinstance(goal, RegionGoal):
@@ -214,8 +237,12 @@ def is_reached(goal: Goal, before: RoomState, after: RoomState, rules: Rules) ->
     if isinstance(goal, (ExitGoal, RegionGoal)):
         region = get_region(goal, rules.instance)
         return region.x_min <= after.x <= region.x_max and region.y_min <= after.y <= region.y_max
-    puzzle = rules.instance.puzzle
-    return find_push(goal, rules.instance).add <= puzzle.get_facts(after.puzzle)
+    get_facts = rules.instance.puzzle.get_facts
+    if isinstance(goal, GripGoal):
+        operator = find_grip(goal, rules.instance)
+        return before is not after and operator.is_applicable(get_facts(before.puzzle)) and (
+            operator.add <= get_facts(after.puzzle))
+    return find_push(goal, rules.instance).add <= get_facts(after.puzzle)
 
 
 def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
@@ -223,7 +250,21 @@ def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
     if operator.action == "push":
         props = [placed.prop.name for placed in instance.props]
         return PushGoal(props.index(operator.target), props.index(operator.destination or ""))
-    return PressGoal(instance.puzzle.target_names.index(operator.target))
+    target = instance.puzzle.target_names.index(operator.target)
+    return PressGoal(target) if operator.action == "press" else GripGoal(target, operator.action == "release")
+
+
+def find_grip(goal: GripGoal, instance: RoomInstance) -> Operator:
+    """Operator of the puzzle that grips or releases at this target.
+
+    Raises:
+        GoalError: the puzzle has no such operator.
+    """
+    name, action = instance.targets[goal.target].name, "release" if goal.release else "grip"
+    for operator in instance.puzzle.make_symbolic_model().operators:
+        if (operator.target, operator.action) == (name, action):
+            return operator
+    raise GoalError(f"the puzzle {instance.puzzle.kind!r} does not ask to {action} at {name!r}")
 
 
 def find_push(goal: PushGoal, instance: RoomInstance) -> Operator:

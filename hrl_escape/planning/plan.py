@@ -164,7 +164,7 @@ class Plan:
 
     def make_rows(self) -> list[tuple[str, str, str, str]]:
         """Format the plan as rows of text: a header, one row a part, and the total."""
-        names = make_action_table(self.instance.robot.joints).names
+        names = make_action_table(self.instance.robot.joints, self.instance.robot.gripper).names
         rows = [("part", "primitives", "ends at", "actions")]
         for part in self.parts:
             actions = self.primitives[part.start : part.stop]

@@ -92,6 +92,9 @@ class PrimitiveSearch:
         """
         self.instance = instance
         self.kinematics = kinematics or Kinematics(instance, is_still=True)
+        operators = instance.puzzle.make_symbolic_model().operators
+        names = {operator.target for operator in operators if operator.action == "press"}
+        self._pressed = {i for i, target in enumerate(instance.targets) if target.name in names}
         self._makers: dict[tuple[bool, int], FieldMaker] = {}
         self._maps: dict[bool, CollisionMap] = {}
 
@@ -303,7 +306,7 @@ class PrimitiveSearch:
                        ) -> Iterator[_Variant]:
         """Variants of the search, in order."""
         is_open = self.instance.puzzle.is_solved(problem.state.puzzle)
-        others = set(range(len(self.instance.targets))) - {getattr(problem.goal, "target", -1)}
+        others = self._pressed - {getattr(problem.goal, "target", -1)}
         avoid = avoid and bool(others or (is_open and not isinstance(problem.goal, ExitGoal)))
         door_shut = not is_open
         if door_shut and not self.get_collision(True).is_free(problem.state.x, problem.state.y):

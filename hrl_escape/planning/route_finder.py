@@ -25,7 +25,16 @@ from hrl_escape.env.state_checks import check_fields
 from hrl_escape.errors import ActionError, ConfigError, EscapeError, PlanningFailed, PlanningReason, UnknownNameError
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.clock import Clock
-from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, check_goal, describe_goal, is_reached
+from hrl_escape.planning.goals import (
+    ExitGoal,
+    Goal,
+    GripGoal,
+    PressGoal,
+    check_goal,
+    describe_goal,
+    find_grip,
+    is_reached,
+)
 from hrl_escape.planning.lattice.cost_to_go import FieldMaker
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.primitive_search import METHODS, PrimitiveSearch
@@ -155,6 +164,9 @@ class RouteFinder:
         with self._explaining(state, goal):
             if isinstance(goal, ExitGoal) and self.instance.door and not self.is_solved(state):
                 return False
+            if isinstance(goal, GripGoal):
+                facts = self.instance.puzzle.get_facts(state.puzzle)
+                return find_grip(goal, self.instance).is_applicable(facts)
             return isinstance(goal, PressGoal) or not is_reached(goal, state, state, self.rules)
 
     def find_route(self, state: RoomState, goal: Goal, report: PlanningReport | None = None,
@@ -284,12 +296,29 @@ class RouteFinder:
     def _search_round_props(self, state: RoomState, goal: Goal, clock: Clock, settings: SearchSettings
                             ) -> Route | PlanningFailed:
         """Route that keeps away from all blocks if it can, and in any case from those that must not be moved."""
+        if isinstance(goal, GripGoal):
+            return self._search_grip(state, goal, clock, settings)
         *careful, least = list_obstacles(state, self.instance)
         for keep_out in careful:
             found = self._search_route(state, goal, clock, settings._replace(budget=CAREFUL), keep_out, False)
             if isinstance(found, Route):
                 return found
         return self._search_route(state, goal, clock, settings, least)
+
+    def _search_grip(self, state: RoomState, goal: GripGoal, clock: Clock, settings: SearchSettings
+                     ) -> Route | PlanningFailed:
+        """Route to the target, unless it is touched already, and the gripper's primitive.
+
+        Where that has its effect is for the puzzle to say, on which a route does not depend.
+        """
+        route = Route((), (get_pose(state),), (), 0)
+        if not state.touching >> goal.target & 1:
+            found = self._search_round_props(state, PressGoal(goal.target), clock, settings)
+            if isinstance(found, PlanningFailed):
+                return found
+            route = found
+        primitives = (*route.primitives, self.rules.actions.gripper[int(goal.release)])
+        return route._replace(primitives=primitives, poses=(*route.poses, route.poses[-1]))
 
     def _search_route(self, state: RoomState, goal: Goal, clock: Clock, settings: SearchSettings,
                       keep_out: Sequence[Footprint] = (), refine: bool = True) -> Route | PlanningFailed:

@@ -77,7 +77,7 @@ def make_structure(situations: Situations, kind: str, leaves: str, abstract: boo
 
 def _make_task_graph(rooms: Situations, planned: bool, abstract: bool) -> Hierarchy:
     """Root -> one task an operator, and the exit -> touch or leave a target -> primitives."""
-    primitives = range(len(make_action_table(rooms.instance.robot.joints)))
+    primitives = range(len(make_action_table(rooms.instance.robot.joints, rooms.instance.robot.gripper)))
     graph: dict[str, list[str | int]] = {ROOT: [*(operator.name for operator in rooms.operators), EXIT]}
     until: dict[str, Until] = {EXIT: lambda seen: not seen.state.is_open}
     goals: dict[str, int | None] = {EXIT: None}
@@ -139,7 +139,7 @@ def _make_place_finder(rooms: Situations) -> Callable[[str, tuple[Any, ...]], tu
 
 def _make_program(rooms: Situations, planned: bool) -> Machine:
     """Choose an operator that may be applied, or the open exit; touch its target until it has worked."""
-    primitives = range(len(make_action_table(rooms.instance.robot.joints)))
+    primitives = range(len(make_action_table(rooms.instance.robot.joints, rooms.instance.robot.gripper)))
     operators = {operator.name: operator for operator in rooms.operators}
     goals = {EXIT: rooms.get_goal(None)} | {name: rooms.get_goal(i) for i, name in enumerate(rooms.target_names)}
 

@@ -18,7 +18,7 @@ from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_ro
 from hrl_escape.env.batched.puzzles.base import TensorContacts, get_tensor_puzzle
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick
 from hrl_escape.env.config import CONTACT_SKIN
-from hrl_escape.env.primitives import BASE_ACTIONS
+from hrl_escape.env.primitives import BASE_ACTIONS, list_slips
 
 __all__ = ["TensorTransition", "begin", "is_in_exit", "restart", "step"]
 
@@ -57,10 +57,42 @@ def step(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> 
     if layout.is_random:
         normal, uniform = compute_noise(state.noise_key, state.primitives)
         scale = 1.0 + layout.dynamics.noise * normal
-        action = torch.where(uniform < layout.dynamics.slip, -1, action)
+        action = _slide(layout, tables, state, action, scale, uniform) if layout.dynamics.slip else action
     moved = _translate(layout, tables, state, action, scale)
     moved = _move_joints(layout, _turn(layout, moved, action, scale), action, scale)
-    return _judge(layout, tables, state, moved)
+    return _judge(layout, tables, state, moved, _find_grip(layout, action))
+
+
+def _slide(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor, uniform: Tensor
+           ) -> Tensor:
+    """The actions that are taken instead of slipping ones; -1 for none."""
+    dynamics, moves = layout.dynamics, BASE_ACTIONS.translations
+    slips = uniform < dynamics.slip
+    if dynamics.slip_kind == "stay":
+        return torch.where(slips, -1, action)
+    slips = slips & (action >= 0) & (action < len(moves))
+    share = uniform / dynamics.slip
+    if dynamics.slip_kind == "neighbour":
+        free = torch.stack([_is_free(layout, tables, state, torch.full_like(action, move), scale) for move in moves])
+        count = free.sum(0)
+        number = torch.minimum((share * count).to(torch.int64), count - 1)
+        chosen = free & (free.to(torch.int64).cumsum(0) == number + 1)
+        taken = (chosen.to(torch.int64) * torch.arange(len(moves), device=action.device).unsqueeze(1)).sum(0)
+        return torch.where(slips & (count > 0), taken, action)
+    others = torch.tensor([list_slips(dynamics.slip_kind, move) for move in moves], device=action.device)
+    number = (share * others.shape[1]).to(torch.int64).clamp(max=others.shape[1] - 1)
+    taken = others[action.clamp(0, len(moves) - 1), number]
+    if dynamics.slip_kind == "lateral-if-free":
+        slips = slips & _is_free(layout, tables, state, action, scale)
+    return torch.where(slips, taken, action)
+
+
+def _find_grip(layout: Layout, action: Tensor) -> Tensor:
+    """1 where an action grips, -1 where it releases, else 0, int64 (rooms,)."""
+    grip = torch.zeros_like(action)
+    for number in layout.actions.gripper:
+        grip = grip + layout.actions.primitives[number].grip * (action == number).to(grip.dtype)
+    return grip
 
 
 def _sum_effects(action: Tensor, name: str) -> Tensor:
@@ -75,12 +107,26 @@ def _sum_effects(action: Tensor, name: str) -> Tensor:
 
 def _translate(layout: Layout, tables: Tables, state: TensorState, action: Tensor,
                scale: Tensor | None) -> TensorState:
+    dx, dy = _compute_displacement(layout, tables, state, action, scale)
+    free = _find_free_fraction(layout, tables, state, dx, dy)
+    if layout.dynamics.blocked == "stay":
+        free = (free >= 1.0).to(torch.float64)
+    return state._replace(x=state.x + free * dx, y=state.y + free * dy)
+
+
+def _compute_displacement(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor | None
+                          ) -> tuple[Tensor, Tensor]:
+    """Displacements that nothing blocks, m, float64 (rooms,) each."""
     length = layout.robot.move_step if scale is None else layout.robot.move_step * scale
     forward, left = (length * _sum_effects(action, name).to(torch.float64) for name in ("forward", "left"))
     cos, sin = compute_rotation(layout, tables, state)
-    dx, dy = forward * cos - left * sin, forward * sin + left * cos
-    free = _find_free_fraction(layout, tables, state, dx, dy)
-    return state._replace(x=state.x + free * dx, y=state.y + free * dy)
+    return forward * cos - left * sin, forward * sin + left * cos
+
+
+def _is_free(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor) -> Tensor:
+    """Return true where nothing blocks a translation, bool (rooms,)."""
+    dx, dy = _compute_displacement(layout, tables, state, action, scale)
+    return _find_free_fraction(layout, tables, state, dx, dy) >= 1.0
 
 
 def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
@@ -142,25 +188,27 @@ def _move_joints(layout: Layout, state: TensorState, action: Tensor, scale: Tens
                           joint_offsets=torch.where(is_allowed, offsets, state.joint_offsets))
 
 
-def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorState) -> TensorTransition:
+def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorState, grip: Tensor) -> TensorTransition:
     """Complete a motion: presses, puzzle, reward, exit and horizon."""
     form = get_tensor_puzzle(layout.puzzle)
     columns = pick(layout, tables.puzzle, before.instance)
     touching = compute_touching(layout, tables, moved)
     pressed = touching & ~before.touching
     chance = draw_chance(before.noise_key, before.primitives) if layout.is_puzzle_random else torch.zeros_like(before.x)
-    contacts = TensorContacts(pressed, chance)
+    has_moved = (moved.x != before.x) | (moved.y != before.y)
+    contacts = TensorContacts(pressed, chance, touching, grip, has_moved)
     puzzle = form.update(columns, before.puzzle, contacts, layout.targets)
     primitives = before.primitives + 1
     escaped = is_in_exit(layout, tables, moved.instance, moved.x, moved.y) & form.is_solved(columns, puzzle)
     failed, more = form.is_failed(columns, puzzle), form.compute_reward(columns, before.puzzle, puzzle, contacts)
-    terminated = escaped if failed is None else escaped | (failed & (pressed != 0))
+    is_told = torch.ones_like(escaped) if layout.is_watching else (pressed != 0) | (grip != 0)
+    terminated = escaped if failed is None else escaped | (failed & is_told)
     truncated = ~terminated & (primitives >= pick(layout, tables.horizons, before.instance)[0])
     each, final = pick(layout, tables.rewards, before.instance)
     state = moved._replace(puzzle=puzzle, touching=touching, primitives=primitives,
                            has_ended=(terminated | truncated).to(torch.int32))
     reward = torch.where(escaped, final, each)
-    reward = reward if more is None else reward + torch.where(pressed != 0, more, 0.0)
+    reward = reward if more is None else reward + torch.where(is_told, more, 0.0)
     return TensorTransition(state, reward, terminated, truncated, pressed)
 
 

@@ -55,6 +55,7 @@ class Layout:
         has_door: True if any exit has a door.
         has_offsets: True if headings can leave the lattice of turn steps (noise, or a start off it).
         is_shared: True for a single instance, so that tables need no look-up.
+        is_watching: True if puzzles are told of every primitive.
         is_puzzle_random: True if something is random in the puzzle of any room.
         draws: True if anything is random in an episode.
         resample: True if a new episode draws another instance.
@@ -69,6 +70,7 @@ class Layout:
     has_door: bool
     has_offsets: bool
     is_shared: bool
+    is_watching: bool
     is_puzzle_random: bool
     draws: bool
     resample: bool
@@ -196,7 +198,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
     is_puzzle_random = any(instance.puzzle.is_random for instance in instances)
     return Layout(
         robot=first.robot,
-        actions=make_action_table(first.robot.joints),
+        actions=make_action_table(first.robot.joints, first.robot.gripper),
         arm=make_arm(make_robot(first.robot)),
         dynamics=first.dynamics,
         puzzle=first.puzzle.kind,
@@ -204,6 +206,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
         has_door=any(instance.door for instance in instances),
         has_offsets=bool(noise) or any(start.heading_offset for instance in instances for start in instance.starts),
         is_shared=len(instances) == 1,
+        is_watching=first.puzzle.is_watching,
         is_puzzle_random=is_puzzle_random,
         draws=(resample or is_puzzle_random or bool(noise or first.dynamics.slip)
                or any(len(i.starts) > 1 or len(i.puzzle.list_starts()) > 1 for i in instances)),

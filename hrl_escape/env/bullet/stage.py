@@ -206,7 +206,7 @@ class Stage:
         solid = Solid("box", target.x, target.y, target.half_x, target.half_y, target.yaw, high)
         self.standing.append(Standing(solid, bodies[0], bodies[1]))
         ahead = palette.find_front(self._instance, target)
-        deep = target.half_y + min(0.4, 0.5 * self._instance.robot.body_radius)
+        deep = target.half_y + (min(0.4, 0.5 * self._instance.robot.body_radius) if target.kind == "panel" else 0.0)
         middle = (target.x + ahead[0] * deep / 2, target.y + ahead[1] * deep / 2)
         mat = make_flat(rotate_box(*middle, target.half_x, deep / 2, target.yaw), 4 * _LAYER)
         return _Lamp([bodies[0][0], bodies[1][0]], self._add(mat, _MAT))

@@ -209,7 +209,7 @@ def _draw_trajectory(axes: Axes, trajectory: Trajectory, colour: str) -> None:
 
 
 def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
-    """Panels as coloured bars; names outside the nearest outer wall, or beside the panel inside."""
+    """Panels as coloured bars, pads as areas; names outside the nearest outer wall, beside a panel inside, on a pad."""
     puzzle = instance.puzzle
     sides: dict[str, list[int]] = {}
     for index, target in enumerate(instance.targets):
@@ -220,7 +220,8 @@ def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
         if puzzle.get_lit(state.puzzle)[index]:
             axes.add_patch(Polygon(corners, fill=False, edgecolor=palette.LIT.fill, linewidth=10, alpha=0.4,
                                    zorder=3.7, joinstyle="round"))
-        sides.setdefault(_find_side(instance, target), []).append(index)
+        side = "inside" if target.kind == "pad" else _find_side(instance, target)
+        sides.setdefault(side, []).append(index)
     for side, members in sides.items():
         _draw_names(axes, instance, state, side, members)
 
@@ -249,6 +250,9 @@ def _draw_names(axes: Axes, instance: RoomInstance, state: RoomState, side: str,
         style: dict[str, Any] = {"fontsize": _LABEL_POINTS, "color": ink, "bbox": box, "zorder": 11}
         style["weight"] = "bold" if index in instance.puzzle.goal_targets else "normal"
         gap = 12 / scale
+        if target.kind == "pad":
+            axes.annotate(name, (target.x, target.y), ha="center", va="center", **style)
+            continue
         if side == "inside":
             behind = [-round(part) for part in palette.find_front(instance, target)]
             axes.annotate(name, (target.x, target.y), (12 * behind[0], 12 * behind[1]), textcoords="offset points",

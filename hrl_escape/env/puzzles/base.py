@@ -24,6 +24,7 @@ from hrl_escape.settings import Range, Settings
 
 __all__ = [
     "Contacts",
+    "Pads",
     "Panels",
     "Place",
     "Prop",
@@ -32,6 +33,7 @@ __all__ = [
     "PuzzleKind",
     "get_puzzle_kind",
     "list_puzzles",
+    "make_contacts",
     "register_puzzle",
 ]
 
@@ -49,11 +51,17 @@ class Contacts(NamedTuple):
         uniform: number between 0 and 1 drawn for this primitive, if the puzzle is random. 0, which is never drawn,
             stands for the most likely outcome: planners press with it, so an outcome of probability p should be that
             of numbers below p.
+        touching: indices of all targets touched at its end, ascending: panels in reach, and pads stood on.
+        grip: 1 if the primitive was `grip`, -1 if it was `release`, else 0.
+        has_moved: the body's axis has moved.
     """
 
     pressed: tuple[int, ...]
     prop_poses: tuple[tuple[float, float, float], ...] = ()
     uniform: float = 0.0
+    touching: tuple[int, ...] = ()
+    grip: int = 0
+    has_moved: bool = False
 
 
 @dataclasses.dataclass(frozen=True)
@@ -105,6 +113,20 @@ class Panels(Settings):
             raise ConfigError("puzzle.count", count, "at most 4 with panels.places = 'paper'")
         if isinstance(self.places, tuple) and len(self.places) < count:
             raise ConfigError("panels.places", len(self.places), f"at least puzzle.count = {count} places")
+
+
+@dataclasses.dataclass(frozen=True)
+class Pads(Settings):
+    """Size and places of the rectangles on the floor that are pressed when the body's axis enters them."""
+
+    _section = "pads"
+    _takes_ranges = True
+    width: Annotated[float, Range(0.02, 200, "m")] = 2.0
+    """Size along its own x."""
+    depth: Annotated[float, Range(0.02, 200, "m")] = 2.0
+    """Size along its own y."""
+    places: Literal["random"] | tuple[Place, ...] = "random"
+    """Anywhere on the floor, parallel to the walls, or explicit ones."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -176,7 +198,12 @@ class PuzzleConfig(_OfKind):
 
     @property
     def panels(self) -> Panels | None:
-        """Sizes and places of the puzzle's targets; None if it has none."""
+        """Sizes and places of the puzzle's panels; None if it has none."""
+        return None
+
+    @property
+    def pads(self) -> Pads | None:
+        """Sizes and places of the puzzle's pads; None if it has none."""
         return None
 
 
@@ -200,9 +227,19 @@ class Puzzle(_OfKind):
         """Names of the things that can be pressed; the index is the target's number."""
 
     @property
+    def pad_names(self) -> tuple[str, ...]:
+        """Names of those that are pads on the floor; the others are panels on the walls."""
+        return ()
+
+    @property
     def props(self) -> tuple[Prop, ...]:
         """Things on the floor that the room must place."""
         return ()
+
+    @property
+    def is_watching(self) -> bool:
+        """`update` is called after every primitive; else only after those that press or grip."""
+        return False
 
     @property
     def is_random(self) -> bool:
@@ -239,7 +276,7 @@ class Puzzle(_OfKind):
         return False
 
     def compute_reward(self, before: PuzzleState, after: PuzzleState, contacts: Contacts) -> float:
-        """Reward of a primitive that pressed something, on top of the room's own."""
+        """Reward of a primitive after which `update` was called, on top of the room's own."""
         return 0.0
 
     @property
@@ -302,6 +339,14 @@ class Puzzle(_OfKind):
     def goal_targets(self) -> tuple[int, ...]:
         """Targets that must be on in the end, for drawings."""
         return ()
+
+
+def make_contacts(operator: Operator, target_names: tuple[str, ...]) -> Contacts:
+    """Contacts of the primitive that carries out an operator at a target, by the most likely outcome."""
+    target = target_names.index(operator.target)
+    if operator.action == "press":
+        return Contacts((target,), touching=(target,))
+    return Contacts((), touching=(target,), grip=1 if operator.action == "grip" else -1)
 
 
 @dataclasses.dataclass(frozen=True)

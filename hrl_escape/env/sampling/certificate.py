@@ -122,7 +122,7 @@ def _can_touch_by_body(instance: RoomInstance, target: Target, space: FreeSpace,
         raise Rejected(f"{target.name} must hang low enough for the body to touch it")
     known.clear()
     for share in (0.999, 0.9, 0.5, 0.0):
-        points = _outline(target, reach * share if share else 1e-6)
+        points = _outline(target, reach * share if share else 1e-6) if target.kind == "panel" else _fill(target, share)
         for x, y in points[space.is_clear(points)].tolist():
             cell = space.find_link(x, y)
             if cell is not None and space.labels[cell] == label:
@@ -146,6 +146,14 @@ def _outline(target: Target, distance: float) -> NDArray[np.float64]:
     points.append(round_corner + np.sign(round_corner) * (target.half_x, target.half_y))
     cos, sin = math.cos(target.yaw), math.sin(target.yaw)
     return np.concatenate(points) @ np.array([[cos, sin], [-sin, cos]]) + (target.x, target.y)
+
+
+def _fill(target: Target, share: float) -> NDArray[np.float64]:
+    """Points spread over a share of a pad's extent."""
+    sides = np.linspace(-share, share, 5)
+    points = np.stack(np.meshgrid(sides * target.half_x, sides * target.half_y), axis=-1).reshape(-1, 2)
+    cos, sin = math.cos(target.yaw), math.sin(target.yaw)
+    return points @ np.array([[cos, sin], [-sin, cos]]) + (target.x, target.y)
 
 
 def _can_touch_by_hand(instance: RoomInstance, target: Target, space: FreeSpace, label: int) -> bool:

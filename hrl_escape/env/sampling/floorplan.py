@@ -5,6 +5,7 @@ Pure functions of a generator; returns solids and the wall faces on which panels
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import NamedTuple
 
@@ -85,7 +86,33 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator) -> Floorplan:
             solids.append(_wall_piece(config, side, low, high, corner=True))
             faces.append(Face(*_along(side, low), side.yaw, high - low))
     inner, inner_faces = _sample_interior(config, gates, sides, rng)
-    return Floorplan((*solids, *alcove, *inner), door, (*faces, *inner_faces), exit_area)
+    given = (*_build_map(config), *_build_walls(config))
+    return Floorplan((*solids, *alcove, *inner, *given), door, (*faces, *inner_faces), exit_area)
+
+
+def _build_map(config: RoomConfig) -> list[Solid]:
+    """Walls of the map: one box for each run of cells in a row."""
+    room, solids = config.room, []
+    for row, text in enumerate(room.map):
+        y, column = room.depth / 2 - (row + 0.5) * room.cell, 0
+        for is_wall, run in itertools.groupby(text, "#".__eq__):
+            count = len(list(run))
+            if is_wall:
+                x = (column + count / 2) * room.cell - room.width / 2
+                solids.append(Solid("box", x, y, count * room.cell / 2, room.cell / 2, 0.0, room.wall_height, "wall"))
+            column += count
+    return solids
+
+
+def _build_walls(config: RoomConfig) -> list[Solid]:
+    """Explicit walls, as thick as all others."""
+    half, solids = config.room.wall_thickness / 2, []
+    for wall in config.room.walls:
+        along = math.hypot(wall.to_x - wall.x, wall.to_y - wall.y) / 2
+        yaw = 0.0 if wall.y == wall.to_y else math.pi / 2
+        x, y = (wall.x + wall.to_x) / 2, (wall.y + wall.to_y) / 2
+        solids.append(Solid("box", x, y, along, half, yaw, config.room.wall_height, "wall"))
+    return solids
 
 
 def _rectangle(x: float, y: float, half_x: float, half_y: float) -> Rectangle:

@@ -13,10 +13,10 @@ import math
 
 import numpy as np
 
-from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.config import PASSAGE_SLACK, RoomConfig
 from hrl_escape.env.geometry import compute_distance, compute_distance_many, make_footprint, stack_footprints
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target
-from hrl_escape.env.puzzles.base import Panels, Place, Puzzle
+from hrl_escape.env.puzzles.base import Pads, Panels, Place, Puzzle
 from hrl_escape.env.sampling.certificate import find_unmet, has_arm_free, make_floors
 from hrl_escape.env.sampling.floorplan import Face, Floorplan, Rejected, sample_floorplan
 from hrl_escape.env.sampling.free_space import FreeSpace
@@ -32,6 +32,7 @@ TRIES = 30
 LARGEST_WORK = 1_600_000
 """Work that a room may cost, in units of about a microsecond."""
 _START_TRIES = 100
+_PAD_HEIGHT = 0.02  # m, half the height of a pad over the floor
 _ADVICE = "Make the room larger, or ask for fewer or smaller things in it."
 
 
@@ -96,6 +97,16 @@ def _fixed_start(config: RoomConfig) -> Start:
 
 
 def _place_targets(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, rng: np.random.Generator) -> tuple[Target, ...]:
+    names = tuple(name for name in puzzle.target_names if name not in puzzle.pad_names)
+    hung = _hang_panels(config, names, plan, rng)
+    if not puzzle.pad_names:
+        return hung
+    placed = {target.name: target for target in (*hung, *_lay_pads(config, puzzle.pad_names, plan, hung, rng))}
+    return tuple(placed[name] for name in puzzle.target_names)
+
+
+def _hang_panels(config: RoomConfig, names: tuple[str, ...], plan: Floorplan, rng: np.random.Generator
+                 ) -> tuple[Target, ...]:
     panels = config.puzzle.panels
     if panels is None:
         return ()
@@ -105,10 +116,9 @@ def _place_targets(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, rng: np.
         places = _paper_places(config, panels)
     else:
         targets: list[Target] = []
-        for name in puzzle.target_names:
+        for name in names:
             targets.append(_hang_anywhere(config, panels, name, plan, targets, rng))
         return tuple(targets)
-    names = puzzle.target_names
     return tuple(_make_target(name, panels, p.x, p.y, p.z if p.z is not None else panels.centre_height,
                               math.radians(p.yaw_deg)) for name, p in zip(names, places, strict=False))
 
@@ -151,10 +161,45 @@ def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorpla
     raise Rejected(f"{len(others) + 1} buttons must fit onto the walls without overlap, outside the exit")
 
 
+def _lay_pads(config: RoomConfig, names: tuple[str, ...], plan: Floorplan, panels: tuple[Target, ...],
+              rng: np.random.Generator) -> list[Target]:
+    """Lay pads where the body fits all over them, off other targets, and off the exit unless that is everywhere."""
+    pads = config.puzzle.pads
+    if pads is None:
+        raise ConfigError("puzzle.pads", None, f"sizes and places of the pads {', '.join(names)}")
+    if not isinstance(pads.places, str):
+        return [_make_pad(pads, name, place.x, place.y, math.radians(place.yaw_deg))
+                for name, place in zip(names, pads.places, strict=False)]
+    half_x, half_y = config.room.width / 2, config.room.depth / 2
+    walls = stack_footprints([solid.footprint for solid in plan.solids])
+    radius, body = math.hypot(pads.width, pads.depth) / 2, config.robot.body_radius + PASSAGE_SLACK
+    area = plan.exit
+    is_everywhere = area.contains(half_x, half_y) and area.contains(-half_x, -half_y)
+    laid: list[Target] = []
+    for name in names:
+        for _ in range(300):
+            x, y = float(rng.uniform(-half_x, half_x)), float(rng.uniform(-half_y, half_y))
+            exit_x, exit_y = max(area.x_min - x, x - area.x_max), max(area.y_min - y, y - area.y_max)
+            if (compute_distance_many(np.array([[x, y]]), walls)[0] >= radius + body
+                    and all(compute_distance(x, y, other.footprint) >= radius + body for other in (*panels, *laid))
+                    and (is_everywhere or max(exit_x, exit_y) >= radius)):
+                laid.append(_make_pad(pads, name, x, y, 0.0))
+                break
+        else:
+            raise Rejected(f"{name} must fit onto the floor")
+    return laid
+
+
+def _make_pad(pads: Pads, name: str, x: float, y: float, yaw: float) -> Target:
+    return Target(name, x, y, _PAD_HEIGHT, pads.width / 2, pads.depth / 2, _PAD_HEIGHT, yaw, "pad")
+
+
 def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace,
                  rng: np.random.Generator) -> RoomInstance:
     if config.start.place == "fixed":
         return instance
+    if config.start.place == "cells":
+        return dataclasses.replace(instance, starts=_list_cell_starts(config, instance, space))
     labels, counts = np.unique(space.labels[space.labels > 0], return_counts=True)
     if not len(labels):
         raise Rejected("the body must fit somewhere")
@@ -185,6 +230,21 @@ def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace,
             x, y = centres[rng.integers(len(centres))].tolist()
             starts[number] = Start(x, y, int(rng.integers(turns)))
     return dataclasses.replace(instance, starts=tuple(starts))
+
+
+def _list_cell_starts(config: RoomConfig, instance: RoomInstance, space: FreeSpace) -> tuple[Start, ...]:
+    """Starts in the middle of every free cell, row by row from the top, outside the exit unless that is everywhere."""
+    cell, area = config.room.cell, instance.exit
+    columns, rows = round(config.room.width / cell), round(config.room.depth / cell)
+    centres = np.array([((column + 0.5) * cell - instance.half_width, instance.half_depth - (row + 0.5) * cell)
+                        for row in range(rows) for column in range(columns)])
+    free = centres[space.is_clear(centres)].tolist()
+    outside = [place for place in free if not area.contains(*place)]
+    heading = _fixed_start(config)
+    starts = tuple(dataclasses.replace(heading, x=x, y=y) for x, y in outside or free)
+    if not starts:
+        raise Rejected("the body must fit into a cell")
+    return starts
 
 
 def _place_props(instance: RoomInstance, rng: np.random.Generator) -> RoomInstance:

@@ -146,7 +146,7 @@ class _Search:
         self._stride = math.ceil(math.sqrt(max(1.0, floors.shut.free.size / _MOST_CELLS)))
         self._distances: dict[int, NDArray[np.float64]] = {}
         self._graphs: dict[bool, Any] = {}
-        self._base_actions = range(len(self._rules.actions) - 2 * instance.robot.joints)
+        self._base_actions = self._rules.actions.base
         self._hands: NDArray[np.float64] | None = None
         self._joint_steps = np.zeros((0, 0), dtype=np.int64)
         if instance.dynamics.press_with == "hand":

@@ -103,7 +103,7 @@ def _round(values: NDArray[np.float64]) -> list[float]:
 
 
 def _list_primitives(instance: RoomInstance) -> set[str]:
-    return set(make_action_table(instance.robot.joints).names)
+    return set(make_action_table(instance.robot.joints, instance.robot.gripper).names)
 
 
 def _describe_room(instance: RoomInstance) -> dict[str, Any]:

@@ -162,6 +162,8 @@ def _compute_moves(layout: Layout, tables: Tables, state: TensorState, is_open: 
         doors: Shapes = pick(layout, tables.doors, state.instance)
         door = compute_first_contact(*motion, doors.round()).amin(1).clamp(min=0.0)
         free = torch.where(is_open, free, torch.minimum(free, door))
+    if layout.dynamics.blocked == "stay":
+        free = (free >= 1.0).to(free.dtype)
     x, y = state.x + free * dx, state.y + free * dy
     stays = len(BASE_ACTIONS.turns)
     return (torch.cat([free, torch.ones_like(free[:stays])]), torch.cat([x, state.x.expand(stays, -1)]),

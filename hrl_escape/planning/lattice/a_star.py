@@ -36,6 +36,7 @@ class SearchQuery(NamedTuple):
         touched: bits of the targets touched at the start.
         moves: displacement of each translation at each heading, shape (headings, translations, 2), m.
         length: length of a translation, m.
+        stays: a blocked move is not made at all.
         presser: position of the presser relative to the body's axis, shape (headings, 2), m.
         targets: footprints of the targets, shape (n, 7).
         reaches: floor distance at which the presser touches each target, or -1, shape (n,), m.
@@ -68,6 +69,7 @@ class SearchQuery(NamedTuple):
     touched: np.uint64
     moves: NDArray[np.float64]
     length: float
+    stays: bool
     presser: NDArray[np.float64]
     targets: NDArray[np.float64]
     reaches: NDArray[np.float64]
@@ -215,7 +217,7 @@ def _expand(scene, query, frontier, node):
             fraction = sweep(scene, x, y, dx, dy, query.length)
             if fraction < 1.0:
                 dx, dy = fraction * dx, fraction * dy
-            if fraction <= 1e-9:
+            if fraction <= 1e-9 or (query.stays and fraction < 1.0):
                 continue
             to_x, to_y = x + dx, y + dy
             blocked = False

@@ -24,7 +24,17 @@ from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.errors import GoalError, UnsupportedError
 from hrl_escape.planning.clock import NO_LIMIT, Clock
 from hrl_escape.planning.collision_map import CollisionMap, compute_extent_radius
-from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, PushGoal, RegionGoal, get_region, is_reached
+from hrl_escape.planning.goals import (
+    ExitGoal,
+    Goal,
+    GripGoal,
+    PoseGoal,
+    PressGoal,
+    PushGoal,
+    RegionGoal,
+    get_region,
+    is_reached,
+)
 
 __all__ = ["Area", "compute_goal_area", "find_headings", "grow_solids", "sample_places"]
 
@@ -47,7 +57,7 @@ def compute_goal_area(goal: Goal, instance: RoomInstance) -> Area:
         GoalError: no such target.
         UnsupportedError: the goal is a push.
     """
-    if isinstance(goal, PressGoal):
+    if isinstance(goal, (PressGoal, GripGoal)):
         if not 0 <= goal.target < len(instance.targets):
             raise GoalError(f"there is no target {goal.target}: the room has {len(instance.targets)}")
         target = instance.targets[goal.target]

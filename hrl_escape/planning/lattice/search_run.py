@@ -188,7 +188,8 @@ class SearchRun:
         layers = len(field) // len(maker.points)
         return a_star.SearchQuery(
             x=state.x, y=state.y, heading=state.heading_steps, touched=np.uint64(state.touching),
-            moves=self._compute_moves(turns), length=instance.robot.move_step, presser=presser,
+            moves=self._compute_moves(turns), length=instance.robot.move_step,
+            stays=instance.dynamics.blocked == "stay", presser=presser,
             targets=maker.targets, reaches=reaches,
             forbidden=np.uint64(others if self._avoiding else 0), keep_out=stack_footprints(problem.keep_out),
             closed=np.array(closed), target=target, goal=stack_footprints([problem.area.footprint])[0],

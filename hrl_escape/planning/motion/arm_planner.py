@@ -73,8 +73,7 @@ class ArmPlanner:
         if instance.robot.joints == 0:
             raise UnsupportedError("this room's robot has no arm: an ArmPlanner is for robot.joints of at least 1")
         self.instance = instance
-        quiet = dataclasses.replace(instance.dynamics, noise=0.0, slip=0.0)
-        self.rules = Kinematics(dataclasses.replace(instance, dynamics=quiet))
+        self.rules = Kinematics(instance, is_still=True)
         self._collisions: dict[float, ArmCollisions] = {}
 
     @cached_property

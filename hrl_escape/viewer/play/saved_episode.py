@@ -76,7 +76,7 @@ def load_episode(path: str | Path) -> SavedEpisode:
         if content["schema"] != SCHEMA:
             raise EpisodeFileError(f"it has schema {content['schema']!r}, this version reads {SCHEMA}")
         instance = RoomInstance.from_dict(content["instance"])
-        count = len(make_action_table(instance.robot.joints))
+        count = len(make_action_table(instance.robot.joints, instance.robot.gripper))
         moves = tuple((str(m["name"]), tuple(int(p) for p in m["primitives"]), str(m["ended"]))
                       for m in content["moves"])
         if any(not primitives or not all(0 <= p < count for p in primitives) for _, primitives, _ in moves):

@@ -14,6 +14,7 @@ from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
+from hrl_escape.env.puzzles.pin_pad import PinPadConfig
 
 KINDS = {
     "buttons": ButtonsConfig(count=7, graph=GraphConfig(kind="random"), on_violation="reset", allow_off=True),
@@ -26,6 +27,7 @@ KINDS = {
     "light-box": LightBoxConfig(),
     "light-box, sure": LightBoxConfig(count=6, graph=GraphConfig(kind="random", max_parents=2), success=1.0),
     "deep-sea": DeepSeaConfig(size=5),
+    "pin-pad": PinPadConfig(count=3),
 }
 
 
@@ -45,7 +47,7 @@ def test_a_tensor_form_does_what_the_puzzle_does(name):
         before, words_before = states, words
         states = [puzzle.update(*pair) for puzzle, *pair in zip(puzzles, states, contacts, strict=True)]
         bits = torch.tensor([sum(1 << target for target in press) for press in pressed])
-        touched = TensorContacts(bits, torch.from_numpy(chances))
+        touched = TensorContacts(bits, torch.from_numpy(chances), bits, 0 * bits, bits != 0)
         words = form.update(tables, words, touched, targets)
         assert words.tolist() == [as_signed(form.encode(state)) for state in states]
         both = list(zip(puzzles, states, strict=True))

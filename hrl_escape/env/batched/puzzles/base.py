@@ -32,10 +32,16 @@ class TensorContacts(NamedTuple):
     Attributes:
         pressed: bits of the newly touched targets, int64 (rooms,).
         uniform: numbers in (0, 1) drawn for this primitive, float64 (rooms,); 0 where no puzzle is random.
+        touching: bits of all targets touched at its end, int64 (rooms,).
+        grip: 1 where the primitive was `grip`, -1 where it was `release`, else 0, int64 (rooms,).
+        has_moved: true where the body's axis has moved, bool (rooms,).
     """
 
     pressed: Tensor
     uniform: Tensor
+    touching: Tensor
+    grip: Tensor
+    has_moved: Tensor
 
 
 class TensorPuzzle(ABC):
@@ -74,7 +80,10 @@ class TensorPuzzle(ABC):
 
     def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts
                        ) -> Tensor | None:
-        """Reward of a primitive that pressed something, on top of the room's own, float32 (rooms,); None for none."""
+        """Reward of a primitive on top of the room's own, float32 (rooms,); None for none.
+
+        It counts where something was pressed or gripped, or where puzzles watch every primitive.
+        """
         return None
 
     def encode(self, state: Any) -> int:

@@ -1,0 +1,184 @@
+"""Taxi (Dietterich 2000): fetch the passenger at one of four depots, and put him down at another.
+
+The depots are pads on the floor; the passenger is picked up by gripping on his, and put down by releasing on any.
+Gripping and releasing in vain costs 10. A fickle passenger changes the destination with some probability on the first
+ride of one cell. Each of the twelve pairs of depot and destination may begin an episode. The state is (passenger,
+destination, has settled, is delivered) as a number.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from hrl_escape.env.puzzles.base import Contacts, Pads, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.errors import ConfigError
+from hrl_escape.settings import Range
+
+__all__ = ["DEPOTS", "REFUSED", "RIDING", "Ride", "TaxiConfig", "TaxiPuzzle"]
+
+DEPOTS = ("red", "green", "yellow", "blue")
+RIDING = len(DEPOTS)
+"""Place of a passenger in the taxi; depots are places 0 to 3."""
+REFUSED = -9.0
+"""Reward of gripping or releasing in vain, on top of a primitive's."""
+
+Fickleness = Annotated[float, Range(0, 1, open_high=True)]
+
+
+class Ride(NamedTuple):
+    """The puzzle's state in words.
+
+    Attributes:
+        passenger: number of a depot, or `RIDING`.
+        destination: number of a depot.
+        settled: the passenger will not change the destination any more.
+        delivered: the passenger is where he wanted to go.
+    """
+
+    passenger: int
+    destination: int
+    settled: bool = False
+    delivered: bool = False
+
+
+@dataclasses.dataclass(frozen=True)
+class TaxiConfig(PuzzleConfig):
+    """Schematic of Taxi."""
+
+    kind = "taxi"
+    fickleness: Fickleness = 0.0
+    """Probability that the passenger changes the destination on the first ride of one cell."""
+    depots: Pads = Pads()
+    """Size and places of the red, green, yellow and blue depot."""
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        if isinstance(self.depots.places, tuple) and len(self.depots.places) < len(DEPOTS):
+            raise ConfigError("pads.places", len(self.depots.places), f"{len(DEPOTS)} places")
+
+    @property
+    def pads(self) -> Pads:
+        """Size and places of the depots."""
+        return self.depots
+
+    def make_puzzle(self, rng: np.random.Generator) -> TaxiPuzzle:
+        """Nothing depends on the instance seed."""
+        return TaxiPuzzle(self.fickleness)
+
+
+@dataclasses.dataclass(frozen=True)
+class TaxiPuzzle(Puzzle):
+    """A concrete ride; the depots are called `red`, `green`, `yellow` and `blue`."""
+
+    kind = "taxi"
+    fickleness: Fickleness = 0.0
+    """Probability that the passenger changes the destination on the first ride of one cell."""
+
+    @property
+    def is_random(self) -> bool:
+        """The passenger may be fickle."""
+        return self.fickleness > 0.0
+
+    @property
+    def is_watching(self) -> bool:
+        """A ride is seen by the primitive that moves."""
+        return self.fickleness > 0.0
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """The depots."""
+        return DEPOTS
+
+    @property
+    def pad_names(self) -> tuple[str, ...]:
+        """All depots are pads."""
+        return DEPOTS
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Every number is 0 or 1."""
+        return ((0.0, 1.0),) * (2 * len(DEPOTS) + 1)
+
+    def encode(self, ride: Ride) -> int:
+        """State of a ride."""
+        return ride.passenger | ride.destination << 3 | ride.settled << 5 | ride.delivered << 6
+
+    def decode(self, state: int) -> Ride:
+        """Ride of a state."""
+        return Ride(state & 7, state >> 3 & 3, bool(state >> 5 & 1), bool(state >> 6 & 1))
+
+    def list_starts(self) -> tuple[int, ...]:
+        """The passenger waits at one depot and wants to go to another."""
+        return tuple(self.encode(Ride(passenger, destination)) for passenger in range(RIDING)
+                     for destination in range(RIDING) if passenger != destination)
+
+    def make_state(self) -> int:
+        """The first pair."""
+        return self.list_starts()[0]
+
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside is a ride."""
+        if type(state) is not int or not 0 <= state < 1 << 7:
+            return False
+        ride = self.decode(state)
+        return ride.passenger <= RIDING and (not ride.delivered or ride.passenger == ride.destination)
+
+    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+        """Pick up, put down, or ride on."""
+        ride = self.decode(state)
+        if ride.delivered:
+            return state
+        if contacts.grip > 0 and ride.passenger in contacts.touching:
+            ride = ride._replace(passenger=RIDING)
+        elif contacts.grip < 0 and ride.passenger == RIDING and contacts.touching:
+            here = contacts.touching[0]
+            ride = ride._replace(passenger=here, delivered=here == ride.destination)
+        elif self.fickleness and contacts.has_moved and ride.passenger == RIDING and not ride.settled:
+            share = (contacts.uniform - (1.0 - self.fickleness)) / self.fickleness
+            turn = 1 + min(int(share * (RIDING - 1)), RIDING - 2) if share >= 0.0 else 0
+            ride = ride._replace(destination=(ride.destination + turn) % RIDING, settled=True)
+        return self.encode(ride)
+
+    def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:  # type: ignore[override]
+        """Less where gripping or releasing was in vain."""
+        return REFUSED if contacts.grip and after == before else 0.0
+
+    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+        """The passenger is where he wanted to go."""
+        return self.decode(state).delivered
+
+    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
+        """One number a place of the passenger, the taxi last, then one a destination."""
+        ride = self.decode(state)
+        return tuple(float(ride.passenger == place) for place in range(RIDING + 1)) + tuple(
+            float(ride.destination == depot) for depot in range(RIDING))
+
+    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
+        """The destination."""
+        return tuple(depot == self.decode(state).destination for depot in range(RIDING))
+
+    def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]
+        """`waits(depot)` or `riding`, `to(depot)`, and `delivered`."""
+        ride = self.decode(state)
+        facts = {"riding" if ride.passenger == RIDING else f"waits({DEPOTS[ride.passenger]})",
+                 f"to({DEPOTS[ride.destination]})"}
+        return frozenset(facts | ({"delivered"} if ride.delivered else set()))
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """For each depot: pick up there, and put down at the destination there."""
+        operators = []
+        delivered, riding, none = frozenset({"delivered"}), frozenset({"riding"}), frozenset()
+        for depot in DEPOTS:
+            waits = frozenset({f"waits({depot})"})
+            operators.append(Operator(f"pick-up-at-{depot}", depot, "grip", waits, delivered, riding, waits))
+            operators.append(Operator(f"put-down-at-{depot}", depot, "release", riding | {f"to({depot})"}, none,
+                                      waits | delivered, riding))
+        facts = (*(f"waits({depot})" for depot in DEPOTS), *(f"to({depot})" for depot in DEPOTS), "riding", "delivered")
+        return SymbolicModel(facts, tuple(operators), delivered)
+
+
+register_puzzle(TaxiConfig, TaxiPuzzle)

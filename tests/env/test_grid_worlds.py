@@ -1,0 +1,279 @@
+"""Published grid worlds are rooms cell by cell: transitions, optimal values and learning curves, all exact."""
+
+from __future__ import annotations
+
+import gymnasium
+import numpy as np
+import pytest
+
+import hrl_escape
+from benchmarks.conformance import compare
+from hrl_escape.checks import check_isomorphism
+from hrl_escape.checks.isomorphism import GridOutcome
+from hrl_escape.env.config import DynamicsConfig, RoomConfig, ShapeConfig
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.noise import compute_noise, draw_chance
+from hrl_escape.env.presets import FOUR_ROOMS, get_preset
+from hrl_escape.env.puzzles.taxi import RIDING, Ride, TaxiPuzzle
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import ConfigError, ContractError
+from hrl_escape.planning.room_planner import RoomPlanner
+from tests.classic.four_rooms import EAST_HALLWAY, GRID, FourRooms
+
+assert hrl_escape  # registers the environments
+
+SOUTH, NORTH, EAST, WEST = "strafe-right", "strafe-left", "forward", "back"
+TAXI_ACTIONS = (SOUTH, NORTH, EAST, WEST, "grip", "release")
+"""Primitives at heading 0 that Gymnasium's actions are."""
+TAXI = TaxiPuzzle()
+DYNAMICS = [(False, False), (True, False), (False, True), (True, True)]
+
+
+def find_keys(bounds: list[float], draw) -> list[int]:
+    """A noise key for each stretch between two bounds in which the uniform number of its first primitive lies."""
+    keys: dict[int, int] = {}
+    for key in range(100_000):
+        place = int(np.searchsorted(bounds, draw(key), side="right")) - 1
+        keys.setdefault(place, key)
+        if len(keys) == len(bounds) - 1:
+            return [keys[n] for n in range(len(keys))]
+    raise AssertionError("no such keys")
+
+
+def iterate_values(outcomes: list[list[list[tuple[float, int, float, bool]]]], gamma: float) -> np.ndarray:
+    """Optimal values of a finite domain: outcomes[state][action] is a list of (probability, state, reward, is over)."""
+    most = max(len(rows) for row in outcomes for rows in row)
+    table = np.array([[[*rows, *[(0.0, 0, 0.0, True)] * (most - len(rows))] for rows in row] for row in outcomes])
+    chance, after, reward, over = np.moveaxis(table, -1, 0)
+    values = np.zeros(len(outcomes))
+    for _ in range(5_000):
+        last, values = values, (chance * (reward + gamma * (1 - over) * values[after.astype(int)])).sum(2).max(1)
+        if np.abs(values - last).max() < 1e-12:
+            return values
+    raise AssertionError("values must converge")
+
+
+# --- Four Rooms ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("slip", ["none", "any", "neighbour"])
+def test_four_rooms_have_the_published_values(slip):
+    room = generate(get_preset("four-rooms", slip=slip), 0)
+    rules = Kinematics(room)
+    places = {(start.x, start.y): start for start in room.starts}
+    cells = [(column - 6.0, 6.0 - row) for row, column in GRID.cells]
+    assert set(cells) - set(places) == {cells[EAST_HALLWAY]}
+    numbers = {cell: number for number, cell in enumerate(cells)}
+    bounds = np.arange(37) / 36  # each slip is a whole number of these
+    keys = find_keys(bounds.tolist(), lambda key: compute_noise(key, 0)[1])
+    actions = [rules.actions.find(name) for name in (NORTH, SOUTH, WEST, EAST)]
+    outcomes = []
+    for cell in cells:
+        if cell not in places:
+            outcomes.append([[(1.0, 0, 0.0, True)]] * 4)
+            continue
+        start = rules.make_state(places[cell])
+        steps = [[rules.step(start._replace(noise_key=key), action) for key in keys] for action in actions]
+        outcomes.append([[(1 / 36, numbers[s.state.x, s.state.y], s.reward, s.terminated) for s in row]
+                         for row in steps])
+    values = iterate_values(outcomes, 0.9)
+    published = FourRooms(slip="direction" if slip == "any" else slip)  # type: ignore[arg-type]  # the other two
+    tables = [[[(o.probability, o.next_state, o.reward, o.terminated) for o in published.outcomes(cell, action)]
+               for action in range(4)] for cell in range(len(GRID))]
+    tables[EAST_HALLWAY] = outcomes[EAST_HALLWAY]
+    assert np.abs(values - iterate_values(tables, 0.9)).max() < 1e-10
+    if slip == "none":
+        assert values[0] == pytest.approx(0.9**13), "fourteen moves from the corner"
+        plan = RoomPlanner(room).solve(rules.make_state(room.starts[0]))
+        assert plan.cost == 14 and plan.compute_return() == 1.0
+
+
+# --- Taxi ---------------------------------------------------------------------------------
+
+
+class GymTaxi:
+    """Gymnasium's own table of Taxi, its fickle rule, and what chances stand for; states end with `settled`."""
+
+    primitives = TAXI_ACTIONS
+
+    def __init__(self, rainy: bool, fickle: bool) -> None:
+        self.env, self.rainy, self.fickle = gymnasium.make("Taxi-v4", is_rainy=rainy).unwrapped, rainy, fickle
+
+    def list_states(self):
+        for number in range(500):
+            row, column, passenger, destination = self.env.decode(number)
+            if passenger != destination:
+                yield number, False
+                if self.fickle:
+                    yield number, True
+
+    def list_outcomes(self, state, action):
+        """(probability, state, reward, is over), the fickle passenger's choices included."""
+        number, settled = state
+        before = self.env.decode(number)
+        for probability, after, reward, over in self.env.P[number][action]:
+            row, column, passenger, destination = self.env.decode(after)
+            if not self.fickle or settled or before[2] != RIDING or (row, column) == before[:2]:
+                yield probability, (after, settled), float(reward), over
+                continue
+            yield 0.7 * probability, (after, True), float(reward), over
+            for turn in (1, 2, 3):
+                changed = self.env.encode(row, column, passenger, (destination + turn) % 4)
+                yield 0.1 * probability, (changed, True), float(reward), over
+
+    def step(self, state, action, slip, chance):
+        """A slip below 0.2 goes left of east, then right of it; a chance of 0.7 or more turns the destination."""
+        rows = list(self.list_outcomes(state, action))
+        choices = 4 if len(rows) in (4, 12) else 1
+        choice = 0 if chance < 0.7 or choices == 1 else 1 + int((chance - 0.7) / 0.1)
+        drift = 0
+        if len(rows) > choices or (self.rainy and len(rows) == 3):
+            left_first = action in (1, 2)  # north and east: Gymnasium's left is the strafe to the left, or to the front
+            drift = 0 if slip >= 0.2 else (1 if (slip < 0.1) == left_first else 2)
+        _, after, reward, over = rows[drift * choices + choice]
+        return GridOutcome(after, reward, over)
+
+    def encode(self, state):
+        number, settled = state
+        row, column, passenger, destination = self.env.decode(number)
+        delivered = passenger == destination
+        return 2.0 * column - 4.0, 4.0 - 2.0 * row, TAXI.encode(Ride(passenger, destination, settled, delivered))
+
+
+def make_taxi(rainy: bool, fickle: bool) -> gymnasium.Env:
+    return gymnasium.make("hrl_escape/EscapeRoom-v1", config=get_preset("taxi", rainy=rainy, fickle=fickle))
+
+
+def decode(state: RoomState) -> int:
+    """Gymnasium's number of a room's state."""
+    ride = TAXI.decode(state.puzzle)  # type: ignore[arg-type]  # of this puzzle
+    return ((round(2 - state.y / 2) * 5 + round(state.x / 2 + 2)) * 5 + ride.passenger) * 4 + ride.destination
+
+
+@pytest.mark.parametrize(("rainy", "fickle", "published"), [
+    (False, False, 7.93), (True, False, 3.9546), (False, True, None), (True, True, None)])
+def test_optimal_values_of_taxi_in_the_room_are_those_of_the_domain(rainy, fickle, published):
+    """Dynamic programming over the room's own steps, beside that over Gymnasium's table."""
+    domain = GymTaxi(rainy, fickle)
+    states = list(domain.list_states())
+    numbers = {state: n for n, state in enumerate(states)}
+    tables = [[[(p, numbers.get(s, 0), r, over) for p, s, r, over in domain.list_outcomes(state, action)]
+               for action in range(6)] for state in states]
+    rules = Kinematics(generate(get_preset("taxi", rainy=rainy, fickle=fickle), 0))
+    slips = [0.0, 0.1, 0.2, 1.0] if rainy else [0.0, 1.0]
+    chances = [0.0, 0.7, 0.8, 0.9, 1.0] if fickle else [0.0, 1.0]
+    odds = np.outer(np.diff(slips), np.diff(chances)).ravel()
+    draws = [[compute_noise(key, 0)[1], draw_chance(key, 0)] for key in range(400)]
+    bins = [(np.searchsorted(slips, a) - 1) * (len(chances) - 1) + np.searchsorted(chances, b) - 1 for a, b in draws]
+    keys = [bins.index(n) for n in range(len(odds))]
+    actions = [rules.actions.find(name) for name in TAXI_ACTIONS]
+    codes = {domain.encode(state): n for state, n in numbers.items()}
+    start = rules.make_state(rules.instance.starts[0])
+    outcomes = []
+    for state in states:
+        x, y, puzzle = domain.encode(state)
+        touching = rules.compute_touching(x, y, *start.pose[2:])
+        here = start._replace(x=x, y=y, puzzle=puzzle, touching=touching)
+        rows = []
+        for action in actions:
+            steps = [rules.step(here._replace(noise_key=key), action) for key in (keys if action < 6 else keys[-1:])]
+            rows.append([(p, codes.get((s.state.x, s.state.y, s.state.puzzle), 0), s.reward, s.terminated)
+                         for p, s in zip(odds if action < 6 else (1.0,), steps, strict=True)])
+        outcomes.append(rows)
+    inside, outside = iterate_values(outcomes, 1.0), iterate_values(tables, 1.0)
+    assert np.abs(inside - outside).max() < 1e-9
+    begins = [n for (number, settled), n in numbers.items()
+              if not settled and domain.env.initial_state_distrib[number] > 0]
+    assert len(begins) == 300
+    if published is not None:
+        assert inside[begins].mean() == pytest.approx(published, abs=5e-5)
+    else:
+        assert inside[begins].mean() < (3.95 if rainy else 7.93)
+
+
+@pytest.mark.parametrize(("rainy", "fickle"), DYNAMICS)
+def test_taxi_is_gymnasiums_transition_by_transition(rainy, fickle):
+    assert check_isomorphism(make_taxi(rainy, fickle), GymTaxi(rainy, fickle), pairs=800) == 800
+
+
+def test_a_planted_difference_is_found():
+    with pytest.raises(ContractError, match="what the action does"):
+        check_isomorphism(make_taxi(False, False), GymTaxi(True, False), pairs=800)
+
+
+def learn(reset, step, episodes: int) -> list[float]:
+    """Returns of tabular Q-learning; all that differs between two domains is where they come from."""
+    rng, table, returns = np.random.default_rng(7), np.zeros((500, 6)), []
+    for episode in range(episodes):
+        state, total, over = reset(episode), 0.0, False
+        while not over:
+            action = int(rng.integers(6)) if rng.random() < 0.1 else int(table[state].argmax())
+            after, reward, terminated, truncated = step(action)
+            table[state, action] += 0.5 * (reward + 0.99 * (not terminated) * table[after].max() - table[state, action])
+            state, total, over = after, total + reward, terminated or truncated
+        returns.append(total)
+    return [*returns, float(table.sum())]
+
+
+def test_learning_curves_of_taxi_carry_over_to_the_bit():
+    """The same starts and the same learner: Gymnasium's Taxi and the room's give the same curve and the same table."""
+    room, taxi = make_taxi(False, False), gymnasium.make("Taxi-v4")
+    actions = [room.unwrapped.rules.actions.find(name) for name in TAXI_ACTIONS]
+
+    def reset_room(seed: int) -> int:
+        room.reset(seed=seed)
+        return decode(room.unwrapped.get_state())
+
+    def reset_taxi(seed: int) -> int:
+        taxi.reset(seed=seed)
+        taxi.unwrapped.s = reset_room(seed)
+        return taxi.unwrapped.s
+
+    def step_room(action: int):
+        _, reward, terminated, truncated, _ = room.step(actions[action])
+        return decode(room.unwrapped.get_state()), float(reward), terminated, truncated
+
+    def step_taxi(action: int):
+        state, reward, terminated, truncated, _ = taxi.step(action)
+        return state, float(reward), terminated, truncated
+
+    starts = {reset_room(seed) for seed in range(200)}
+    assert len(starts) > 100
+    curve = learn(reset_room, step_room, 40)
+    assert curve == learn(reset_taxi, step_taxi, 40)
+    assert curve[0] < -150 < curve[39]
+
+
+@pytest.mark.parametrize("config", [
+    get_preset("taxi", rainy=True, fickle=True), get_preset("four-rooms", slip="neighbour")], ids=lambda c: c.name)
+def test_both_engines_agree_on_the_grid(config):
+    found = compare([generate(config, 0)], 3_000, copies=30)
+    assert not found.disagreements, found.disagreements[0]
+    assert found.worst == 0.0 and found.close_calls == 0
+
+
+@pytest.mark.parametrize(("rainy", "fickle"), [(False, False), (True, True)])
+def test_the_planner_drives_every_ride(rainy, fickle):
+    """Without rain, in as many primitives as the optimum; in rain and with fickle passengers, by planning anew."""
+    from hrl_escape.options import pursue
+
+    env = make_taxi(rainy, fickle)
+    planner = RoomPlanner(env.unwrapped.instance)
+    for seed in range(6):
+        env.reset(seed=seed)
+        if not rainy:
+            state = env.unwrapped.get_state()
+            plan = planner.solve(state)
+            assert plan.compute_return() == 21 - plan.cost
+        done = pursue(env, planner=planner)
+        assert done.terminated and sum(done.rewards) <= 15
+
+
+# --- what is refused ------------------------------------------------------------------------
+
+
+def test_maps_must_fill_the_floor_and_physics_has_no_lattice():
+    with pytest.raises(ConfigError, match="rows and columns of cells"):
+        ShapeConfig(width=10, depth=11, map=FOUR_ROOMS)
+    with pytest.raises(ConfigError, match="under physics"):
+        RoomConfig(dynamics=DynamicsConfig(kind="physics", blocked="stay"))
