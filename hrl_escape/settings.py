@@ -110,9 +110,8 @@ class Settings:
 
     def to_dict(self) -> dict[str, Any]:
         """Nested plain dicts, lists, numbers and text, ready for JSON."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)
-                  if field.name not in self._left_out or getattr(self, field.name) != field.default}
-        return {name: _make_plain(value) for name, value in values.items()}
+        return {field.name: _make_plain(getattr(self, field.name)) for field in dataclasses.fields(self)
+                if field.name not in self._left_out or getattr(self, field.name) != field.default}
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:
@@ -208,8 +207,7 @@ class FieldDescription:
 
 def describe_fields(settings: type[Settings]) -> tuple[FieldDescription, ...]:
     """Descriptions of the fields of a settings class, in order."""
-    documents = read_field_documents(settings)
-    readers = _make_readers(settings)
+    documents, readers = read_field_documents(settings), _make_readers(settings)
     return tuple(
         FieldDescription(field.name, field.default if field.default_factory is dataclasses.MISSING
                          else field.default_factory(), readers[field.name].allowed, documents.get(field.name, ""),
