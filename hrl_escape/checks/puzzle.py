@@ -80,7 +80,7 @@ class _PuzzleCheck(Claims):
             used = op.reads | op.may_change
             self.require(used <= known, f"operator {op.name!r} is made of propositions", used - known)
             if op.action in ("press", "grip", "release"):
-                self.require(op.target in self.targets, f"operator {op.name!r} acts on a target", op.target)
+                self.require(op.target in self.targets, f"operator {op.name!r} presses a target or grips", op.target)
             else:
                 self.require(op.action == "push" and op.target in self.props and op.destination in self.props,
                              f"operator {op.name!r} presses, grips or releases at a target, or pushes a prop to a prop",

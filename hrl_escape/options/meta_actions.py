@@ -41,7 +41,7 @@ class PlannedOption(Option):
         super().__init__(name)
         self.instance = planner.instance
         self.goal = goal
-        self.targets = (goal.target,) if isinstance(goal, PressGoal) else ()
+        self.targets = (goal.target,) if isinstance(goal, (PressGoal, GripGoal)) else ()
         self.max_replans = max_replans
         self._planner = planner
         slip = planner.instance.dynamics.slip
