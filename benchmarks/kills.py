@@ -19,7 +19,7 @@ import signal
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -58,22 +58,23 @@ class Work(NamedTuple):
     victims: tuple[str, ...] = ()
 
 
-def write_grid(folder: Path) -> str:
-    """File of a grid: two runs of each agent."""
-    grid = dataclasses.replace(get_grid("quickstart"), name="kills", agents=tuple(map(AgentSpec.parse, AGENTS)), runs=2,
-                               primitives=1_500)
+def write_grid(folder: Path, agents: Sequence[str] = AGENTS, runs: int = 2, primitives: int = 1_500) -> str:
+    """File of a grid."""
+    grid = dataclasses.replace(get_grid("quickstart"), name="kills", agents=tuple(map(AgentSpec.parse, agents)),
+                               runs=runs, primitives=primitives)
     write_json(folder.with_suffix(".json"), grid.to_dict())
     return str(folder.with_suffix(".json"))
 
 
-def compare(folder: Path, *arguments: str) -> None:
-    """A comparison."""
-    sys.exit(main_of_cli(["compare", write_grid(folder), "--out", str(folder), *arguments]))
+def compare(folder: Path) -> None:
+    """A comparison of two runs of each agent."""
+    sys.exit(main_of_cli(["compare", write_grid(folder), "--out", str(folder)]))
 
 
 def compare_on_ray(folder: Path) -> None:
-    """The same grid on a Ray of this machine."""
-    compare(folder, "--ray", "--workers", "2")
+    """A smaller comparison on a Ray of this machine."""
+    grid = write_grid(folder, AGENTS[:5:2], 1, 600)
+    sys.exit(main_of_cli(["compare", grid, "--out", str(folder), "--ray", "--workers", "2"]))
 
 
 def read_compare(folder: Path) -> Any:
@@ -163,9 +164,15 @@ def list_descendants(ancestor: int) -> dict[int, str]:
     return {process: titles.get(process, "") for process in found[1:]}
 
 
-def kill_all(process: ForkProcess) -> None:
+def list_victims(work: Work, process: ForkProcess) -> dict[int, str]:
+    """Command lines of the processes below the work's first that are killed too, by number."""
+    return {number: title for number, title in list_descendants(process.pid).items()
+            if any(words in title for words in work.victims)}
+
+
+def kill_all(work: Work, process: ForkProcess) -> None:
     """Kill a process; those below it have to end by themselves."""
-    below = list_descendants(process.pid)
+    below = list_victims(work, process)
     process.kill()
     process.join()
     until = time.monotonic() + ORPHAN_SECONDS
@@ -205,15 +212,14 @@ def kill_in_turn(work: Work, folder: Path, kills: Iterator[int], rng: np.random.
                 return
             if process.exitcode is not None:  # runs whose processes were killed have failed
                 continue
-            below = {pid: title for pid, title in list_descendants(process.pid).items()
-                     if any(words in title for words in work.victims)}
+            below = list_victims(work, process)
             if number % 6 and below:
                 victim = int(rng.choice(sorted(below)))
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(victim, signal.SIGKILL)
                 yield below[victim]
             else:
-                kill_all(process)
+                kill_all(work, process)
                 yield "the command"
     finally:
         if process is not None:

@@ -283,6 +283,18 @@ def claim_folder(path: str | os.PathLike[str]) -> None:
         raise FileWriteError(describe_write_failure(path, error)) from error
 
 
+@contextmanager
+def temporary_folder() -> Iterator[Path]:
+    """Folder for files that a library is to read, gone after the block; see `atomic_writer` for errors."""
+    try:
+        with tempfile.TemporaryDirectory(prefix="hrl_escape-") as folder:
+            yield Path(folder)
+    except FileWriteError:
+        raise
+    except OSError as error:
+        raise FileWriteError(describe_write_failure("the folder of temporary files (TMPDIR)", error)) from error
+
+
 def clear_unfinished(folder: str | os.PathLike[str]) -> None:
     """Remove what writers that were killed left in a folder; nobody else may be writing there."""
     with suppress(OSError):

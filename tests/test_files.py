@@ -23,6 +23,7 @@ from hrl_escape.files import (
     read_json,
     read_text,
     read_toml,
+    temporary_folder,
     write_bytes,
     write_json,
     write_text,
@@ -220,3 +221,26 @@ def test_a_name_that_no_file_can_have_is_refused_in_words(tmp_path, name):
         with pytest.raises(FileWriteError, match="cannot write .*(null byte|surrogates)"):
             write(tmp_path / name)
     assert not list(tmp_path.iterdir())
+
+
+FULL_TEMPORARY = """
+import resource, gymnasium, hrl_escape
+from hrl_escape.errors import FileWriteError
+resource.setrlimit(resource.RLIMIT_FSIZE, (0, -1))
+try:
+    gymnasium.make("hrl_escape/ArmTwoButton-v1")
+except FileWriteError as error:
+    print(error)
+"""
+
+
+def test_a_full_disk_of_temporary_files_is_named():
+    done = subprocess.run([sys.executable, "-c", FULL_TEMPORARY], capture_output=True, text=True)
+    assert done.stdout.startswith("cannot write the folder of temporary files (TMPDIR): No usable temp"), done.stderr
+
+
+def test_a_temporary_folder_is_gone_after_the_block_and_an_error_of_ours_keeps_its_words():
+    with pytest.raises(FileWriteError, match="^the video$"), temporary_folder() as folder:
+        (folder / "x").write_text("x")
+        raise FileWriteError("the video")
+    assert not folder.exists()

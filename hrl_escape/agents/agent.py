@@ -267,11 +267,15 @@ def make_transition(
         gamma: discount per primitive.
 
     Raises:
-        StepContractError: a reward or observation is not finite, the duration below 1, or the rewards do not match it.
+        StepContractError: a reward or observation is not finite, the observation's shape is another one, the duration
+            is below 1, or the rewards do not match it.
         DiscountMismatchError: only `discounted_reward` is given and for another gamma.
     """
     next_observation, reward, terminated, truncated, info = step
     check_observation(next_observation, f"after action {action}")
+    if isinstance(observation, np.ndarray) and np.shape(next_observation) != observation.shape:
+        raise StepContractError(f"the observation after action {action} has shape {np.shape(next_observation)}; "
+                                f"the one before it has {observation.shape}")
     try:
         duration, discounted, summed = _read_rewards(reward, info, gamma)
     except (TypeError, ValueError, OverflowError) as error:

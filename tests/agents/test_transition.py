@@ -89,6 +89,13 @@ def test_an_observation_that_is_no_number_is_refused_by_name(observation, words)
         make_transition("s", 1, MASK, (observation, 0.0, False, False, {}), 0.9)
 
 
+@pytest.mark.parametrize(("observation", "shape"), [
+    (np.ones(2), r"\(2,\)"), (np.ones((1, 3)), r"\(1, 3\)"), (None, r"\(\)")])
+def test_an_observation_of_another_shape_than_the_last_is_refused(observation, shape):
+    with pytest.raises(StepContractError, match=rf"after action 1 has shape {shape}; the one before it has \(3,\)"):
+        make_transition(np.ones(3), 1, MASK, (observation, 0.0, False, False, {}), 0.9)
+
+
 def test_pictures_integers_and_large_numbers_are_observations():
     for observation in (np.zeros((4, 4, 3), np.uint8), 3, np.array([1e300, -1e300]), {"a": (1, 2.5)}, "s"):
         check_observation(observation, "at the start")

@@ -16,11 +16,12 @@ from contextlib import contextmanager
 def _drop_stderr_lines(start: bytes) -> Iterator[None]:
     """Hold back what is written to file descriptor 2, then pass on the lines that do not begin with `start`."""
     try:
+        written = tempfile.TemporaryFile()
         stderr = os.dup(2)
-    except OSError:  # it is closed: nobody reads what is written to it
+    except OSError:  # no room for a file, or it is closed and nobody reads what is written to it
         yield
         return
-    with tempfile.TemporaryFile() as written:
+    with written:
         os.dup2(written.fileno(), 2)
         try:
             yield

@@ -8,7 +8,6 @@ yaw) that motors drive. Metres, radians, the room frame.
 from __future__ import annotations
 
 import math
-import tempfile
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
@@ -19,6 +18,7 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance, Target
 from hrl_escape.env.robot import BASE_LINK, Robot
+from hrl_escape.files import temporary_folder
 
 __all__ = ["DRIVE_JOINTS", "HINGE_LIMIT", "SceneBodies", "build_scene", "show_door", "show_exit", "show_lit"]
 
@@ -209,10 +209,9 @@ def _add_robot(client: int, instance: RoomInstance, robot: Robot) -> dict:
     physics = instance.dynamics.kind == "physics"
     text = _adapt_urdf(robot, instance.robot, physics)
     flags = pybullet.URDF_USE_IMPLICIT_CYLINDER | pybullet.URDF_USE_INERTIA_FROM_FILE
-    with tempfile.NamedTemporaryFile("w", suffix=".urdf") as file:
-        file.write(text)
-        file.flush()
-        body = pybullet.loadURDF(file.name, useFixedBase=physics, flags=flags, physicsClientId=client)
+    with temporary_folder() as folder:
+        (folder / "robot.urdf").write_text(text)
+        body = pybullet.loadURDF(str(folder / "robot.urdf"), useFixedBase=physics, flags=flags, physicsClientId=client)
     links, joints, moving = {}, {}, {}
     for index in range(pybullet.getNumJoints(body, physicsClientId=client)):
         info = pybullet.getJointInfo(body, index, physicsClientId=client)

@@ -8,11 +8,9 @@ state. The copy follows a `BulletRoom`; it moves nothing by itself. Metres, the 
 from __future__ import annotations
 
 import math
-import tempfile
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from xml.etree import ElementTree
 
 import pybullet
@@ -36,6 +34,7 @@ from hrl_escape.env.drawing.meshes import (
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Target
 from hrl_escape.env.robot import BASE_LINK, Robot
+from hrl_escape.files import temporary_folder
 
 __all__ = ["CURB", "SUN", "Stage", "Standing"]
 
@@ -228,10 +227,10 @@ class Stage:
 
     def _add_arm(self, robot: Robot) -> tuple[int, tuple[int, ...]]:
         """The robot's own URDF without its base; round parts become meshes that Bullet shades well."""
-        with tempfile.TemporaryDirectory() as folder:
-            cylinder = Path(folder, "cylinder.obj")
+        with temporary_folder() as folder:
+            cylinder = folder / "cylinder.obj"
             cylinder.write_text(format_obj(make_cylinder(1.0, -0.5, 0.5)))
-            urdf = Path(folder, "arm.urdf")
+            urdf = folder / "arm.urdf"
             urdf.write_text(_adapt_urdf(robot, self._instance.robot, str(cylinder)))
             body = pybullet.loadURDF(str(urdf), physicsClientId=self.client)
         numbers = {}

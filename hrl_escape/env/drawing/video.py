@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import itertools
-import tempfile
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from hrl_escape.env.drawing import palette
 from hrl_escape.errors import FileWriteError, MissingExtraError, UnsupportedError
-from hrl_escape.files import write_bytes
+from hrl_escape.files import temporary_folder, write_bytes
 
 __all__ = ["VIDEO_FORMATS", "Picture", "make_filmstrip", "save_picture", "save_video"]
 
@@ -81,8 +80,8 @@ def _make_mp4(first: Picture, rest: Iterable[Picture], rate: float) -> bytes:
     except ImportError:
         raise MissingExtraError("imageio-ffmpeg", "video", "Writing MP4 (a name in .gif needs nothing)") from None
     even = np.s_[: first.shape[0] // 2 * 2, : first.shape[1] // 2 * 2]  # H.264 needs even sizes
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "video.mp4")
+    with temporary_folder() as folder:
+        path = folder / "video.mp4"
         settings: dict[str, Any] = {"fps": rate, "macro_block_size": 2, "quality": 8, "ffmpeg_log_level": "error"}
         writer = imageio_ffmpeg.write_frames(str(path), first[even].shape[1::-1], **settings)
         writer.send(None)

@@ -114,7 +114,10 @@ def test_an_illegal_primitive_ends_an_option():
 
 
 def test_a_chosen_option_is_worth_what_it_earns_on_its_way_and_the_best_choice_where_it_ends():
-    """A corridor of four cells: on by action 0, back to the first by the others; the option runs through two cells."""
+    """A corridor of four cells: on by action 0, back to the first by the others; the option runs through two cells.
+
+    In the second cell action 1 leaves it at once for more than the option gets there.
+    """
     agent = make(CoveringOptions, edges=1, use="choose", gamma=0.9, learning_rate=1.0, discover_every=10**6)
     rewards = [-1.0, -30.0, 5.0]  # in the second cell it is better to go back
 
@@ -122,6 +125,8 @@ def test_a_chosen_option_is_worth_what_it_earns_on_its_way_and_the_best_choice_w
         for state in range(3):
             for action in range(4):
                 after, reward = (state + 1, rewards[state]) if action == 0 else (0, -2.0)
+                if (state, action) == (1, 1):
+                    after, reward = 3, 10.0
                 over = after == 3
                 agent.observe(SMDPTransition(state, action, ALL, reward, reward, 1, 0.9, after, ALL, over, False))
 
@@ -131,7 +136,8 @@ def test_a_chosen_option_is_worth_what_it_earns_on_its_way_and_the_best_choice_w
         show()
     best = [0.0] * 3
     for _ in range(400):
-        best = [max(rewards[s] + 0.9 * (best[s + 1] if s < 2 else 0.0), -2.0 + 0.9 * best[0]) for s in range(3)]
+        best = [max(rewards[s] + 0.9 * (best[s + 1] if s < 2 else 0.0), -2.0 + 0.9 * best[0],
+                    10.0 if s == 1 else -np.inf) for s in range(3)]
     table = [agent.table.get_values(agent._discretise(state)) for state in range(3)]
     assert [row[:4].max() for row in table] == pytest.approx(best)
     assert table[1][5] == pytest.approx(-30.0 + 0.9 * best[2])
