@@ -92,8 +92,8 @@ def test_escapes_are_within_a_percent_of_the_joint_optimum():
 @pytest.mark.slow
 @pytest.mark.timeout(7200)
 def test_escapes_with_up_to_six_buttons_are_within_a_percent_of_the_joint_optimum():
-    jointly, by_legs, fewest = compare((1, 2, 3, 4, 5, 6), range(10))
-    print(f"{jointly / fewest:.4f} of the joint optimum, leg after leg {by_legs / fewest:.4f}")
+    jointly, by_legs, fewest = compare((1, 2, 3, 4, 5, 6), range(4))
+    print(f"{jointly} primitives jointly, {by_legs} leg after leg, {fewest} by the near-exact search")
     assert jointly <= 1.01 * fewest and jointly < by_legs
 
 

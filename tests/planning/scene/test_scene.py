@@ -79,9 +79,8 @@ def test_fifty_edits_plan_as_a_new_planner_would_and_come_true():
 
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
-@pytest.mark.parametrize("preset", ["clutter", "ten-button"])
-def test_a_thousand_edits_plan_as_a_new_planner_would_and_come_true(preset):
-    assert check_edits(preset, 1000, executed_every=10, compared_every=10) >= 50
+def test_a_thousand_edits_plan_as_a_new_planner_would_and_come_true():
+    assert check_edits("clutter", 1000, executed_every=10, compared_every=10) >= 50
 
 
 def test_repaired_fields_are_those_searched_from_nothing():
