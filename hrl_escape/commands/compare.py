@@ -56,7 +56,7 @@ class CompareArgs(LaunchArgs):
     """quickstart, paper, ladder, hierarchies or paper-figure-1 to -3; or a .toml or .json file with your own grid."""
     agents: tuple[str, ...] = ()
     """Other agents: names, smdp- in front for those that choose options, @paper behind for another recipe, +objects,
-    +memory or +no-primitives behind for what they see and choose, +planned or +learned behind for a hierarchy
+    +memory, +gru or +no-primitives behind for what they see and choose, +planned or +learned behind for a hierarchy
     synthesised from the room."""
     rooms: tuple[str, ...] = ()
     """Other rooms: presets, #3 behind for instance 3, .json files of instances, or ladder-1/lattice/test[3]."""

@@ -56,6 +56,7 @@ class OptionsView(Settings):
 TRAITS: dict[str, dict[str, dict[str, Any]]] = {
     "objects": {"settings": {"network": "objects"}},
     "memory": {"options": {"memory": True}},
+    "gru": {"settings": {"memory": "gru"}},
     "no-primitives": {"options": {"include_primitives": False}},
     "planned": {"agent": {"leaves": "planned"}},
     "learned": {"agent": {"leaves": "learned"}},
@@ -128,7 +129,7 @@ class AgentSpec(Settings):
     @property
     def remembers(self) -> bool:
         """Agent keeps what it has met in a room through the trials there."""
-        return self.chooses_options and self.options.memory
+        return self.settings.get("memory", "none") != "none" or (self.chooses_options and self.options.memory)
 
     @property
     def privileges(self) -> tuple[str, ...]:

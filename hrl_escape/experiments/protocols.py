@@ -24,7 +24,7 @@ Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer", "few-sho
 same rung. `transfer`: learn in training rooms of one rung, be tested in rooms of another. `few-shot`: as `generalise`,
 with several trials in each room, through which memories last and weights stay as they are."""
 
-BUDGETS = {"doormat": 20_000, "pair": 20_000, "chain": 20_000, "house": 500_000}
+BUDGETS = dict.fromkeys(("doormat", "pair", "chain-3", "chain-4", "chain"), 20_000) | {"house": 500_000}
 """Primitives of a run, by rung."""
 BUDGET = 100_000
 """Primitives of a run on any other rung."""

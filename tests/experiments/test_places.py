@@ -118,6 +118,9 @@ def test_traits_of_agents_are_read_from_short_texts():
     spec = AgentSpec.parse("smdp-dqn@corrected+objects+memory+no-primitives")
     assert spec.settings == {"network": "objects"}
     assert spec.options == OptionsView(include_primitives=False, memory=True)
+    assert AgentSpec.parse("smdp-ppo+gru").settings == {"memory": "gru"}
+    names = ("smdp-ppo+gru", "smdp-dqn+memory", "ppo+gru", "smdp-ppo")
+    assert [AgentSpec.parse(name).remembers for name in names] == [True, True, True, False]
     with pytest.raises(UnknownNameError, match="objects"):
         AgentSpec.parse("smdp-dqn+object")
 

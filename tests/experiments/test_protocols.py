@@ -75,8 +75,8 @@ def test_a_rung_to_train_on_goes_with_transfer_and_nothing_else(protocol, source
 
 @pytest.mark.parametrize(("rung", "changes", "error", "words"), [
     ("latice", {}, UnknownNameError, "did you mean 'lattice'"),
-    ("pair", {"rooms": 65}, ConfigError, "from 1 to 64"),
-    ("pair", {"train_sizes": (300,)}, ConfigError, "from 1 to 256"),
+    ("pair", {"rooms": 101}, ConfigError, "from 1 to 100"),
+    ("pair", {"train_sizes": (1001,)}, ConfigError, "from 1 to 1000"),
 ])
 def test_what_a_rung_has_not_is_refused(rung, changes, error, words):
     with pytest.raises(error, match=words):

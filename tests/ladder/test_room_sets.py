@@ -26,7 +26,7 @@ def test_texts_name_the_rooms_of_rungs_presets_and_files(tmp_path):
 
 @pytest.mark.parametrize(("text", "error", "words"), [
     ("ladder-1/doormat/train[]", ConfigError, "train\\[:64\\]"),
-    ("ladder-1/doormat/train[400]", ConfigError, "256 rooms"),
+    ("ladder-1/doormat/train[4000]", ConfigError, "1000 rooms"),
     ("ladder-1/doormat/train[5:5]", ConfigError, "at least one"),
     ("ladder-1/doormat/trian", UnknownNameError, "train"),
     ("ladder-1/doormatt/train", UnknownNameError, "doormat"),

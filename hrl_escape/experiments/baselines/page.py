@@ -42,9 +42,21 @@ def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], pat
         own = [line for line in lines if line.protocol == protocol]
         text += [f"## {protocol}", "", _WORDS[protocol], "", _describe_budgets(own), "",
                  *_make_table(own, rungs), "", *_name_highest(own, rungs), ""]
-    text += ["```console", _COMMAND, "```", "", "The same command goes on with the runs that are missing; "
-             "`--rooms`, `--runs` and `--minutes` say how far.", ""]
+    text += ["```console", _make_command(lines), "```", "", "The command goes on with the runs that are missing, and "
+             "more `--rooms`, `--runs` or `--minutes` add others. Without options it is the whole: 10 rooms, 10 seeds, "
+             "20 episodes, and the rungs' own budgets.", ""]
     write_text(path, "\n".join(text))
+
+
+def _make_command(lines: Sequence[BaselineRun]) -> str:
+    """The command line that makes at least these runs."""
+    own = [line for line in lines if line.protocol == "per-instance"] or list(lines)
+    rooms = max(len({line.rooms for line in own if line.rung == rung}) for rung in {line.rung for line in own})
+    budgets = {line.primitives for line in own if line.primitives}
+    words = f"{_COMMAND} --rooms {rooms} --runs {1 + max(line.seed for line in own)}"
+    if len(budgets) == 1:
+        words += f" --primitives {budgets.pop()}"
+    return f"{words} --eval-episodes {max(line.episodes for line in own)}"
 
 
 def _summarise(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> str:

@@ -19,7 +19,7 @@ def test_rungs_are_listed(capsys):
     code, out, _ = call(capsys, "list")
     assert code == 0 and all(f"\n{rung.name} " in out for rung in load_benchmark("ladder-1"))
     code, out, _ = call(capsys, "list", "--json")
-    assert json.loads(out)["rungs"][0]["sets"] == {"train": 256, "valid": 64, "test": 64}
+    assert json.loads(out)["rungs"][0]["sets"] == {"train": 1000, "valid": 100, "test": 100}
 
 
 def test_a_rung_is_shown_with_a_room_of_it(capsys, tmp_path):

@@ -1,0 +1,75 @@
+"""Measure efficiency in unseen rooms against the number of training rooms, and in deeper puzzles than trained on.
+
+Writes docs/results/generalisation.md with its figure and a line of JSON a run. Killed, the same command goes on.
+
+Examples:
+    hrl-escape experiment generalisation
+    hrl-escape experiment generalisation --rung pair --primitives 10000 --rooms 8 --part sizes
+    hrl-escape experiment generalisation --from-raw      # the page anew from the lines, nothing is trained
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Literal
+
+from rich.console import Console
+
+from hrl_escape.errors import ConfigError
+from hrl_escape.experiments.baselines.generalisation import (
+    GeneralisationSettings,
+    make_depth_grid,
+    make_sizes_grid,
+)
+from hrl_escape.experiments.baselines.generalisation_page import write_generalisation_page
+from hrl_escape.experiments.baselines.lines import BaselineRun, collect_baselines, join_lines, load_lines, save_lines
+from hrl_escape.experiments.comparison import run_grid
+from hrl_escape.experiments.launching.local import LocalLauncher
+from hrl_escape.experiments.studies.running import StudyArgs, refuse_failures
+from hrl_escape.files import claim_folder
+from hrl_escape.ladder.benchmark import load_benchmark
+
+
+@dataclasses.dataclass(frozen=True)
+class GeneralisationArgs(StudyArgs):
+    """Options of `hrl-escape experiment generalisation`."""
+
+    part: tuple[Literal["sizes", "depth"], ...] = ("sizes", "depth")
+    """Parts: numbers of training rooms, deeper puzzles."""
+    rung: str = "lattice"
+    """Rung of the numbers of training rooms."""
+    runs: int = 5
+    """Training seeds."""
+    primitives: int = 1_000_000
+    """Training budget of a run."""
+    rooms: int = 64
+    """Rooms to be tested in."""
+
+
+def run(args: GeneralisationArgs) -> None:
+    """Run, write lines, page and figure, and say where they are."""
+    raw = args.docs / "raw" / "generalisation.jsonl"
+    lines = load_lines(raw) if raw.exists() else []
+    if not args.from_raw:
+        claim_folder(raw.parent)
+        lines = join_lines(lines, _make_runs(args))
+        save_lines(raw, lines)
+    if not lines:
+        raise ConfigError("docs", str(args.docs), "a folder with raw/generalisation.jsonl, or leave out --from-raw")
+    write_generalisation_page(lines, args.docs)
+    Console(highlight=False, soft_wrap=True).print(f"Page: {args.docs / 'generalisation.md'}")
+
+
+def _make_runs(args: GeneralisationArgs) -> list[BaselineRun]:
+    """Lines of the runs of all parts."""
+    bench, out = load_benchmark("ladder-1"), args.out / "generalisation"
+    settings = GeneralisationSettings(args.rung, args.runs, args.primitives, args.rooms)
+    lines = []
+    for part in args.part:
+        grid = make_sizes_grid(bench, settings) if part == "sizes" else make_depth_grid(bench, settings, out / "sets")
+        comparison = run_grid(grid, out / part, LocalLauncher(args.workers))
+        refuse_failures(comparison)
+        found = collect_baselines(comparison, part, args.rung)
+        lines += found if part == "sizes" else [dataclasses.replace(line, rung=line.rooms.split(" > ")[1])
+                                                for line in found]
+    return lines

@@ -1,0 +1,57 @@
+"""Generalisation: the grids of the study, and its page from lines written by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from hrl_escape.experiments.baselines.generalisation import (
+    DEPTHS,
+    MEMORY,
+    VECTORS,
+    GeneralisationSettings,
+    make_depth_grid,
+    make_sizes_grid,
+)
+from hrl_escape.experiments.baselines.generalisation_page import write_generalisation_page
+from hrl_escape.experiments.baselines.lines import BaselineRun
+from hrl_escape.ladder.benchmark import load_benchmark
+
+SETTINGS = GeneralisationSettings("pair", 2, 500, rooms=3, train_size=6)
+LINE = BaselineRun("sizes", "pair", "x/train[:1] > x/test", VECTORS, 0, 500, 0.2, 1.0, 0.5, 3, 0.5, 70, "abc")
+
+
+def test_rooms_trained_in_grow_and_those_tested_in_stay():
+    grid = make_sizes_grid(load_benchmark("ladder-1"), SETTINGS)
+    places = grid.make_places()
+    assert [len(place.split.train) for place in places] == [1, 4, 16, 64, 256, 1000]
+    assert len({tuple(place.split.test.seeds) for place in places}) == 1 and len(places[0].split.test) == 3
+    assert len(grid.make_runs(places)) == 2 * 6 * 5
+
+
+def test_rooms_tested_in_are_deeper_than_any_trained_in(tmp_path: Path):
+    grid = make_depth_grid(load_benchmark("ladder-1"), SETTINGS, tmp_path)
+    places = grid.make_places()
+    assert [place.split.test.name for place in places] == list(DEPTHS)
+    trained = {len(room.targets) for room in places[0].split.train}
+    assert trained <= {2, 3, 4} and len(trained) > 1
+    for place, (count, kind) in zip(places, DEPTHS.values(), strict=True):
+        for room in place.split.test:
+            edges = room.puzzle.edges
+            assert len(room.targets) == count
+            assert (len(edges) == count - 1 and len({head for _, head in edges}) == count - 1) or kind == "layered"
+    assert len(grid.make_runs(places)) == 2 * 4 * 4, "and agents can act in both"
+
+
+def test_the_page_tells_sizes_and_depths_by_the_lines_alone(tmp_path: Path):
+    lines = [LINE, dataclasses.replace(LINE, rooms="x/train[:16] > x/test", efficiency=0.6),
+             dataclasses.replace(LINE, agent=MEMORY, efficiency=0.9)]
+    write_generalisation_page(lines, tmp_path)
+    page = (tmp_path / "generalisation.md").read_text()
+    assert f"| `{VECTORS}` | 0.20 (1.00) | 0.60 (1.00) |" in page and f"| `{MEMORY}` | 0.90 (1.00) | - |" in page
+    assert "options, a vector 0.20 with 1 and 0.60 with 16" in page and "Not run yet." in page
+    assert (tmp_path / "figures" / "generalisation.svg").stat().st_size > 1000
+    depth = dataclasses.replace(LINE, protocol="depth", rung="8 buttons, layered", rooms="a > b", efficiency=0.3)
+    write_generalisation_page([*lines, depth], tmp_path)
+    page = (tmp_path / "generalisation.md").read_text()
+    assert f"| `{VECTORS}` | - | - | 0.30 | - | 1.00 |" in page and "Not run yet." not in page
