@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -52,10 +53,10 @@ def _make_command(lines: Sequence[BaselineRun]) -> str:
     """The command line that makes at least these runs."""
     own = [line for line in lines if line.protocol == "per-instance"] or list(lines)
     rooms = max(len({line.rooms for line in own if line.rung == rung}) for rung in {line.rung for line in own})
-    budgets = {line.primitives for line in own if line.primitives}
+    budgets = Counter(line.primitives for line in own if line.primitives)
     words = f"{_COMMAND} --rooms {rooms} --runs {1 + max(line.seed for line in own)}"
-    if len(budgets) == 1:
-        words += f" --primitives {budgets.pop()}"
+    if budgets:
+        words += f" --primitives {budgets.most_common(1)[0][0]}"
     return f"{words} --eval-episodes {max(line.episodes for line in own)}"
 
 
@@ -86,8 +87,8 @@ def _is_learner(lines: Sequence[BaselineRun], agent: str) -> bool:
 def _describe_budgets(lines: Sequence[BaselineRun]) -> str:
     budgets = sorted({line.primitives for line in lines if line.primitives})
     episodes = sorted({line.episodes for line in lines})
-    return (f"Learners train for {_join([f'{budget:,}' for budget in budgets]) or 'no'} primitives; "
-            f"{_join([str(number) for number in episodes])} episodes an evaluation.")
+    return (f"Learners train for {_join([f'{budget:,}' for budget in budgets]) or 'no'} primitives, "
+            f"the largest budget of a cell counting; {_join([str(number) for number in episodes])} episodes an evaluation.")
 
 
 def _make_table(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
@@ -101,7 +102,9 @@ def _make_table(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]
 
 
 def _choose(lines: Sequence[BaselineRun], agent: str, rung: str) -> list[BaselineRun]:
-    return [line for line in lines if (line.agent, line.rung) == (agent, rung)]
+    """Runs of an agent on a rung, of several budgets those of the largest."""
+    own = [line for line in lines if (line.agent, line.rung) == (agent, rung)]
+    return [line for line in own if line.primitives == max(each.primitives for each in own)]
 
 
 def _format_cell(runs: Sequence[BaselineRun]) -> str:

@@ -8,6 +8,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
+from hrl_escape.agents.agent import StateTree
+from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.experiments.baselines.lines import BaselineRun, collect_baselines
 from hrl_escape.experiments.comparison import Comparison, run_grid
 from hrl_escape.experiments.grid import AgentSpec, Grid, GridRun
@@ -114,9 +116,17 @@ def ship_agents(found: dict[tuple[Protocol, str], Comparison], folder: Path) -> 
         source = get_training_folder(comparison.out, run)
         claim_folder(folder / rung)
         shutil.copyfile(source / "run.json", folder / rung / "run.json")
-        shutil.copyfile(source / "best.npz", folder / rung / CHECKPOINT)
+        save_checkpoint(folder / rung / CHECKPOINT, drop_experience(load_checkpoint(source / "best.npz")))
         shipped[rung] = run.agent.label
     return shipped
+
+
+def drop_experience(state: StateTree) -> StateTree:
+    """State of a run without the replay of its agent, which acting needs not and which is most of its bytes."""
+    agent = dict(state["agent"])
+    if "replay" in agent:
+        agent["replay"] = {name: 0 if name == "added" else rows[:0] for name, rows in agent["replay"].items()}
+    return {**state, "agent": agent}
 
 
 def _rate(comparison: Comparison, run: GridRun, result: RunResult) -> tuple[float, int]:
