@@ -44,8 +44,17 @@ def write_generalisation_page(lines: Sequence[BaselineRun], docs: Path) -> None:
                  _describe(sizes), "", *_tabulate_sizes(sizes), ""]
     text += ["## Deeper than trained", ""]
     text += [_describe(depth), "", *_tabulate_depths(depth)] if depth else ["Not run yet."]
-    text += ["", "```console", _COMMAND, "```", "", "Every run is a line of `raw/generalisation.jsonl`.", ""]
+    text += ["", "```console", _make_command(sizes or depth), "```", "",
+             "Every run is a line of `raw/generalisation.jsonl`.", ""]
     write_text(docs / "generalisation.md", "\n".join(text))
+
+
+def _make_command(lines: Sequence[BaselineRun]) -> str:
+    """The command line that makes these runs."""
+    first = lines[0]
+    part = f" --part sizes --rung {first.rung}" if first.protocol == "sizes" else " --part depth"
+    return (f"{_COMMAND}{part} --primitives {max(line.primitives for line in lines)} --rooms {first.episodes} "
+            f"--runs {1 + max(line.seed for line in lines)}")
 
 
 def draw_sizes(lines: Sequence[BaselineRun]) -> Figure:
@@ -100,10 +109,10 @@ def _summarise(lines: Sequence[BaselineRun]) -> str:
         own = [line for line in lines if line.agent == agent]
         if not own:
             continue
-        ends = [_average([line.efficiency for line in own if _count_rooms(line) == count])
-                for count in (min(map(_count_rooms, own)), max(map(_count_rooms, own)))]
-        words.append(f"{name} {ends[0]:.2f} with {min(map(_count_rooms, own)):,} and {ends[1]:.2f} with "
-                     f"{max(map(_count_rooms, own)):,}")
+        ends = sorted({min(map(_count_rooms, own)), max(map(_count_rooms, own))})
+        words.append(f"{name} " + " and ".join(
+            f"{_average([line.efficiency for line in own if _count_rooms(line) == count]):.2f} with {count:,}"
+            for count in ends))
     return f"**Efficiency in unseen rooms of `{lines[0].rung}` by training rooms: {'; '.join(words)}.**"
 
 

@@ -86,9 +86,9 @@ def _is_learner(lines: Sequence[BaselineRun], agent: str) -> bool:
 
 def _describe_budgets(lines: Sequence[BaselineRun]) -> str:
     budgets = sorted({line.primitives for line in lines if line.primitives})
-    episodes = sorted({line.episodes for line in lines})
+    episodes = _join([str(number) for number in sorted({line.episodes for line in lines})])
     return (f"Learners train for {_join([f'{budget:,}' for budget in budgets]) or 'no'} primitives, "
-            f"the largest budget of a cell counting; {_join([str(number) for number in episodes])} episodes an evaluation.")
+            f"the largest budget of a cell counting; {episodes} episodes an evaluation.")
 
 
 def _make_table(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
