@@ -15,10 +15,10 @@ from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.hidden import derive_seed
 from hrl_escape.ladder.instance_set import InstanceSet
 
-__all__ = ["DEPTHS", "FLAT", "MEMORY", "OBJECTS", "SIZES", "TRAINED", "VECTORS", "GeneralisationSettings",
+__all__ = ["DEPTHS", "FLAT", "MEMORY", "OBJECTS", "TRAINING_ROOMS", "TRAINED", "VECTORS", "GeneralisationSettings",
            "make_depth_grid", "make_sizes_grid"]
 
-SIZES = (1, 4, 16, 64, 256, 1000)
+TRAINING_ROOMS = (1, 4, 16, 64, 256, 1000)
 """Numbers of training rooms; the last is the whole set, of which few runs see a room twice."""
 FLAT, VECTORS = "ppo+objects", "smdp-ppo+no-primitives"
 OBJECTS, MEMORY = "smdp-ppo+objects+no-primitives", "smdp-ppo+objects+memory+no-primitives"
@@ -56,7 +56,7 @@ def make_sizes_grid(bench: Benchmark, settings: GeneralisationSettings) -> Grid:
     agents = tuple(map(AgentSpec.parse, (FLAT, VECTORS, OBJECTS, MEMORY, CHANCE)))
     most = bench[settings.rung].record.train.count
     sizes = LadderSettings(settings.runs, settings.primitives, settings.rooms,
-                           tuple(size for size in SIZES if size <= most))
+                           tuple(size for size in TRAINING_ROOMS if size <= most))
     return make_protocol_grid(bench, settings.rung, "generalise", agents, sizes)
 
 

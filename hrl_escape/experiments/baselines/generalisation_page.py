@@ -103,7 +103,7 @@ def _describe(lines: Sequence[BaselineRun]) -> str:
 
 
 def _summarise(lines: Sequence[BaselineRun]) -> str:
-    """What the largest number of rooms brings each agent, in unseen rooms."""
+    """Efficiency of each agent with the fewest and the most training rooms."""
     words = []
     for agent, name in _NAMES.items():
         own = [line for line in lines if line.agent == agent]

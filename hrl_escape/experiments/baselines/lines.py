@@ -55,7 +55,7 @@ class BaselineRun:
 
     @property
     def place(self) -> tuple[str, str, str, str, int, int]:
-        """What a line is about: another line about the same replaces it."""
+        """Subject of the line: another line about the same replaces it."""
         return self.protocol, self.rung, self.rooms, self.agent, self.seed, self.primitives
 
 

@@ -56,7 +56,7 @@ def _make_command(lines: Sequence[BaselineRun]) -> str:
     budgets = Counter(line.primitives for line in own if line.primitives)
     words = f"{_COMMAND} --rooms {rooms} --runs {1 + max(line.seed for line in own)}"
     if budgets:
-        words += f" --primitives {budgets.most_common(1)[0][0]}"
+        words += f" --primitives {max(budgets, key=lambda budget: (budgets[budget], budget))}"
     return f"{words} --eval-episodes {max(line.episodes for line in own)}"
 
 
