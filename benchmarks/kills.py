@@ -166,6 +166,7 @@ def list_descendants(ancestor: int) -> dict[int, str]:
 
 def list_victims(work: Work, process: ForkProcess) -> dict[int, str]:
     """Command lines of the processes below the work's first that are killed too, by number."""
+    assert process.pid is not None, "it was started"
     return {number: title for number, title in list_descendants(process.pid).items()
             if any(words in title for words in work.victims)}
 
