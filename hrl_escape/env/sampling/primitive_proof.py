@@ -28,6 +28,7 @@ from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.env.robot import sample_joint_steps
 from hrl_escape.env.sampling.certificate import Floors, find_unmet, make_floors
 from hrl_escape.env.sight import list_hiders
@@ -177,7 +178,7 @@ class _Search:
         puzzle = self._instance.puzzle
         model, names = puzzle.make_symbolic_model(), puzzle.target_names
         if any(operator.when for operator in model.operators):
-            path = puzzle.plan(puzzle_state) or model.find_fewest(puzzle.get_facts(puzzle_state)) or ()
+            path = puzzle.plan(puzzle_state) or model.find_fewest(puzzle.get_facts(puzzle_state)) or tuple[Operator]()
             is_short = 0 < len(path) <= _MOST_PRESSES * len(names)
             return names.index(path[0].target) if is_short and path[0].action == "press" else None
         first = {fact: None for fact in puzzle.get_facts(puzzle_state)}
