@@ -1,9 +1,10 @@
-"""Calibration of a comparison's statistics on simulated runs: how often verdicts are wrong, and intervals miss.
+"""Calibration of all verdicts on simulated runs: how often they are wrong, and intervals miss.
 
-    python benchmarks/calibration.py            # the table of docs/metrics.md; some minutes
+    python benchmarks/calibration.py            # the tables of docs/metrics.md; some minutes
 
 Agents are identical, so any agent called better than another is an error, whatever sentence says so; the best of
-several is picked by the same data. An interval misses where the truth lies outside.
+several is picked by the same data. In the second table no claim has anything to it, and a page is wrong if it answers
+one. An interval misses where the truth lies outside.
 """
 
 from __future__ import annotations
@@ -17,7 +18,10 @@ from numpy.typing import NDArray
 
 from hrl_escape.experiments.inference import compute_interval
 from hrl_escape.experiments.pairs import compare_agents, is_better
+from hrl_escape.experiments.presets import get_grid
 from hrl_escape.experiments.statistics import compute_iqm, compute_mean
+from hrl_escape.experiments.studies.claims import CLAIMS, FIGURES, judge_claims
+from hrl_escape.experiments.studies.raw import BINS, OPTIMAL_SCORE, RawRun
 
 Draw = Callable[[np.random.Generator, int], NDArray[np.float64]]
 
@@ -67,6 +71,40 @@ def measure_coverage(draw: Draw, rooms: int, runs: int, trials: int, rng: np.ran
     return found[0], found[1]
 
 
+# --- pages of studies ------------------------------------------------------------------------
+
+
+def make_run(agent: str, room: str, seed: int, value: float) -> RawRun:
+    """A run that scores the same from beginning to end."""
+    evaluations = 11
+    return RawRun(
+        agent=agent, room=room, seed=seed, worst=-1000.0, best=0.0, axis="primitives", budget=1000,
+        primitives=tuple(range(0, 1001, 100)), decisions=tuple(range(0, 101, 10)),
+        returns=(1000 * (value - 1),) * evaluations, successes=(float(value > 0.5),) * evaluations,
+        episodes=(1,) * BINS, training_returns=(1000 * (value - 1),) * BINS,
+        training_successes=(int(value > 0.5),) * BINS, training_optimal=(int(value >= OPTIMAL_SCORE),) * BINS,
+        first_escape=50 if value > 0.5 else None, efficiencies=(value,) * evaluations,
+        training_efficiencies=(value,) * BINS)
+
+
+def is_wrong_of_claims(draw: Draw, rng: np.random.Generator) -> bool:
+    """The page of the paper answers a claim on which learners and chance are alike; 10 runs.
+
+    These are the claims on differences between agents; shares of runs are compared with fixed levels.
+    """
+    results = {name: [make_run(agent.label, name, seed, float(score)) for agent in get_grid(name).agents
+                      if not agent.is_reference for seed, score in enumerate(draw(rng, 10))] for name in FIGURES}
+    chosen = [claim for claim in CLAIMS if "less that" in claim.measured]
+    return any(verdict is not None for finding in judge_claims(chosen, results)
+               for verdict in finding.verdicts.values())
+
+
+PAGES: dict[str, Callable[[Draw, np.random.Generator], bool]] = {
+    "claims of the paper": is_wrong_of_claims,
+}
+"""Verdict -> whether one simulated page is wrong."""
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table as Markdown."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -81,6 +119,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
         one, mean = measure_coverage(draw, 1, 8, trials // 4, rng)
         three, _ = measure_coverage(draw, 3, 8, trials // 4, rng)
         print(f"| {name} | {wrong} | {more:.1%} | {one:.1%} | {three:.1%} | {mean:.1%} |", flush=True)
+    print(f"\n| scores | {' | '.join(PAGES)} |\n|---{'|---' * len(PAGES)}|")
+    for name, draw in SHAPES.items():
+        shares = [np.mean([is_wrong(draw, rng) for _ in range(trials // 4)]) for is_wrong in PAGES.values()]
+        print(f"| {name} | {' | '.join(f'{share:.1%}' for share in shares)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -62,7 +62,7 @@ class TrainArgs(RoomChoice):
     """Print the agent's settings with their meaning; train nothing."""
     options_only: bool = False
     """Let an smdp- agent choose among options only."""
-    flavour: Literal["press", "press-with-ancestors"] = "press"
+    flavour: Literal["press", "press-with-ancestors", "press-markov"] = "press"
     """Meta-actions: press one button, or press first those that must be on before it."""
     leaves: Literal["planned", "learned"] | None = None
     """Run a hierarchy synthesised from the room, for agents such as maxq-q or hamq: the planner walks to each target,

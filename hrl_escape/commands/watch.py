@@ -40,7 +40,7 @@ class WatchArgs(PageAddress, RoomChoice):
     """Begin paused."""
     observation: VectorObservation = "features"
     """Observation of an agent to train."""
-    flavour: Literal["press", "press-with-ancestors"] = "press"
+    flavour: Literal["press", "press-with-ancestors", "press-markov"] = "press"
     """Meta-actions: press one button, or press first those that must be on before it."""
     options_only: bool = False
     """Let an agent to train choose among options only."""

@@ -43,8 +43,8 @@ class OptionsView(Settings):
     _section = "options"
     include_primitives: bool = True
     """Include the primitives among the choices."""
-    flavour: Literal["press", "press-with-ancestors"] = "press"
-    """Meta-actions: press one button, or press its ancestors first."""
+    flavour: Literal["press", "press-with-ancestors", "press-markov"] = "press"
+    """Meta-actions: press one button, press its ancestors first, or press one by a function of the state."""
     interruptible: bool = False
     """Options return to the agent after every primitive."""
     max_duration: Annotated[int, Range(1, LARGEST)] | None = None

@@ -45,7 +45,7 @@ class OptionDegradation(Settings):
     """Probability that an option is masked for ever."""
     seed: Annotated[int, Range(0, 2**31 - 1)] = 0
     """Seed of all draws."""
-    flavour: Literal["press", "press-with-ancestors"] = "press"
+    flavour: Literal["press", "press-with-ancestors", "press-markov"] = "press"
     """Flavour of the meta-actions."""
 
     def __call__(self, instance: RoomInstance) -> tuple[Option, ...]:

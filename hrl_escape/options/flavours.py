@@ -2,5 +2,6 @@
 
 __all__ = ["FLAVOURS"]
 
-FLAVOURS = ("press", "press-with-ancestors")
-"""Kinds of meta-actions: press one target only, or first whatever must be pressed before it."""
+FLAVOURS = ("press", "press-with-ancestors", "press-markov")
+"""Kinds of meta-actions: press one target only, or first whatever must be pressed before it, or one target by a policy
+that is a function of the state."""

@@ -12,14 +12,14 @@ import math
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import philox
-from hrl_escape.errors import OptionError, PlanningReason, UnknownNameError
+from hrl_escape.errors import OptionError, PlanningFailed, PlanningReason, UnknownNameError
 from hrl_escape.options.flavours import FLAVOURS
 from hrl_escape.options.option import Option, OptionAction
 from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PressGoal, PushGoal, is_reached, make_goal
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import get_pose
 
-__all__ = ["AncestorsOption", "PlannedOption", "list_goals", "make_meta_options", "make_option"]
+__all__ = ["AncestorsOption", "MarkovOption", "PlannedOption", "list_goals", "make_meta_options", "make_option"]
 
 PATIENCE = 40
 """Primitives without progress after which an option fails; more where primitives slip."""
@@ -130,6 +130,47 @@ class PlannedOption(Option):
         self.report.replans += 1
 
 
+class MarkovOption(Option):
+    """Reach one goal by a policy that is a function of the state: the first primitive of the shortest route from here.
+
+    The route is searched anew from every state, along the goal's cost-to-go field, and remembered by pose. So a
+    primitive inside any option tells what this one would have done there, which intra-option learning needs. Noise asks
+    for no replanning. A target that is touched already is left first, then pressed again.
+
+    Args:
+        name: stable name.
+        planner: the room's planner.
+        goal: goal of the option; not a push.
+    """
+
+    is_markov = True
+
+    def __init__(self, name: str, planner: RoomPlanner, goal: Goal) -> None:
+        super().__init__(name)
+        self.instance, self.goal = planner.instance, goal
+        self.targets = (goal.target,) if isinstance(goal, PressGoal) else ()
+        self._planner = planner
+
+    def initiation(self, state: RoomState) -> bool:
+        """Possible where a route leads to the goal, and it is not reached already."""
+        if not self._planner.can_start(state, self.goal):
+            return False
+        try:
+            return bool(self._planner.find_route(state, self.goal).primitives)
+        except PlanningFailed:
+            return False
+
+    def policy(self, state: RoomState) -> int:
+        """First primitive of the route. Raises `PlanningFailed`."""
+        return self._planner.find_route(state, self.goal, self.report).primitives[0]
+
+    def termination(self, state: RoomState) -> float:
+        """1 where the target is touched, or the goal's region is reached."""
+        if isinstance(self.goal, PressGoal):
+            return float(state.touching >> self.goal.target & 1)
+        return float(is_reached(self.goal, state, state, self._planner.rules))
+
+
 class AncestorsOption(Option):
     """Carry out an operator's missing preconditions in the cheapest order, then the operator itself.
 
@@ -218,7 +259,8 @@ def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: R
     Args:
         instance: the room.
         flavour: `press` reaches that goal only; `press-with-ancestors` first carries out what the puzzle's
-            symbolic model requires before it.
+            symbolic model requires before it; `press-markov` reaches it by a policy that is a function of the state,
+            where the goal is a press or the exit.
         planner: the room's planner; None for the one that this process shares.
 
     Raises:
@@ -232,7 +274,11 @@ def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: R
     options: list[Option] = list(parts.values())
     if flavour == "press-with-ancestors":
         options = [AncestorsOption(option.name, planner, goal, parts) for goal, option in parts.items()]
-    options.append(PlannedOption("meta-exit", planner, ExitGoal()))
+    elif flavour == "press-markov":
+        options = [MarkovOption(option.name, planner, goal) if isinstance(option, PlannedOption) else option
+                   for goal, option in parts.items()]
+    leave = MarkovOption if flavour == "press-markov" else PlannedOption
+    options.append(leave("meta-exit", planner, ExitGoal()))
     for option, goal in zip(options, [*goals, ExitGoal()], strict=True):
         option.about = name_object(goal, instance)
     return tuple(options)

@@ -87,7 +87,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         discount: gamma per primitive, in [0, 1]; readable as `gamma`.
         discounted_reward: return sum gamma^i r_i as the reward instead of sum r_i.
         flavour: with `options=None`: `press` presses one button only, `press-with-ancestors` first those
-            that must be on before it (as the published 2019 code did).
+            that must be on before it (as the published code did); `press-markov` by a function of the state.
         interruptible: return to the agent after every primitive of an option, `ended="interrupted"`.
             Choosing the same option again continues it; choosing another drops it. So the policy over
             options is asked at every primitive and every duration is 1.

@@ -45,7 +45,7 @@ def make_meta_source(flavour: str, planner: str = "auto") -> OptionsSource:
     """Make the function that synthesises the meta-actions of any room.
 
     Args:
-        flavour: `press`, or `press-with-ancestors`.
+        flavour: of `FLAVOURS`.
         planner: method of their plans, as in `RoomPlanner`.
 
     Raises:

@@ -20,8 +20,10 @@ from hrl_escape.agents.agent import SMDPTransition, StateTree
 from hrl_escape.agents.components.exploration import (
     OrnsteinUhlenbeck,
     choose_best,
+    compute_entropy,
     compute_epsilon,
     make_rng,
+    mask_values,
     sample_legal,
 )
 from hrl_escape.agents.components.learner import Learner
@@ -147,6 +149,7 @@ class DDPG(ReplayAgent):
         self.relaxation = LinearRelaxation() if is_linear else OneHotRelaxation(settings.entropy_weight)
         self._noise = OrnsteinUhlenbeck(actions) if settings.exploration == "ornstein-uhlenbeck" else None
         self._vector = np.zeros(actions, np.float32)  # of the last action, as replay keeps it
+        self._conduct: dict[str, float] = {}
 
     def compute_preferences(self, observation: Any) -> NDArray:
         """Outputs of the actor behind the greedy policy at an observation, before the mask, float32 (actions,)."""
@@ -154,12 +157,15 @@ class DDPG(ReplayAgent):
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """The argmax of the actor's outputs with noise, or a random action, as the settings say."""
-        outputs = self._explore(self._encoder.encode(observation))
+        preferences = outputs = self._explore(self._encoder.encode(observation))
         if self._noise is not None:
-            outputs = outputs + self._noise.sample(self._action_rng).astype(np.float32)
+            outputs = preferences + self._noise.sample(self._action_rng).astype(np.float32)
         is_random = self._noise is None and self._action_rng.random() < compute_epsilon(self.settings, self._steps)
         action = sample_legal(action_mask, self._action_rng) if is_random else choose_best(outputs, action_mask)
         self._vector = self.relaxation.encode(outputs, action)
+        policy = np.exp(mask_values(preferences, action_mask) - preferences[action_mask].max())
+        self._conduct = {"entropy": compute_entropy(policy / policy.sum()),
+                         "greedy": float(preferences[action] >= preferences[action_mask].max())}
         return action
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
@@ -176,7 +182,7 @@ class DDPG(ReplayAgent):
         self.replay.add(self.make_experience(transition)._replace(action=self._vector))
         if self._noise is not None and (transition.terminated or transition.truncated):
             self._noise.reset()
-        return self.learn_from_replay(transition)
+        return self.learn_from_replay(transition) | self._conduct
 
     def update(self, batch: Experience) -> dict[str, float]:
         """One gradient step of the critic and one of the actor, each once it is warm."""

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import SMDPTransition, StateTree
 from hrl_escape.agents.components.action_value_agent import ActionValueAgent, ActionValueSettings
-from hrl_escape.agents.components.exploration import compute_epsilon, compute_policy, sample_action, sample_index
+from hrl_escape.agents.components.exploration import compute_epsilon, compute_policy, sample_index
 from hrl_escape.agents.components.replay import Experience
 from hrl_escape.agents.larg2019.late_terminal import LateTerminal
 from hrl_escape.errors import AgentSettingsError
@@ -81,7 +81,7 @@ class Sarsa(ActionValueAgent):
             self.replay.add(experience)
             return self.learn_from_replay(transition)
         self.advance_clock(transition)
-        metrics = {"epsilon": compute_epsilon(self.settings, self._steps)}
+        metrics = {"epsilon": compute_epsilon(self.settings, self._steps)} | self._conduct
         if self.settings.late_terminal:
             for late, taken in self._late_terminal.push(experience, transition, self.settings):
                 if self._is_warm:
@@ -99,8 +99,7 @@ class Sarsa(ActionValueAgent):
         """An action at s' to bootstrap from and to take next; None where the expectation over all is taken."""
         if self.settings.expected:
             return None
-        values = self._forward(experience.next_observation) / self.settings.reward_scale
-        return sample_action(values, experience.next_mask, self.settings, self._steps, self._action_rng)
+        return self.explore(experience.next_observation, experience.next_mask)
 
     def compute_targets(self, batch: Experience, next_action: int | None) -> torch.Tensor:
         """R + b V(s')."""

@@ -14,8 +14,15 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import StateTree
-from hrl_escape.agents.components.exploration import ExplorationSettings, choose_best, make_rng, sample_action
+from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.components.exploration import (
+    ExplorationSettings,
+    choose_best,
+    compute_entropy,
+    compute_policy,
+    make_rng,
+    sample_action,
+)
 from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.networks import (
     compute_td_loss,
@@ -74,6 +81,7 @@ class ActionValueAgent(ReplayAgent):
             self.average.blend(self.online, 1.0)
             networks["average"] = self.average
         self._learner = Learner(self.name, networks, ["online"], self.settings)
+        self._conduct: dict[str, float] = {}
         self.make_forwards()
 
     def make_forwards(self) -> None:
@@ -87,8 +95,21 @@ class ActionValueAgent(ReplayAgent):
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Explore as the settings say, by the online network."""
-        values = self._forward(self._encoder.encode(observation)) / self.settings.reward_scale
-        return sample_action(values, action_mask, self.settings, self._steps, self._action_rng)
+        return self.explore(self._encoder.encode(observation), action_mask)
+
+    def explore(self, encoded: NDArray, action_mask: NDArray[np.bool_]) -> int:
+        """Draw an action from the exploring policy at an encoded observation; notes how it was chosen, for the log."""
+        values = self._forward(encoded) / self.settings.reward_scale
+        action = sample_action(values, action_mask, self.settings, self._steps, self._action_rng)
+        self._conduct = {
+            "entropy": compute_entropy(compute_policy(values, action_mask, self.settings, self._steps)),
+            "greedy": float(values[action] >= values[action_mask].max()),
+        }
+        return action
+
+    def learn_from_replay(self, transition: SMDPTransition) -> dict[str, float]:
+        """As every agent with replay; the numbers to log include how the action was chosen."""
+        return super().learn_from_replay(transition) | self._conduct
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The legal action of highest value."""

@@ -20,6 +20,7 @@ __all__ = [
     "ExplorationSettings",
     "OrnsteinUhlenbeck",
     "choose_best",
+    "compute_entropy",
     "compute_epsilon",
     "compute_policy",
     "make_rng",
@@ -103,6 +104,12 @@ def compute_policy(
     best = legal_values.argmax(axis=-1)[..., None]
     np.put_along_axis(policy, best, np.take_along_axis(policy, best, axis=-1) + (1 - epsilon), axis=-1)
     return policy
+
+
+def compute_entropy(policy: NDArray) -> float:
+    """Entropy of probabilities (actions,) in nats."""
+    possible = policy[policy > 0]
+    return float(-(possible * np.log(possible)).sum())
 
 
 def sample_action(

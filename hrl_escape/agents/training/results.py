@@ -7,6 +7,7 @@ wall clock take no part in equality, so two results are equal if all that learni
 from __future__ import annotations
 
 import dataclasses
+import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -18,12 +19,12 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.training.evaluation import Evaluation
-from hrl_escape.errors import CheckpointError, EscapeError, describe_damage
-from hrl_escape.files import read_json
+from hrl_escape.errors import CheckpointError, EscapeError, FileReadError, describe_damage
+from hrl_escape.files import read_json, read_text
 from hrl_escape.settings import read_record
 
-__all__ = ["METRICS", "EpisodeRecord", "SegmentRecord", "TrainResult", "find_first_escape", "load_result",
-           "make_evaluation_row", "read_result", "read_row"]
+__all__ = ["METRICS", "EpisodeRecord", "SegmentRecord", "TrainResult", "find_first_escape", "load_episode_rows",
+           "load_result", "make_evaluation_row", "read_result", "read_row"]
 
 METRICS = {
     "train/return": "undiscounted return of a training episode, exploration included",
@@ -38,7 +39,9 @@ METRICS = {
     "train/actor_loss": "mean loss of ddpg's actor",
     "train/policy_loss": "ppo's clipped objective, negated",
     "train/value_loss": "ppo's half squared value error, in scaled rewards",
-    "train/entropy": "mean entropy of ppo's policy, in nats",
+    "train/entropy": "mean entropy of the exploring policy, in nats; ddpg's is the softmax of its actor's outputs",
+    "train/greedy": "share of decisions for an action that the agent values most, ties included",
+    "train/longest_repeat": "most decisions in a row for the same action",
     "train/value": "mean predicted value in the updates, in units of return",
     "train/td_error": "mean absolute error of tabular updates, in units of return",
     "train/epsilon": "mean share of random actions asked for",
@@ -241,6 +244,20 @@ def load_result(folder: str | os.PathLike[str]) -> TrainResult:
         CheckpointError: the result is damaged.
     """
     return read_result(folder)[1]
+
+
+def load_episode_rows(folder: str | os.PathLike[str]) -> list[dict[str, Any]]:
+    """Read the rows of a run's log that tell of training episodes, by the names of `METRICS`.
+
+    Raises:
+        FileReadError: the log is missing or damaged.
+    """
+    path = Path(folder) / "log.jsonl"
+    try:
+        rows = [json.loads(line) for line in read_text(path, "log of a run").splitlines()]
+        return [row for row in rows if row["kind"] == "episode"]
+    except (ValueError, KeyError, TypeError) as error:
+        raise FileReadError(f"{path}: this log of a run is damaged ({describe_damage(error)})") from error
 
 
 def read_result(folder: str | os.PathLike[str]) -> tuple[str, TrainResult]:

@@ -335,6 +335,8 @@ class _Tally:
         self._choices: dict[str, int] = {}
         self._choice_primitives: dict[str, int] = {}
         self._failures = 0
+        self._last_action: int | None = None
+        self._repeat = self._longest_repeat = 0
         self._sums: dict[str, float] = {}
         self._counts: dict[str, int] = {}
 
@@ -343,6 +345,9 @@ class _Tally:
         self.episode_return += transition.summed_reward
         self.length += transition.duration
         self.decisions += 1
+        self._repeat = self._repeat + 1 if transition.action == self._last_action else 1
+        self._last_action = transition.action
+        self._longest_repeat = max(self._longest_repeat, self._repeat)
         if transition.terminated or transition.truncated:
             self.success = read_success(info, transition.terminated)
         if (option := info.get("option")) is not None:
@@ -359,6 +364,7 @@ class _Tally:
     def make_row(self) -> dict[str, Any]:
         """Means of the agent's metrics, and counts of its choices, under their logged names."""
         row: dict[str, Any] = {f"train/{name}": total / self._counts[name] for name, total in self._sums.items()}
+        row["train/longest_repeat"] = self._longest_repeat
         if self._choices:
             row["option/choices"] = self._choices
             row["option/primitives"] = self._choice_primitives

@@ -69,10 +69,14 @@ class Criterion:
         return "below" if self.side == "above" else "above"
 
     def test(self, found: Measurement) -> tuple[bool, float]:
-        """Direction in which the runs point, True for the claim, and its one-sided p-value."""
+        """Direction in which the runs point, True for the claim, and its p-value.
+
+        Where one level parts both directions, a truth right there could be missed on either side, so the p-value is
+        two-sided. Between two levels neither direction is wrong, and it is one-sided.
+        """
         confirmed = found.compute_p(self.level, self.side)
         refuted = found.compute_p(self.level if self.refuted is None else self.refuted, self.other_side)
-        return confirmed < refuted, min(confirmed, refuted)
+        return confirmed < refuted, min(1.0, (2 if self.refuted is None else 1) * min(confirmed, refuted))
 
 
 @dataclass(frozen=True)

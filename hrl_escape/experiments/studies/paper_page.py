@@ -78,9 +78,9 @@ def _write_lines(results: Results, findings: Sequence[Finding]) -> list[str]:
     lines += ["## Claim by claim", "",
               "Numbers are means over runs with 95 % intervals; scores and shares are in per cent. Each "
               "measurement names the range that confirms its claim; the other side refutes it. A verdict is given "
-              "where the test of its side has p < 0.05, corrected over all claims and algorithms (Benjamini and "
-              "Hochberg: of the verdicts given, 5 % are wrong at most on average); otherwise the claim stays open. "
-              "Every criterion can come out either way. An episode is "
+              "where the test of its side has p < 0.05 (two-sided where one level parts both), corrected over all "
+              "claims and algorithms (Benjamini and Hochberg: of the verdicts given, 5 % are wrong at most on "
+              "average); otherwise the claim stays open. Every criterion can come out either way. An episode is "
               f"optimal if it scores {OPTIMAL_SCORE:.0%} or more. The last column is what the published 2019 program "
               "gave when it was rerun, its simulation stepped in lockstep, 1 to 3 runs a cell, trained continuously "
               "unless it says *as released*.", "",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -16,12 +16,12 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.training.results import EpisodeRecord, find_first_escape, load_result
+from hrl_escape.agents.training.results import load_episode_rows
 from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.grid import GridRun
 from hrl_escape.experiments.runs import RunResult, get_training_folder
-from hrl_escape.experiments.statistics import compute_score
+from hrl_escape.experiments.statistics import compute_efficiency, compute_score
 from hrl_escape.experiments.summary import Summary
 from hrl_escape.files import read_text, write_text
 
@@ -30,6 +30,9 @@ __all__ = ["OPTIMAL_SCORE", "RawRun", "collect_runs", "load_runs", "save_runs"]
 BINS = 20
 OPTIMAL_SCORE = 0.99
 """Score from which on these studies call an episode optimal: stricter than `NEAR_BEST`, as published with 0.1."""
+
+_WITH_GAPS = ("training_returns", "training_efficiencies", "entropy", "greedy", "longest_repeat")
+_NEW = ("efficiencies", "training_efficiencies", "entropy", "greedy", "longest_repeat")
 
 Axis = Literal["primitives", "decisions"]
 
@@ -55,6 +58,11 @@ class RawRun:
         training_successes: how many of these escaped.
         training_optimal: how many of these scored `OPTIMAL_SCORE` or more.
         first_escape: primitives at the end of the first training episode that escaped; None if none did.
+        efficiencies: mean efficiency of each evaluation; empty in raw results of version 0.1, as all that follow.
+        training_efficiencies: mean efficiency of the training episodes in each twentieth; None where none ended.
+        entropy: mean entropy of the exploring policy there, in nats; None also where the agent logs none.
+        greedy: mean share of greedy decisions there, likewise.
+        longest_repeat: mean over these episodes of the most decisions in a row for one action.
     """
 
     agent: str
@@ -73,6 +81,11 @@ class RawRun:
     training_successes: tuple[int, ...]
     training_optimal: tuple[int, ...]
     first_escape: int | None
+    efficiencies: tuple[float, ...] = ()
+    training_efficiencies: tuple[float | None, ...] = ()
+    entropy: tuple[float | None, ...] = ()
+    greedy: tuple[float | None, ...] = ()
+    longest_repeat: tuple[float | None, ...] = ()
 
     @property
     def at(self) -> NDArray[np.float64]:
@@ -106,27 +119,34 @@ def collect_runs(summary: Summary, comparison: Comparison) -> list[RawRun]:
     for run, result in summary.runs:
         if run.agent.is_reference:
             continue
-        episodes = load_result(get_training_folder(comparison.out, run)).episodes
-        runs.append(_make_run(run, result, episodes))
+        runs.append(_make_run(run, result, load_episode_rows(get_training_folder(comparison.out, run))))
     return runs
 
 
-def _make_run(run: GridRun, result: RunResult, episodes: Sequence[EpisodeRecord]) -> RawRun:
+def _make_run(run: GridRun, result: RunResult, rows: Sequence[Mapping[str, Any]]) -> RawRun:
     axis: Axis = "decisions" if run.grid.decisions else "primitives"
     budget = run.grid.decisions or run.grid.primitives
     worst, best = result.score_range.worst, float(np.mean(result.score_range.best))
-    ended = [episode for episode in episodes if episode.end != "budget"]
-    at = np.array([getattr(episode, axis) for episode in ended], dtype=np.float64)
+    ended = [row for row in rows if row["train/end"] != "budget"]
+    at = np.array([row[axis] for row in ended], dtype=np.float64)
     place = np.minimum((at - 1) * BINS // budget, BINS - 1).astype(np.int64)
-    returns = np.array([episode.episode_return for episode in ended])
-    escaped = np.array([episode.success for episode in ended], dtype=bool)
+    returns = np.array([row["train/return"] for row in ended])
+    escaped = np.array([row["train/success"] for row in ended], dtype=bool)
+    fewest = float(np.mean(result.score_range.fewest))
+    efficiencies = compute_efficiency(escaped, [row["train/length"] for row in ended], fewest)
     optimal = compute_score(returns, worst, best) >= OPTIMAL_SCORE
 
     def count(chosen: NDArray[np.bool_]) -> tuple[int, ...]:
         return tuple(np.bincount(place[chosen], minlength=BINS).tolist())
 
+    def average(values: Sequence[Any], digits: int) -> tuple[float | None, ...]:
+        """Mean in each twentieth; None where there is no value."""
+        known = np.array([value is not None for value in values], dtype=bool)
+        weights = [float(value) for value in values if value is not None]
+        sums = np.bincount(place[known], weights=weights, minlength=BINS)
+        return tuple(round(total / n, digits) if n else None for total, n in zip(sums, count(known), strict=True))
+
     counts = count(np.ones(len(ended), dtype=bool))
-    sums = np.bincount(place, weights=returns, minlength=BINS)
     return RawRun(
         agent=run.agent.label, room=run.room, seed=run.seed, worst=worst, best=best, axis=axis, budget=budget,
         primitives=tuple(evaluation.primitives for evaluation in result.evaluations),
@@ -134,10 +154,15 @@ def _make_run(run: GridRun, result: RunResult, episodes: Sequence[EpisodeRecord]
         returns=tuple(round(evaluation.mean_return, 3) for evaluation in result.evaluations),
         successes=tuple(round(evaluation.success_rate, 3) for evaluation in result.evaluations),
         episodes=counts,
-        training_returns=tuple(round(total / n, 2) if n else None for total, n in zip(sums, counts, strict=True)),
+        training_returns=average(returns.tolist(), 2),
         training_successes=count(escaped),
         training_optimal=count(optimal),
-        first_escape=find_first_escape(ended),
+        first_escape=next((row["primitives"] for row in ended if row["train/success"]), None),
+        efficiencies=tuple(round(value, 4) for value in result.get_curve("efficiency").tolist()),
+        training_efficiencies=average(efficiencies.tolist(), 4),
+        entropy=average([row.get("train/entropy") for row in ended], 4),
+        greedy=average([row.get("train/greedy") for row in ended], 4),
+        longest_repeat=average([row.get("train/longest_repeat") for row in ended], 2),
     )
 
 
@@ -173,13 +198,15 @@ def load_runs(path: Path) -> list[RawRun]:
 def _check(run: RawRun) -> RawRun:
     """Raise where a field cannot be what it is."""
     evaluations = len(run.primitives)
-    for names, length in ((("primitives", "decisions", "returns", "successes"), max(1, evaluations)),
-                          (("episodes", "training_returns", "training_successes", "training_optimal"), BINS)):
+    for names, length in ((("primitives", "decisions", "returns", "successes", "efficiencies"), max(1, evaluations)),
+                          (("episodes", "training_successes", "training_optimal", *_WITH_GAPS), BINS)):
         for name in names:
             values = getattr(run, name)
+            if values == () and name in _NEW:
+                continue
             if not isinstance(values, tuple) or len(values) != length:
                 raise ValueError(f"{name} is not a list of {length}")
-            if not all(_is_number(value) or (value is None and name == "training_returns") for value in values):
+            if not all(_is_number(value) or (value is None and name in _WITH_GAPS) for value in values):
                 raise ValueError(f"{name} holds something else than numbers")
     if run.axis not in get_args(Axis):
         raise ValueError(f"axis is {run.axis!r}")

@@ -27,6 +27,8 @@ class StudyArgs:
     """Folder of the runs, one of its own for each grid; finished runs in it are kept."""
     workers: int | None = None
     """Runs at a time; one a core by default."""
+    first_seed: int = 0
+    """Lowest training seed; those from 100 on are fresh. Give another `--docs` too, or the page is written over."""
     from_raw: bool = False
     """Train nothing: write the page anew from the raw results."""
 
@@ -49,7 +51,7 @@ def run_study(grids: Sequence[Grid], args: StudyArgs) -> dict[str, list[RawRun]]
     """
     claim_folder(args.docs / "raw")
     found = {}
-    for grid in grids:
+    for grid in (dataclasses.replace(grid, first_seed=args.first_seed) for grid in grids):
         path = get_raw_file(args.docs, grid.name)
         if not args.from_raw:
             comparison = run_grid(grid, args.out / grid.name, LocalLauncher(args.workers))

@@ -15,7 +15,7 @@ import pytest
 import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents import evaluate, make_agent, play_episode, train
 from hrl_escape.agents.registry import get_agent_class
-from hrl_escape.agents.training.results import METRICS
+from hrl_escape.agents.training.results import METRICS, load_episode_rows
 from hrl_escape.agents.training.train import TrainResult
 from hrl_escape.errors import AgentSettingsError, DivergenceError, FileWriteError, StepContractError
 from hrl_escape.options.options_env import OptionsEnv
@@ -247,6 +247,21 @@ def test_every_logged_name_is_explained(tmp_path, name):
         logged |= {key for key in json.loads(line) if "/" in key}
     assert logged <= set(METRICS)
     assert {"train/return", "eval/return", "time/seconds"} <= logged
+
+
+@pytest.mark.parametrize(("name", "settings"), [
+    ("sarsa", {}), ("sarsa", {"replay_capacity": 0, "expected": False}), ("dqn", {}), ("ddpg", {}),
+])
+def test_the_log_tells_how_actions_are_chosen(tmp_path, name, settings):
+    """With epsilon 0 all actions are greedy and a policy of action values has no entropy; with 1 it is uniform."""
+    for epsilon in (0.0, 1.0):
+        chosen = {"epsilon_start": epsilon, "epsilon_end": epsilon} | settings
+        run(name, out=tmp_path / f"{epsilon}", settings=chosen)
+        rows = load_episode_rows(tmp_path / f"{epsilon}")
+        assert all((row["train/greedy"] == 1) == (epsilon == 0) or row["train/decisions"] < 4 for row in rows)
+        assert all(1 <= row["train/longest_repeat"] <= row["train/decisions"] for row in rows)
+        if name != "ddpg":
+            assert all(row["train/entropy"] == 0 if epsilon == 0 else 1 < row["train/entropy"] < 2 for row in rows)
 
 
 def test_every_explained_name_is_logged_by_some_agent(tmp_path):

@@ -13,6 +13,8 @@ def make_run(agent: str, scores: Sequence[float], *, training: Sequence[float] |
              room: str = "room", **changes: Any) -> RawRun:
     """A run of 1,000 primitives, worst -1000 and best 0, so that a score s is a return of 1000 (s - 1).
 
+    Efficiencies are the scores.
+
     Args:
         agent: label.
         scores: of evaluations at equal distances from 0 to the end.
@@ -31,6 +33,7 @@ def make_run(agent: str, scores: Sequence[float], *, training: Sequence[float] |
         returns=tuple(1000 * (score - 1) for score in scores), successes=tuple(float(score > 0) for score in scores),
         episodes=(1,) * BINS, training_returns=tuple(1000 * (score - 1) for score in training),
         training_successes=tuple(map(int, escaped)), training_optimal=tuple(int(score >= 0.99) for score in training),
-        first_escape=first,
+        first_escape=first, efficiencies=tuple(map(float, scores)), training_efficiencies=tuple(map(float, training)),
+        entropy=(1.0,) * BINS, greedy=(0.5,) * BINS, longest_repeat=(1.0,) * BINS,
     )
     return dataclasses.replace(run, **changes)

@@ -16,24 +16,40 @@ from hrl_escape.cli import main
 from hrl_escape.errors import ComparisonError, FileReadError, RunBusyError
 from hrl_escape.experiments.comparison import run_grids
 from hrl_escape.experiments.launching.local import LocalLauncher
-from hrl_escape.experiments.studies import scaling
-from hrl_escape.experiments.studies.followed_runs import count_spared, follow_runs, list_edge_bins
-from hrl_escape.experiments.studies.scaling import AGENTS, Round, run_scaling
-from hrl_escape.experiments.studies.scaling_page import write_scaling_page
-from hrl_escape.experiments.studies.scaling_raw import (
+from hrl_escape.experiments.studies.scaling import study as scaling
+from hrl_escape.experiments.studies.scaling.findings import tell_difficulty, tell_replication, tell_sizes, tell_told
+from hrl_escape.experiments.studies.scaling.followed_runs import count_spared, follow_runs, list_bins
+from hrl_escape.experiments.studies.scaling.page import write_scaling_page
+from hrl_escape.experiments.studies.scaling.scaling_runs import (
     RoomKind,
     ScalingRun,
     collect_scaling_runs,
     load_scaling_runs,
     save_scaling_runs,
 )
+from hrl_escape.experiments.studies.scaling.study import (
+    AGENTS,
+    SIZES,
+    TOLD,
+    TOLD_TASKS,
+    Round,
+    choose_options,
+    make_room,
+    run_scaling,
+)
+
+KNOWN = (*AGENTS, *(spec.label for spec in TOLD))
 
 
 def make_result(agent="smdp-factored-r-max", buttons=10, rule="ignore", run=0, graph="layered", first=400, near=900):
     structure = ((100, 0.5, 0.25), (800, 1.0, 1.0)) if agent != "smdp-random" else ()
     measured = {"best": 50.0, "worst": -1000.0, "primitives": 20_000, "decisions": 900, "seconds": 1.5}
     return ScalingRun(graph, buttons, rule, agent, run, "abc", **measured, first_escape=first, near_best=near, edges=4,
-                      structure=structure)
+                      depth=3, structure=structure)
+
+
+def make_round(tasks: tuple[RoomKind, ...], agent: str, seed: int) -> Round:
+    return Round(tasks, (choose_options(agent),), seed)
 
 
 def make_console() -> Console:
@@ -56,19 +72,19 @@ def forget_time(runs: list[ScalingRun]) -> set[ScalingRun]:
 
 def test_factored_r_max_is_near_the_best_of_a_real_room_and_has_its_graph(tmp_path):
     tasks = RoomKind("chain", 4, "ignore"), RoomKind("chain", 4, "reset")
-    for run in run_rounds(tmp_path, 4_000, Round(tasks, "smdp-factored-r-max", 0)):
+    for run in run_rounds(tmp_path, 4_000, make_round(tasks, "smdp-factored-r-max", 0)):
         assert run.first_escape is not None and run.near_best is not None
         assert run.first_escape <= run.near_best < run.primitives < 4_000, "it stops once the room is solved"
-        assert run.edges == 3
+        assert run.edges == 3 and run.depth == 3
         assert run.structure[-1][1:] == (1.0, 1.0)
 
 
-def test_a_run_gives_the_numbers_that_version_0_1_gave(tmp_path):
-    """Also the published ones: these runs are lines of docs/results/raw/scaling.csv."""
-    published = load_scaling_runs(Path(__file__).parents[3] / "docs" / "results" / "raw" / "scaling.csv", AGENTS)
-    chosen = [run for run in published if (run.task, run.run) == (RoomKind("chain", 4, "reset"), 1)
+def test_a_run_gives_the_published_numbers(tmp_path):
+    """These runs are lines of docs/results/raw/scaling.csv."""
+    published = load_scaling_runs(Path(__file__).parents[3] / "docs" / "results" / "raw" / "scaling.csv", KNOWN)
+    chosen = [run for run in published if (run.task, run.run) == (RoomKind("chain", 4, "reset"), 0)
               and run.agent in ("smdp-factored-r-max", "smdp-random")]
-    rounds = [Round((run.task,), run.agent, run.run) for run in chosen]
+    rounds = [make_round((run.task,), run.agent, run.run) for run in chosen]
     assert len(rounds) == 2
     assert forget_time(run_rounds(tmp_path, 20_000, *rounds)) == forget_time(chosen)
 
@@ -76,15 +92,16 @@ def test_a_run_gives_the_numbers_that_version_0_1_gave(tmp_path):
 def test_kinds_that_are_one_room_share_its_run(tmp_path):
     """Two buttons have one edge at most, so that families of graphs coincide."""
     tasks = tuple(RoomKind(graph, 2, "ignore") for graph in scaling.GRAPHS)
-    round_ = Round(tasks, "smdp-random", 0)
-    assert len(set(round_.rooms.values())) < len(tasks)
+    round_ = make_round(tasks, "smdp-random", 0)
+    assert len({room.id for room in round_.rooms.values()}) < len(tasks)
     runs = run_rounds(tmp_path, 60, round_)
     assert sorted(run.task for run in runs) == sorted(tasks)
-    assert len({(run.room, run.primitives, run.first_escape) for run in runs}) == len(set(round_.rooms.values()))
+    rooms = {room.id for room in round_.rooms.values()}
+    assert len({(run.room, run.primitives, run.first_escape) for run in runs}) == len(rooms)
 
 
 def test_every_agent_runs(tmp_path):
-    runs = run_rounds(tmp_path, 60, *(Round((RoomKind("chain", 2, "ignore"),), agent, 0) for agent in AGENTS))
+    runs = run_rounds(tmp_path, 60, *(make_round((RoomKind("chain", 2, "ignore"),), agent, 0) for agent in AGENTS))
     assert [run.agent for run in runs] == list(AGENTS)
     assert all(run.primitives >= 60 or run.first_escape is not None for run in runs)
 
@@ -92,10 +109,11 @@ def test_every_agent_runs(tmp_path):
 def test_a_killed_run_measures_what_an_uninterrupted_one_does(tmp_path):
     task, agent, seed = RoomKind("chain", 4, "reset"), "smdp-factored-r-max", 0
     script = ("import sys\n"
-              "from tests.experiments.studies.test_scaling import Round, RoomKind, run_rounds\n"
+              "from tests.experiments.studies.test_scaling import RoomKind, make_round, run_rounds\n"
               "from pathlib import Path\n"
               "if __name__ == '__main__':\n"
-              f"    run_rounds(Path(sys.argv[1]), 4_000, Round((RoomKind('chain', 4, 'reset'),), {agent!r}, {seed}),\n"
+              f"    round_ = make_round((RoomKind('chain', 4, 'reset'),), {agent!r}, {seed})\n"
+              "    run_rounds(Path(sys.argv[1]), 4_000, round_,\n"
               "               checkpoint_seconds=0.0)\n")
     (tmp_path / "study.py").write_text(script)
     out, rng = tmp_path / "killed", np.random.default_rng(2)
@@ -109,8 +127,8 @@ def test_a_killed_run_measures_what_an_uninterrupted_one_does(tmp_path):
         time.sleep(rng.uniform(0.0, 0.3))
         process.send_signal(signal.SIGKILL)
         process.wait()
-    alone = run_rounds(tmp_path / "alone", 4_000, Round((task,), agent, seed))
-    assert forget_time(run_rounds(out, 4_000, Round((task,), agent, seed))) == forget_time(alone)
+    alone = run_rounds(tmp_path / "alone", 4_000, make_round((task,), agent, seed))
+    assert forget_time(run_rounds(out, 4_000, make_round((task,), agent, seed))) == forget_time(alone)
 
 
 def count_log_bytes(out: Path) -> int:
@@ -154,7 +172,7 @@ def test_a_failed_run_ends_the_study_with_its_message(tmp_path, small_study, mon
     with pytest.raises(Exception, match="smdp-dreamer"):
         run_scaling(tmp_path, 1, 60, 1, 5.0, make_console())
     monkeypatch.undo()
-    round_ = Round((RoomKind("chain", 2, "ignore"),), "smdp-r-max", 0)
+    round_ = make_round((RoomKind("chain", 2, "ignore"),), "smdp-r-max", 0)
     (run,) = round_.make_grid(60).make_runs(round_.make_grid(60).make_places())
     damaged = tmp_path / "runs" / run.folder / "training" / "checkpoint.npz"
     damaged.parent.mkdir(parents=True)
@@ -167,8 +185,8 @@ def test_a_failed_run_ends_the_study_with_its_message(tmp_path, small_study, mon
 
 
 def test_one_study_at_a_time_in_a_folder(tmp_path):
-    grids = run_grids([Round((RoomKind("chain", 2, "ignore"),), "smdp-random", 0).make_grid(60)] * 2, tmp_path, None,
-                      make_console())
+    grid = make_round((RoomKind("chain", 2, "ignore"),), "smdp-random", 0).make_grid(60)
+    grids = run_grids([grid] * 2, tmp_path, None, make_console())
     next(grids)  # the folder stays locked between two grids
     with pytest.raises(RunBusyError, match="another comparison is running in this folder"):
         run_scaling(tmp_path, 1, 60, 1, 5.0, make_console())
@@ -180,7 +198,7 @@ def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
                make_result("smdp-random", first=None, near=None), make_result(buttons=20)]
     raw = tmp_path / "raw" / "scaling.csv"
     save_scaling_runs(raw, results)
-    assert set(load_scaling_runs(raw, AGENTS)) == set(results)
+    assert set(load_scaling_runs(raw, KNOWN)) == set(results)
     assert main(["experiment", "scaling", "--from-raw", "--docs", str(tmp_path)]) == 0
     page = (tmp_path / "scaling.md").read_text()
     assert "| ignore | smdp-factored-r-max | — | — | — | 2 of 2; 500 | — | 1 of 1; 400 |" in page
@@ -192,7 +210,7 @@ def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
     for figure in ("scaling", "scaling-structure"):
         assert "<svg" in (tmp_path / "figures" / f"{figure}.svg").read_text()[:1_000]
     before = page, (tmp_path / "figures" / "scaling.svg").read_bytes()
-    write_scaling_page(load_scaling_runs(raw, AGENTS), tmp_path)
+    write_scaling_page(load_scaling_runs(raw, KNOWN), tmp_path)
     assert ((tmp_path / "scaling.md").read_text(), (tmp_path / "figures" / "scaling.svg").read_bytes()) == before
 
 
@@ -216,12 +234,71 @@ def test_runs_spared_by_failures_are_told_from_those_not_begun():
     assert count_spared(results, "reset", failed.agent, 10) == 0
 
 
-def test_bins_of_edges_cover_all_rooms_once():
-    results = [dataclasses.replace(make_result(run=run), edges=edges)
+def test_bins_cover_all_rooms_once():
+    results = [dataclasses.replace(make_result(run=run), edges=edges, depth=1)
                for run, edges in enumerate((1, 1, 2, 3, 5, 8, 13))]
-    bins = list_edge_bins(results)
+    bins = list_bins(results, "edges")
     assert bins == [(1, 1), (2, 4), (5, 7), (8, 13)]
-    assert list_edge_bins(results[:2]) == [(1, 1)]
+    assert list_bins(results[:2], "edges") == [(1, 1)] == list_bins(results, "depth")
+
+
+def make_rooms(read):
+    """Rooms of all sizes in which edges and depth go their own ways; the first escape follows one of the measures."""
+    rooms = [(buttons, edges, depth) for buttons in SIZES for edges in (1, 9, 4) for depth in (3, 1)]
+    return [dataclasses.replace(make_result(agent, buttons, run=run, first=100 + 50 * read(buttons, edges, depth)),
+                                edges=edges, depth=depth)
+            for agent in AGENTS[:3] for run, (buttons, edges, depth) in enumerate(rooms)]
+
+
+@pytest.mark.parametrize(("read", "said"), [
+    (lambda buttons, edges, depth: edges, "Edges that matter order rooms best"),
+    (lambda buttons, edges, depth: depth, "Depth orders rooms best"),
+    (lambda buttons, edges, depth: buttons, "Buttons order rooms best"),
+    (lambda buttons, edges, depth: SIZES.index(buttons) + 2 * (1, 4, 9).index(edges), "about equally well"),
+])
+def test_what_makes_rooms_difficult_is_read_off_the_runs(read, said):
+    sentence, = tell_difficulty(make_rooms(read), 20_000)
+    assert said in sentence
+
+
+def test_sizes_that_all_runs_master_are_told_agent_by_agent():
+    results = [make_result(AGENTS[0], buttons) for buttons in SIZES]
+    results += [make_result(AGENTS[2], buttons, first=None if buttons == 6 else 400) for buttons in (2, 4, 6)]
+    results += [make_result(AGENTS[3], 2, first=None), make_result(AGENTS[4], 2)]
+    assert tell_sizes(results) == [
+        "With the ignore rule all planned runs escape up to 20 buttons for `factored-r-max`; up to 4 buttons for "
+        "`r-max`; up to 2 buttons for `dqn` (not tried with more); with no number of buttons for `q-learning`."]
+
+
+def test_what_structure_learners_are_told_is_what_the_labels_say():
+    assert len({spec.label for spec in TOLD}) == len(TOLD) == 8
+    for spec in TOLD:
+        settings = spec.resolve_settings()
+        assert spec.label == f"{settings['conditions']}, {settings['max_parents']}"
+    noisy, exact = make_room(TOLD_TASKS[1]), make_room(TOLD_TASKS[0])
+    assert (noisy.dynamics.noise, noisy.dynamics.slip) == (0.1, 0.1)
+    assert dataclasses.replace(noisy, name=exact.name, dynamics=exact.dynamics) == exact
+
+
+def test_the_page_says_what_being_told_less_costs_and_what_fresh_seeds_give(tmp_path):
+    told = [make_result(spec.label, run=run) for spec in TOLD for run in range(2)]
+    told = [dataclasses.replace(run, structure=((100, 1.0, 0.5),), near_best=None) if run.agent.endswith(" 1") else run
+            for run in told]
+    sentence, = tell_told(told)
+    assert "whole graph told `all-on, 2`, `all-on, 3`, `all-on, 4`, `any, 2`, `any, 3` or `any, 4`; not all do told " \
+        "`all-on, 1` (0 of 2) or `any, 1` (0 of 2)." in sentence
+    assert "told nothing here" in tell_told([run for run in told if run.agent.endswith(" 1")])[0]
+    bar = [make_result(run=run, rule="reset") for run in range(10)]
+    assert "the same conclusion" in tell_replication(bar, bar)[0]
+    failed = [dataclasses.replace(run, run=run.run + 100, near_best=None) for run in bar]
+    assert "another conclusion. 0 of 10" in tell_replication(failed, bar)[0]
+    with pytest.raises(ComparisonError, match="with the part agents"):
+        write_scaling_page(told, tmp_path)
+    save_scaling_runs(tmp_path / "raw" / "scaling.csv", [*told, *bar])
+    save_scaling_runs(tmp_path / "raw" / "scaling-fresh.csv", failed)
+    assert main(["experiment", "scaling", "--from-raw", "--docs", str(tmp_path)]) == 0
+    page = (tmp_path / "scaling.md").read_text()
+    assert "## What structure learners are told" in page and "(seeds 100 to 109)" in page
 
 
 @pytest.mark.parametrize("option", ["--runs=0", "--runs=-3", "--primitives=0", "--minutes=0"])
@@ -230,7 +307,7 @@ def test_a_study_of_nothing_is_refused_and_leaves_earlier_results_alone(tmp_path
     save_scaling_runs(raw, [make_result()])
     assert main(["experiment", "scaling", "--docs", str(tmp_path), "--out", str(tmp_path), option]) == 2
     assert "it must be above 0" in capsys.readouterr().err
-    assert load_scaling_runs(raw, AGENTS) == [make_result()]
+    assert load_scaling_runs(raw, KNOWN) == [make_result()]
 
 
 def test_results_of_an_unknown_agent_are_refused(tmp_path):

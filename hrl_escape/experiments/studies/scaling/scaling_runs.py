@@ -12,8 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hrl_escape.agents.training.results import find_first_escape, load_result
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.comparison import Comparison
+from hrl_escape.experiments.graph_recovery import compute_depth, find_edges_that_matter
 from hrl_escape.experiments.runs import get_training_folder
 from hrl_escape.files import read_text, write_text
 
@@ -26,7 +28,7 @@ class RoomKind(NamedTuple):
     Attributes:
         graph: family of the dependency graph.
         buttons: number of buttons.
-        rule: effect of a press with unmet parents, `ignore` or `reset`.
+        rule: effect of a press with unmet parents, `ignore` or `reset`; `ignore, noise` in rooms with noise and slip.
     """
 
     graph: str
@@ -40,7 +42,7 @@ class ScalingRun:
 
     Attributes:
         graph: see `RoomKind`; so the next two.
-        agent: name.
+        agent: name, or label where agents of one name differ.
         run: seed of room, agent and episodes.
         room: content hash of the instance.
         best: best return known for these options.
@@ -51,6 +53,7 @@ class ScalingRun:
         first_escape: primitives at the end of the first training episode that escaped; None if none did.
         near_best: primitives at the first of two checks in a row near the best; None without such a pair.
         edges: number of edges that matter.
+        depth: most of these in a row.
         structure: (primitives, precision, recall) at every change; empty for agents without a graph.
     """
 
@@ -68,6 +71,7 @@ class ScalingRun:
     first_escape: int | None
     near_best: int | None
     edges: int
+    depth: int
     structure: tuple[tuple[int, float, float], ...]
 
     @property
@@ -76,12 +80,12 @@ class ScalingRun:
         return RoomKind(self.graph, self.buttons, self.rule)
 
 
-def collect_scaling_runs(comparison: Comparison, tasks: Mapping[RoomKind, str]) -> list[ScalingRun]:
+def collect_scaling_runs(comparison: Comparison, rooms: Mapping[RoomKind, RoomInstance]) -> list[ScalingRun]:
     """Read the finished runs of a round.
 
     Args:
         comparison: a round's.
-        tasks: task -> content hash of its room; tasks that share a room share its run.
+        rooms: task -> its room; tasks that share a room share its run.
 
     Raises:
         FileReadError: a run's log is missing or damaged.
@@ -91,13 +95,19 @@ def collect_scaling_runs(comparison: Comparison, tasks: Mapping[RoomKind, str]) 
         training = load_result(get_training_folder(comparison.out, run))
         assert result.solution is not None, "these grids have a rule for what is solved"
         measured: dict[str, Any] = {
-            "agent": run.agent.name, "run": run.seed, "room": run.place_id,
+            "agent": run.agent.label, "run": run.seed, "room": run.place_id,
             "best": float(np.mean(result.score_range.reachable)), "worst": result.score_range.worst,
             "primitives": result.primitives, "decisions": result.decisions, "seconds": round(training.seconds, 1),
             "first_escape": find_first_escape(training.episodes), **vars(result.solution),
         }  # fmt: skip
-        found += [ScalingRun(*task, **measured) for task, room in tasks.items() if room == run.place_id]
+        found += [ScalingRun(*task, **measured, depth=_measure_depth(room)) for task, room in rooms.items()
+                  if room.id == run.place_id]
     return found
+
+
+def _measure_depth(room: RoomInstance) -> int:
+    goals = room.puzzle.goal_targets
+    return compute_depth(find_edges_that_matter(room.puzzle.edges, goals), goals)
 
 
 def save_scaling_runs(path: Path, runs: Sequence[ScalingRun]) -> None:
@@ -130,6 +140,7 @@ def load_scaling_runs(path: Path, agents: Collection[str]) -> list[ScalingRun]:
     found = []
     for number, row in enumerate(csv.DictReader(io.StringIO(read_text(path, "file of raw results"))), 2):
         try:
+            edges, depth = int(row["edges"]), int(row["depth"])
             steps = [step.split(":") for step in row["structure"].split(";") if step]
             if row["agent"] not in agents:
                 raise ValueError(f"no agent of this study is called {row['agent']!r}")
@@ -138,7 +149,7 @@ def load_scaling_runs(path: Path, agents: Collection[str]) -> list[ScalingRun]:
                 float(row["best"]), float(row["worst"]), int(row["primitives"]), int(row["decisions"]),
                 float(row["seconds"]), int(row["first_escape"]) if row["first_escape"] else None,
                 int(row["near_best"]) if row["near_best"] else None,
-                edges=int(row["edges"]), structure=tuple((int(n), float(p), float(r)) for n, p, r in steps),
+                edges=edges, depth=depth, structure=tuple((int(n), float(p), float(r)) for n, p, r in steps),
             ))  # fmt: skip
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise FileReadError(f"{path}, line {number}: this is no run of the scaling study ({error!r})") from error

@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from hrl_escape.experiments.inference import compute_restricted_mean
-from hrl_escape.experiments.studies.scaling_raw import ScalingRun
+from hrl_escape.experiments.studies.scaling.scaling_runs import ScalingRun
 
-__all__ = ["FollowedRuns", "Pick", "count_spared", "follow_runs", "list_edge_bins"]
+__all__ = ["FollowedRuns", "Pick", "count_spared", "follow_runs", "list_bins"]
 
 Pick = Callable[[ScalingRun], int | None]
 """The primitives at which something came about in a run; None if it did not."""
@@ -77,13 +78,13 @@ def count_spared(results: Sequence[ScalingRun], rule: str, agent: str, buttons: 
     return len(failed - tried)
 
 
-def list_edge_bins(results: Sequence[ScalingRun]) -> list[tuple[int, int]]:
-    """Ranges (least, most) of the number of edges that matter, about equally many rooms in each.
+def list_bins(results: Sequence[ScalingRun], measure: Literal["edges", "depth"]) -> list[tuple[int, int]]:
+    """Ranges (least, most) of a measure of rooms, about equally many rooms in each.
 
-    The number of edges that matter says more of a room's difficulty than that of its buttons: a tree of 20 buttons may
-    have three.
+    Edges that matter, and how many of them lie in a row, say more of a room's difficulty than its number of buttons: a
+    tree of 20 buttons may have three.
     """
-    rooms = sorted({(run.task, run.run): run.edges for run in results}.values())
+    rooms = sorted({(run.task, run.run): getattr(run, measure) for run in results}.values())
     cuts = sorted({rooms[len(rooms) * part // 5] for part in range(1, 5)} - {rooms[0]})
     starts = [rooms[0], *cuts]
     return list(zip(starts, [*(cut - 1 for cut in cuts), rooms[-1]], strict=True))

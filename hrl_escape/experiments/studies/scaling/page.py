@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import matplotlib
 import numpy as np
@@ -12,41 +13,64 @@ from matplotlib.ticker import FuncFormatter
 
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import save_figure
+from hrl_escape.errors import ComparisonError
 from hrl_escape.experiments.grid import AgentSpec
 from hrl_escape.experiments.reporting.agent_style import choose_styles
 from hrl_escape.experiments.statistics import NEAR_BEST
-from hrl_escape.experiments.studies.followed_runs import (
+from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
+from hrl_escape.experiments.studies.scaling.findings import (
+    measure_told,
+    tell_difficulty,
+    tell_replication,
+    tell_sizes,
+    tell_told,
+)
+from hrl_escape.experiments.studies.scaling.followed_runs import (
     FollowedRuns,
     Pick,
     count_spared,
     follow_runs,
-    list_edge_bins,
+    list_bins,
 )
-from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
-from hrl_escape.experiments.studies.scaling import AGENTS, BAR, BAR_AGENT, BAR_RUNS, GRAPHS, RULES, SIZES
-from hrl_escape.experiments.studies.scaling_raw import ScalingRun
+from hrl_escape.experiments.studies.scaling.scaling_runs import ScalingRun
+from hrl_escape.experiments.studies.scaling.study import (
+    AGENTS,
+    BAR,
+    BAR_AGENT,
+    BAR_RUNS,
+    GRAPHS,
+    MAX_PARENTS,
+    RULES,
+    SIZES,
+    TOLD_TASKS,
+)
 from hrl_escape.files import write_text
 
 __all__ = ["draw_escapes", "draw_structure", "write_scaling_page"]
 
 _COMMAND = "hrl-escape experiment scaling"
 _COLOURS = {agent: look.colour for agent, look in zip(AGENTS, choose_styles(list(map(AgentSpec, AGENTS))), strict=True)}
-MARKERS = dict(zip(AGENTS, "od^svPX*<x", strict=True))
+MARKERS = dict(zip(AGENTS, "od^svPX*x", strict=True))
 
 
-def write_scaling_page(results: Sequence[ScalingRun], docs: Path) -> None:
+def write_scaling_page(everything: Sequence[ScalingRun], docs: Path, fresh: Sequence[ScalingRun] = ()) -> None:
     """Write the page and its figures.
 
     Args:
-        results: at least one.
+        everything: at least one run.
         docs: folder of the page.
+        fresh: runs with other seeds and rooms, held against these; may be none.
 
     Raises:
+        ComparisonError: none of the runs is of an agent of `AGENTS`.
         FileWriteError: a file cannot be written.
     """
+    results = [run for run in everything if run.agent in AGENTS]
+    if not results:
+        raise ComparisonError("no run of this study's agents is finished: run it with the part agents")
     save_figure(docs / "figures" / "scaling.svg", draw_escapes(results))
     save_figure(docs / "figures" / "scaling-structure.svg", draw_structure(results))
-    write_text(docs / "scaling.md", "\n".join(_write_lines(results)))
+    write_text(docs / "scaling.md", "\n".join(_write_lines(results, everything, fresh)))
 
 
 def draw_escapes(results: Sequence[ScalingRun]) -> Figure:
@@ -118,17 +142,22 @@ def _sample(result: ScalingRun, measure: int, grid: np.ndarray) -> np.ndarray:
     return values[np.searchsorted(at, grid, side="right")]
 
 
-def _write_lines(results: Sequence[ScalingRun]) -> list[str]:
+def _write_lines(results: Sequence[ScalingRun], everything: Sequence[ScalingRun], fresh: Sequence[ScalingRun]
+                 ) -> list[str]:
     budget = _get_budget(results)
     runs = 1 + max((r.run for r in results if r.task not in BAR), default=0)
-    trials = {(result.task, result.agent, result.run) for result in results}
-    hours = sum(result.seconds for result in results) / 3600
+    trials = {(result.task, result.agent, result.run) for result in everything}
+    hours = sum(result.seconds for result in everything) / 3600
+    again = tell_replication(fresh, results)
     lines = [
         "# From 2 to 20 buttons", "",
         f"Who still escapes as buttons grow, and how soon the graph of buttons is known? {len(trials)} trials of at "
         f"most {budget:,} primitives each, {hours:.1f} hours of one process in all. The literature's bar (Menashe and "
         "Stone 2015, 2019) is 10 to 20 buttons modelled and solved within 20,000 steps.", "",
+        *[f"- {sentence}" for sentence in (*tell_sizes(results), *tell_difficulty(results, budget))], "",
         *_tell_bar(results), "",
+        *(["With training seeds and rooms that nobody had tried before:", "", *[f"- {line}" for line in again], ""]
+          if again else []),
         "## First escape", "",
         "![Primitives to the first escape](figures/scaling.svg)", "",
         "Each line joins the Kaplan-Meier medians over all planned runs, as far as half of these escape; each dot is a "
@@ -140,9 +169,12 @@ def _write_lines(results: Sequence[ScalingRun]) -> list[str]:
         "tried with more; it counts as not escaping. — says that none was tried because the study's time "
         "(`--minutes`) was up.", "",
         "## By edges that matter", "",
-        *_make_edges_table(results), "",
+        *_make_bins_table(results, "edges"), "",
         "The same, by how many edges a press order towards the goal can tell from none, whatever the number of "
         "buttons: these are what must be found out. Rooms that were not tried are left out here.", "",
+        "## By depth", "",
+        *_make_bins_table(results, "depth"), "",
+        "The same, by the most of these edges in a row.", "",
         f"## {NEAR_BEST:.0%} of the best known return", "",
         *_make_table([r for r in results if r.agent != "smdp-random"], lambda run: run.near_best), "",
         f"The same for the first of two evaluations in a row, frozen weights, that scored {NEAR_BEST:g} or more on the "
@@ -155,14 +187,17 @@ def _write_lines(results: Sequence[ScalingRun]) -> list[str]:
         "longer way implies. Where a must be on before b, and b before c, a further edge from a to c changes nothing "
         "that anybody can see.", "",
         *_make_structure_table(results), "",
+        *_write_told(everything),
         "## What was run", "",
         "Rooms are the ladder's: 20 x 20 m (30 x 30 m from 11 buttons on), small buttons anywhere on the walls, "
-        "`max_parents` 2 for layered and random graphs, cap of 1,000 primitives; a run has a room of its own. In the "
+        f"`max_parents` {MAX_PARENTS} for layered and random graphs, cap of 1,000 primitives; a run has a "
+        "room of its own. In the "
         f"two rooms of the bar `{BAR_AGENT.removeprefix('smdp-')}` has up to {BAR_RUNS} runs, in all tables. Agents "
         "choose among the options that press one button and the one to the exit (`include_primitives` off), with "
         "their recommended settings. A trial ends early once its agent is near the best and has the whole graph; that "
-        "of `smdp-random`, which learns nothing, with its first escape. `smdp-intra-option-q` does here what "
-        "`smdp-q-learning` does: these options follow plans, so that a primitive inside one says nothing of another.",
+        "of `smdp-random`, which learns nothing, with its first escape. `smdp-intra-option-q` is left out: these "
+        "options follow plans, so that a primitive inside one says nothing of another, and it does what "
+        "`smdp-q-learning` does.",
         "",
         "What the structure learners are told: a press does one thing where all its parents are on and another "
         "where not (`conditions=\"all-on\"`), there are at most two parents, and outcomes are not random. Which bit "
@@ -223,14 +258,14 @@ def _follow(results: Sequence[ScalingRun], rule: str, agent: str, size: int, pic
     return follow_runs(own, count_spared(results, rule, agent, size), budget, pick)
 
 
-def _make_edges_table(results: Sequence[ScalingRun]) -> list[str]:
-    bins = list_edge_bins(results)
+def _make_bins_table(results: Sequence[ScalingRun], measure: Literal["edges", "depth"]) -> list[str]:
+    bins = list_bins(results, measure)
     names = [f"{least} to {most}" if least < most else f"{least}" for least, most in bins]
     lines = [f"| rule | agent | {' | '.join(names)} |", "|---|---|" + "---|" * len(bins)]
     for rule in RULES:
         for agent in AGENTS:
             own = [run for run in results if (run.rule, run.agent) == (rule, agent)]
-            inside = [[run for run in own if least <= run.edges <= most] for least, most in bins]
+            inside = [[run for run in own if least <= getattr(run, measure) <= most] for least, most in bins]
             cells = [str(follow_runs(runs, 0, _get_budget(results), _get_escape) or "—") for runs in inside]
             if own:
                 lines.append(f"| {rule} | {agent} | " + " | ".join(cells) + " |")
@@ -250,6 +285,27 @@ def _make_structure_table(results: Sequence[ScalingRun]) -> list[str]:
                 cells.append(" / ".join(f"{end:.2f}" for end in ends) or "—")
             lines.append(f"| {rule} | {agent} | " + " | ".join(cells) + " |")
     return [*lines, "", "Each cell: mean precision / mean recall at the end of the trials."]
+
+
+def _write_told(everything: Sequence[ScalingRun]) -> list[str]:
+    found = measure_told(everything)
+    if not found:
+        return []
+    lines = ["## What structure learners are told", "",
+             f"`{BAR_AGENT.removeprefix('smdp-')}` with {TOLD_TASKS[0].buttons} buttons, {TOLD_TASKS[0].graph}: "
+             f"conditions, and how many parents a button may have; it has {MAX_PARENTS} at most. "
+             "With noise, displacements err by 10 % and a tenth of "
+             "all primitives do nothing, so that durations are random; which buttons light up is not.", "",
+             *[f"- {sentence}" for sentence in tell_told(everything)], "",
+             "| rule | told | runs | escape | near the best | whole graph | first escape, restricted mean |",
+             "|---|---|---|---|---|---|---|"]
+    budget = _get_budget(everything)
+    for (rule, label), (runs, escapes, near, exact) in found.items():
+        own = [run for run in everything if (run.rule, run.agent) == (rule, label)]
+        followed = follow_runs(own, 0, budget, _get_escape)
+        assert followed is not None, "there are runs"
+        lines.append(f"| {rule} | {label} | {runs} | {escapes} | {near} | {exact} | {followed.restricted_mean:,.0f} |")
+    return [*lines, ""]
 
 
 def _make_counts(results: Sequence[ScalingRun]) -> list[str]:

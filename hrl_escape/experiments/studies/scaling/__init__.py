@@ -1,0 +1,1 @@
+"""Scaling study: agents in rooms of 2 to 20 buttons, and structure learners that are told less."""
