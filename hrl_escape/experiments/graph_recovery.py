@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-__all__ = ["EdgeSet", "compare_graphs", "compute_depth", "find_ancestors", "find_edges_that_matter"]
+__all__ = ["EdgeSet", "compare_graphs", "compute_edge_depth", "find_ancestors", "find_edges_that_matter"]
 
 EdgeSet = frozenset[tuple[int, int]]
 
@@ -45,7 +45,7 @@ def find_edges_that_matter(edges: Iterable[tuple[int, int]], goals: Iterable[int
     return frozenset(edge for edge in kept if not is_implied(edge))
 
 
-def compute_depth(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> int:
+def compute_edge_depth(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> int:
     """Most edges in a row that lead to a goal; edges are (parent, child) pairs without cycles."""
     every, level, depth = set(edges), set(goals), 0
     while level := {parent for parent, child in every if child in level}:

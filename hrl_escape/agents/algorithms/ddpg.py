@@ -20,7 +20,7 @@ from hrl_escape.agents.agent import SMDPTransition, StateTree
 from hrl_escape.agents.components.exploration import (
     OrnsteinUhlenbeck,
     choose_best,
-    compute_entropy,
+    compute_choice_entropy,
     compute_epsilon,
     make_rng,
     mask_values,
@@ -164,7 +164,7 @@ class DDPG(ReplayAgent):
         action = sample_legal(action_mask, self._action_rng) if is_random else choose_best(outputs, action_mask)
         self._vector = self.relaxation.encode(outputs, action)
         policy = np.exp(mask_values(preferences, action_mask) - preferences[action_mask].max())
-        self._conduct = {"entropy": compute_entropy(policy / policy.sum()),
+        self._conduct = {"entropy": compute_choice_entropy(policy / policy.sum()),
                          "greedy": float(preferences[action] >= preferences[action_mask].max())}
         return action
 

@@ -20,7 +20,7 @@ __all__ = [
     "ExplorationSettings",
     "OrnsteinUhlenbeck",
     "choose_best",
-    "compute_entropy",
+    "compute_choice_entropy",
     "compute_epsilon",
     "compute_policy",
     "make_rng",
@@ -106,7 +106,7 @@ def compute_policy(
     return policy
 
 
-def compute_entropy(policy: NDArray) -> float:
+def compute_choice_entropy(policy: NDArray) -> float:
     """Entropy of probabilities (actions,) in nats."""
     possible = policy[policy > 0]
     return float(-(possible * np.log(possible)).sum())

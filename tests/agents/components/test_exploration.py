@@ -10,7 +10,7 @@ from scipy import special
 from hrl_escape.agents.components.exploration import (
     ExplorationSettings,
     OrnsteinUhlenbeck,
-    compute_entropy,
+    compute_choice_entropy,
     compute_epsilon,
     compute_policy,
     make_rng,
@@ -40,7 +40,7 @@ def test_probabilities_are_zero_where_illegal_and_sum_to_one(values, mask, kind,
 @given(values=VALUES, mask=MASKS, kind=KINDS, steps=st.integers(0, 10_000))
 def test_entropy_is_that_of_scipy(values, mask, kind, steps):
     policy = compute_policy(values, mask, ExplorationSettings(exploration=kind), steps)
-    assert compute_entropy(policy) == pytest.approx(special.entr(policy).sum(), abs=1e-12)
+    assert compute_choice_entropy(policy) == pytest.approx(special.entr(policy).sum(), abs=1e-12)
 
 
 def test_epsilon_greedy_probabilities_by_hand():

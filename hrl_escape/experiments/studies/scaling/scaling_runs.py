@@ -15,7 +15,7 @@ from hrl_escape.agents.training.results import find_first_escape, load_result
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.comparison import Comparison
-from hrl_escape.experiments.graph_recovery import compute_depth, find_edges_that_matter
+from hrl_escape.experiments.graph_recovery import compute_edge_depth, find_edges_that_matter
 from hrl_escape.experiments.runs import get_training_folder
 from hrl_escape.files import read_text, write_text
 
@@ -107,7 +107,7 @@ def collect_scaling_runs(comparison: Comparison, rooms: Mapping[RoomKind, RoomIn
 
 def _measure_depth(room: RoomInstance) -> int:
     goals = room.puzzle.goal_targets
-    return compute_depth(find_edges_that_matter(room.puzzle.edges, goals), goals)
+    return compute_edge_depth(find_edges_that_matter(room.puzzle.edges, goals), goals)
 
 
 def save_scaling_runs(path: Path, runs: Sequence[ScalingRun]) -> None:
