@@ -9,15 +9,17 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import gymnasium
-import torch
-from torch import Tensor
 
 from hrl_escape.agents.agent import Agent, StateTree
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.errors import DiscountMismatchError
+
+if TYPE_CHECKING:
+    import torch
+    from torch import Tensor
 
 __all__ = ["EndedDecisions", "SavedEpisodes", "SingleEnvSource", "StreamAgent", "StreamSource", "StreamTransitions",
            "Streams", "compute_backups", "gather_decisions"]
@@ -236,7 +238,7 @@ def gather_decisions(ended: EndedDecisions, gamma: float, agent_gamma: float) ->
         DiscountMismatchError: a decision of several primitives, discounted by another gamma than the agent's.
     """
     stream = ended.where.nonzero().squeeze(1)
-    duration = ended.duration[stream].to(torch.int64)
+    duration = ended.duration[stream].long()
     if gamma != agent_gamma and len(stream) and (longest := int(duration.max())) > 1:
         raise DiscountMismatchError(agent_gamma, gamma**longest, longest)
     return StreamTransitions(
@@ -249,11 +251,10 @@ def gather_decisions(ended: EndedDecisions, gamma: float, agent_gamma: float) ->
 def compute_backups(decisions: StreamTransitions, settings: LearningSettings) -> tuple[Tensor, Tensor]:
     """R and b of the backups R + b V(s'), float32 (n,) each; see `compute_backup`."""
     if settings.discounting == "primitive":
-        reward = decisions.reward
-        factor = settings.gamma ** decisions.duration.to(torch.float64)
+        reward, factor = decisions.reward, settings.gamma ** decisions.duration.double()
     else:
-        reward, factor = decisions.summed_reward, torch.full_like(decisions.reward, settings.gamma)
+        reward, factor = decisions.summed_reward, settings.gamma ** (0 * decisions.duration + 1).double()
     ended = decisions.terminated
     if not settings.bootstrap_on_truncation:
         ended = ended | decisions.truncated
-    return reward, torch.where(ended, 0.0, factor).to(torch.float32)
+    return reward, factor.masked_fill(ended, 0.0).float()

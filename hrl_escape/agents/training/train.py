@@ -26,7 +26,6 @@ from hrl_escape.agents.training.progress import show_progress
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.run import Run, RunArguments, load_agent_state, make_origin, refusing_damage
 from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
-from hrl_escape.agents.training.stream_run import StreamRun
 from hrl_escape.errors import AgentSettingsError, CheckpointError
 
 __all__ = ["load_agent", "load_env", "train"]
@@ -121,6 +120,8 @@ def train(
                                      "or dqn; or give train an ordinary environment")
         if probe is not None:
             raise AgentSettingsError("probe", probe, "None in a run of many environments at once")
+        from hrl_escape.agents.training.stream_run import StreamRun  # brings torch in
+
         run = StreamRun(learner, env, single, arguments)
     if out is not None:
         run.open(os.fspath(out).replace("{key}", run.key), tensorboard)
