@@ -156,7 +156,8 @@ def _write_lines(results: Sequence[ScalingRun], everything: Sequence[ScalingRun]
         "Stone 2015, 2019) is 10 to 20 buttons modelled and solved within 20,000 steps.", "",
         *[f"- {sentence}" for sentence in (*tell_sizes(results), *tell_difficulty(results, budget))], "",
         *_tell_bar(results), "",
-        *(["With training seeds and rooms that nobody had tried before:", "", *[f"- {line}" for line in again], ""]
+        *([f"With training seeds and rooms that nobody had tried before (`{_COMMAND} --parts bar --first-seed 100`):",
+           "", *[f"- {line}" for line in again], ""]
           if again else []),
         "## First escape", "",
         "![Primitives to the first escape](figures/scaling.svg)", "",
