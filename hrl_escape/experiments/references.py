@@ -86,7 +86,7 @@ class PlanFollower(Reference):
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Next primitive of the plan."""
         del observation
-        from hrl_escape.planning.rollouts import Replanner  # brings the planners in
+        from hrl_escape.planning.best_known import Replanner  # brings the planners in
 
         begins = len(self._recorder.states) == 1
         if begins:

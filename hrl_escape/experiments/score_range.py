@@ -128,7 +128,7 @@ def _compute_ends(instance: RoomInstance, state: RoomState, flavour: str | None)
 
 def _expect(instance: RoomInstance, state: RoomState, ends: Ends) -> Ends:
     """Ends under noise: the planner's by rollouts, those by the options alone as far behind as without noise."""
-    from hrl_escape.planning.rollouts import compute_expected_escape
+    from hrl_escape.planning.best_known import compute_expected_escape
 
     best, fewest, reachable, fewest_reachable = ends
     value, primitives, _ = compute_expected_escape(instance, state)

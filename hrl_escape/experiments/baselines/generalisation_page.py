@@ -79,6 +79,9 @@ def draw_sizes(lines: Sequence[BaselineRun]) -> Figure:
         axes.set_xlabel("training rooms", color=palette.INK)
         axes.set_ylabel("efficiency in unseen rooms", color=palette.INK)
         finish_axes(axes)
+        counts = sorted(set(map(_count_rooms, lines)))
+        axes.set_xticks(counts, [f"{count:,}" for count in counts])
+        axes.minorticks_off()
         axes.legend(fontsize=8, frameon=False)
     return figure
 

@@ -11,8 +11,7 @@ from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.noise import draw_episode
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.planning.best_known import find_best_known
-from hrl_escape.planning.rollouts import Replanner, compute_expected_escape
+from hrl_escape.planning.best_known import Replanner, compute_expected_escape, find_best_known
 
 
 def make_room(**dynamics: float):
