@@ -19,7 +19,7 @@ from hrl_escape.errors import PlanningFailed, PlanningReason, UnsupportedError
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.clock import Clock, OutOfTime
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, PushGoal, describe_goal, make_goal, parse_goal
-from hrl_escape.planning.joint_search import HEURISTIC_OFFSETS, NODES_A_SEARCH, JointSearch
+from hrl_escape.planning.lattice.joint_search import HEURISTIC_OFFSETS, NODES_A_SEARCH, JointSearch
 from hrl_escape.planning.lower_bounds import bound_escape
 from hrl_escape.planning.plan import Plan, PlanPart, join_parts
 from hrl_escape.planning.requests.improvement import iterate_routes
