@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import save_figure
 from hrl_escape.experiments.baselines.generalisation import DEPTHS, FLAT, MEMORY, OBJECTS, VECTORS
-from hrl_escape.experiments.baselines.lines import BaselineRun
+from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
 from hrl_escape.files import write_text
 
@@ -99,7 +99,7 @@ def _average(values: Sequence[float]) -> float:
 def _describe(lines: Sequence[BaselineRun]) -> str:
     budgets = sorted({line.primitives for line in lines if line.primitives})
     seeds, episodes = len({line.seed for line in lines}), max(line.episodes for line in lines)
-    few = " One seed shows large differences only." if seeds == 1 else ""
+    few = f" Nothing is concluded from fewer than {LEAST_RUNS} seeds." if seeds < LEAST_RUNS else ""
     return (f"{len(lines)} runs: {seeds} training {'seed' if seeds == 1 else 'seeds'}, "
             f"{' and '.join(f'{budget:,}' for budget in budgets)} primitives, tested in {episodes} rooms "
             f"that no run was trained in.{few}")

@@ -16,7 +16,10 @@ from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.files import read_text, write_text
 from hrl_escape.settings import read_record
 
-__all__ = ["BaselineRun", "collect_baselines", "join_lines", "load_lines", "save_lines"]
+__all__ = ["LEAST_RUNS", "BaselineRun", "collect_baselines", "join_lines", "load_lines", "save_lines"]
+
+LEAST_RUNS = 10
+"""Fewer runs than these are shown as numbers, and no sentence concludes from them."""
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hrl_escape.experiments.baselines.lines import BaselineRun
+from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun
 from hrl_escape.experiments.baselines.running import GENERALISTS, LEARNERS
 from hrl_escape.experiments.inference import compute_wilson_interval
 from hrl_escape.experiments.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES
@@ -67,7 +67,9 @@ def _summarise(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> str:
     words = f"{len(lines)} runs on {len({line.rung for line in lines})} rungs."
     reached = [rung for rung in learners.values() if rung is not None]
     if not reached:
-        return f"**No learner masters a rung.** {words}"
+        enough = any(len(_choose(own, agent, rung)) >= LEAST_RUNS for agent in learners for rung in rungs)
+        why = "" if enough else f": none has {LEAST_RUNS} runs on one, and fewer say nothing of the next room"
+        return f"**No learner is shown to master a rung{why}.** {words}"
     top = max(reached, key=list(rungs).index)
     best = [f"`{agent}`" for agent, rung in learners.items() if rung == top]
     return f"**The highest rung that a learner masters is `{top}`, by {', '.join(best)}.** {words}"
@@ -107,6 +109,11 @@ def _choose(lines: Sequence[BaselineRun], agent: str, rung: str) -> list[Baselin
     return [line for line in own if line.primitives == max(each.primitives for each in own)]
 
 
+def _is_shown(runs: Sequence[BaselineRun]) -> bool:
+    """Return whether so many runs pass that it is said."""
+    return len(runs) >= LEAST_RUNS and _is_mastered(runs)
+
+
 def _format_cell(runs: Sequence[BaselineRun]) -> str:
     if not runs:
         return "-"
@@ -132,12 +139,13 @@ def _is_passed(runs: Sequence[BaselineRun]) -> bool:
 
 
 def _find_highest(lines: Sequence[BaselineRun], agent: str, rungs: Sequence[str]) -> str | None:
-    found = [rung for rung in rungs if (runs := _choose(lines, agent, rung)) and _is_mastered(runs)]
+    found = [rung for rung in rungs if _is_shown(_choose(lines, agent, rung))]
     return found[-1] if found else None
 
 
 def _name_highest(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
-    text = ["| agent | highest rung mastered | passed, by Wilson's interval |", "|---|---|---|"]
+    text = [f"| agent | highest rung mastered, with {LEAST_RUNS} runs or more | passed, by Wilson's interval |",
+            "|---|---|---|"]
     for agent in _list_agents(lines):
         sure = [rung for rung in rungs if (runs := _choose(lines, agent, rung)) and _is_passed(runs)]
         text.append(f"| `{agent}` | {_find_highest(lines, agent, rungs) or 'none'} | {sure[-1] if sure else 'none'} |")

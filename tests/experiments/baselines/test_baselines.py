@@ -49,6 +49,16 @@ def test_the_page_names_the_highest_rung_mastered_and_the_highest_that_enough_ru
     assert "The highest rung that a learner masters is `middle`, by `dqn`" in page
 
 
+@pytest.mark.parametrize(("efficiency", "runs", "sentence"), [
+    (0.95, 9, "No learner is shown to master a rung: none has 10 runs on one"),
+    (0.95, 10, "The highest rung that a learner masters is `high`, by `dqn`"),
+    (0.45, 10, "No learner is shown to master a rung.**"),
+])
+def test_few_runs_lead_to_no_conclusion(efficiency: float, runs: int, sentence: str, tmp_path: Path):
+    write_baselines_page(make_lines("high", "dqn", efficiency, 1.0, runs), RUNGS, tmp_path / "page.md")
+    assert sentence in (tmp_path / "page.md").read_text()
+
+
 def test_grids_of_more_rooms_and_seeds_hold_the_runs_of_those_before():
     settings = BaselineSettings(("doormat", "pair"), ("per-instance",), ("smdp-dqn",), rooms=2, runs=2, primitives=50)
     grids = list(make_baseline_grids(load_benchmark("ladder-1"), settings))

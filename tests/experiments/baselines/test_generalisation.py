@@ -50,8 +50,11 @@ def test_the_page_tells_sizes_and_depths_by_the_lines_alone(tmp_path: Path):
     page = (tmp_path / "generalisation.md").read_text()
     assert f"| `{VECTORS}` | 0.20 (1.00) | 0.60 (1.00) |" in page and f"| `{MEMORY}` | 0.90 (1.00) | - |" in page
     assert "options, a vector 0.20 with 1 and 0.60 with 16" in page and "Not run yet." in page
+    assert "Nothing is concluded from fewer than 10 seeds." in page
     assert (tmp_path / "figures" / "generalisation.svg").stat().st_size > 1000
     depth = dataclasses.replace(LINE, protocol="depth", rung="8 buttons, layered", rooms="a > b", efficiency=0.3)
+    write_generalisation_page([dataclasses.replace(LINE, seed=seed) for seed in range(10)], tmp_path)
+    assert "Nothing is concluded" not in (tmp_path / "generalisation.md").read_text()
     write_generalisation_page([*lines, depth], tmp_path)
     page = (tmp_path / "generalisation.md").read_text()
     assert f"| `{VECTORS}` | - | - | 0.30 | - | 1.00 |" in page and "Not run yet." not in page
