@@ -152,10 +152,14 @@ class PPO(StreamAgent):
             self._latest = seen = self._memory.read(*both)[0].cpu().numpy()
         return seen
 
+    def _recall(self, seen: NDArray) -> NDArray:
+        """Part of the networks' input that the memory holds; empty without one."""
+        return self._before if self._memory is None else seen[len(seen) - len(self._before) :]
+
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Draw from the policy over legal actions."""
         seen = self._see(observation, self._recollection)
-        self._before, self._recollection = self._recollection, seen[len(seen) - len(self._before) :]
+        self._before, self._recollection = self._recollection, self._recall(seen)
         logits = np.where(action_mask, self._forward(seen), -np.inf)
         weights = np.exp(logits.astype(np.float64) - logits.max())
         return sample_index(weights / weights.sum(), self._action_rng)
@@ -164,7 +168,7 @@ class PPO(StreamAgent):
         """The likeliest legal action."""
         running, recollection = self._evaluation or (None, None)
         seen = self._see(observation, recollection if running is rng else np.zeros_like(self._before))
-        self._evaluation = rng, seen[len(seen) - len(self._before) :]
+        self._evaluation = rng, self._recall(seen)
         return choose_best(self._forward(seen), action_mask)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:

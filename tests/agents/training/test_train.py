@@ -24,7 +24,7 @@ from tests.agents.small_envs import ButtonGrid, Outcome, SmdpEnv
 from tests.agents.training.test_resuming import SMALL, flatten
 
 ROOT = Path(__file__).parents[3]
-LEARNERS = ["random", "q-learning", "intra-option-q", "dqn", "sarsa", "ddpg", "ppo"]
+LEARNERS = ["random", "q-learning", "intra-option-q", "dqn", "sarsa", "ddpg", "ppo", "option-critic"]
 
 
 def run(name="q-learning", env=None, **more):
@@ -266,9 +266,12 @@ def test_the_log_tells_how_actions_are_chosen(tmp_path, name, settings):
 
 def test_every_explained_name_is_logged_by_some_agent(tmp_path):
     logged = set()
-    for name in LEARNERS:
+    for name in (*LEARNERS, "skill-chaining", "hrc"):
         run(name, out=tmp_path / name)
-        for line in (tmp_path / name / "log.jsonl").read_text().splitlines():
+    streams = gymnasium.make_vec("CartPole-v1", num_envs=2, vectorization_mode="sync")
+    run("ppo", streams, out=tmp_path / "streams")
+    for log in tmp_path.glob("*/log.jsonl"):
+        for line in log.read_text().splitlines():
             logged |= set(json.loads(line))
     assert set(METRICS) <= logged
 
