@@ -31,7 +31,9 @@ def test_json_tells_what_a_program_needs(capsys):
     assert report["return"] == -report["primitives"]
 
 
-@pytest.mark.parametrize(("planner", "found_by"), [("corridor", "RRTConnect"), ("PRM", "PRM"), ("auto", "fields")])
+@pytest.mark.parametrize(("planner", "found_by"), [
+    ("corridor", "RRTConnect"), ("PRM", "PRM"), ("auto", "joint search"),
+])
 def test_another_planner_is_chosen_by_name(capsys, planner, found_by):
     code, out, _ = run(capsys, "--preset", "paper-two-button", "--planner", planner, "--json")
     report = json.loads(out)

@@ -2,6 +2,7 @@
 
 import dataclasses
 import itertools
+from typing import Annotated
 
 import gymnasium
 import numpy as np
@@ -18,6 +19,7 @@ from hrl_escape.env.noise import CHANCE_PURPOSE, draw_chance, draw_puzzle_start,
 from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.options import pursue
 from hrl_escape.planning.best_known import list_start_states
+from hrl_escape.settings import Range
 
 # --- a stranger's puzzle without a symbolic model: ring the wanted bell twice; another one may break it
 
@@ -25,7 +27,8 @@ from hrl_escape.planning.best_known import list_start_states
 @dataclasses.dataclass(frozen=True)
 class BellsConfig(PuzzleConfig):
     kind, panels = "bells", Panels(width=1.5)
-    success: float = 0.75
+    success: Annotated[float, Range(0, 1)] = 0.75
+    """Probability that a ring counts."""
 
     def make_puzzle(self, rng):
         return Bells(self.success)

@@ -24,7 +24,8 @@ from hrl_escape.errors import ConfigError, EscapeError, GenerationError, Instanc
 from tests.env.rooms import EXTREMES, all_schematics
 
 NAMES = sorted(all_schematics())
-QUICK = [name for name in NAMES if name != "largest"]
+QUICK = [name for name in NAMES if name not in ("largest", "four-rooms")]
+"""Without those that take seconds a sample; they have tests of their own."""
 
 
 @settings(max_examples=40)
@@ -36,7 +37,7 @@ def test_generation_is_pure_and_certified(name, seed):
     assert find_unmet_constraint(instance) is None
     assert len(instance.targets) == len(instance.puzzle.target_names)
     assert sum(s.role == "obstacle" for s in instance.solids) == config.obstacles.count
-    assert len(instance.starts) == config.start.choices
+    assert config.start.place == "cells" or len(instance.starts) == config.start.choices
 
 
 def test_the_largest_room_is_generated():

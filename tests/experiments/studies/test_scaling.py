@@ -141,6 +141,9 @@ def add_tests_to_path() -> dict[str, str]:
     return os.environ | {"PYTHONPATH": str(Path(__file__).parents[3])}
 
 
+PARTS = ("bar", "agents")
+
+
 @pytest.fixture
 def small_study(monkeypatch):
     for name, value in (("GRAPHS", ("chain",)), ("RULES", ("ignore",)), ("SIZES", (2, 4)), ("BAR_RUNS", 0),
@@ -150,7 +153,7 @@ def small_study(monkeypatch):
 
 def test_a_study_goes_on_where_it_was_stopped_and_tries_no_hopeless_rooms(tmp_path, small_study):
     def call(minutes=5.0):
-        return forget_time(run_scaling(tmp_path, 1, 60, 1, minutes, make_console()))
+        return forget_time(run_scaling(tmp_path, 1, 60, 1, minutes, make_console(), parts=PARTS))
 
     first = call()
     assert [run.buttons for run in first] == [2, 2], "60 primitives are too few, so there is no run with 4 buttons"
@@ -162,15 +165,15 @@ def test_a_study_goes_on_where_it_was_stopped_and_tries_no_hopeless_rooms(tmp_pa
 
 
 def test_no_run_begins_after_the_time_is_up_and_finished_ones_count(tmp_path, small_study):
-    assert run_scaling(tmp_path, 1, 60, 1, 0.0, make_console()) == []
-    finished = run_scaling(tmp_path, 1, 60, 1, 5.0, make_console())
-    assert run_scaling(tmp_path, 1, 60, 1, 0.0, make_console()) == finished
+    assert run_scaling(tmp_path, 1, 60, 1, 0.0, make_console(), parts=PARTS) == []
+    finished = run_scaling(tmp_path, 1, 60, 1, 5.0, make_console(), parts=PARTS)
+    assert run_scaling(tmp_path, 1, 60, 1, 0.0, make_console(), parts=PARTS) == finished
 
 
 def test_a_failed_run_ends_the_study_with_its_message(tmp_path, small_study, monkeypatch):
     monkeypatch.setattr(scaling, "AGENTS", ("smdp-dreamer",))
     with pytest.raises(Exception, match="smdp-dreamer"):
-        run_scaling(tmp_path, 1, 60, 1, 5.0, make_console())
+        run_scaling(tmp_path, 1, 60, 1, 5.0, make_console(), parts=PARTS)
     monkeypatch.undo()
     round_ = make_round((RoomKind("chain", 2, "ignore"),), "smdp-r-max", 0)
     (run,) = round_.make_grid(60).make_runs(round_.make_grid(60).make_places())
@@ -181,7 +184,7 @@ def test_a_failed_run_ends_the_study_with_its_message(tmp_path, small_study, mon
     monkeypatch.setattr(scaling, "BAR", (RoomKind("chain", 2, "ignore"),))
     monkeypatch.setattr(scaling, "BAR_AGENT", "smdp-r-max")
     with pytest.raises(ComparisonError, match="1 runs of scaling--smdp-r-max--0 failed.*checkpoint"):
-        run_scaling(tmp_path, 0, 60, 1, 5.0, make_console())
+        run_scaling(tmp_path, 0, 60, 1, 5.0, make_console(), parts=PARTS)
 
 
 def test_one_study_at_a_time_in_a_folder(tmp_path):
@@ -189,7 +192,7 @@ def test_one_study_at_a_time_in_a_folder(tmp_path):
     grids = run_grids([grid] * 2, tmp_path, None, make_console())
     next(grids)  # the folder stays locked between two grids
     with pytest.raises(RunBusyError, match="another comparison is running in this folder"):
-        run_scaling(tmp_path, 1, 60, 1, 5.0, make_console())
+        run_scaling(tmp_path, 1, 60, 1, 5.0, make_console(), parts=PARTS)
     grids.close()
 
 
