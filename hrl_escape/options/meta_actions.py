@@ -17,7 +17,7 @@ from hrl_escape.options.flavours import FLAVOURS
 from hrl_escape.options.option import Option, OptionAction
 from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PressGoal, PushGoal, is_reached, make_goal
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
-from hrl_escape.planning.route import get_pose
+from hrl_escape.planning.route import Route, get_pose
 
 __all__ = ["AncestorsOption", "MarkovOption", "PlannedOption", "list_goals", "make_meta_options", "make_option"]
 
@@ -104,12 +104,7 @@ class PlannedOption(Option):
 
     def _plan(self, state: RoomState) -> None:
         self._route, self._at = self._planner.find_route(state, self.goal, self.report), 0
-        self.report.unavoidable = tuple(
-            dict.fromkeys((*self.report.unavoidable, *(self._name(i) for i in self._route.also_pressed)))
-        )
-
-    def _name(self, target: int) -> str:
-        return self._planner.instance.targets[target].name
+        _tell_unavoidable(self, self._route)
 
     def _recover(self, state: RoomState) -> None:
         """Go on with the rest of the plan if it still reaches the goal from here, else replan."""
@@ -148,7 +143,7 @@ class MarkovOption(Option):
     def __init__(self, name: str, planner: RoomPlanner, goal: Goal) -> None:
         super().__init__(name)
         self.instance, self.goal = planner.instance, goal
-        self.targets = (goal.target,) if isinstance(goal, PressGoal) else ()
+        self.targets = (goal.target,) if isinstance(goal, (PressGoal, GripGoal)) else ()
         self._planner = planner
 
     def initiation(self, state: RoomState) -> bool:
@@ -162,13 +157,21 @@ class MarkovOption(Option):
 
     def policy(self, state: RoomState) -> int:
         """First primitive of the route. Raises `PlanningFailed`."""
-        return self._planner.find_route(state, self.goal, self.report).primitives[0]
+        route = self._planner.find_route(state, self.goal, self.report)
+        _tell_unavoidable(self, route)
+        return route.primitives[0]
 
     def termination(self, state: RoomState) -> float:
         """1 where the target is touched, or the goal's region is reached."""
         if isinstance(self.goal, PressGoal):
             return float(state.touching >> self.goal.target & 1)
         return float(is_reached(self.goal, state, state, self._planner.rules))
+
+
+def _tell_unavoidable(option: PlannedOption | MarkovOption, route: Route) -> None:
+    """Add the targets that a route has to press to the option's report."""
+    names = (option.instance.targets[target].name for target in route.also_pressed)
+    option.report.unavoidable = tuple(dict.fromkeys((*option.report.unavoidable, *names)))
 
 
 class AncestorsOption(Option):

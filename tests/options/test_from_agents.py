@@ -252,7 +252,11 @@ def test_landmarks_are_options_that_lead_there_by_the_shortest_way():
                 assert 4 + number in agreeing, "intra-option learning may use it"
 
 
-@pytest.mark.parametrize("name", list_agents())
+OTHERS = ("option-critic", "hrc")
+"""Agents whose options are tested elsewhere: one gives options of its own, one wants bits."""
+
+
+@pytest.mark.parametrize("name", [name for name in list_agents() if name not in OTHERS])
 def test_any_agent_gives_its_policy(name):
     lake = gymnasium.make("FrozenLake-v1")
     agent = make_agent(name, lake.observation_space, lake.action_space, 0, **SMALL.get(name, {}))
