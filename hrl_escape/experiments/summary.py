@@ -219,7 +219,7 @@ def _raise_ranges(runs: Sequence[FinishedRun], instance: RoomInstance) -> list[F
     dynamics = instance.dynamics
     if dynamics.is_random or dynamics.kind == "physics":
         return list(runs)
-    best: dict[tuple[float, ...], tuple[float, int, str]] = {}
+    best: dict[tuple[float, ...], tuple[float, float, str]] = {}
     for run, result in runs:
         score_range = result.score_range
         reached = zip(_find_best(result), _find_fewest(result), strict=True)
@@ -244,7 +244,7 @@ def _find_fewest(result: RunResult) -> list[int]:
     return np.where(escaped, lengths, np.iinfo(np.int64).max).min(axis=0).tolist()
 
 
-def _raise_range(score_range: ScoreRange, best: dict[tuple[float, ...], tuple[float, int, str]]) -> ScoreRange:
+def _raise_range(score_range: ScoreRange, best: dict[tuple[float, ...], tuple[float, float, str]]) -> ScoreRange:
     """Replace the best known; who could do the old best can do the new one, as far as is known."""
     raised, fewest, sources = zip(*(best[start] for start in score_range.starts), strict=True)
     reachable = tuple(new if reach >= old else reach

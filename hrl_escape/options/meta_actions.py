@@ -104,7 +104,7 @@ class PlannedOption(Option):
 
     def _plan(self, state: RoomState) -> None:
         self._route, self._at = self._planner.find_route(state, self.goal, self.report), 0
-        _tell_unavoidable(self, self._route)
+        _tell_unavoidable(self, self._planner.instance, self._route)
 
     def _recover(self, state: RoomState) -> None:
         """Go on with the rest of the plan if it still reaches the goal from here, else replan."""
@@ -158,7 +158,7 @@ class MarkovOption(Option):
     def policy(self, state: RoomState) -> int:
         """First primitive of the route. Raises `PlanningFailed`."""
         route = self._planner.find_route(state, self.goal, self.report)
-        _tell_unavoidable(self, route)
+        _tell_unavoidable(self, self._planner.instance, route)
         return route.primitives[0]
 
     def termination(self, state: RoomState) -> float:
@@ -168,9 +168,9 @@ class MarkovOption(Option):
         return float(is_reached(self.goal, state, state, self._planner.rules))
 
 
-def _tell_unavoidable(option: PlannedOption | MarkovOption, route: Route) -> None:
+def _tell_unavoidable(option: Option, instance: RoomInstance, route: Route) -> None:
     """Add the targets that a route has to press to the option's report."""
-    names = (option.instance.targets[target].name for target in route.also_pressed)
+    names = (instance.targets[target].name for target in route.also_pressed)
     option.report.unavoidable = tuple(dict.fromkeys((*option.report.unavoidable, *names)))
 
 
