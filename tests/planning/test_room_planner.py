@@ -367,7 +367,8 @@ def test_what_is_remembered_belongs_to_the_whole_pose_and_the_door():
 
 
 def test_a_plan_names_the_search_that_found_it(planner, start):
-    assert planner.solve(start).planner == planner.plan(start, "3,-4").planner == "fields"
+    assert planner.solve(start).planner == "joint search"
+    assert planner.plan(start, "3,-4").planner == "fields"
     assert planner.solve(start, "BITstar").planner == "BITstar"
     assert planner.plan(start, "3,-4", "corridor").planner == "RRTConnect"
     with pytest.raises(UnknownNameError, match="BITstar"):
