@@ -70,6 +70,7 @@ def forget_time(runs: list[ScalingRun]) -> set[ScalingRun]:
     return {dataclasses.replace(run, seconds=0.0) for run in runs}
 
 
+@pytest.mark.slow
 def test_factored_r_max_is_near_the_best_of_a_real_room_and_has_its_graph(tmp_path):
     tasks = RoomKind("chain", 4, "ignore"), RoomKind("chain", 4, "reset")
     for run in run_rounds(tmp_path, 4_000, make_round(tasks, "smdp-factored-r-max", 0)):
@@ -106,6 +107,7 @@ def test_every_agent_runs(tmp_path):
     assert all(run.primitives >= 60 or run.first_escape is not None for run in runs)
 
 
+@pytest.mark.slow
 def test_a_killed_run_measures_what_an_uninterrupted_one_does(tmp_path):
     task, agent, seed = RoomKind("chain", 4, "reset"), "smdp-factored-r-max", 0
     script = ("import sys\n"
