@@ -256,7 +256,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         escaped = terminated and self.rules.has_escaped(self._state)
         return self._observe(), reward, terminated, truncated, self._inform(pressed, escaped)
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]  # its frames are generic
         """Return a frame (height, width, 3), uint8, or keep Bullet's window in step."""
         room = self._get_room()
         if self.render_mode is None:

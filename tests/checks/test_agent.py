@@ -76,7 +76,7 @@ class NotANumber(QLearning):
 
 class DrawsFromNumpy(QLearning):
     def act(self, observation, action_mask):
-        np.random.random()  # noqa: NPY002
+        np.random.random()  # noqa: NPY002  # the fault that is planted
         return super().act(observation, action_mask)
 
 

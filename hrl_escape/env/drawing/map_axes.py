@@ -106,7 +106,7 @@ def _get_scale(axes: Axes) -> float:
     """Inches a metre."""
     figure = axes.get_figure()
     assert figure is not None
-    wide, high = figure.get_size_inches() * axes.get_position().size  # type: ignore[union-attr]
+    wide, high = figure.get_size_inches() * axes.get_position().size  # type: ignore[union-attr]  # no axes without a figure
     (x_min, x_max), (y_min, y_max) = axes.get_xlim(), axes.get_ylim()
     return min(wide / (x_max - x_min), high / (y_max - y_min))
 

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
 
 import numpy as np
 from typing_extensions import Self
@@ -37,7 +37,8 @@ __all__ = [
     "register_puzzle",
 ]
 
-PuzzleState = Hashable
+PuzzleState: TypeAlias = Any
+"""A hashable value of each puzzle's own type; its rules name that type."""
 
 
 class Contacts(NamedTuple):

@@ -72,7 +72,7 @@ class BitFlipPuzzle(BitPuzzle):
         """All bits."""
         return tuple(range(self.count))
 
-    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+    def update(self, state: int, contacts: Contacts) -> int:
         """Flip, or reset, for each press in index order."""
         for bit in contacts.pressed:
             lower = (1 << bit) - 1
@@ -82,7 +82,7 @@ class BitFlipPuzzle(BitPuzzle):
                 state &= ~(lower | 1 << bit)
         return state
 
-    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+    def is_solved(self, state: int) -> bool:
         """All bits are on."""
         return state == (1 << self.count) - 1
 

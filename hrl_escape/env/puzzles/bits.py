@@ -28,14 +28,14 @@ class BitPuzzle(Puzzle):
         """Say whether a value from outside is a word of this many bits."""
         return type(state) is int and 0 <= state < 1 << self.count
 
-    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
+    def observe(self, state: int) -> tuple[float, ...]:
         """One number a target: 1 on, 0 off."""
         return tuple(float(state >> i & 1) for i in range(self.count))
 
-    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
+    def get_lit(self, state: int) -> tuple[bool, ...]:
         """Targets that are on."""
         return tuple(bool(state >> i & 1) for i in range(self.count))
 
-    def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]
+    def get_facts(self, state: int) -> frozenset[str]:
         """`on(<name>)` for every target that is on."""
         return frozenset(f"on({name})" for i, name in enumerate(self.target_names) if state >> i & 1)

@@ -113,7 +113,7 @@ class ButtonsPuzzle(BitPuzzle):
         """`button-1` to `button-<count>`."""
         return tuple(f"button-{i + 1}" for i in range(self.count))
 
-    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+    def update(self, state: int, contacts: Contacts) -> int:
         """Apply presses in index order."""
         for button in contacts.pressed:
             bit = 1 << button
@@ -126,7 +126,7 @@ class ButtonsPuzzle(BitPuzzle):
                 state = 0
         return state
 
-    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+    def is_solved(self, state: int) -> bool:
         """The goal button is on."""
         return bool(state >> self.goal & 1)
 

@@ -109,30 +109,30 @@ class CodeLockPuzzle(Puzzle):
         """Say whether a value from outside is a number of digits entered."""
         return type(state) is int and 0 <= state <= len(self.code)
 
-    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+    def update(self, state: int, contacts: Contacts) -> int:
         """Enter each press in index order; an open lock stays open."""
         for digit in contacts.pressed:
             if state < len(self.code):
                 state = self.next_progress[state][digit]
         return state
 
-    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+    def is_solved(self, state: int) -> bool:
         """The whole code has been entered."""
         return state == len(self.code)
 
-    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
+    def observe(self, state: int) -> tuple[float, ...]:
         """One number a digit of the code: 1 once it is entered; all 0 while that is hidden."""
         seen = state if self.shown or self.is_solved(state) else 0
         return tuple(float(i < seen) for i in range(len(self.code)))
 
-    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
+    def get_lit(self, state: int) -> tuple[bool, ...]:
         """The panel pressed last, where progress is shown and there is some; all once the lock is open."""
         if self.is_solved(state):
             return (True,) * self.digits
         last = self.code[state - 1] if self.shown and state else None
         return tuple(digit == last for digit in range(self.digits))
 
-    def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]
+    def get_facts(self, state: int) -> frozenset[str]:
         """`entered(i)` for the first i digits of the code."""
         return frozenset(f"entered({i + 1})" for i in range(state))
 

@@ -96,7 +96,7 @@ class DeepSeaPuzzle(Puzzle):
         return row <= self.size and column <= min(row, self.size - 1) and (
             state < _TREASURE or (row == self.size and column == self.size - 1))
 
-    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+    def update(self, state: int, contacts: Contacts) -> int:
         """Dive a row with each press, in index order."""
         for panel in contacts.pressed:
             row, column = self._read(state)
@@ -110,15 +110,15 @@ class DeepSeaPuzzle(Puzzle):
             state = _TREASURE * found | row + 1 << COLUMN_BITS | column
         return state
 
-    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+    def is_solved(self, state: int) -> bool:
         """The treasure has been found."""
         return state >= _TREASURE
 
-    def is_failed(self, state: int) -> bool:  # type: ignore[override]
+    def is_failed(self, state: int) -> bool:
         """The last row has been left without it."""
         return state >> COLUMN_BITS == self.size
 
-    def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:  # type: ignore[override]
+    def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
         """1 for the treasure, and the cost of each move to the right."""
         reward, here = 0.0, before
         for panel in contacts.pressed:
@@ -128,12 +128,12 @@ class DeepSeaPuzzle(Puzzle):
             here = self.update(here, Contacts((panel,)))
         return reward + float(self.is_solved(after) and not self.is_solved(before))
 
-    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
+    def observe(self, state: int) -> tuple[float, ...]:
         """One number a row, then one a column: 1 where the diver is, no row once the episode is over."""
         row, column = self._read(state)
         return tuple(float(i == at) for at in (row, column) for i in range(self.size))
 
-    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
+    def get_lit(self, state: int) -> tuple[bool, ...]:
         """Panels tell nothing, until the treasure is found."""
         return (self.is_solved(state),) * 2
 

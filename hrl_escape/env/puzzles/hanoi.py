@@ -89,7 +89,7 @@ class HanoiPuzzle(Puzzle):
         places = self.decode(state)
         return -1 not in places and self.encode(places) == state and places.count(HAND) <= 1
 
-    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+    def update(self, state: int, contacts: Contacts) -> int:
         """Lift or put down at each pressed peg, in index order."""
         for peg in contacts.pressed:
             places = self.decode(state)
@@ -101,19 +101,19 @@ class HanoiPuzzle(Puzzle):
                 state ^= 1 << 4 * top + HAND | 1 << 4 * top + peg
         return state
 
-    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+    def is_solved(self, state: int) -> bool:
         """All discs are on the last peg."""
         return state == self.encode((PEGS - 1,) * self.discs)
 
-    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
+    def observe(self, state: int) -> tuple[float, ...]:
         """Four numbers a disc, smallest first: 1 for its place, on peg 1, 2, 3 or in the hand."""
         return tuple(float(state >> i & 1) for i in range(4 * self.discs))
 
-    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
+    def get_lit(self, state: int) -> tuple[bool, ...]:
         """Pegs on which all discs are."""
         return tuple(state == self.encode((peg,) * self.discs) for peg in range(PEGS))
 
-    def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]
+    def get_facts(self, state: int) -> frozenset[str]:
         """`at(disc-i,peg-j)` or `held(disc-i)` for every disc."""
         return frozenset(self._list_facts(disc)[place] for disc, place in enumerate(self.decode(state)))
 

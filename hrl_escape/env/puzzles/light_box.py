@@ -123,7 +123,7 @@ class LightBoxPuzzle(BitPuzzle):
         """`light-1` to `light-<count>`."""
         return tuple(f"light-{i + 1}" for i in range(self.count))
 
-    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+    def update(self, state: int, contacts: Contacts) -> int:
         """Apply presses in index order; one chance decides for all presses of a primitive."""
         if contacts.uniform >= self.success:
             return state
@@ -136,7 +136,7 @@ class LightBoxPuzzle(BitPuzzle):
                 state = 0
         return state
 
-    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+    def is_solved(self, state: int) -> bool:
         """The goal's light is on."""
         return bool(state >> self.goal & 1)
 

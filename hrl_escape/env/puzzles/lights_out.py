@@ -137,21 +137,21 @@ class LightsOutPuzzle(BitPuzzle):
         """Say whether a value from outside is a pattern from which the goal can be reached."""
         return super().is_state(state) and isinstance(state, int) and self._find_due(state) is not None
 
-    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+    def update(self, state: int, contacts: Contacts) -> int:
         """Flip each pressed light and its neighbours."""
         for light in contacts.pressed:
             state ^= list_flips(self.count, self.columns)[light]
         return state
 
-    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+    def is_solved(self, state: int) -> bool:
         """The board shows the goal."""
         return state == self.goal
 
-    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
+    def observe(self, state: int) -> tuple[float, ...]:
         """The lights, then the goal's: 1 on, 0 off."""
         return tuple(float(word >> i & 1) for word in (state, self.goal) for i in range(self.count))
 
-    def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]
+    def get_facts(self, state: int) -> frozenset[str]:
         """`settled(light-i)` for every light that the shortest solution from here does not press."""
         due = self._find_due(state)
         due = (1 << self.count) - 1 if due is None else due

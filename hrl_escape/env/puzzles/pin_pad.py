@@ -80,23 +80,23 @@ class PinPadPuzzle(Puzzle):
         """Say whether a value from outside is a number of pads."""
         return type(state) is int and 0 <= state <= len(self.code)
 
-    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+    def update(self, state: int, contacts: Contacts) -> int:
         """Step on pads in index order; an open exit stays open."""
         for pad in contacts.pressed:
             if state < len(self.code) and not (state and pad == self.code[state - 1]):
                 state = state + 1 if pad == self.code[state] else int(pad == self.code[0])
         return state
 
-    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+    def is_solved(self, state: int) -> bool:
         """The whole code has been walked."""
         return state == len(self.code)
 
-    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
+    def observe(self, state: int) -> tuple[float, ...]:
         """One number a pad: 1 while it counts."""
         counted = self.code[:state]
         return tuple(float(pad in counted) for pad in range(len(self.code)))
 
-    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
+    def get_lit(self, state: int) -> tuple[bool, ...]:
         """Pads that count."""
         return tuple(pad in self.code[:state] for pad in range(len(self.code)))
 

@@ -98,7 +98,7 @@ class PushBlockPuzzle(Puzzle):
         """Out of sight, until the room says where the blocks stand."""
         return (BlockPose(LARGEST_OFFSET, LARGEST_OFFSET, 0.0),) * (len(self.things) // 2)
 
-    def update(self, state: tuple[BlockPose, ...], contacts: Contacts) -> tuple[BlockPose, ...]:  # type: ignore[override]
+    def update(self, state: tuple[BlockPose, ...], contacts: Contacts) -> tuple[BlockPose, ...]:
         """Look where the blocks are now."""
         poses = contacts.prop_poses
         if not poses:
@@ -109,11 +109,11 @@ class PushBlockPuzzle(Puzzle):
         return tuple(max(abs(block.x), abs(block.y)) <= plate.half_size
                      for block, plate in zip(state, self.things[1::2], strict=True))
 
-    def is_solved(self, state: tuple[BlockPose, ...]) -> bool:  # type: ignore[override]
+    def is_solved(self, state: tuple[BlockPose, ...]) -> bool:
         """Every block's centre is over its plate, edges included."""
         return all(self._list_on_plate(state))
 
-    def observe(self, state: tuple[BlockPose, ...]) -> tuple[float, ...]:  # type: ignore[override]
+    def observe(self, state: tuple[BlockPose, ...]) -> tuple[float, ...]:
         """Four numbers a block: offset from its plate (m, plate frame), yaw (rad), 1 on the plate."""
         numbers: list[float] = []
         for block, is_on in zip(state, self._list_on_plate(state), strict=True):
@@ -121,11 +121,11 @@ class PushBlockPuzzle(Puzzle):
             numbers += [block.yaw, float(is_on)]
         return tuple(numbers)
 
-    def get_lit(self, state: tuple[BlockPose, ...]) -> tuple[bool, ...]:  # type: ignore[override]
+    def get_lit(self, state: tuple[BlockPose, ...]) -> tuple[bool, ...]:
         """There are no targets."""
         return ()
 
-    def get_facts(self, state: tuple[BlockPose, ...]) -> frozenset[str]:  # type: ignore[override]
+    def get_facts(self, state: tuple[BlockPose, ...]) -> frozenset[str]:
         """`on-plate(block-i)` for every block on its plate."""
         return frozenset(f"on-plate({block.name})"
                          for block, is_on in zip(self.things[::2], self._list_on_plate(state), strict=True) if is_on)

@@ -127,7 +127,7 @@ class TaxiPuzzle(Puzzle):
         ride = self.decode(state)
         return ride.passenger <= RIDING and (not ride.delivered or ride.passenger == ride.destination)
 
-    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]
+    def update(self, state: int, contacts: Contacts) -> int:
         """Pick up, put down, or ride on."""
         ride = self.decode(state)
         if ride.delivered:
@@ -143,25 +143,25 @@ class TaxiPuzzle(Puzzle):
             ride = ride._replace(destination=(ride.destination + turn) % RIDING, settled=True)
         return self.encode(ride)
 
-    def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:  # type: ignore[override]
+    def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
         """Less where gripping or releasing was in vain."""
         return REFUSED if contacts.grip and after == before else 0.0
 
-    def is_solved(self, state: int) -> bool:  # type: ignore[override]
+    def is_solved(self, state: int) -> bool:
         """The passenger is where he wanted to go."""
         return self.decode(state).delivered
 
-    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]
+    def observe(self, state: int) -> tuple[float, ...]:
         """One number a place of the passenger, the taxi last, then one a destination."""
         ride = self.decode(state)
         return tuple(float(ride.passenger == place) for place in range(RIDING + 1)) + tuple(
             float(ride.destination == depot) for depot in range(RIDING))
 
-    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]
+    def get_lit(self, state: int) -> tuple[bool, ...]:
         """The destination."""
         return tuple(depot == self.decode(state).destination for depot in range(RIDING))
 
-    def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]
+    def get_facts(self, state: int) -> frozenset[str]:
         """`waits(depot)` or `riding`, `to(depot)`, and `delivered`."""
         ride = self.decode(state)
         facts = {"riding" if ride.passenger == RIDING else f"waits({DEPOTS[ride.passenger]})",
