@@ -9,7 +9,7 @@ everything carries over.
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Sequence
-from typing import Any, NamedTuple, Protocol, cast
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import gymnasium
 import numpy as np
@@ -59,6 +59,7 @@ class GridOutcome(NamedTuple):
     is_over: bool
 
 
+@runtime_checkable
 class ReferenceGrid(Protocol):
     """A published grid world, each action of which is a primitive of the room.
 
@@ -103,9 +104,9 @@ def check_isomorphism(env: gymnasium.Env, reference: ReferenceDomain | Reference
         PlanningFailed: a target cannot be pressed.
     """
     rng = np.random.default_rng(seed)
-    if hasattr(reference, "primitives"):
-        return _GridCheck(env, cast("ReferenceGrid", reference)).run(pairs, rng)
-    return _IsomorphismCheck(env, cast("ReferenceDomain", reference)).run(pairs, rng)
+    if isinstance(reference, ReferenceGrid):
+        return _GridCheck(env, reference).run(pairs, rng)
+    return _IsomorphismCheck(env, reference).run(pairs, rng)
 
 
 class _GridCheck(Claims):

@@ -247,7 +247,6 @@ class Rules:
         reward = (self._exit_reward if escaped else self._step_reward) + more
         return Transition(state, reward, terminated, not terminated and count >= self._horizon, pressed)
 
-
     def has_escaped(self, state: RoomState) -> bool:
         """The exit is open and the robot stands in it."""
         return self._puzzle.is_solved(state.puzzle) and self._exit.contains(state.x, state.y)

@@ -19,9 +19,9 @@ MUTATIONS = [
     ),
     Mutation(
         "the goal keeps its number when the others are shuffled",
-        "env/puzzles/buttons.py",
-        "            goal = label[goal]\n",
-        "",
+        "env/puzzles/graphs.py",
+        ", label[last]\n",
+        ", last\n",
         "env/puzzles/test_buttons.py env/puzzles/test_graphs.py",
     ),
     Mutation(

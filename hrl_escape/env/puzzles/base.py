@@ -12,15 +12,16 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from typing_extensions import Self
 
+from hrl_escape.env.puzzles.places import Pads, Panels, Place, Prop
 from hrl_escape.env.puzzles.symbolic import SOLVED, Operator, SymbolicModel, derive_model, name_state
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.plugins import load_entry_points
-from hrl_escape.settings import Range, Settings
+from hrl_escape.settings import Settings
 
 __all__ = [
     "Contacts",
@@ -63,88 +64,6 @@ class Contacts(NamedTuple):
     touching: tuple[int, ...] = ()
     grip: int = 0
     has_moved: bool = False
-
-
-@dataclasses.dataclass(frozen=True)
-class Place(Settings):
-    """An explicit place of a panel's centre.
-
-    `yaw_deg` is the direction of its width; `z` None takes the panels' `centre_height`.
-    """
-
-    _section = "place"
-    x: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """Centre."""
-    y: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """Centre."""
-    yaw_deg: Annotated[float, Range(-360, 360, "deg")] = 0.0
-    """Direction of the width, counter-clockwise from +x."""
-    z: Annotated[float, Range(0, 50, "m")] | None = None
-    """Height of the centre."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Panels(Settings):
-    """Size and places of the things on the walls that can be pressed (boxes)."""
-
-    _section = "panels"
-    _takes_ranges = True
-    width: Annotated[float, Range(0.02, 200, "m")] = 1.0
-    """Size along the wall."""
-    height: Annotated[float, Range(0.02, 50, "m")] = 1.0
-    """Vertical size."""
-    thickness: Annotated[float, Range(0.005, 10, "m")] = 0.1
-    """Size away from the wall."""
-    centre_height: Annotated[float, Range(0, 50, "m")] = 0.75
-    """Height of the centre."""
-    height_spread: Annotated[float, Range(0, 50, "m")] = 0.0
-    """Centres vary by up to this, up and down."""
-    inset: Annotated[float, Range(0, 50, "m")] | None = None
-    """Distance of the centre from its wall (None: flush)."""
-    places: Literal["random", "paper"] | tuple[Place, ...] = "random"
-    """Anywhere on the walls, the paper's four places, or explicit ones."""
-
-    def check_places(self, count: int) -> None:
-        """Check that there are places for a number of panels.
-
-        Raises:
-            ConfigError: there are fewer.
-        """
-        if self.places == "paper" and count > 4:
-            raise ConfigError("puzzle.count", count, "at most 4 with panels.places = 'paper'")
-        if isinstance(self.places, tuple) and len(self.places) < count:
-            raise ConfigError("panels.places", len(self.places), f"at least puzzle.count = {count} places")
-
-
-@dataclasses.dataclass(frozen=True)
-class Pads(Settings):
-    """Size and places of the rectangles on the floor that are pressed when the body's axis enters them."""
-
-    _section = "pads"
-    _takes_ranges = True
-    width: Annotated[float, Range(0.02, 200, "m")] = 2.0
-    """Size along its own x."""
-    depth: Annotated[float, Range(0.02, 200, "m")] = 2.0
-    """Size along its own y."""
-    places: Literal["random"] | tuple[Place, ...] = "random"
-    """Anywhere on the floor, parallel to the walls, or explicit ones."""
-
-
-@dataclasses.dataclass(frozen=True)
-class Prop(Settings):
-    """A thing on the floor: a movable block (physics dynamics), or a flat plate."""
-
-    _section = "prop"
-    name: str = "block"
-    """Unique name."""
-    kind: Literal["block", "plate"] = "block"
-    """Movable solid, or flat region."""
-    half_size: Annotated[float, Range(0.05, 10, "m")] = 0.3
-    """Half its side; the footprint is a square."""
-    height: Annotated[float, Range(0.01, 10, "m")] = 0.4
-    """Height (blocks)."""
-    mass: Annotated[float, Range(0.01, 10_000, "kg")] = 5.0
-    """Mass (blocks)."""
 
 
 @dataclasses.dataclass(frozen=True)

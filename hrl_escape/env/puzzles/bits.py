@@ -1,12 +1,18 @@
-"""Puzzles whose state is a word of bits, one a target: bit i is 1 while target i is on."""
+"""Bases of puzzles whose state is a word of bits, one a target: bit i is 1 while target i is on."""
 
 from __future__ import annotations
 
-from typing import Any
+import dataclasses
+from functools import cached_property
+from typing import Annotated, Any
 
 from hrl_escape.env.puzzles.base import Puzzle
+from hrl_escape.env.puzzles.graphs import ButtonNumber, compute_order
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.errors import ConfigError
+from hrl_escape.settings import Range
 
-__all__ = ["BitPuzzle"]
+__all__ = ["BitPuzzle", "GraphPuzzle"]
 
 
 class BitPuzzle(Puzzle):
@@ -39,3 +45,53 @@ class BitPuzzle(Puzzle):
     def get_facts(self, state: int) -> frozenset[str]:
         """`on(<name>)` for every target that is on."""
         return frozenset(f"on({name})" for i, name in enumerate(self.target_names) if state >> i & 1)
+
+
+@dataclasses.dataclass(frozen=True)
+class GraphPuzzle(BitPuzzle):
+    """Base of those whose targets depend on each other along a DAG, with one goal; a subclass names and rules them."""
+
+    count: Annotated[int, Range(1, 64)] = 1
+    """Number of targets."""
+    edge_list: tuple[tuple[ButtonNumber, ButtonNumber], ...] = ()
+    """Dependencies (parent, child)."""
+    goal: ButtonNumber = 0
+    """Number of the target that opens the exit, from 0."""
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        compute_order(self.count, self.edge_list)
+        if self.goal >= self.count:
+            raise ConfigError("puzzle.goal", self.goal, f"a number from 0 to {self.count - 1}")
+
+    @cached_property
+    def parent_masks(self) -> tuple[int, ...]:
+        """For each target, the bits of its parents."""
+        masks = [0] * self.count
+        for parent, child in self.edge_list:
+            masks[child] |= 1 << parent
+        return tuple(masks)
+
+    @property
+    def edges(self) -> tuple[tuple[int, int], ...]:
+        """Dependencies (parent, child)."""
+        return self.edge_list
+
+    @property
+    def goal_targets(self) -> tuple[int, ...]:
+        """The goal."""
+        return (self.goal,)
+
+    def is_solved(self, state: int) -> bool:
+        """The goal is on."""
+        return bool(state >> self.goal & 1)
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """One operator a target, applicable when its parents are on and it is off; other presses help nobody."""
+        fact = [f"on({name})" for name in self.target_names]
+        operators = []
+        for i, name in enumerate(self.target_names):
+            parents = frozenset(fact[parent] for parent, child in self.edge_list if child == i)
+            own = frozenset({fact[i]})
+            operators.append(Operator(f"press-{name}", name, "press", parents, own, own, frozenset()))
+        return SymbolicModel(tuple(fact), tuple(operators), frozenset({fact[self.goal]}))

@@ -7,15 +7,13 @@ it is on, the exit is open. The state is an integer whose bit i is button i.
 from __future__ import annotations
 
 import dataclasses
-from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
-from hrl_escape.env.puzzles.bits import BitPuzzle
-from hrl_escape.env.puzzles.graphs import ButtonNumber, GraphConfig, compute_order, sample_graph
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.bits import GraphPuzzle
+from hrl_escape.env.puzzles.graphs import ButtonNumber, GraphConfig, compute_order, sample_relabelled
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -59,54 +57,19 @@ class ButtonsConfig(PuzzleConfig):
 
     def make_puzzle(self, rng: np.random.Generator) -> ButtonsPuzzle:
         """Sample the dependency graph, then shuffle the buttons' numbers if the graph is to be relabelled."""
-        edges = sample_graph(self.graph, self.count, rng)
-        goal = compute_order(self.count, edges)[-1] if self.goal is None else self.goal
-        if self.graph.relabel and self.graph.kind != "edges":
-            label = rng.permutation(self.count).tolist()
-            edges = tuple(sorted((label[parent], label[child]) for parent, child in edges))
-            goal = label[goal]
+        edges, goal = sample_relabelled(self.graph, self.count, rng, self.goal)
         return ButtonsPuzzle(self.count, edges, goal, self.on_violation, self.allow_off)
 
 
 @dataclasses.dataclass(frozen=True)
-class ButtonsPuzzle(BitPuzzle):
+class ButtonsPuzzle(GraphPuzzle):
     """A concrete button puzzle. Button i is called `button-<i+1>`."""
 
     kind = "buttons"
-    count: Annotated[int, Range(1, 64)] = 1
-    """Number of buttons."""
-    edge_list: tuple[tuple[ButtonNumber, ButtonNumber], ...] = ()
-    """Dependencies (parent, child)."""
-    goal: ButtonNumber = 0
-    """Number of the goal button from 0."""
     on_violation: ViolationRule = "ignore"
     """Answer to a press with unmet parents."""
     allow_off: bool = False
     """Pressing a button that is on turns it off."""
-
-    def check(self) -> None:
-        """Check what spans several fields."""
-        compute_order(self.count, self.edge_list)
-        if self.goal >= self.count:
-            raise ConfigError("puzzle.goal", self.goal, f"a button from 0 to {self.count - 1}")
-
-    @cached_property
-    def parent_masks(self) -> tuple[int, ...]:
-        """For each button, the bits of its parents."""
-        masks = [0] * self.count
-        for parent, child in self.edge_list:
-            masks[child] |= 1 << parent
-        return tuple(masks)
-
-    @property
-    def edges(self) -> tuple[tuple[int, int], ...]:
-        """Dependencies (parent, child)."""
-        return self.edge_list
-
-    @property
-    def goal_targets(self) -> tuple[int, ...]:
-        """The goal button."""
-        return (self.goal,)
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -125,20 +88,6 @@ class ButtonsPuzzle(BitPuzzle):
             elif self.on_violation == "reset":
                 state = 0
         return state
-
-    def is_solved(self, state: int) -> bool:
-        """The goal button is on."""
-        return bool(state >> self.goal & 1)
-
-    def make_symbolic_model(self) -> SymbolicModel:
-        """One operator a button, applicable when its parents are on and it is off."""
-        fact = [f"on({name})" for name in self.target_names]
-        operators = []
-        for i, name in enumerate(self.target_names):
-            parents = frozenset(fact[p] for p, child in self.edge_list if child == i)
-            operators.append(Operator(f"press-{name}", name, "press", parents, frozenset({fact[i]}),
-                                      frozenset({fact[i]}), frozenset()))
-        return SymbolicModel(tuple(fact), tuple(operators), frozenset({fact[self.goal]}))
 
 
 register_puzzle(ButtonsConfig, ButtonsPuzzle)

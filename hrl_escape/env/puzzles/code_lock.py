@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
-from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.codes import CodePuzzle
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
@@ -57,7 +58,7 @@ class CodeLockConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class CodeLockPuzzle(Puzzle):
+class CodeLockPuzzle(CodePuzzle):
     """A concrete lock. Digit i is called `digit-<i+1>`."""
 
     kind = "code-lock"
@@ -96,29 +97,12 @@ class CodeLockPuzzle(Puzzle):
         """`digit-1` to `digit-<digits>`."""
         return tuple(f"digit-{i + 1}" for i in range(self.digits))
 
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is 0 or 1."""
-        return ((0.0, 1.0),) * len(self.code)
-
-    def make_state(self) -> int:
-        """Nothing entered."""
-        return 0
-
-    def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a number of digits entered."""
-        return type(state) is int and 0 <= state <= len(self.code)
-
     def update(self, state: int, contacts: Contacts) -> int:
         """Enter each press in index order; an open lock stays open."""
         for digit in contacts.pressed:
             if state < len(self.code):
                 state = self.next_progress[state][digit]
         return state
-
-    def is_solved(self, state: int) -> bool:
-        """The whole code has been entered."""
-        return state == len(self.code)
 
     def observe(self, state: int) -> tuple[float, ...]:
         """One number a digit of the code: 1 once it is entered; all 0 while that is hidden."""

@@ -18,7 +18,7 @@ import numpy as np
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range, Settings
 
-__all__ = ["Edges", "GraphConfig", "compute_order", "sample_graph", "sample_larg_graph"]
+__all__ = ["Edges", "GraphConfig", "compute_order", "sample_graph", "sample_larg_graph", "sample_relabelled"]
 
 Edges = tuple[tuple[int, int], ...]
 
@@ -77,7 +77,7 @@ def compute_order(count: int, edges: Edges) -> tuple[int, ...]:
 def sample_graph(config: GraphConfig, count: int, rng: np.random.Generator) -> Edges:
     """Sample the edges of a DAG over `count` buttons; in generated ones, parents have smaller numbers.
 
-    `ButtonsConfig` shuffles these numbers afterwards, see `GraphConfig.relabel`.
+    `sample_relabelled` shuffles these numbers afterwards.
 
     The families: `chain` 0 -> 1 -> ...; `tree` one random earlier parent each; `layered` layers of random width, each
     button with 1 to max_parents parents in the layer before (the published generator's shape); `random` every earlier
@@ -101,6 +101,27 @@ def sample_graph(config: GraphConfig, count: int, rng: np.random.Generator) -> E
             wanted = np.sort(rng.choice(wanted, config.max_parents, replace=False))
         edges.extend((int(parent), child) for parent in wanted)
     return tuple(edges)
+
+
+def sample_relabelled(config: GraphConfig, count: int, rng: np.random.Generator, goal: int | None = None
+                      ) -> tuple[Edges, int]:
+    """Sample a graph, then shuffle its numbers if it is a generated one that is to be relabelled.
+
+    Args:
+        config: the family of graphs.
+        count: number of nodes.
+        rng: generator.
+        goal: number of the goal before shuffling; None takes the last in topological order.
+
+    Returns:
+        Edges, and the number of the goal.
+    """
+    edges = sample_graph(config, count, rng)
+    last: int = compute_order(count, edges)[-1] if goal is None else goal
+    if config.relabel and config.kind != "edges":
+        label = rng.permutation(count).tolist()
+        edges, last = tuple(sorted((label[parent], label[child]) for parent, child in edges)), label[last]
+    return edges, last
 
 
 def _sample_layered(config: GraphConfig, count: int, rng: np.random.Generator) -> Edges:

@@ -14,10 +14,8 @@ from typing import Annotated
 import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
-from hrl_escape.env.puzzles.bits import BitPuzzle
-from hrl_escape.env.puzzles.graphs import ButtonNumber, GraphConfig, compute_order, sample_graph
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
-from hrl_escape.errors import ConfigError
+from hrl_escape.env.puzzles.bits import GraphPuzzle
+from hrl_escape.env.puzzles.graphs import GraphConfig, compute_order, sample_relabelled
 from hrl_escape.settings import Range
 
 __all__ = ["LIGHT_BOX", "LightBoxConfig", "LightBoxPuzzle"]
@@ -27,6 +25,7 @@ _PARENTS = {9: (0, 3, 6), 10: (1, 4), 11: (2, 5), 12: (1, 2), 13: (4, 5), 14: (6
 LIGHT_BOX = tuple((parent, child) for child, parents in _PARENTS.items() for parent in parents)
 """Dependencies (parent, child) of the published box."""
 
+LightCount = Annotated[int, Range(1, 63)]
 Success = Annotated[float, Range(0, 1, open_low=True)]
 
 
@@ -35,7 +34,7 @@ class LightBoxConfig(PuzzleConfig):
     """Schematic of LightBox."""
 
     kind = "light-box"
-    count: Annotated[int, Range(1, 63)] = 20
+    count: LightCount = 20
     """Number of lights."""
     graph: GraphConfig = GraphConfig(kind="edges", edges=LIGHT_BOX)
     """Dependencies between lights; those of the published box by default."""
@@ -57,41 +56,19 @@ class LightBoxConfig(PuzzleConfig):
 
     def make_puzzle(self, rng: np.random.Generator) -> LightBoxPuzzle:
         """Sample the dependencies, then shuffle the lights' numbers if a generated graph is to be relabelled."""
-        edges = sample_graph(self.graph, self.count, rng)
-        goal = compute_order(self.count, edges)[-1]
-        if self.graph.relabel and self.graph.kind != "edges":
-            label = rng.permutation(self.count).tolist()
-            edges, goal = tuple(sorted((label[a], label[b]) for a, b in edges)), label[goal]
+        edges, goal = sample_relabelled(self.graph, self.count, rng)
         return LightBoxPuzzle(self.count, edges, goal, self.success)
 
 
 @dataclasses.dataclass(frozen=True)
-class LightBoxPuzzle(BitPuzzle):
+class LightBoxPuzzle(GraphPuzzle):
     """A concrete box. Light i is called `light-<i+1>`."""
 
     kind = "light-box"
-    count: Annotated[int, Range(1, 63)] = 1
+    count: LightCount = 1
     """Number of lights."""
-    edge_list: tuple[tuple[ButtonNumber, ButtonNumber], ...] = ()
-    """Dependencies (parent, child)."""
-    goal: ButtonNumber = 0
-    """Number of the light that opens the exit, from 0."""
     success: Success = 1.0
     """Probability that a press has its effect."""
-
-    def check(self) -> None:
-        """Check what spans several fields."""
-        compute_order(self.count, self.edge_list)
-        if self.goal >= self.count:
-            raise ConfigError("puzzle.goal", self.goal, f"a light from 0 to {self.count - 1}")
-
-    @cached_property
-    def parent_masks(self) -> tuple[int, ...]:
-        """For each light, the bits of its parents."""
-        masks = [0] * self.count
-        for parent, child in self.edge_list:
-            masks[child] |= 1 << parent
-        return tuple(masks)
 
     @cached_property
     def family_masks(self) -> tuple[int, ...]:
@@ -107,16 +84,6 @@ class LightBoxPuzzle(BitPuzzle):
     def is_random(self) -> bool:
         """A press may have no effect."""
         return self.success < 1.0
-
-    @property
-    def edges(self) -> tuple[tuple[int, int], ...]:
-        """Dependencies (parent, child)."""
-        return self.edge_list
-
-    @property
-    def goal_targets(self) -> tuple[int, ...]:
-        """The light that opens the exit."""
-        return (self.goal,)
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -135,20 +102,6 @@ class LightBoxPuzzle(BitPuzzle):
             else:
                 state = 0
         return state
-
-    def is_solved(self, state: int) -> bool:
-        """The goal's light is on."""
-        return bool(state >> self.goal & 1)
-
-    def make_symbolic_model(self) -> SymbolicModel:
-        """One operator a light, applicable when its parents are on and it is off; other presses help nobody."""
-        fact = [f"on({name})" for name in self.target_names]
-        operators = []
-        for light, name in enumerate(self.target_names):
-            parents = frozenset(fact[parent] for parent, child in self.edge_list if child == light)
-            own = frozenset({fact[light]})
-            operators.append(Operator(f"press-{name}", name, "press", parents, own, own, frozenset()))
-        return SymbolicModel(tuple(fact), tuple(operators), frozenset({fact[self.goal]}))
 
 
 register_puzzle(LightBoxConfig, LightBoxPuzzle)

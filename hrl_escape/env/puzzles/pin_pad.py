@@ -8,11 +8,12 @@ is the number of pads of the code walked over: the longest beginning of it with 
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 
-from hrl_escape.env.puzzles.base import Contacts, Pads, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.base import Contacts, Pads, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.codes import CodePuzzle
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -31,8 +32,7 @@ class PinPadConfig(PuzzleConfig):
 
     def check(self) -> None:
         """Check what spans several fields."""
-        if isinstance(self.floor.places, tuple) and len(self.floor.places) < self.count:
-            raise ConfigError("pads.places", len(self.floor.places), f"at least puzzle.count = {self.count} places")
+        self.floor.check_places(self.count)
 
     @property
     def pads(self) -> Pads:
@@ -45,7 +45,7 @@ class PinPadConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class PinPadPuzzle(Puzzle):
+class PinPadPuzzle(CodePuzzle):
     """A concrete walk. Pad i is called `pad-<i+1>`."""
 
     kind = "pin-pad"
@@ -67,29 +67,12 @@ class PinPadPuzzle(Puzzle):
         """All targets are pads."""
         return self.target_names
 
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is 0 or 1."""
-        return ((0.0, 1.0),) * len(self.code)
-
-    def make_state(self) -> int:
-        """No pad walked over."""
-        return 0
-
-    def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a number of pads."""
-        return type(state) is int and 0 <= state <= len(self.code)
-
     def update(self, state: int, contacts: Contacts) -> int:
         """Step on pads in index order; an open exit stays open."""
         for pad in contacts.pressed:
             if state < len(self.code) and not (state and pad == self.code[state - 1]):
                 state = state + 1 if pad == self.code[state] else int(pad == self.code[0])
         return state
-
-    def is_solved(self, state: int) -> bool:
-        """The whole code has been walked."""
-        return state == len(self.code)
 
     def observe(self, state: int) -> tuple[float, ...]:
         """One number a pad: 1 while it counts."""

@@ -1,0 +1,33 @@
+"""Base of puzzles in which targets are pressed in the order of a code: the state is how much of it has been entered."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hrl_escape.env.puzzles.base import Puzzle
+
+__all__ = ["CodePuzzle"]
+
+
+class CodePuzzle(Puzzle):
+    """Base of such puzzles: a subclass gives names, rules, and `code` as a field."""
+
+    code: tuple[int, ...]
+    """Numbers of the targets in order."""
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Every number is 0 or 1."""
+        return ((0.0, 1.0),) * len(self.code)
+
+    def make_state(self) -> int:
+        """Nothing entered."""
+        return 0
+
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside is a progress in the code."""
+        return type(state) is int and 0 <= state <= len(self.code)
+
+    def is_solved(self, state: int) -> bool:
+        """The whole code has been entered."""
+        return state == len(self.code)
