@@ -19,7 +19,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import gymnasium
-import torch
 import tyro
 from rich.console import Console
 from rich.table import Table
@@ -29,7 +28,7 @@ from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
 from hrl_escape.commands.room_choice import RoomChoice, VectorObservation, split_assignment
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.errors import UnsupportedError
 from hrl_escape.experiments.grid import AgentSpec, OptionsView
 from hrl_escape.experiments.places import RunPlace
 from hrl_escape.experiments.runs import make_env
@@ -82,7 +81,7 @@ class TrainArgs(RoomChoice):
     tensorboard: bool = False
     """Also write TensorBoard's files (extra `tensorboard`)."""
     threads: int = 1
-    """Threads for torch; small networks are quickest, and repeatable, with one."""
+    """Threads for torch, a part of the run: small networks are quickest with one, many copies with all cores."""
     json: bool = False
     """Print the result as JSON."""
 
@@ -122,15 +121,13 @@ def run(args: TrainArgs) -> None:
     if args.list_settings:
         _print_settings(args, resolved)
         return
-    if args.threads < 1:
-        raise ConfigError("threads", args.threads, "it must be a whole number, 1 or more")
-    torch.set_num_threads(args.threads)
     instance = args.make_instance()
     name = make_file_name(f"{spec.label}-{RunPlace.of_room(instance).name}-{args.training_seed}")
     out = args.out or Path("runs") / f"{name}-{{key}}"
     env = make_env(spec, instance, args.observation)[0] if args.batch is None else args.make_batch(spec, instance)
     result = train(args.agent, env, primitives=args.primitives, seed=args.training_seed, settings=resolved,
-                   eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out, tensorboard=args.tensorboard)
+                   eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out, tensorboard=args.tensorboard,
+                   threads=args.threads)
     if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):
         env.close()
     best = best_known_return(instance)

@@ -47,6 +47,7 @@ class RunArguments:
 
     Attributes:
         agent_state: hash of the state of an agent that was given as an object; None for one made by name.
+        threads: of torch.
     """
 
     name: str
@@ -57,6 +58,13 @@ class RunArguments:
     eval_episodes: int
     eval_seed: int
     agent_state: str | None = None
+    threads: int = 1
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The arguments as JSON values; one thread, which most runs have, goes without saying."""
+        values = dataclasses.asdict(self)
+        return values if self.threads != 1 else {name: value for name, value in values.items() if name != "threads"}
 
 
 NO_OPTIONS = (
@@ -98,7 +106,7 @@ class Run:
             "version": __version__,
             "versions": find_versions(),
             "agent": f"{type(self.agent).__module__}:{type(self.agent).__qualname__}",
-            **dataclasses.asdict(self.arguments),
+            **self.arguments.identity,
             "settings": self._list_settings(),
             "environment": describe_env(self.env),
             "evaluation_environment": describe_env(self.eval_env) if apart else None,

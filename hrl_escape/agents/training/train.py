@@ -17,7 +17,7 @@ import numpy as np
 from gymnasium.vector import VectorEnv
 
 from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.registry import make_agent, read_structure
+from hrl_escape.agents.registry import get_agent_class, make_agent, read_structure
 from hrl_escape.agents.streams import SingleEnvSource, StreamAgent, Streams
 from hrl_escape.agents.training.checkpoint import compute_state_digest, load_checkpoint
 from hrl_escape.agents.training.env_description import compute_digest, hash_large_parts, make_described_env
@@ -26,6 +26,7 @@ from hrl_escape.agents.training.progress import show_progress
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.run import Run, RunArguments, load_agent_state, make_origin, refusing_damage
 from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
+from hrl_escape.agents.training.threads import using_threads
 from hrl_escape.errors import AgentSettingsError, CheckpointError
 
 __all__ = ["load_agent", "load_env", "train"]
@@ -49,6 +50,7 @@ def train(
     tensorboard: bool = False,
     progress: bool | None = None,
     probe: Probe | None = None,
+    threads: int = 1,
 ) -> TrainResult:
     """Train an agent on an environment, flat or with options.
 
@@ -77,6 +79,8 @@ def train(
         tensorboard: also write event files (needs `out` and the extra `tensorboard`).
         progress: show a progress line; by default on a terminal only.
         probe: measures the agent on the way, and may end the run before its budget.
+        threads: of torch while the run lasts, a part of what decides its numbers. One is quickest for small networks;
+            many environments at once on a CPU are quicker with one a core.
 
     Returns:
         Curves, episodes, totals and the trained agent.
@@ -96,6 +100,7 @@ def train(
         ("eval_episodes", eval_episodes, 0),
         ("eval_seed", eval_seed, 0),
         ("seed", seed, 0),
+        ("threads", threads, 1),
     ):
         if not isinstance(value, (int, np.integer)) or value < least:
             raise AgentSettingsError(name, value, f"a whole number of at least {least}")
@@ -103,33 +108,37 @@ def train(
         raise AgentSettingsError("settings", settings, "a mapping from names of settings to values, or None")
     if tensorboard and out is None:
         raise AgentSettingsError("tensorboard", True, "False, or give out= for the event files")
-    single = env if isinstance(env, gymnasium.Env) else (eval_env or make_single_env(env))
     if isinstance(agent, str):
-        name = agent
-        learner = make_agent(agent, single.observation_space, single.action_space, seed, recipe,
-                             read_structure(single), **settings or {})
-    else:
-        name, learner = type(agent).__name__, agent
-    agent_state = None if out is None or isinstance(agent, str) else compute_state_digest(learner.state_dict())
-    arguments = RunArguments(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state)
-    if isinstance(env, gymnasium.Env):
-        run = Run(learner, env, eval_env or env, arguments, probe)
-    else:
-        if not isinstance(learner, StreamAgent):
-            raise AgentSettingsError("agent", name, "one that learns from many environments at once, such as ppo "
-                                     "or dqn; or give train an ordinary environment")
-        if probe is not None:
-            raise AgentSettingsError("probe", probe, "None in a run of many environments at once")
-        from hrl_escape.agents.training.stream_run import StreamRun  # brings torch in
+        get_agent_class(agent)  # loads torch where it is needed, before its threads are set
+    with using_threads(threads):
+        single = env if isinstance(env, gymnasium.Env) else (eval_env or make_single_env(env))
+        if isinstance(agent, str):
+            name = agent
+            learner = make_agent(agent, single.observation_space, single.action_space, seed, recipe,
+                                 read_structure(single), **settings or {})
+        else:
+            name, learner = type(agent).__name__, agent
+        agent_state = None if out is None or isinstance(agent, str) else compute_state_digest(learner.state_dict())
+        arguments = RunArguments(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state,
+                                 threads)
+        if isinstance(env, gymnasium.Env):
+            run = Run(learner, env, eval_env or env, arguments, probe)
+        else:
+            if not isinstance(learner, StreamAgent):
+                raise AgentSettingsError("agent", name, "one that learns from many environments at once, such as ppo "
+                                         "or dqn; or give train an ordinary environment")
+            if probe is not None:
+                raise AgentSettingsError("probe", probe, "None in a run of many environments at once")
+            from hrl_escape.agents.training.stream_run import StreamRun  # brings torch in
 
-        run = StreamRun(learner, env, single, arguments)
-    if out is not None:
-        run.open(os.fspath(out).replace("{key}", run.key), tensorboard)
-    try:
-        with show_progress(f"{name} seed {seed}", primitives, run.primitives, progress) as report:
-            return run.finish(checkpoint_seconds, report)
-    finally:
-        run.close()
+            run = StreamRun(learner, env, single, arguments)
+        if out is not None:
+            run.open(os.fspath(out).replace("{key}", run.key), tensorboard)
+        try:
+            with show_progress(f"{name} seed {seed}", primitives, run.primitives, progress) as report:
+                return run.finish(checkpoint_seconds, report)
+        finally:
+            run.close()
 
 
 def make_single_env(env: VectorEnv | Streams) -> gymnasium.Env:

@@ -11,13 +11,15 @@ from pathlib import Path
 import gymnasium
 import numpy as np
 import pytest
+import torch
 
 import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents import evaluate, make_agent, play_episode, train
 from hrl_escape.agents.registry import get_agent_class
+from hrl_escape.agents.training.checkpoint import compute_state_digest
 from hrl_escape.agents.training.results import METRICS, load_episode_rows
 from hrl_escape.agents.training.train import TrainResult
-from hrl_escape.errors import AgentSettingsError, DivergenceError, FileWriteError, StepContractError
+from hrl_escape.errors import AgentSettingsError, DivergenceError, FileWriteError, RunMismatchError, StepContractError
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.settings import read_record
 from tests.agents.small_envs import ButtonGrid, Outcome, SmdpEnv
@@ -217,6 +219,23 @@ def test_the_same_run_gives_the_same_bits_in_another_process():
     assert done.stdout.strip() == compute_digest() == compute_digest()
 
 
+def test_threads_are_a_part_of_the_run_and_those_around_it_are_not(tmp_path):
+    before = torch.get_num_threads()
+    try:
+        keys, digests = [], []
+        for around, threads in ((1, 1), (2, 1), (1, 2)):
+            torch.set_num_threads(around)
+            result = run("dqn", out=tmp_path / "{key}", primitives=100, threads=threads)
+            assert torch.get_num_threads() == around
+            keys.append(result.folder.name)
+            digests.append(compute_state_digest(result.agent.state_dict()))
+    finally:
+        torch.set_num_threads(before)
+    assert keys[0] == keys[1] != keys[2] and digests[0] == digests[1]
+    with pytest.raises(RunMismatchError, match="threads: 2 there, None now"):
+        run("dqn", out=tmp_path / keys[2], primitives=100)
+
+
 def test_another_seed_gives_another_run():
     assert run(seed=1).episodes != run(seed=2).episodes
 
@@ -224,10 +243,10 @@ def test_another_seed_gives_another_run():
 def test_the_global_random_state_is_neither_read_nor_touched():
     import torch
 
-    numpy_before, torch_before = np.random.get_state()[1].copy(), torch.get_rng_state()  # noqa: NPY002
+    numpy_before, torch_before = np.random.get_state()[1].copy(), torch.get_rng_state()  # noqa: NPY002  # what is watched
     for name in LEARNERS:
         run(name)
-    assert (np.random.get_state()[1] == numpy_before).all()  # noqa: NPY002
+    assert (np.random.get_state()[1] == numpy_before).all()  # noqa: NPY002  # what is watched
     assert (torch.get_rng_state() == torch_before).all()
 
 
