@@ -1,8 +1,9 @@
 """An algorithm, a puzzle and an observation, added as docs/architecture.md says, arrive everywhere with nothing else
-touched: each test plants one in a copy of the package and finds it by name, checked, listed and trained."""
+touched: they are planted in a copy of the package and found by name, checked, listed and trained."""
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -14,24 +15,27 @@ import pytest
 ROOT = Path(__file__).parents[1]
 
 
-@pytest.fixture
-def house(tmp_path: Path) -> Path:
-    """A copy of the package in which anything may be planted."""
-    shutil.copytree(ROOT / "hrl_escape", tmp_path / "hrl_escape", ignore=shutil.ignore_patterns("__pycache__"))
-    return tmp_path
-
-
-def run(house: Path, *arguments: str) -> str:
-    """Output of this Python in the copy."""
+@pytest.fixture(scope="module")
+def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """What a copy of the package, in which all three are planted, prints in each act; one process, for its kernels
+    are compiled anew."""
+    house = tmp_path_factory.mktemp("house")
+    shutil.copytree(ROOT / "hrl_escape", house / "hrl_escape", ignore=shutil.ignore_patterns("__pycache__"))
+    (house / "hrl_escape/agents/algorithms/first_legal.py").write_text(ALGORITHM)
+    (house / "hrl_escape/env/puzzles/toggles.py").write_text(read_puzzle())
+    with (house / "hrl_escape/env/observations.py").open("a") as file:
+        file.write(OBSERVATION)
     environment = os.environ | {"PYTHONPATH": str(house), "NUMBA_CACHE_DIR": str(house / "numba")}
-    done = subprocess.run([sys.executable, *arguments], cwd=house, env=environment, capture_output=True, text=True)
+    done = subprocess.run([sys.executable, "-c", ACTS], cwd=house, env=environment, capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    return json.loads(done.stdout)
 
 
-def call(house: Path, *arguments: str) -> str:
-    """Output of `hrl-escape` in the copy."""
-    return run(house, "-m", "hrl_escape.cli", *arguments)
+def read_puzzle() -> str:
+    """The puzzle of an example, as a module of the package."""
+    body, _, _ = (ROOT / "examples/smallest_puzzle.py").read_text().partition("room = generate(")
+    return body.replace("from hrl_escape import RoomConfig, RoomPlanner, generate\n", "").replace(
+        "from hrl_escape.env.kinematics import Kinematics\n", "")
 
 
 ALGORITHM = '''
@@ -76,29 +80,6 @@ class FirstLegal(Agent):
 '''
 
 
-def test_a_file_in_algorithms_is_an_agent(house: Path):
-    (house / "hrl_escape/agents/algorithms/first_legal.py").write_text(ALGORITHM)
-    assert "first-legal" in call(house, "list", "agents")
-    run(house, "-c", "from hrl_escape.agents.registry import get_agent_class as get\n"
-                     "from hrl_escape.checks import check_agent\ncheck_agent(get('first-legal'))")
-    out = call(house, "train", "smdp-first-legal", "--preset", "paper-one-button", "--primitives", "60",
-               "--eval-episodes", "1", "--out", "planted", "--json")
-    assert '"agent": "smdp-first-legal"' in out or (house / "planted/result.json").is_file()
-
-
-def test_a_file_in_puzzles_is_a_puzzle(house: Path):
-    source = (ROOT / "examples/smallest_puzzle.py").read_text()
-    body, _, _ = source.partition("room = generate(")
-    body = body.replace("from hrl_escape import RoomConfig, RoomPlanner, generate\n", "").replace(
-        "from hrl_escape.env.kinematics import Kinematics\n", "")
-    (house / "hrl_escape/env/puzzles/toggles.py").write_text(body)
-    assert "toggles" in call(house, "list", "puzzles")
-    run(house, "-c", "import numpy\nfrom hrl_escape.checks import check_puzzle\n"
-                     "from hrl_escape.env.puzzles.base import get_puzzle_kind as get\n"
-                     "check_puzzle(get('toggles').config_type().make_puzzle(numpy.random.default_rng(0)))")
-    assert "press-a" in call(house, "solve", "--set", "puzzle.kind=toggles", "--seed", "1")
-
-
 OBSERVATION = '''
 
 class CompassObserver(Observer):
@@ -119,15 +100,50 @@ register_observation(Observation("compass", "the heading alone", CompassObserver
 '''
 
 
-def test_an_entry_of_the_registry_is_an_observation(house: Path):
-    with (house / "hrl_escape/env/observations.py").open("a") as file:
-        file.write(OBSERVATION)
-    assert "compass" in call(house, "list", "observations")
-    assert "the heading alone" in call(house, "list", "observations", "--json")
-    shape = run(house, "-c", "import gymnasium, hrl_escape\nfrom hrl_escape.env.escape_room import EscapeRoomEnv\n"
-                             "env = EscapeRoomEnv('paper-one-button', observation='compass')\n"
-                             "print(env.observation_space.shape, env.reset(seed=0)[0].tolist())")
-    assert shape.startswith("(2,) [0.0, 1.0]")
-    call(house, "train", "q-learning", "--preset", "paper-one-button", "--observation", "compass", "--primitives", "40",
-         "--eval-episodes", "1", "--out", "planted")
-    assert (house / "planted/result.json").is_file()
+
+ACTS = '''
+import contextlib, io, json
+import gymnasium, numpy
+from hrl_escape.agents.registry import get_agent_class
+from hrl_escape.checks import check_agent, check_puzzle
+from hrl_escape.cli import main
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.puzzles.base import get_puzzle_kind
+
+said = {}
+
+
+def call(*arguments):
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        assert main(list(arguments)) == 0, arguments
+    said[" ".join(arguments[:2])] = out.getvalue()
+
+
+for things in "agents", "puzzles", "observations":
+    call("list", things)
+check_agent(get_agent_class("first-legal"))
+check_puzzle(get_puzzle_kind("toggles").config_type().make_puzzle(numpy.random.default_rng(0)))
+budget = ["--preset", "paper-one-button", "--primitives", "40", "--eval-episodes", "1", "--json"]
+call("train", "smdp-first-legal", *budget, "--out", "algorithm")
+call("train", "q-learning", *budget, "--observation", "compass", "--out", "observation")
+call("solve", "--set", "puzzle.kind=toggles", "--seed", "1")
+env = EscapeRoomEnv("paper-one-button", observation="compass")
+said["first"] = [env.observation_space.shape, env.reset(seed=0)[0].tolist()]
+print(json.dumps(said))
+'''
+
+
+def test_a_file_in_algorithms_is_an_agent(said):
+    assert "first-legal" in said["list agents"]
+    assert json.loads(said["train smdp-first-legal"])["primitives"] >= 40
+
+
+def test_a_file_in_puzzles_is_a_puzzle(said):
+    assert "toggles" in said["list puzzles"]
+    assert "press-a" in said["solve --set"]
+
+
+def test_an_entry_of_the_registry_is_an_observation(said):
+    assert "compass" in said["list observations"] and "the heading alone" in said["list observations"]
+    assert json.loads(said["train q-learning"])["primitives"] >= 40
+    assert said["first"] == [[2], [0.0, 1.0]]
