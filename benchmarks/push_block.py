@@ -12,6 +12,7 @@ import argparse
 import dataclasses
 import sys
 import time
+from typing import Any
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
@@ -20,7 +21,7 @@ from hrl_escape.errors import PlanningFailed
 from hrl_escape.options.closed_loop import pursue
 
 
-def escape(seed: int, blocks: int) -> dict[str, object]:
+def escape(seed: int, blocks: int) -> dict[str, Any]:
     """Escape from one start; returns the outcome."""
     config = dataclasses.replace(get_preset("push-block"), puzzle=PushBlockConfig(count=blocks))
     env = EscapeRoomEnv(config, instance_seed=seed)
@@ -53,8 +54,8 @@ def main() -> int:
         if not rows[-1]["escaped"] or rows[-1]["undone"]:
             print(f"seed {seed}: {rows[-1]}", flush=True)
     escaped = sum(bool(row["escaped"]) for row in rows)
-    undone = sum(int(row["undone"]) for row in rows)  # type: ignore[call-overload]
-    seconds = sorted(float(row["seconds"]) for row in rows)  # type: ignore[arg-type]
+    undone = sum(row["undone"] for row in rows)
+    seconds = sorted(row["seconds"] for row in rows)
     print(f"escaped {escaped} of {len(rows)} starts, {undone} pushes undone, "
           f"{seconds[len(rows) // 2]:.1f} s in the median and {seconds[-1]:.1f} s at most")
     return 0 if escaped == len(rows) and not undone else 1

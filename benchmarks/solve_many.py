@@ -13,6 +13,7 @@ import csv
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 from hrl_escape.env.config import (
     DynamicsConfig,
@@ -35,11 +36,11 @@ from hrl_escape.options.closed_loop import pursue
 from hrl_escape.planning.room_planner import RoomPlanner
 
 
-def make_arm_room(joints: int, kind: str = "arm", **robot: float) -> RoomConfig:
+def make_arm_room(joints: int, **robot: Any) -> RoomConfig:
     """Three small targets at different heights that only the hand presses."""
     return RoomConfig(
         room=ShapeConfig(width=12, depth=12),
-        robot=RobotConfig(kind=kind, body_radius=0.4, body_height=0.6, joints=joints, **robot),  # type: ignore[arg-type]
+        robot=RobotConfig(body_radius=0.4, body_height=0.6, joints=joints, **robot),
         puzzle=ButtonsConfig(count=3, buttons=Panels(width=0.4, height=0.4, centre_height=1.0, height_spread=0.3)),
         dynamics=DynamicsConfig(press_with="hand"), obstacles=ObstaclesConfig(count=4),
     )
@@ -68,8 +69,8 @@ EXTREMES = {
     "hand-3": make_arm_room(3, link_length=0.4),
     "hand-6": make_arm_room(6, link_length=0.25),
     "hand-7": make_arm_room(7, link_length=0.22),
-    "kuka": make_arm_room(7, "kuka-iiwa"),
-    "panda": make_arm_room(7, "franka-panda"),
+    "kuka": make_arm_room(7, kind="kuka-iiwa"),
+    "panda": make_arm_room(7, kind="franka-panda"),
     "noisy": RoomConfig(dynamics=DynamicsConfig(noise=0.1, slip=0.1), obstacles=ObstaclesConfig(count=10),
                         puzzle=ButtonsConfig(count=3)),
     "physics": RoomConfig(dynamics=DynamicsConfig(kind="physics"), robot=RobotConfig(body_radius=0.5),

@@ -11,6 +11,7 @@ import enum
 import math
 import reprlib
 from collections.abc import Iterable
+from typing import Any
 
 
 class EscapeError(Exception):
@@ -325,8 +326,9 @@ class BatchError(EscapeError, ValueError):
 
     def __init__(self, name: str, value: object, allowed: str) -> None:
         self.name, self.value, self.allowed = name, value, allowed
-        shape, dtype, device = (getattr(value, word, None) for word in ("shape", "dtype", "device"))
-        self.given = f"a {type(value).__name__}" if shape is None else f"{tuple(shape)}, {dtype}, on {device}"  # type: ignore[arg-type]
+        parts: list[Any] = [getattr(value, word, None) for word in ("shape", "dtype", "device")]
+        shape, dtype, device = parts
+        self.given = f"a {type(value).__name__}" if shape is None else f"{tuple(shape)}, {dtype}, on {device}"
         super().__init__(f"{name} is {self.given}; the batch takes {allowed}")
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 import numba
-from numba.core import event
+from numba.core import config, event
 
 from hrl_escape.version import __version__
 
@@ -31,15 +31,17 @@ SOURCES = ("agents/factored/search.py", "env/geometry.py", "env/primitives.py", 
            "planning/lattice/repair_kernels.py", "planning/lattice/sweep_kernels.py")
 """Files, relative to the package, that compiled code is made of."""
 
+_CONFIG: Any = config  # its names are set when it is imported
+
 
 def kernel(function: Callable[..., Any]) -> Any:
     """Compile a function on first use and keep it on disk."""
-    before = numba.config.CACHE_DIR  # type: ignore[attr-defined]
+    before = _CONFIG.CACHE_DIR
     try:
-        numba.config.CACHE_DIR = str(_FOLDER)  # type: ignore[attr-defined]  # read by the decorator only
+        _CONFIG.CACHE_DIR = str(_FOLDER)  # read by the decorator only
         compiled = numba.njit(cache=True)(function)
     finally:
-        numba.config.CACHE_DIR = before  # type: ignore[attr-defined]
+        _CONFIG.CACHE_DIR = before
     _NAMES.add(function.__qualname__)
     return compiled
 
@@ -56,7 +58,7 @@ def find_cache_folder() -> Path:
     for name in SOURCES:
         sources.update((package / name).read_bytes())
     folder = f"{__version__}-{sources.hexdigest()[:12]}"
-    chosen = numba.config.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or "~/.cache"  # type: ignore[attr-defined]
+    chosen = _CONFIG.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     for base in (Path(chosen).expanduser(), Path(tempfile.gettempdir()) / f"cache-{os.getuid()}"):
         try:
             (base / "hrl_escape" / folder).mkdir(parents=True, exist_ok=True)

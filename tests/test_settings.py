@@ -70,7 +70,7 @@ def test_settings_survive_json(cart):
 
 
 def test_plain_values_are_converted_at_construction():
-    cart = Cart(wheels=[{"radius": 1}, Wheel()], size=[3, 4])  # type: ignore[arg-type]
+    cart = Cart(wheels=[{"radius": 1}, Wheel()], size=[3, 4])  # type: ignore[arg-type]  # what is tested
     assert cart.wheels == (Wheel(1.0), Wheel()) and cart.size == (3.0, 4.0)
     assert isinstance(cart.wheels[0].radius, float) and isinstance(cart.size[0], float)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Hashable, Sequence
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.patches import Circle, FancyArrowPatch
 
@@ -83,7 +84,7 @@ def draw_graph(axes: Axes, puzzle: Puzzle, state: Hashable) -> None:
     """Draw the dependencies between a puzzle's targets, coloured by state; the goal has a second ring."""
     places = compute_layout(len(puzzle.target_names), puzzle.edges)
     right, bottom = (max((p[i] for p in places), default=0.0) for i in (0, 1))
-    inches = axes.get_figure().get_size_inches() * axes.get_position().size  # type: ignore[union-attr]  # no axes without a figure
+    inches = np.array((axes.bbox.width, axes.bbox.height)) / axes.figure.dpi
     cell = min(_LARGEST_CELL, 72 * inches[0] / (right + 1), 72 * inches[1] / (bottom + 1))  # points between nodes
     wide, high = 72 * inches / cell
     axes.set(xlim=(-0.5, wide - 0.5), ylim=(high - 0.5, -0.5), aspect="equal")

@@ -104,9 +104,7 @@ def _make_outline(solid: Solid, **style: Any) -> Patch:
 
 def _get_scale(axes: Axes) -> float:
     """Inches a metre."""
-    figure = axes.get_figure()
-    assert figure is not None
-    wide, high = figure.get_size_inches() * axes.get_position().size  # type: ignore[union-attr]  # no axes without a figure
+    wide, high = axes.bbox.width / axes.figure.dpi, axes.bbox.height / axes.figure.dpi
     (x_min, x_max), (y_min, y_max) = axes.get_xlim(), axes.get_ylim()
     return min(wide / (x_max - x_min), high / (y_max - y_min))
 

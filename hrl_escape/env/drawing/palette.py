@@ -88,5 +88,5 @@ def find_front(instance: RoomInstance, target: Target) -> tuple[float, float]:
 
 def to_rgb(colour: str) -> tuple[float, float, float]:
     """Turn `#rrggbb` into red, green and blue within [0, 1]."""
-    red, green, blue = (int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    red, green, blue = (byte / 255 for byte in bytes.fromhex(colour.removeprefix("#")))
     return red, green, blue

@@ -82,7 +82,7 @@ def test_dqn_loss_equals_the_formula_by_hand(seed, double):
     for i in range(SIZE):
         chooser = online if double else target
         legal = [o for o in range(ACTIONS) if batch.next_mask[i, o]]
-        best = max(legal, key=lambda o: chooser[i, o])  # noqa: B023
+        best = max(legal, key=chooser[i].__getitem__)
         targets[i] = batch.reward[i] + (0 if terminated[i] else GAMMA ** int(duration[i]) * target[i, best])
     values = forward(agent.online, batch.observation)[np.arange(SIZE), batch.action]
     loss, predicted = agent.compute_loss(batch)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,10 +57,10 @@ def make_console() -> Console:
     return Console(quiet=True)
 
 
-def run_rounds(out: Path, primitives: int, *rounds: Round, **launcher: object) -> list[ScalingRun]:
+def run_rounds(out: Path, primitives: int, *rounds: Round, **launcher: Any) -> list[ScalingRun]:
     found = []
     grids = [round_.make_grid(primitives) for round_ in rounds]
-    comparisons = run_grids(grids, out, LocalLauncher(**launcher), make_console())  # type: ignore[arg-type]
+    comparisons = run_grids(grids, out, LocalLauncher(**launcher), make_console())
     for round_, comparison in zip(rounds, comparisons, strict=True):
         assert not comparison.failures, comparison.failures[0].message
         found += collect_scaling_runs(comparison, round_.rooms)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 import tempfile
+from typing import Any
 
 import numpy as np
 import pinocchio
@@ -25,8 +26,8 @@ from hrl_escape.planning.scene.scene import Scene
 from hrl_escape.planning.trajectories.path import MotionPath
 
 
-def make_room(kind: str, joints: int):
-    robot = RobotConfig(kind=kind, joints=joints, body_radius=0.4, body_height=0.5)  # type: ignore[arg-type]
+def make_room(kind: Any, joints: int):
+    robot = RobotConfig(kind=kind, joints=joints, body_radius=0.4, body_height=0.5)
     panels = Panels(width=1.0, height=1.0, centre_height=0.8)
     return generate(RoomConfig(room=ShapeConfig(width=8, depth=8), robot=robot,
                                dynamics=DynamicsConfig(press_with="hand"),

@@ -170,7 +170,8 @@ def test_a_held_object_is_a_link_in_every_library_and_goes_where_the_hand_goes()
     assert (put.x - state.x, put.y - state.y) == pytest.approx((-(hand[1] - state.y), hand[0] + 0.15 - state.x))
     assert math.remainder(put.yaw - 0.3 - math.pi / 2, math.tau) == pytest.approx(0.0, abs=1e-9)
     back = held.detach(state)
-    assert back.things["crate"].x == pytest.approx(hand[0] + 0.15)  # type: ignore[union-attr]
+    crate = back.things["crate"]
+    assert isinstance(crate, Solid) and crate.x == pytest.approx(hand[0] + 0.15)
     assert back.instance.robot == instance.robot
 
     env = EscapeRoomEnv(instance=held.instance)

@@ -93,7 +93,7 @@ def test_an_agent_without_a_stack_shows_no_calls(two_buttons, run):
     assert all(calls == () for _, calls in watch_calls(watch))
 
 
-def test_the_page_lists_the_calls_and_labels_their_goals(server: Server, maxq_run, two_buttons):
+def test_the_page_lists_the_calls_and_labels_their_goals(server: Server, maxq_run, two_buttons, monkeypatch):
     view = WatchPage(server, Watch(open_driver(str(maxq_run), two_buttons), Gate(None)))
     shown = []
     refresh = view._refresh
@@ -102,8 +102,8 @@ def test_the_page_lists_the_calls_and_labels_their_goals(server: Server, maxq_ru
         refresh()
         shown.append((view._calls.content, {text for text, _ in view.page.scene._goals.values()}))
 
-    view._refresh = note  # type: ignore[method-assign]
-    view._is_due = lambda: True  # type: ignore[method-assign]
+    monkeypatch.setattr(view, "_refresh", note)
+    monkeypatch.setattr(view, "_is_due", lambda: True)
     view.run(episodes=1)
     assert any("press-button-1" in page and "touch button-1" in page for page, _ in shown)
     assert {"press-button-1, touch button-1"} in [goals for _, goals in shown]

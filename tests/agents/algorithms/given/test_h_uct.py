@@ -132,8 +132,7 @@ class TellsItsPseudoReward(HUct):
 
 
 def test_pseudo_reward_in_what_a_caller_is_told_is_seen():
-    pseudo = lambda seen: 10.0 if seen.observation == 2 else 0.0  # noqa: E731
-    assert plan_doors(pseudo, TellsItsPseudoReward) > 0
+    assert plan_doors(lambda seen: 10.0 if seen.observation == 2 else 0.0, TellsItsPseudoReward) > 0
 
 
 # --- bounds, counts, and without a simulator -------------------------------------------

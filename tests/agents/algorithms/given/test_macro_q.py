@@ -142,8 +142,7 @@ class RunsFirstPrimitive(MacroQ):
     """With a macro that does primitive 0 until observations sum to an even number."""
 
     def __init__(self, observation_space, action_space, seed, settings=None):
-        ends_here = lambda seen: int(np.sum(seen.observation)) % 2 == 0  # noqa: E731
-        macro = Macro("run", int(action_space.n), lambda seen: 0, ends_here)
+        macro = Macro("run", int(action_space.n), lambda seen: 0, lambda seen: int(np.sum(seen.observation)) % 2 == 0)
         super().__init__(observation_space, action_space, seed, settings, [macro])
 
 
