@@ -14,8 +14,8 @@ from gymnasium import spaces
 
 from hrl_escape.agents.hierarchy.goals import GoalSet, GoalView
 from hrl_escape.agents.hierarchy.task import Seen
-from hrl_escape.env.puzzles.symbolic import Operator
-from hrl_escape.planning.symbolic.landmarks import find_first_operator, find_landmarks
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.planning.symbolic.landmarks import find_landmarks
 from hrl_escape.synthesis.situation import Situations
 
 __all__ = ["OpenLandmarks", "make_landmark_goals"]
@@ -56,7 +56,8 @@ class OpenLandmarks:
         return None if landmark == EXIT else self._find_first(facts, landmark)
 
     def _search_first(self, facts: frozenset[str], landmark: str) -> Operator | None:
-        return find_first_operator(self._operators, facts, landmark)
+        model = SymbolicModel(self._model.propositions, self._operators, frozenset({landmark}))
+        return next(iter(model.find_fewest(facts) or ()), None)
 
 
 def make_landmark_goals(rooms: Situations, planned: bool, abstract: bool) -> GoalSet:

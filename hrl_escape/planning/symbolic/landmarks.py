@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 
-__all__ = ["find_first_operator", "find_landmarks"]
+__all__ = ["find_landmarks"]
 
 Literal: TypeAlias = tuple[str, bool]
 
@@ -60,23 +60,3 @@ def _split(operator: Operator) -> list[Operator]:
                                  forbidden=operator.forbidden | effect.forbidden, add=effect.add, delete=effect.delete,
                                  when=()) for effect in operator.when]
     return [dataclasses.replace(operator, when=()), *parts]
-
-
-def find_first_operator(operators: Iterable[Operator], facts: frozenset[str], wanted: str) -> Operator | None:
-    """First operator of a shortest plan that makes a fact true, by breadth-first search; None where none does."""
-    operators = tuple(operators)
-    front: dict[frozenset[str], Operator | None] = {facts: None}
-    met = {facts}
-    while front:
-        following: dict[frozenset[str], Operator | None] = {}
-        for at, first in front.items():
-            for operator in operators:
-                if operator.is_applicable(at):
-                    after = operator.apply(at)
-                    if wanted in after:
-                        return first or operator
-                    if after not in met:
-                        met.add(after)
-                        following[after] = first or operator
-        front = following
-    return None

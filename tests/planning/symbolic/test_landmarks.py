@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
-from hrl_escape.planning.symbolic.landmarks import find_first_operator, find_landmarks
+from hrl_escape.planning.symbolic.landmarks import find_landmarks
 
 FACTS = "abcde"
 SOME = st.frozensets(st.sampled_from(FACTS), max_size=2)
@@ -45,20 +47,20 @@ def test_they_are_those_without_which_the_goal_is_out_of_reach(model, facts, goa
 
 @given(MODELS, SOME, st.sampled_from(FACTS))
 @settings(max_examples=200)
-def test_the_first_operator_begins_a_shortest_plan(model, facts, wanted):
-    def measure(at):
-        front, met, length = {at}, {at}, 0
-        while front and not any(wanted in each for each in front):
-            front = {op.apply(each) for each in front for op in model.operators if op.is_applicable(each)} - met
-            met |= front
-            length += 1
-        return length if front else None
-
-    first = find_first_operator(model.operators, facts, wanted)
-    if wanted in facts or first is None:
-        assert wanted in facts or measure(facts) is None
-    else:
-        assert first.is_applicable(facts) and 1 + measure(first.apply(facts)) == measure(facts)
+def test_the_fewest_operators_make_a_plan_as_long_as_the_distance(model, facts, wanted):
+    front, met, distance = {facts}, {facts}, 0
+    while front and not any(wanted in each for each in front):
+        front = {op.apply(each) for each in front for op in model.operators if op.is_applicable(each)} - met
+        met |= front
+        distance += 1
+    plan = dataclasses.replace(model, goal=frozenset({wanted})).find_fewest(facts)
+    assert (plan is not None) == bool(front)
+    if plan is not None:
+        assert len(plan) == distance
+        for operator in plan:
+            assert operator.is_applicable(facts)
+            facts = operator.apply(facts)
+        assert wanted in facts
 
 
 def test_buttons_in_a_chain_are_landmarks_in_its_order_and_others_are_none():
