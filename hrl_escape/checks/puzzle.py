@@ -108,6 +108,8 @@ class _PuzzleCheck(Claims):
         facts = puzzle.get_facts(state)
         unknown = facts - frozenset(self.model.propositions)
         self.require(not unknown, "facts are propositions of the symbolic model", unknown)
+        progress = puzzle.compute_progress(state)
+        self.require(isinstance(progress, float) and 0.0 <= progress <= 1.0, "progress is a share", progress)
         solved = puzzle.is_solved(state)
         self.require(isinstance(solved, bool) and solved == (self.model.goal <= facts),
                      "is_solved exactly where the symbolic goal holds", (state, solved, facts))

@@ -15,10 +15,8 @@ import gymnasium
 
 from hrl_escape.agents.agent import Agent, read_success
 from hrl_escape.agents.training.evaluation import play_episode
-from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.primitives import make_action_table
-from hrl_escape.experiments.graph_recovery import find_ancestors
 
 __all__ = ["StateRecorder", "record_episode"]
 
@@ -26,8 +24,8 @@ __all__ = ["StateRecorder", "record_episode"]
 class StateRecorder(gymnasium.Wrapper):
     """Record of the room's states in the present episode; goes between a room and its `OptionsEnv`.
 
-    `info["progress"]` is the largest share of the goal's ancestors that were lit together so far in the episode, the
-    goal's own targets included; 1 once the robot has escaped.
+    `info["progress"]` is the largest `compute_progress` of the puzzle so far in the episode; 1 once the robot has
+    escaped.
 
     Attributes:
         states: the first one, and one a primitive.
@@ -41,7 +39,6 @@ class StateRecorder(gymnasium.Wrapper):
         self.states: list[RoomState] = []
         self.starts: list[RoomState] = []
         self._progress = 0.0
-        self._ancestors: tuple[RoomInstance | None, list[int]] = (None, [])
 
     def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
         """Reset, and begin a new record."""
@@ -61,13 +58,8 @@ class StateRecorder(gymnasium.Wrapper):
         return observation, reward, terminated, truncated, {**info, "progress": self._progress}
 
     def _measure_progress(self) -> float:
-        """Share of the goal's ancestors that are lit."""
         room: Any = self.env.unwrapped
-        if self._ancestors[0] is not room.instance:
-            puzzle = room.instance.puzzle
-            self._ancestors = room.instance, sorted(find_ancestors(puzzle.edges, puzzle.goal_targets))
-        lit, wanted = room.instance.puzzle.get_lit(self.states[-1].puzzle), self._ancestors[1]
-        return sum(lit[target] for target in wanted) / len(wanted) if wanted else 0.0
+        return room.instance.puzzle.compute_progress(self.states[-1].puzzle)
 
     def _get_state(self) -> RoomState:
         room: Any = self.env.unwrapped

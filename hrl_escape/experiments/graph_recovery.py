@@ -4,18 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-__all__ = ["EdgeSet", "compare_graphs", "compute_edge_depth", "find_ancestors", "find_edges_that_matter"]
+from hrl_escape.env.puzzles.graphs import find_ancestors
+
+__all__ = ["EdgeSet", "compare_graphs", "compute_edge_depth", "find_edges_that_matter"]
 
 EdgeSet = frozenset[tuple[int, int]]
-
-
-def find_ancestors(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> set[int]:
-    """Targets that must have been lit for the goals, the goals included; edges are (parent, child) pairs."""
-    every, ancestors, before = set(edges), set(goals), 0
-    while len(ancestors) > before:
-        before = len(ancestors)
-        ancestors |= {parent for parent, child in every if child in ancestors}
-    return ancestors
 
 
 def find_edges_that_matter(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> EdgeSet:

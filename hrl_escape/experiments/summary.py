@@ -76,7 +76,8 @@ class AgentSummary:
         efficiency: interquartile mean of them, the primary score.
         seen: the same at the end in rooms that were trained in, where others were tested in; else None.
         trials: interquartile mean at the first, second, ... trial in each room tested in; empty without trials.
-        progress: share of the goal's ancestors lit at best in an episode of the last fifth, rooms weighing the same.
+        progress: share of the facts on the way to the goal that hold at best in an episode of the last fifth, rooms
+            weighing the same.
         success: share of evaluation episodes in the last fifth that escaped, rooms weighing the same; Wilson's
             interval, a run counting as one try.
         first_escape: mean primitives of training to the first escape, up to the budget: runs without one count with

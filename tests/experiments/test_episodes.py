@@ -12,6 +12,7 @@ import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.agents.registry import make_agent
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.primitives import make_action_table
+from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.experiments.episodes import StateRecorder, make_frames, record_episode
 from hrl_escape.experiments.grid import AgentSpec, OptionsView
@@ -113,3 +114,12 @@ def test_progress_is_the_share_of_the_goals_ancestors_lit_at_best():
     shares = [env.step(option)[4]["progress"] for option in (order[0], order[1], order[3])]
     assert shares == [0.25, 0.5, 0.5]
     assert env.reset(seed=0)[1]["progress"] == 0
+
+
+def test_progress_in_a_board_that_must_go_dark_counts_lights_that_are_off():
+    lights = LightsOutConfig(rows=4, columns=4, task=4)  # from 1001 in all rows to all off, by six presses
+    room = generate(dataclasses.replace(get_preset("lights-out"), puzzle=lights), 0)
+    env, _ = make_env(AgentSpec("smdp-random", options=OptionsView(include_primitives=False)), room, "features")
+    assert env.reset(seed=0)[1]["progress"] == 0.5
+    assert env.step(0)[4]["progress"] == 9 / 16, "two lights go off and one goes on"
+    assert env.step(0)[4]["progress"] == 9 / 16, "back again, and the best so far counts"

@@ -204,6 +204,20 @@ class Puzzle(_OfKind):
         """The puzzle has rewards of its own, so that a return does not follow from a number of primitives."""
         return type(self).compute_reward is not Puzzle.compute_reward
 
+    def compute_progress(self, state: PuzzleState) -> float:
+        """Share in [0, 1] of the facts on the way to the goal that hold; by default, of the symbolic goal's own.
+
+        Puzzles with dependencies count what the goal depends on as well, and facts that must be off count as others do.
+        """
+        goal = self._goal
+        return len(goal & self.get_facts(state)) / len(goal) if goal else float(self.is_solved(state))
+
+    @cached_property
+    def _goal(self) -> frozenset[str]:
+        """Goal of a model of its own; empty where it would be derived, for that can take long and says no more."""
+        is_derived = type(self).make_symbolic_model is Puzzle.make_symbolic_model
+        return frozenset() if is_derived else self.make_symbolic_model().goal
+
     @property
     @abstractmethod
     def bounds(self) -> tuple[tuple[float, float], ...]:

@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Annotated, Any
 
 from hrl_escape.env.puzzles.base import Puzzle
-from hrl_escape.env.puzzles.graphs import ButtonNumber, compute_order
+from hrl_escape.env.puzzles.graphs import ButtonNumber, compute_order, find_ancestors
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
@@ -85,6 +85,15 @@ class GraphPuzzle(BitPuzzle):
     def is_solved(self, state: int) -> bool:
         """The goal is on."""
         return bool(state >> self.goal & 1)
+
+    def compute_progress(self, state: int) -> float:
+        """Share of the goal, and of all that it depends on, that is on."""
+        wanted = self._wanted
+        return (state & wanted).bit_count() / wanted.bit_count()
+
+    @cached_property
+    def _wanted(self) -> int:
+        return sum(1 << target for target in find_ancestors(self.edge_list, (self.goal,)))
 
     def make_symbolic_model(self) -> SymbolicModel:
         """One operator a target, applicable when its parents are on and it is off; other presses help nobody."""

@@ -31,3 +31,7 @@ class CodePuzzle(Puzzle):
     def is_solved(self, state: int) -> bool:
         """The whole code has been entered."""
         return state == len(self.code)
+
+    def compute_progress(self, state: int) -> float:
+        """Share of the code that has been entered."""
+        return state / len(self.code)

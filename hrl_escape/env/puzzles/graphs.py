@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import random
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Annotated, Literal, get_args
 
 import numpy as np
@@ -18,7 +18,8 @@ import numpy as np
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range, Settings
 
-__all__ = ["Edges", "GraphConfig", "compute_order", "sample_graph", "sample_larg_graph", "sample_relabelled"]
+__all__ = ["Edges", "GraphConfig", "compute_order", "find_ancestors", "sample_graph", "sample_larg_graph",
+           "sample_relabelled"]
 
 Edges = tuple[tuple[int, int], ...]
 
@@ -72,6 +73,15 @@ def compute_order(count: int, edges: Edges) -> tuple[int, ...]:
         order.append(free[0])
         left.remove(free[0])
     return tuple(order)
+
+
+def find_ancestors(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> set[int]:
+    """Targets that must have been lit for the goals, the goals included; edges are (parent, child) pairs."""
+    every, ancestors, before = set(edges), set(goals), 0
+    while len(ancestors) > before:
+        before = len(ancestors)
+        ancestors |= {parent for parent, child in every if child in ancestors}
+    return ancestors
 
 
 def sample_graph(config: GraphConfig, count: int, rng: np.random.Generator) -> Edges:

@@ -151,6 +151,10 @@ class LightsOutPuzzle(BitPuzzle):
         """The lights, then the goal's: 1 on, 0 off."""
         return tuple(float(word >> i & 1) for word in (state, self.goal) for i in range(self.count))
 
+    def compute_progress(self, state: int) -> float:
+        """Share of the lights that show the goal, on or off."""
+        return 1.0 - (state ^ self.goal).bit_count() / self.count
+
     def get_facts(self, state: int) -> frozenset[str]:
         """`settled(light-i)` for every light that the shortest solution from here does not press."""
         due = self._find_due(state)

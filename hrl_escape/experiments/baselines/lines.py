@@ -37,7 +37,7 @@ class BaselineRun:
         seen: the same in rooms trained in; None where they are those tested in.
         escapes: share of the evaluation episodes of the last fifth that escaped.
         episodes: in an evaluation.
-        progress: mean share of the goal's ancestors lit.
+        progress: mean share of the facts on the way to the goal that hold.
         first_escape: primitives to the first escape in training; None if there was none.
         key: hash of everything that decides the run's numbers.
     """

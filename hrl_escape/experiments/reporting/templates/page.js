@@ -23,7 +23,7 @@ function pick(role, then) {
 const percent = (v) => `${Number((100 * v).toPrecision(3))} %`;
 const METRICS = {
   efficiency: { title: "efficiency", source: "efficiency", note: "Efficiency is 0 without escape, else the fewest primitives known over those taken." },
-  progress: { title: "progress", source: "progress", yRange: [0, 1], note: "Share of the goal's ancestors lit at best in an episode." },
+  progress: { title: "progress", source: "progress", yRange: [0, 1], note: "Share of the facts on the way to the goal that hold at best in an episode." },
   score: { title: "return score", source: "score", note: "A return score of 1 is the best known return, 0 is never escaping." },
   gap: { title: "gap to the best known", source: "efficiency", yLog: true, yReverse: true, turn: (v) => Math.max(5e-4, 1 - v),
     yRange: [5e-4, 1], format: (v) => (v < 6e-4 ? "< 0.0006" : formatNumber(v)),
