@@ -26,6 +26,7 @@ from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.code_lock import CodeLockConfig
 from hrl_escape.env.puzzles.deep_sea import DeepSeaConfig
+from hrl_escape.env.puzzles.factored import FactoredConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
@@ -231,6 +232,9 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "hanoi": lambda: _panel_puzzle("hanoi", HanoiConfig()),
     "code-lock": lambda: _panel_puzzle("code-lock", CodeLockConfig()),
     "light-box": lambda: _panel_puzzle("light-box", LightBoxConfig()),
+    "random-lights": lambda: _panel_puzzle("random-lights", LightBoxConfig(
+        count=8, graph=GraphConfig(kind="random", max_parents=3))),
+    "factored": lambda: _panel_puzzle("factored", FactoredConfig()),
     "deep-sea": deep_sea,
     "four-rooms": four_rooms,
     "taxi": taxi,

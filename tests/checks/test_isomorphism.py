@@ -11,6 +11,7 @@ from hrl_escape.checks import check_isomorphism
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.code_lock import CodeLockConfig
+from hrl_escape.env.puzzles.factored import FactoredConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
@@ -146,6 +147,41 @@ class Box:
 
     def encode(self, state):
         return sum(on << i for i, on in enumerate(state))
+
+
+class Factors:
+    """Digits that turn by tables; the last number says which states are left out, as nothing leads to them."""
+
+    def __init__(self, puzzle):
+        self.puzzle = puzzle
+        self.tables = [np.reshape(turns, (3,) * (len(parents) + 1))
+                       for parents, turns in zip(puzzle.parents, puzzle.turns, strict=True)]
+
+    def list_states(self):
+        states = itertools.product(range(3), repeat=3)
+        return [state for state in states if self.puzzle.is_state(self.encode(state))]
+
+    def step(self, state, action, uniform):
+        values = list(state)
+        parents = reversed(self.puzzle.parents[action])
+        if uniform < 0.9:
+            values[action] = int(self.tables[action][(*(state[other] for other in parents), state[action])])
+        return tuple(values)
+
+    def is_over(self, state):
+        return self.encode(state) == self.puzzle.goal
+
+    def encode(self, state):
+        return state[0] + 3 * state[1] + 9 * state[2]
+
+
+def test_a_random_domain_is_its_tables():
+    env = make_env(FactoredConfig(count=3))
+    domain = Factors(env.unwrapped.instance.puzzle)
+    assert check_isomorphism(env, domain) == 3 * len(domain.list_states()) > 30
+    domain.tables[0] = domain.tables[0][..., ::-1]
+    with pytest.raises(ContractError, match="what the action does"):
+        check_isomorphism(env, domain)
 
 
 class Lucky(Box):

@@ -10,6 +10,7 @@ from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.code_lock import CodeLockConfig
 from hrl_escape.env.puzzles.deep_sea import DeepSeaConfig
+from hrl_escape.env.puzzles.factored import FactoredConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
@@ -28,6 +29,8 @@ KINDS = {
     "light-box, sure": LightBoxConfig(count=6, graph=GraphConfig(kind="random", max_parents=2), success=1.0),
     "deep-sea": DeepSeaConfig(size=5),
     "pin-pad": PinPadConfig(count=3),
+    "factored": FactoredConfig(count=3, success=0.7),
+    "factored, sure": FactoredConfig(count=4, arity=2, max_parents=1, success=1.0),
 }
 
 

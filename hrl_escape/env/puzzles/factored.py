@@ -1,0 +1,220 @@
+"""Randomly generated factored domains, after Hallak et al. (2015): factors with values, and a panel that turns each.
+
+A press turns its factor's value by a permutation that depends on the values of the factor's parents; with probability
+1 - `success` it does nothing. The exit opens while every factor has its goal. Permutations can be undone, so no press
+leads to a dead end; the goal is drawn from the states furthest from the start, found by enumeration, so that every
+drawn domain is solvable and its optimum is known. The generator is our own: numbers published for others do not carry.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable
+from functools import cached_property
+from typing import Annotated, Any
+
+import numpy as np
+
+from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
+from hrl_escape.errors import ConfigError
+from hrl_escape.settings import Range
+
+__all__ = ["MOST_STATES", "FactoredConfig", "FactoredPuzzle", "compute_distances"]
+
+MOST_STATES = 4096
+"""Most states of a domain: arity to the power of the number of factors."""
+
+Arity = Annotated[int, Range(2, 8)]
+Factor = Annotated[int, Range(0, 11)]
+Success = Annotated[float, Range(0, 1, open_low=True)]
+
+
+@dataclasses.dataclass(frozen=True)
+class FactoredConfig(PuzzleConfig):
+    """Schematic of a factored domain; the instance seed draws parents, permutations and goal."""
+
+    kind = "factored"
+    count: Annotated[int, Range(1, 12)] = 5
+    """Number of factors, each with a panel."""
+    arity: Arity = 3
+    """Values of a factor."""
+    max_parents: Annotated[int, Range(0, 3)] = 2
+    """Most other factors that decide what a press does to one."""
+    success: Success = 0.9
+    """Probability that a press has its effect; else it has none."""
+    buttons: Panels = Panels(width=0.8)
+    """Sizes and places of the panels."""
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        self.buttons.check_places(self.count)
+        if self.arity**self.count > MOST_STATES:
+            raise ConfigError("puzzle.count", self.count, f"arity^count at most {MOST_STATES}, so that all are visited")
+
+    @property
+    def panels(self) -> Panels:
+        """Sizes and places of the panels."""
+        return self.buttons
+
+    def make_puzzle(self, rng: np.random.Generator) -> FactoredPuzzle:
+        """Draw domains until the goal is at least as far as the number of factors, then one of the furthest goals."""
+        while True:
+            parents = tuple(self._draw_parents(factor, rng) for factor in range(self.count))
+            turns = tuple(tuple(int(value) for _ in range(self.arity ** len(others))
+                                for value in rng.permutation(self.arity)) for others in parents)
+            drawn = FactoredPuzzle(self.count, self.arity, parents, turns, 1, self.success)
+            distances = compute_distances(drawn.count, drawn.turn)
+            furthest = max(distances.values())
+            if furthest >= self.count:
+                goals = sorted(state for state, distance in distances.items() if distance == furthest)
+                return dataclasses.replace(drawn, goal=goals[int(rng.integers(len(goals)))])
+
+    def _draw_parents(self, factor: int, rng: np.random.Generator) -> tuple[int, ...]:
+        others = [other for other in range(self.count) if other != factor]
+        number = int(rng.integers(min(self.max_parents, len(others)) + 1))
+        return tuple(sorted(int(other) for other in rng.choice(others, number, replace=False)) if number else ())
+
+
+@dataclasses.dataclass(frozen=True)
+class FactoredPuzzle(Puzzle):
+    """A concrete domain. Factor i, whose value is the digit of weight arity^i of a state, is called `factor-<i+1>`."""
+
+    kind = "factored"
+    count: Annotated[int, Range(1, 12)] = 1
+    """Number of factors."""
+    arity: Arity = 2
+    """Values of a factor."""
+    parents: tuple[tuple[Factor, ...], ...] = ((),)
+    """For each factor, the others that decide what a press does."""
+    turns: tuple[tuple[Annotated[int, Range(0, 7)], ...], ...] = ((1, 0),)
+    """For each factor, its value after a press: for each setting of its parents, the first of weight 1, one a value."""
+    goal: Annotated[int, Range(0, MOST_STATES - 1)] = 1
+    """State that opens the exit."""
+    success: Success = 1.0
+    """Probability that a press has its effect."""
+
+    def check(self) -> None:
+        """Check that the tables fit, that presses can be undone, and that the goal is a state."""
+        if self.arity**self.count > MOST_STATES:
+            raise ConfigError("puzzle.count", self.count, f"arity^count at most {MOST_STATES}")
+        if self.goal >= self.arity**self.count:
+            raise ConfigError("puzzle.goal", self.goal, f"below {self.arity**self.count}")
+        if len(self.parents) != self.count or any(
+                other >= self.count or others.count(other) > 1 or other == factor
+                for factor, others in enumerate(self.parents) for other in others):
+            raise ConfigError("puzzle.parents", self.parents, f"other factors, each once, for each of {self.count}")
+        if len(self.turns) != self.count or any(
+                len(turns) != self.arity ** (len(others) + 1) or any(
+                    sorted(turns[at : at + self.arity]) != list(range(self.arity))
+                    for at in range(0, len(turns), self.arity))
+                for others, turns in zip(self.parents, self.turns, strict=False)):
+            raise ConfigError("puzzle.turns", self.turns, "a permutation for each setting of a factor's parents")
+
+    @property
+    def is_random(self) -> bool:
+        """A press may have no effect."""
+        return self.success < 1.0
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """`factor-1` to `factor-<count>`."""
+        return tuple(f"factor-{i + 1}" for i in range(self.count))
+
+    @property
+    def edges(self) -> tuple[tuple[int, int], ...]:
+        """Each factor's parents."""
+        return tuple((other, factor) for factor, others in enumerate(self.parents) for other in others)
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Every number is 0 or 1."""
+        return ((0.0, 1.0),) * (2 * self.count * self.arity)
+
+    def decode(self, state: int) -> tuple[int, ...]:
+        """Value of each factor."""
+        return tuple(state // self.arity**factor % self.arity for factor in range(self.count))
+
+    def make_state(self) -> int:
+        """Every factor has the value 0."""
+        return 0
+
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside is a state from which presses lead to the goal."""
+        return type(state) is int and state in self._reachable
+
+    @cached_property
+    def _reachable(self) -> dict[int, int]:
+        return compute_distances(self.count, self.turn)
+
+    def turn(self, state: int, factor: int) -> int:
+        """State after a press that has its effect."""
+        values = self.decode(state)
+        setting = sum(values[other] * self.arity**place for place, other in enumerate(self.parents[factor]))
+        then = self.turns[factor][setting * self.arity + values[factor]]
+        return state + (then - values[factor]) * self.arity**factor
+
+    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]  # the state is a number
+        """Turn the pressed factors in index order; one chance decides for all presses of a primitive."""
+        if contacts.uniform < self.success:
+            for factor in contacts.pressed:
+                state = self.turn(state, factor)
+        return state
+
+    def is_solved(self, state: int) -> bool:  # type: ignore[override]  # the state is a number
+        """Every factor has its goal."""
+        return state == self.goal
+
+    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]  # the state is a number
+        """For each factor one number a value, 1 for its own; then the same of the goal."""
+        return tuple(float(value == own) for word in (state, self.goal) for own in self.decode(word)
+                     for value in range(self.arity))
+
+    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]  # the state is a number
+        """Factors that have their goal."""
+        return tuple(own == goal for own, goal in zip(self.decode(state), self.decode(self.goal), strict=True))
+
+    def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]  # the state is a number
+        """`at(factor-i,value)` for every factor."""
+        return frozenset(self._name(factor, value) for factor, value in enumerate(self.decode(state)))
+
+    def _name(self, factor: int, value: int) -> str:
+        return f"at({self.target_names[factor]},{value})"
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """One operator a factor, with a conditional effect for each setting of its parents and each value it turns."""
+        none: frozenset[str] = frozenset()
+        operators = []
+        for factor, name in enumerate(self.target_names):
+            effects = []
+            read = (*reversed(self.parents[factor]), factor)
+            settings = itertools.product(range(self.arity), repeat=len(read))
+            for then, values in zip(self.turns[factor], settings, strict=True):
+                if then != values[-1]:
+                    facts = frozenset(map(self._name, read, values))
+                    effects.append(Effect(facts, none, frozenset({self._name(factor, then)}),
+                                          frozenset({self._name(factor, values[-1])})))
+            operators.append(Operator(f"press-{name}", name, "press", none, none, none, none, when=tuple(effects)))
+        facts = tuple(self._name(factor, value) for factor in range(self.count) for value in range(self.arity))
+        return SymbolicModel(facts, tuple(operators), self.get_facts(self.goal))
+
+
+def compute_distances(count: int, turn: Callable[[int, int], int]) -> dict[int, int]:
+    """Fewest presses from state 0 to each state that presses lead to.
+
+    Args:
+        count: number of factors.
+        turn: (state, factor) -> the state after a press.
+    """
+    distances, queue = {0: 0}, [0]
+    for state in queue:
+        for factor in range(count):
+            after = turn(state, factor)
+            if after not in distances:
+                distances[after] = distances[state] + 1
+                queue.append(after)
+    return distances
+
+
+register_puzzle(FactoredConfig, FactoredPuzzle)
