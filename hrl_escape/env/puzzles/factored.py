@@ -16,14 +16,15 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.places import Panels
 from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["MOST_STATES", "FactoredConfig", "FactoredPuzzle", "compute_distances"]
+__all__ = ["MOST_ENUMERATED", "FactoredConfig", "FactoredPuzzle", "compute_distances"]
 
-MOST_STATES = 4096
+MOST_ENUMERATED = 4096
 """Most states of a domain: arity to the power of the number of factors."""
 
 Arity = Annotated[int, Range(2, 8)]
@@ -50,8 +51,9 @@ class FactoredConfig(PuzzleConfig):
     def check(self) -> None:
         """Check what spans several fields."""
         self.buttons.check_places(self.count)
-        if self.arity**self.count > MOST_STATES:
-            raise ConfigError("puzzle.count", self.count, f"arity^count at most {MOST_STATES}, so that all are visited")
+        if self.arity**self.count > MOST_ENUMERATED:
+            raise ConfigError("puzzle.count", self.count,
+                              f"arity^count at most {MOST_ENUMERATED}, so that all are visited")
 
     @property
     def panels(self) -> Panels:
@@ -90,15 +92,15 @@ class FactoredPuzzle(Puzzle):
     """For each factor, the others that decide what a press does."""
     turns: tuple[tuple[Annotated[int, Range(0, 7)], ...], ...] = ((1, 0),)
     """For each factor, its value after a press: for each setting of its parents, the first of weight 1, one a value."""
-    goal: Annotated[int, Range(0, MOST_STATES - 1)] = 1
+    goal: Annotated[int, Range(0, MOST_ENUMERATED - 1)] = 1
     """State that opens the exit."""
     success: Success = 1.0
     """Probability that a press has its effect."""
 
     def check(self) -> None:
         """Check that the tables fit, that presses can be undone, and that the goal is a state."""
-        if self.arity**self.count > MOST_STATES:
-            raise ConfigError("puzzle.count", self.count, f"arity^count at most {MOST_STATES}")
+        if self.arity**self.count > MOST_ENUMERATED:
+            raise ConfigError("puzzle.count", self.count, f"arity^count at most {MOST_ENUMERATED}")
         if self.goal >= self.arity**self.count:
             raise ConfigError("puzzle.goal", self.goal, f"below {self.arity**self.count}")
         if len(self.parents) != self.count or any(
@@ -155,27 +157,27 @@ class FactoredPuzzle(Puzzle):
         then = self.turns[factor][setting * self.arity + values[factor]]
         return state + (then - values[factor]) * self.arity**factor
 
-    def update(self, state: int, contacts: Contacts) -> int:  # type: ignore[override]  # the state is a number
+    def update(self, state: int, contacts: Contacts) -> int:
         """Turn the pressed factors in index order; one chance decides for all presses of a primitive."""
         if contacts.uniform < self.success:
             for factor in contacts.pressed:
                 state = self.turn(state, factor)
         return state
 
-    def is_solved(self, state: int) -> bool:  # type: ignore[override]  # the state is a number
+    def is_solved(self, state: int) -> bool:
         """Every factor has its goal."""
         return state == self.goal
 
-    def observe(self, state: int) -> tuple[float, ...]:  # type: ignore[override]  # the state is a number
+    def observe(self, state: int) -> tuple[float, ...]:
         """For each factor one number a value, 1 for its own; then the same of the goal."""
         return tuple(float(value == own) for word in (state, self.goal) for own in self.decode(word)
                      for value in range(self.arity))
 
-    def get_lit(self, state: int) -> tuple[bool, ...]:  # type: ignore[override]  # the state is a number
+    def get_lit(self, state: int) -> tuple[bool, ...]:
         """Factors that have their goal."""
         return tuple(own == goal for own, goal in zip(self.decode(state), self.decode(self.goal), strict=True))
 
-    def get_facts(self, state: int) -> frozenset[str]:  # type: ignore[override]  # the state is a number
+    def get_facts(self, state: int) -> frozenset[str]:
         """`at(factor-i,value)` for every factor."""
         return frozenset(self._name(factor, value) for factor, value in enumerate(self.decode(state)))
 
