@@ -12,7 +12,7 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+from typing import Annotated, Any, ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 from typing_extensions import Self
@@ -21,7 +21,7 @@ from hrl_escape.env.puzzles.places import Pads, Panels, Place, Prop
 from hrl_escape.env.puzzles.symbolic import SOLVED, Operator, SymbolicModel, derive_model, name_state
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.plugins import load_entry_points
-from hrl_escape.settings import Settings
+from hrl_escape.settings import Range, Settings
 
 __all__ = [
     "Contacts",
@@ -32,6 +32,7 @@ __all__ = [
     "Puzzle",
     "PuzzleConfig",
     "PuzzleKind",
+    "Success",
     "get_puzzle_kind",
     "list_puzzles",
     "make_contacts",
@@ -40,6 +41,8 @@ __all__ = [
 
 PuzzleState: TypeAlias = Any
 """A hashable value of each puzzle's own type; its rules name that type."""
+Success = Annotated[float, Range(0, 1, open_low=True)]
+"""Type of a field: the probability that a press has its effect."""
 
 
 class Contacts(NamedTuple):

@@ -16,7 +16,7 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, Success, register_puzzle
 from hrl_escape.env.puzzles.places import Panels
 from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
 from hrl_escape.errors import ConfigError
@@ -28,8 +28,7 @@ MOST_ENUMERATED = 4096
 """Most states of a domain: arity to the power of the number of factors."""
 
 Arity = Annotated[int, Range(2, 8)]
-Factor = Annotated[int, Range(0, 11)]
-Success = Annotated[float, Range(0, 1, open_low=True)]
+FactorNumber = Annotated[int, Range(0, 11)]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +87,7 @@ class FactoredPuzzle(Puzzle):
     """Number of factors."""
     arity: Arity = 2
     """Values of a factor."""
-    parents: tuple[tuple[Factor, ...], ...] = ((),)
+    parents: tuple[tuple[FactorNumber, ...], ...] = ((),)
     """For each factor, the others that decide what a press does."""
     turns: tuple[tuple[Annotated[int, Range(0, 7)], ...], ...] = ((1, 0),)
     """For each factor, its value after a press: for each setting of its parents, the first of weight 1, one a value."""

@@ -13,7 +13,7 @@ from typing import Annotated
 
 import numpy as np
 
-from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, Success, register_puzzle
 from hrl_escape.env.puzzles.bits import GraphPuzzle
 from hrl_escape.env.puzzles.graphs import GraphConfig, compute_order, sample_relabelled
 from hrl_escape.settings import Range
@@ -26,7 +26,6 @@ LIGHT_BOX = tuple((parent, child) for child, parents in _PARENTS.items() for par
 """Dependencies (parent, child) of the published box."""
 
 LightCount = Annotated[int, Range(1, 63)]
-Success = Annotated[float, Range(0, 1, open_low=True)]
 
 
 @dataclasses.dataclass(frozen=True)
