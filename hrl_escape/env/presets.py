@@ -109,9 +109,10 @@ def larg_2019(size: int = 2, seed: int = 14, handicap: float = 6.0) -> RoomConfi
     )
 
 
-def ladder_room(name: str, count: int, graph: GraphConfig, size: float = 20.0, **parts: Any) -> RoomConfig:
+def ladder_room(name: str, count: int, graph: GraphConfig, size: float = 20.0, dead_ends: int = 0, **parts: Any
+                ) -> RoomConfig:
     """A rung of the ladder: small buttons anywhere on the walls, random start and exit."""
-    puzzle = ButtonsConfig(count=count, graph=graph, buttons=Panels(width=1.5))
+    puzzle = ButtonsConfig(count=count, graph=graph, buttons=Panels(width=1.5), dead_ends=dead_ends)
     settings: dict[str, Any] = {"robot": RobotConfig(body_radius=0.5), "puzzle": puzzle,
                                 "room": ShapeConfig(width=size, depth=size)}
     return RoomConfig(name=name, **(settings | parts))
@@ -227,6 +228,7 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "clutter": clutter,
     "ten-button": lambda: ladder_room("ten-button", 10, GraphConfig(kind="layered", max_parents=2)),
     "twenty-button": lambda: ladder_room("twenty-button", 20, GraphConfig(kind="layered", max_parents=2), 30.0),
+    "dead-ends": lambda: ladder_room("dead-ends", 6, GraphConfig(kind="layered", max_parents=2), dead_ends=4),
     "bit-flip": bit_flip,
     "lights-out": lambda: _panel_puzzle("lights-out", LightsOutConfig(scramble=4)),
     "hanoi": lambda: _panel_puzzle("hanoi", HanoiConfig()),

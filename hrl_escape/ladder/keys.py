@@ -58,9 +58,12 @@ def compute_task_key(puzzle: Puzzle) -> str:
     """Hash of a puzzle's rules; button puzzles that differ in the numbers of their buttons alone have the same."""
     rules = puzzle.to_dict()
     if isinstance(puzzle, ButtonsPuzzle):
-        colours = [int(button == puzzle.goal) for button in range(puzzle.count)]
-        goals, edges = compute_canonical_form(colours, puzzle.edges)
+        colours = [int(button == puzzle.goal) for button in range(puzzle.count)] + [2] * len(puzzle.locks)
+        links = [link for node, (a, b) in enumerate(puzzle.locks, puzzle.count) for link in ((a, node), (node, b))]
+        goals, edges = compute_canonical_form(colours, (*puzzle.edges, *links))
         rules |= {"goal": goals.index(1), "edge_list": edges}
+        if puzzle.locks:  # nodes of a colour of their own
+            rules["locks"] = [node for node, colour in enumerate(goals) if colour == 2]
     return _hash(rules)
 
 

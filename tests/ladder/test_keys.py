@@ -43,6 +43,14 @@ def test_names_of_buttons_are_no_part_of_the_task():
         assert compute_task_key(puzzle) != compute_task_key(other)
 
 
+def test_dead_ends_are_part_of_the_task_and_their_numbers_are_not():
+    puzzle = ButtonsPuzzle(4, ((0, 3), (1, 3)), 3, locks=((2, 0), (1, 0)))
+    shuffled = ButtonsPuzzle(4, ((2, 1), (3, 1)), 1, locks=((0, 2), (3, 2)))
+    assert compute_task_key(puzzle) == compute_task_key(shuffled)
+    for locks in ((), ((2, 0),), ((0, 1), (2, 0)), ((2, 0), (2, 1))):
+        assert compute_task_key(puzzle) != compute_task_key(dataclasses.replace(puzzle, locks=locks))
+
+
 def test_every_kind_of_puzzle_has_a_task():
     for kind in list_puzzles():
         puzzle = get_puzzle_kind(kind).config_type().make_puzzle(np.random.default_rng(0))

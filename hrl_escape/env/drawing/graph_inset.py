@@ -81,7 +81,7 @@ def shorten(name: str) -> str:
 
 
 def draw_graph(axes: Axes, puzzle: Puzzle, state: Hashable) -> None:
-    """Draw the dependencies between a puzzle's targets, coloured by state; the goal has a second ring."""
+    """Draw the dependencies between a puzzle's targets, coloured by state; dots lock, the goal has a second ring."""
     places = compute_layout(len(puzzle.target_names), puzzle.edges)
     right, bottom = (max((p[i] for p in places), default=0.0) for i in (0, 1))
     inches = np.array((axes.bbox.width, axes.bbox.height)) / axes.figure.dpi
@@ -96,6 +96,14 @@ def draw_graph(axes: Axes, puzzle: Puzzle, state: Hashable) -> None:
                 places[parent], places[child], arrowstyle="-|>", mutation_scale=min(9.0, 0.3 * cell),
                 shrinkA=radius * cell, shrinkB=radius * cell + 1, linewidth=min(1.1, 0.04 * cell),
                 color=palette.MUTED, zorder=1,
+            )
+        )
+    for locking, locked in puzzle.locks_between:
+        axes.add_patch(
+            FancyArrowPatch(
+                places[locking], places[locked], arrowstyle="-[,widthB=0.35,lengthB=0", linestyle="dotted",
+                mutation_scale=min(9.0, 0.3 * cell), connectionstyle="arc3,rad=0.25", shrinkA=radius * cell,
+                shrinkB=radius * cell + 2, linewidth=min(1.1, 0.04 * cell), color=palette.LOCK, zorder=1,
             )
         )
     for node, (x, y) in enumerate(places):

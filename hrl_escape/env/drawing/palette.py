@@ -27,6 +27,7 @@ BODY, BODY_EDGE = "#2f6db5", "#1d4474"
 ARM, HAND = "#1c3f6b", "#f08c2e"
 PROP, PROP_EDGE, PLATE = "#8e6bb0", "#5d4380", "#cdbfe0"
 INK, MUTED = "#22262e", "#7b818c"
+LOCK = "#d55e00"
 TRAIL = "#0072b2"
 LINES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9")
 

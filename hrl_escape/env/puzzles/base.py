@@ -165,6 +165,11 @@ class Puzzle(_OfKind):
         return False
 
     @property
+    def has_dead_ends(self) -> bool:
+        """Some presses leave the puzzle where nothing solves it any more, for ever."""
+        return False
+
+    @property
     def is_random(self) -> bool:
         """`update` reads `contacts.uniform`."""
         return False
@@ -270,6 +275,11 @@ class Puzzle(_OfKind):
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:
         """Dependencies (parent, child) between targets, for drawings."""
+        return ()
+
+    @property
+    def locks_between(self) -> tuple[tuple[int, int], ...]:
+        """Pairs (a, b) of targets of which a, once it is on, keeps b from being turned on, for drawings."""
         return ()
 
     @property

@@ -1,19 +1,29 @@
 """The button puzzle (paper, section 5.2): binary buttons that depend on each other along a DAG.
 
 A press turns a button on only if all its parents are on. One button is the goal: while
-it is on, the exit is open. The state is an integer whose bit i is button i.
+it is on, the exit is open. The state is an integer whose bit i is button i. A lock (a, b) is a dead end:
+once a is on, b cannot be turned on any more.
 """
 
 from __future__ import annotations
 
 import dataclasses
+from functools import cached_property
 from typing import Annotated, Literal
 
 import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.bits import GraphPuzzle
-from hrl_escape.env.puzzles.graphs import ButtonNumber, GraphConfig, compute_order, sample_relabelled
+from hrl_escape.env.puzzles.graphs import (
+    ButtonNumber,
+    GraphConfig,
+    compute_order,
+    find_ancestors,
+    sample_locks,
+    sample_relabelled,
+)
+from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -21,6 +31,8 @@ __all__ = ["ButtonsConfig", "ButtonsPuzzle"]
 
 ViolationRule = Literal["ignore", "reset"]
 """Answer to a press with unmet parents: ignore it, or turn all buttons off."""
+_TRIES = 200
+"""Graphs that are drawn for one with enough dead ends."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -29,6 +41,7 @@ class ButtonsConfig(PuzzleConfig):
 
     kind = "buttons"
     _takes_ranges = True
+    _left_out = frozenset({"dead_ends"})
     count: Annotated[int, Range(1, 64)] = 2
     """Number of buttons."""
     graph: GraphConfig = GraphConfig()
@@ -41,6 +54,8 @@ class ButtonsConfig(PuzzleConfig):
     """Number of the goal button from 0, before `graph.relabel` (None: last in topological order)."""
     buttons: Panels = Panels()
     """Sizes and places."""
+    dead_ends: Annotated[int, Range(0, 64)] = 0
+    """Locks: pairs of buttons of which the first, once it is on, locks the second, which the goal needs, for ever."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -49,6 +64,8 @@ class ButtonsConfig(PuzzleConfig):
         if self.graph.kind == "edges":
             compute_order(self.count, self.graph.edges)
         self.buttons.check_places(self.count)
+        if self.dead_ends and (self.allow_off or self.on_violation == "reset"):
+            raise ConfigError("puzzle.dead_ends", self.dead_ends, "0 where buttons can be turned off again")
 
     @property
     def panels(self) -> Panels:
@@ -56,9 +73,18 @@ class ButtonsConfig(PuzzleConfig):
         return self.buttons
 
     def make_puzzle(self, rng: np.random.Generator) -> ButtonsPuzzle:
-        """Sample the dependency graph, then shuffle the buttons' numbers if the graph is to be relabelled."""
-        edges, goal = sample_relabelled(self.graph, self.count, rng, self.goal)
-        return ButtonsPuzzle(self.count, edges, goal, self.on_violation, self.allow_off)
+        """Sample the dependency graph, then shuffle the buttons' numbers if the graph is to be relabelled.
+
+        Raises:
+            ConfigError: graphs like that have no place for so many dead ends.
+        """
+        for _ in range(_TRIES):
+            edges, goal = sample_relabelled(self.graph, self.count, rng, self.goal)
+            locks = sample_locks(self.count, edges, goal, self.dead_ends, rng) if self.dead_ends else ()
+            if len(locks) == self.dead_ends:
+                return ButtonsPuzzle(self.count, edges, goal, self.on_violation, self.allow_off, locks)
+        raise ConfigError("puzzle.dead_ends", self.dead_ends,
+                          "as many as such graphs have pairs of buttons of which neither needs the other")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -66,10 +92,41 @@ class ButtonsPuzzle(GraphPuzzle):
     """A concrete button puzzle. Button i is called `button-<i+1>`."""
 
     kind = "buttons"
+    _left_out = frozenset({"locks"})
     on_violation: ViolationRule = "ignore"
-    """Answer to a press with unmet parents."""
+    """Answer to a press with unmet parents, or of a locked button."""
     allow_off: bool = False
     """Pressing a button that is on turns it off."""
+    locks: tuple[tuple[ButtonNumber, ButtonNumber], ...] = ()
+    """Pairs (a, b): while button a is on, b cannot be turned on."""
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        super().check()
+        if self.locks:
+            if self.allow_off or self.on_violation == "reset":
+                raise ConfigError("puzzle.locks", self.locks, "none where buttons can be turned off again")
+            needed = find_ancestors(self.edge_list, (self.goal,))
+            # in some order nothing that is needed is locked before it is on
+            compute_order(self.count, (*self.edge_list, *((b, a) for a, b in self.locks if b in needed)))
+
+    @cached_property
+    def lock_masks(self) -> tuple[int, ...]:
+        """For each button, the bits of those that lock it."""
+        masks = [0] * self.count
+        for locking, locked in self.locks:
+            masks[locked] |= 1 << locking
+        return tuple(masks)
+
+    @property
+    def locks_between(self) -> tuple[tuple[int, int], ...]:
+        """The locks."""
+        return self.locks
+
+    @property
+    def has_dead_ends(self) -> bool:
+        """There are locks."""
+        return bool(self.locks)
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -83,11 +140,22 @@ class ButtonsPuzzle(GraphPuzzle):
             if state & bit:
                 if self.allow_off:
                     state &= ~bit
-            elif self.parent_masks[button] & ~state == 0:
+            elif self.parent_masks[button] & ~state == 0 and not self.lock_masks[button] & state:
                 state |= bit
             elif self.on_violation == "reset":
                 state = 0
         return state
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """One operator a button, applicable when its parents are on, and neither it nor any that locks it is."""
+        model = super().make_symbolic_model()
+        if not self.locks:
+            return model
+        fact = model.propositions
+        locks = [frozenset(fact[locking] for locking, locked in self.locks if locked == i) for i in range(self.count)]
+        operators = (dataclasses.replace(operator, forbidden=operator.forbidden | locking)
+                     for operator, locking in zip(model.operators, locks, strict=True))
+        return dataclasses.replace(model, operators=tuple(operators))
 
 
 register_puzzle(ButtonsConfig, ButtonsPuzzle)

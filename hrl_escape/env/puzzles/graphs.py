@@ -19,7 +19,7 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range, Settings
 
 __all__ = ["Edges", "GraphConfig", "compute_order", "find_ancestors", "sample_graph", "sample_larg_graph",
-           "sample_relabelled"]
+           "sample_locks", "sample_relabelled"]
 
 Edges = tuple[tuple[int, int], ...]
 
@@ -132,6 +132,29 @@ def sample_relabelled(config: GraphConfig, count: int, rng: np.random.Generator,
         label = rng.permutation(count).tolist()
         edges, last = tuple(sorted((label[parent], label[child]) for parent, child in edges)), label[last]
     return edges, last
+
+
+def sample_locks(count: int, edges: Edges, goal: int, most: int, rng: np.random.Generator) -> Edges:
+    """Sample pairs (a, b) of nodes of which the first locks the second: dead ends that can be walked into and avoided.
+
+    The goal needs b, neither of the two needs the other, and in one order that is drawn first no a comes before its b.
+    Fewer are sampled where there are no more.
+
+    Args:
+        count: number of nodes.
+        edges: (parent, child) pairs.
+        goal: the node to reach.
+        most: number of pairs.
+        rng: generator.
+    """
+    label = rng.permutation(count).tolist()
+    order = compute_order(count, tuple((label[parent], label[child]) for parent, child in edges))
+    place = [order.index(label[node]) for node in range(count)]
+    needs = [find_ancestors(edges, (node,)) for node in range(count)]
+    pairs = [(a, b) for b in sorted(needs[goal]) for a in range(count)
+             if place[b] < place[a] and a not in needs[b] and b not in needs[a]]
+    chosen = rng.choice(len(pairs), min(most, len(pairs)), replace=False).tolist() if pairs else []
+    return tuple(sorted(pairs[number] for number in chosen))
 
 
 def _sample_layered(config: GraphConfig, count: int, rng: np.random.Generator) -> Edges:

@@ -89,6 +89,7 @@ def meets_condition(instance: RoomInstance) -> bool:
     return (
         instance.dynamics.press_with == "body" and instance.door is None and not list_hiders(instance)
         and isinstance(puzzle, ButtonsPuzzle) and puzzle.on_violation == "ignore" and not puzzle.allow_off
+        and not puzzle.has_dead_ends
         and robot.turn_step_deg <= _FINEST_TURN_DEG and robot.move_step <= min(free_x, free_y)
         and min(exit_x, exit_y) >= needed
         and all(_measure_stretch(instance, target, free_x, free_y) >= needed for target in instance.targets)
@@ -198,8 +199,11 @@ class _Search:
                 needed.append(operator)
                 open_facts += operator.preconditions
         facts = puzzle.get_facts(puzzle_state)
+        locking = [op.forbidden - op.add for op in needed] if puzzle.has_dead_ends else []
+        spoils = frozenset[str]().union(*locking)
         for operator in model.operators:
-            if operator in needed and operator.is_applicable(facts) and operator.action == "press":
+            if operator in needed and operator.is_applicable(facts) and operator.action == "press" and not (
+                    operator.add & spoils):
                 return names.index(operator.target)
         return None
 
@@ -211,8 +215,8 @@ class _Search:
         expected, facts = puzzle.update(before.puzzle, Contacts((index,))), puzzle.get_facts(before.puzzle)
 
         def is_better(now: Hashable) -> bool:
-            """Pressing another button on the way is no harm where nothing is undone."""
-            return now == expected or puzzle.get_facts(now) > facts
+            """Pressing another button on the way is no harm where nothing is undone or locked."""
+            return now == expected or (not puzzle.has_dead_ends and puzzle.get_facts(now) > facts)
 
         reach, fan = instance.compute_press_reach(target), math.pi
         if self._hands is not None:

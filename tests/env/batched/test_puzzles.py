@@ -19,6 +19,7 @@ from hrl_escape.env.puzzles.pin_pad import PinPadConfig
 
 KINDS = {
     "buttons": ButtonsConfig(count=7, graph=GraphConfig(kind="random"), on_violation="reset", allow_off=True),
+    "buttons, dead ends": ButtonsConfig(count=7, graph=GraphConfig(kind="layered", max_parents=2), dead_ends=5),
     "bit-flip": BitFlipConfig(count=9),
     "lights-out": LightsOutConfig(rows=3, columns=5, scramble=4),
     "lights-out 4 x 6": LightsOutConfig(rows=4, columns=6, task=4),
