@@ -13,8 +13,15 @@ MUTATIONS = [
     Mutation(
         "one parent is enough",
         "env/puzzles/buttons.py",
-        "elif self.parent_masks[button] & ~state == 0:",
-        "elif not self.parent_masks[button] or self.parent_masks[button] & state:",
+        "elif self.parent_masks[button] & ~state == 0 and",
+        "elif (not self.parent_masks[button] or self.parent_masks[button] & state) and",
+        "env/puzzles/test_buttons.py",
+    ),
+    Mutation(
+        "locks may shut every way",
+        "env/puzzles/graphs.py",
+        "if place[b] < place[a] and a not in needs[b]",
+        "if a not in needs[b]",
         "env/puzzles/test_buttons.py",
     ),
     Mutation(
