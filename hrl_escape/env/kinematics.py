@@ -234,7 +234,7 @@ class Rules:
             chance = draw_chance(before.noise_key, before.primitives) if self._is_random else 0.0
             touching = tuple(i for i in range(moved.touching.bit_length()) if moved.touching >> i & 1)
             has_moved = moved.x != before.x or moved.y != before.y
-            contacts = Contacts(pressed, prop_poses, chance, touching, grip, has_moved)
+            contacts = Contacts(pressed, prop_poses, chance, touching, grip, has_moved, moved.x, moved.y)
             puzzle = self._puzzle.update(puzzle, contacts)
             more = self._puzzle.compute_reward(before.puzzle, puzzle, contacts)
             failed = self._puzzle.is_failed(puzzle)

@@ -32,6 +32,7 @@ from hrl_escape.env.puzzles.hanoi import HanoiConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 from hrl_escape.env.puzzles.pin_pad import PinPadConfig
+from hrl_escape.env.puzzles.puddle_world import PuddleWorldConfig
 from hrl_escape.env.puzzles.push_block import PushBlockConfig
 from hrl_escape.env.puzzles.taxi import TaxiConfig
 from hrl_escape.errors import ConfigError, UnknownNameError
@@ -218,6 +219,20 @@ def four_rooms(slip: str = "any", row: int = 6, column: int = 8) -> RoomConfig:
     )
 
 
+def puddle_world() -> RoomConfig:
+    """Puddle World (Boyan and Moore 1995; Sutton 1996) on the lattice of its moves, without the noise of its moves."""
+    return RoomConfig(
+        name="puddle-world",
+        room=ShapeConfig(width=21, depth=21),
+        robot=RobotConfig(body_radius=0.2, move_step=1, turn_step_deg=90),
+        puzzle=PuddleWorldConfig(),
+        start=StartConfig(place="cells"),
+        exit=ExitConfig(place="fixed", x=9, y=9, width=3, depth=3),
+        reward=RewardConfig(exit=0.0),
+        dynamics=DynamicsConfig(blocked="stay"),
+    )
+
+
 PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "paper-one-button": lambda: paper_room(1),
     "paper-two-button": lambda: paper_room(2),
@@ -240,6 +255,7 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "deep-sea": deep_sea,
     "four-rooms": four_rooms,
     "taxi": taxi,
+    "puddle-world": puddle_world,
     "pin-pad": lambda: _panel_puzzle("pin-pad", PinPadConfig()),
     "push-block": push_block,
 }

@@ -20,13 +20,14 @@ from hrl_escape.env.config import (
 )
 from hrl_escape.env.puzzles.base import Panels, Place, Prop, get_puzzle_kind, list_puzzles
 from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.env.puzzles.places import Capsule
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.settings import Settings, describe_fields
 from tests.env.rooms import all_schematics
 
 PARTS: list[type[Settings]] = [
     RoomConfig, ShapeConfig, RobotConfig, ObstaclesConfig, StartConfig, ExitConfig, RewardConfig, DynamicsConfig,
-    Panels, Place, Prop, GraphConfig, *(get_puzzle_kind(name).config_type for name in list_puzzles()),
+    Capsule, Panels, Place, Prop, GraphConfig, *(get_puzzle_kind(name).config_type for name in list_puzzles()),
 ]
 
 

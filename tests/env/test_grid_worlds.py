@@ -243,7 +243,8 @@ def test_learning_curves_of_taxi_carry_over_to_the_bit():
 
 
 @pytest.mark.parametrize("config", [
-    get_preset("taxi", rainy=True, fickle=True), get_preset("four-rooms", slip="neighbour")], ids=lambda c: c.name)
+    get_preset("taxi", rainy=True, fickle=True), get_preset("four-rooms", slip="neighbour"), get_preset("puddle-world"),
+], ids=lambda c: c.name)
 def test_both_engines_agree_on_the_grid(config):
     found = compare([generate(config, 0)], 3_000, copies=30)
     assert not found.disagreements, found.disagreements[0]
@@ -265,6 +266,73 @@ def test_the_planner_drives_every_ride(rainy, fickle):
             assert plan.compute_return() == 21 - plan.cost
         done = pursue(env, planner=planner)
         assert done.terminated and sum(done.rewards) <= 15
+
+
+# --- Puddle World --------------------------------------------------------------------------
+
+
+class Puddles:
+    """The published square without its noise, on the lattice of its moves; places count twentieths."""
+
+    primitives = (EAST, WEST, NORTH, SOUTH)
+    moves = ((1, 0), (-1, 0), (0, 1), (0, -1))
+
+    def list_states(self):
+        return [(i, j) for i in range(21) for j in range(21) if not self.is_goal(i, j)]
+
+    def is_goal(self, i, j):
+        return i + j >= 38
+
+    def price(self, i, j):
+        """400 times the distance to the nearest edge of a puddle, by cases; its middle line is along an axis."""
+        x, y = i / 20, j / 20
+        first = np.hypot(x - np.clip(x, 0.1, 0.45), y - 0.75)
+        second = np.hypot(x - 0.45, y - np.clip(y, 0.4, 0.8))
+        return 400 * max(0.1 - min(first, second), 0.0)
+
+    def step(self, state, action, slip, chance):
+        i, j = (min(max(at + by, 0), 20) for at, by in zip(state, self.moves[action], strict=True))
+        return GridOutcome((i, j), float(np.round(-1.0 - self.price(i, j), 9)), self.is_goal(i, j))
+
+    def encode(self, state):
+        return state[0] - 10.0, state[1] - 10.0, int(self.is_goal(*state))
+
+
+class RoundedRewards(gymnasium.RewardWrapper):
+    """Rewards to nine digits, for square roots differ in the last one."""
+
+    def reward(self, reward):
+        return float(np.round(reward, 9))
+
+
+def test_puddle_world_is_the_published_square_and_its_values_are_those_of_the_domain():
+    env = RoundedRewards(gymnasium.make("hrl_escape/PuddleWorld-v1"))
+    domain = Puddles()
+    states = domain.list_states()
+    assert len(states) == 441 - 6
+    assert check_isomorphism(env, domain) == 4 * len(states)
+    numbers = {state: n for n, state in enumerate(states)}
+    published = [[[(1.0, numbers.get(o.state, 0), o.reward, o.is_over)]
+                  for o in (domain.step(state, action, 0.0, 0.0) for action in range(4))] for state in states]
+    rules = Kinematics(env.unwrapped.instance)
+    actions = [rules.actions.find(name) for name in domain.primitives]
+    places = {domain.encode(state)[:2]: n for state, n in numbers.items()}
+    start = rules.make_state(rules.instance.starts[0])
+    inside = []
+    for place in places:
+        steps = [rules.step(start._replace(x=place[0], y=place[1], touching=0), action) for action in actions]
+        inside.append([[(1.0, places.get((s.state.x, s.state.y), 0), s.reward, s.terminated)] for s in steps])
+    values = iterate_values(inside, 1.0)
+    assert np.abs(values - iterate_values(published, 1.0)).max() < 1e-6
+    assert values[numbers[0, 0]] == -38.0, "along the edges, past both puddles"
+    between = values[numbers[4, 12]]  # (0.2, 0.6) lies between the puddles: the way out goes round
+    shortest = RoomPlanner(rules.instance).solve(start._replace(x=-6.0, y=2.0))
+    assert shortest.cost == 22 and shortest.compute_return() < between < -22, "the shortest way wades"
+
+
+def test_all_starts_of_puddle_world_are_outside_the_corner():
+    room = generate(get_preset("puddle-world"), 0)
+    assert len(room.starts) == 441 - 9
 
 
 # --- what is refused ------------------------------------------------------------------------

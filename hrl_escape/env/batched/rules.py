@@ -196,7 +196,7 @@ def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorSta
     pressed = touching & ~before.touching
     chance = draw_chance(before.noise_key, before.primitives) if layout.is_puzzle_random else torch.zeros_like(before.x)
     has_moved = (moved.x != before.x) | (moved.y != before.y)
-    contacts = TensorContacts(pressed, chance, touching, grip, has_moved)
+    contacts = TensorContacts(pressed, chance, touching, grip, has_moved, moved.x, moved.y)
     puzzle = form.update(columns, before.puzzle, contacts, layout.targets)
     primitives = before.primitives + 1
     escaped = is_in_exit(layout, tables, moved.instance, moved.x, moved.y) & form.is_solved(columns, puzzle)
@@ -208,7 +208,7 @@ def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorSta
     state = moved._replace(puzzle=puzzle, touching=touching, primitives=primitives,
                            has_ended=(terminated | truncated).to(torch.int32))
     reward = torch.where(escaped, final, each)
-    reward = reward if more is None else reward + torch.where(is_told, more, 0.0)
+    reward = reward if more is None else (reward + torch.where(is_told, more, 0.0)).to(torch.float32)
     return TensorTransition(state, reward, terminated, truncated, pressed)
 
 

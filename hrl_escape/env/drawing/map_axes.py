@@ -23,6 +23,7 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.puzzles.places import Capsule
 
 __all__ = ["Trajectory", "compute_extent", "draw_room", "get_colour"]
 
@@ -130,6 +131,8 @@ def _draw_ticks(axes: Axes, instance: RoomInstance) -> None:
 def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
     for floor in palette.compute_floors(instance):
         axes.add_patch(RectanglePatch(*_measure(floor), facecolor=palette.FLOOR, zorder=0))
+    for puddle in instance.puzzle.puddles:
+        axes.add_patch(_make_capsule(puddle, facecolor=palette.PUDDLE, alpha=0.6, zorder=0.5))
     is_open = instance.puzzle.is_solved(state.puzzle)
     colour = palette.EXIT_OPEN if is_open else palette.EXIT_LOCKED
     corner, wide, high = _measure(instance.exit)
@@ -142,6 +145,16 @@ def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
     if instance.door is not None:
         style: dict[str, Any] = {"fill": False, "linestyle": ":"} if is_open else {"facecolor": palette.DOOR}
         axes.add_patch(_make_outline(instance.door, edgecolor=palette.DOOR, linewidth=1.2, zorder=4, **style))
+
+
+def _make_capsule(capsule: Capsule, **style: Any) -> Patch:
+    """Outline of a segment's surroundings, two half circles and what lies between them."""
+    along = math.atan2(capsule.y2 - capsule.y1, capsule.x2 - capsule.x1)
+    ends = ((capsule.x2, capsule.y2, along - math.pi / 2), (capsule.x1, capsule.y1, along + math.pi / 2))
+    turns = np.linspace(0.0, math.pi, 24)
+    points = [np.stack([x + capsule.radius * np.cos(begin + turns), y + capsule.radius * np.sin(begin + turns)], axis=1)
+              for x, y, begin in ends]
+    return Polygon(np.concatenate(points), **style)
 
 
 def _measure(area: Rectangle) -> tuple[tuple[float, float], float, float]:

@@ -19,6 +19,7 @@ __all__ = ["TargetLook", "compute_floors", "find_front", "get_target_look", "to_
 
 BACKGROUND = "#ffffff"
 FLOOR = "#f4f1ea"
+PUDDLE = "#8db4d6"
 WALL = "#444c5c"
 OBSTACLE, OBSTACLE_EDGE = "#b3a694", "#8d8172"
 EXIT_LOCKED, EXIT_OPEN, EXIT_INK = "#9fb8a8", "#3fae6a", "#1d5c3a"

@@ -17,7 +17,7 @@ from typing import Annotated, Any, ClassVar, NamedTuple, TypeAlias
 import numpy as np
 from typing_extensions import Self
 
-from hrl_escape.env.puzzles.places import Pads, Panels, Place, Prop
+from hrl_escape.env.puzzles.places import Capsule, Pads, Panels, Place, Prop
 from hrl_escape.env.puzzles.symbolic import SOLVED, Operator, SymbolicModel, derive_model, name_state
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.plugins import load_entry_points
@@ -59,6 +59,8 @@ class Contacts(NamedTuple):
         touching: indices of all targets touched at its end, ascending: panels in reach, and pads stood on.
         grip: 1 if the primitive was `grip`, -1 if it was `release`, else 0.
         has_moved: the body's axis has moved.
+        x: place of the body's axis in the room frame, m.
+        y: place of the body's axis in the room frame, m.
     """
 
     pressed: tuple[int, ...]
@@ -67,6 +69,8 @@ class Contacts(NamedTuple):
     touching: tuple[int, ...] = ()
     grip: int = 0
     has_moved: bool = False
+    x: float = 0.0
+    y: float = 0.0
 
 
 @dataclasses.dataclass(frozen=True)
@@ -157,6 +161,11 @@ class Puzzle(_OfKind):
     @property
     def props(self) -> tuple[Prop, ...]:
         """Things on the floor that the room must place."""
+        return ()
+
+    @property
+    def puddles(self) -> tuple[Capsule, ...]:
+        """Stretches of floor that the rules speak of, for maps."""
         return ()
 
     @property

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Annotated, Literal
 
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range, Settings
 
-__all__ = ["Pads", "Panels", "Place", "Prop"]
+__all__ = ["Capsule", "Pads", "Panels", "Place", "Prop"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,6 +82,31 @@ class Pads(Settings):
             ConfigError: there are fewer.
         """
         _check_explicit("pads", self.places, count)
+
+
+@dataclasses.dataclass(frozen=True)
+class Capsule(Settings):
+    """A stretch of floor, all that is nearer than a radius to a segment; the robot drives through it."""
+
+    _section = "capsule"
+    x1: Annotated[float, Range(-110, 110, "m")] = 0.0
+    """One end of the segment."""
+    y1: Annotated[float, Range(-110, 110, "m")] = 0.0
+    """One end of the segment."""
+    x2: Annotated[float, Range(-110, 110, "m")] = 0.0
+    """Its other end."""
+    y2: Annotated[float, Range(-110, 110, "m")] = 0.0
+    """Its other end."""
+    radius: Annotated[float, Range(0.01, 100, "m")] = 1.0
+    """Distance within which the floor belongs to it."""
+
+    def compute_depth(self, x: float, y: float) -> float:
+        """How far inside a place is from the edge, m; 0 outside."""
+        along_x, along_y, to_x, to_y = self.x2 - self.x1, self.y2 - self.y1, x - self.x1, y - self.y1
+        length = along_x * along_x + along_y * along_y
+        share = min(max((to_x * along_x + to_y * along_y) / length, 0.0), 1.0) if length else 0.0
+        off_x, off_y = to_x - share * along_x, to_y - share * along_y
+        return max(self.radius - math.sqrt(off_x * off_x + off_y * off_y), 0.0)
 
 
 def _check_explicit(section: str, places: str | tuple[Place, ...], count: int) -> None:

@@ -191,7 +191,8 @@ def test_puzzles_follow_their_scalar_rules_up_to_64_bits(count):
             presses = [tuple(np.flatnonzero(rng.random(count) < 0.6 ** np.abs(np.arange(count) - near)).tolist())
                        for _ in group]
             bits = torch.tensor([as_signed(sum(1 << i for i in pressed)) for pressed in presses])
-            touched = TensorContacts(bits, torch.zeros(len(bits)), bits, 0 * bits, bits != 0)
+            none = torch.zeros(len(bits))
+            touched = TensorContacts(bits, none, bits, 0 * bits, bits != 0, none, none)
             words = form.update(tables, words, touched, count)
             states = [puzzle.update(state, base.Contacts(pressed))
                       for puzzle, state, pressed in zip(group, states, presses, strict=True)]

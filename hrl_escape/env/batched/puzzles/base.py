@@ -35,6 +35,8 @@ class TensorContacts(NamedTuple):
         touching: bits of all targets touched at its end, int64 (rooms,).
         grip: 1 where the primitive was `grip`, -1 where it was `release`, else 0, int64 (rooms,).
         has_moved: true where the body's axis has moved, bool (rooms,).
+        x: places of the bodies' axes, m, float64 (rooms,).
+        y: places of the bodies' axes, m, float64 (rooms,).
     """
 
     pressed: Tensor
@@ -42,6 +44,8 @@ class TensorContacts(NamedTuple):
     touching: Tensor
     grip: Tensor
     has_moved: Tensor
+    x: Tensor
+    y: Tensor
 
 
 class TensorPuzzle(ABC):
@@ -80,7 +84,7 @@ class TensorPuzzle(ABC):
 
     def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts
                        ) -> Tensor | None:
-        """Reward of a primitive on top of the room's own, float32 (rooms,); None for none.
+        """Reward of a primitive on top of the room's own, float32 or float64 (rooms,); None for none.
 
         It counts where something was pressed or gripped, or where puzzles watch every primitive.
         """

@@ -1,0 +1,118 @@
+"""Puddle World (Boyan and Moore 1995; Sutton 1996): reach a corner, and stay out of the puddles on the way.
+
+A primitive that ends in a puddle costs more the further inside it ends. The goal is a pad across the corner; the state
+is 1 once it has been entered. The published square of side 1 is 20 m wide here, with its middle in the room's.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Annotated, Any
+
+import numpy as np
+
+from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.places import Capsule, Pads, Place
+from hrl_escape.settings import Range
+
+__all__ = ["PUDDLES", "PuddleWorldConfig", "PuddleWorldPuzzle"]
+
+PUDDLES = (Capsule(-8, 5, -1, 5, 2), Capsule(-1, -2, -1, 6, 2))
+"""The published puddles of radius 0.1, from (0.1, 0.75) to (0.45, 0.75) and from (0.45, 0.4) to (0.45, 0.8)."""
+CORNER = Pads(3, 1.5, (Place(9 + 0.75 * 0.5**0.5 - 1e-6, 9 + 0.75 * 0.5**0.5 - 1e-6, -45),))
+"""The published goal, x + y >= 1.9; a micrometre more, so that places on its edge count."""
+
+Cost = Annotated[float, Range(0, 1_000, "1/m")]
+
+
+@dataclasses.dataclass(frozen=True)
+class PuddleWorldConfig(PuzzleConfig):
+    """Schematic of Puddle World."""
+
+    kind = "puddle-world"
+    areas: tuple[Capsule, ...] = PUDDLES
+    """Puddles; where some overlap, the deepest counts."""
+    cost: Cost = 20.0
+    """Price of a primitive that ends in a puddle, for each metre to the puddle's edge."""
+    goal: Pads = CORNER
+    """Size and place of the goal."""
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        self.goal.check_places(1)
+
+    @property
+    def pads(self) -> Pads:
+        """Size and place of the goal."""
+        return self.goal
+
+    def make_puzzle(self, rng: np.random.Generator) -> PuddleWorldPuzzle:
+        """Nothing depends on the instance seed."""
+        return PuddleWorldPuzzle(self.areas, self.cost)
+
+
+@dataclasses.dataclass(frozen=True)
+class PuddleWorldPuzzle(Puzzle):
+    """Concrete puddles; the only target is the pad `goal`."""
+
+    kind = "puddle-world"
+    areas: tuple[Capsule, ...] = PUDDLES
+    """Puddles; where some overlap, the deepest counts."""
+    cost: Cost = 20.0
+    """Price of a primitive that ends in a puddle, for each metre to the puddle's edge."""
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """The goal."""
+        return ("goal",)
+
+    @property
+    def pad_names(self) -> tuple[str, ...]:
+        """The goal is a pad."""
+        return self.target_names
+
+    @property
+    def puddles(self) -> tuple[Capsule, ...]:
+        """The puddles."""
+        return self.areas
+
+    @property
+    def is_watching(self) -> bool:
+        """Every primitive may end in a puddle."""
+        return True
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """0 or 1."""
+        return ((0.0, 1.0),)
+
+    def make_state(self) -> int:
+        """The goal has not been entered."""
+        return 0
+
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside is 0 or 1."""
+        return type(state) is int and state in (0, 1)
+
+    def update(self, state: int, contacts: Contacts) -> int:
+        """Enter the goal."""
+        return int(state or bool(contacts.pressed))
+
+    def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
+        """The price of the deepest puddle at the place that the primitive led to."""
+        return -self.cost * max((area.compute_depth(contacts.x, contacts.y) for area in self.areas), default=0.0)
+
+    def is_solved(self, state: int) -> bool:
+        """The goal has been entered."""
+        return state == 1
+
+    def observe(self, state: int) -> tuple[float, ...]:
+        """1 once the goal has been entered."""
+        return (float(state),)
+
+    def get_lit(self, state: int) -> tuple[bool, ...]:
+        """The goal, once it has been entered."""
+        return (state == 1,)
+
+
+register_puzzle(PuddleWorldConfig, PuddleWorldPuzzle)
