@@ -23,6 +23,7 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.noise import draw_episode
 from hrl_escape.errors import EscapeError, FileReadError, PlanningFailed
 from hrl_escape.files import read_json, write_json
+from hrl_escape.planning.goals import Goal
 from hrl_escape.planning.lower_bounds import bound_escape
 from hrl_escape.planning.plan import Plan, strip
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
@@ -224,7 +225,7 @@ ROLLOUTS = 20
 
 
 class Replanner:
-    """Policy that follows the best known plan and plans anew where the robot is not where the plan has it.
+    """Policy that follows the best known plan and plans the next leg anew where the robot is not where it should be.
 
     Args:
         instance: the room.
@@ -234,6 +235,8 @@ class Replanner:
         self._instance = instance
         self._plan: Plan | None = None
         self._next = 0
+        self._order: tuple[Goal, ...] = ()
+        self._puzzle: Hashable = None
 
     def choose(self, state: RoomState, begins: bool) -> int | None:
         """Next primitive; None where no plan leads out.
@@ -260,10 +263,16 @@ class Replanner:
         return False
 
     def _make_plan(self, state: RoomState, begins: bool) -> Plan | None:
+        planner = get_planner(self._instance)
         try:
-            return (find_best_known(self._instance, state).plan if begins
-                    else get_planner(self._instance).solve(state))
+            if begins:
+                self._order = ()
+                return find_best_known(self._instance, state).plan
+            if not self._order or state.puzzle != self._puzzle:  # a press may have made another order the best
+                self._order, self._puzzle = planner.order_goals(state), state.puzzle
+            return planner.plan_onward(state, self._order)
         except EscapeError:
+            self._order = ()
             return None
 
 

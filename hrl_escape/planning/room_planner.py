@@ -189,25 +189,58 @@ class RoomPlanner(TaskPlanner):
 
     def _shorten_escape(self, state: RoomState, plan: Plan, settings: SearchSettings, clock: Clock) -> Plan:
         """The escape, or a shorter one found jointly; presses by hand, props and odd headings stay as they are."""
-        room = self.instance
-        if (room.dynamics.press_with == "hand" or room.props or state.heading_offset or room.puzzle.has_reward
-                or not plan.parts or not all(isinstance(part.goal, (PressGoal, ExitGoal)) for part in plan.parts)):
+        order = [part.goal for part in plan.parts]
+        if state.heading_offset or not order or not self._can_join(order):
             return plan
         with self._lock:
-            if self._joint is None:
-                self._joint = JointSearch(self.rules, self.get_field_maker(True), self.get_field_maker(False))
-            offsets = EFFORT_OFFSETS[: 2 + settings.effort]
+            joint, offsets = self._get_joint_search(), EFFORT_OFFSETS[: 2 + settings.effort]
             nodes = min(settings.budget, NODES_A_SEARCH * 4**settings.effort)
             try:
-                found, spent = self._joint.find_plan(state, [[part.goal for part in plan.parts]], plan.cost,
-                                                     clock=clock, offsets=offsets, nodes=nodes)
+                found, spent = joint.find_plan(state, [order], plan.cost, clock=clock, offsets=offsets, nodes=nodes)
             except OutOfTime:
                 return plan
             if found is None:
                 return dataclasses.replace(plan, expansions=plan.expansions + spent)
-            goals = self._joint.list_goals(state, found)
+            goals = joint.list_goals(state, found)
         return dataclasses.replace(self.make_plan(state, found, goals, "joint search"),
                                    expansions=plan.expansions + spent)
+
+    def _can_join(self, order: Sequence[Goal]) -> bool:
+        """Return whether legs to these goals can be planned jointly: all is pressed by the body and counts the same."""
+        room = self.instance
+        is_plain = not (room.dynamics.press_with == "hand" or room.props or room.puzzle.has_reward)
+        return is_plain and all(isinstance(goal, (PressGoal, ExitGoal)) for goal in order)
+
+    def _get_joint_search(self) -> JointSearch:
+        """Fields of the puzzle's states, made on first use; to be held under the lock."""
+        if self._joint is None:
+            self._joint = JointSearch(self.rules, self.get_field_maker(True), self.get_field_maker(False))
+        return self._joint
+
+    def plan_onward(self, state: RoomState, order: Sequence[Goal]) -> Plan:
+        """Plan the next leg of an escape that noise has led astray, within milliseconds.
+
+        Where the body presses, the leg ends where the rest is short, and may be one of another order if that has
+        become shorter. Elsewhere it leads to the first goal.
+
+        Args:
+            state: present state.
+            order: goals that are left, in order, such as those of `order_goals`.
+
+        Raises:
+            PlanningFailed: the first goal cannot be reached.
+        """
+        began = read_clock()
+        self.check_query(state, *order)
+        if self.method in ("auto", "fields") and self._can_join(order) and not self.has_escaped(state):
+            with self._lock:
+                joint = self._get_joint_search()
+                found = joint.find_leg(state, order)
+                goals = joint.list_goals(state, found or ())[:1]
+            if found is not None:
+                plan = self.make_plan(state, found, goals, "joint search")
+                return dataclasses.replace(plan, seconds=read_clock() - began)
+        return self.plan(state, order[0])
 
     def follow_goals(self, state: RoomState, goals: Sequence[Goal], clock: Clock, settings: SearchSettings) -> Plan:
         """Plan to goals in order, to each from the true end of the one before.

@@ -13,7 +13,7 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections.abc import Hashable, Iterable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,15 @@ HEURISTIC_OFFSETS = (0, 2)
 """Primitives subtracted from the cost-to-go in each search: none for a quick plan, then some for a shorter one."""
 NODES_A_SEARCH = 20_000
 """Nodes that each search may expand."""
+NODES_A_LEG = 2_000
+"""Nodes that the search for one leg may expand."""
+MOST_PRIMITIVES = np.iinfo(np.int16).max
+"""Beyond the longest plan that a field knows."""
+
+
+_Fields: TypeAlias = dict[Hashable, NDArray[np.int16]]
+_Ways: TypeAlias = tuple[tuple[int, int], ...]
+"""What a field rests on: (target, number of the field after its press) for each press that leads on; () at the exit."""
 
 
 class _Presses(NamedTuple):
@@ -65,7 +74,9 @@ class JointSearch:
         """
         self.rules, self._shut, self._opened = rules, shut, opened
         self._presses: dict[int, _Presses] = {}
-        self._fields: dict[tuple, NDArray[np.int16]] = {}
+        self._fields: list[NDArray[np.int16]] = []
+        self._numbers: dict[_Ways, int] = {}
+        self._recent: tuple[tuple, _Fields] | None = None
 
     def find_plan(self, state: RoomState, orders: Iterable[Sequence[Goal]], most: int, *, clock: Clock = NO_LIMIT,
                   offsets: Sequence[int] = HEURISTIC_OFFSETS, nodes: int = NODES_A_SEARCH
@@ -83,7 +94,7 @@ class JointSearch:
         Returns:
             Fewer than `most` primitives that end the episode by escaping, or None; and the nodes expanded.
         """
-        fields = self._make_fields(state, self._list_puzzle_states(state.puzzle, orders), clock)
+        fields = self._get_fields(state, orders, clock)
         best, spent = None, 0
         for offset in offsets:
             if clock.is_up() or state.puzzle not in fields:
@@ -91,6 +102,24 @@ class JointSearch:
             found, used = self._search(state, fields, offset, most if best is None else len(best), nodes, clock)
             best, spent = found or best, spent + used
         return best, spent
+
+    def find_leg(self, state: RoomState, order: Sequence[Goal], *, clock: Clock = NO_LIMIT) -> tuple[int, ...] | None:
+        """Search for the primitives to the next change of the puzzle, or to the exit, where the rest is short.
+
+        It takes milliseconds, as what comes after is not searched: its field says what that costs.
+
+        Args:
+            state: first state, whatever its heading.
+            order: goals that are left, looked at if the puzzle has more states than fit.
+            clock: time limit.
+
+        Returns:
+            The primitives; None if the fields lead nowhere from here.
+        """
+        fields = self._get_fields(state, [order], clock)
+        if state.puzzle not in fields:
+            return None
+        return self._search(state, fields, 0, MOST_PRIMITIVES, NODES_A_LEG, clock, one_leg=True)[0]
 
     def list_goals(self, state: RoomState, primitives: Sequence[int]) -> tuple[Goal, ...]:
         """Presses that change the puzzle on the way of a plan, in order, and the exit."""
@@ -128,33 +157,41 @@ class JointSearch:
                     known[puzzle] = None
         return list(known)
 
-    def _make_fields(self, state: RoomState, puzzles: list[Hashable], clock: Clock
-                     ) -> dict[Hashable, NDArray[np.int16]]:
+    def _get_fields(self, state: RoomState, orders: Iterable[Sequence[Goal]], clock: Clock) -> _Fields:
+        """Fields of the puzzle states ahead; those of the call before if it asked for the same."""
+        key = (state.puzzle, tuple(map(tuple, orders)))
+        if self._recent is None or self._recent[0] != key:
+            fields = self._make_fields(state, self._list_puzzle_states(state.puzzle, key[1]), clock)
+            self._recent = key, fields
+        return self._recent[1]
+
+    def _make_fields(self, state: RoomState, puzzles: list[Hashable], clock: Clock) -> _Fields:
         """Fields of puzzle states, from the solved ones backwards; states with the same prospects share one."""
         targets = range(len(self.rules.instance.targets))
         is_solved = self.rules.instance.puzzle.is_solved
-        fields: dict[Hashable, tuple] = {puzzle: ("exit",) for puzzle in puzzles if is_solved(puzzle)}
-        left = [puzzle for puzzle in puzzles if puzzle not in fields]
-        if ("exit",) not in self._fields:
+        if not self._fields:
             area = compute_goal_area(ExitGoal(), self.rules.instance)
-            self._fields["exit",] = self._opened.make_field(self._opened.find_seeds(*area), clock=clock)
+            self._fields.append(self._opened.make_field(self._opened.find_seeds(*area), clock=clock))
+        numbers = {puzzle: 0 for puzzle in puzzles if is_solved(puzzle)}
+        left = [puzzle for puzzle in puzzles if puzzle not in numbers]
         while left:
-            ready = {}
+            ready: dict[Hashable, _Ways] = {}
             for puzzle in left:
-                ways = tuple((t, fields[then]) for t in targets if (then := self._press(puzzle, t)) in fields)
+                ways = tuple((t, numbers[then]) for t in targets if (then := self._press(puzzle, t)) in numbers)
                 if ways:
                     ready[puzzle] = ways
             if not ready:
                 break
             for puzzle, ways in ready.items():
-                if ways not in self._fields:
-                    self._fields[ways] = self._make_field(state, ways, clock)
-                fields[puzzle] = ways
+                if ways not in self._numbers:
+                    self._fields.append(self._make_field(state, ways, clock))
+                    self._numbers[ways] = len(self._fields) - 1
+                numbers[puzzle] = self._numbers[ways]
             left = [puzzle for puzzle in left if puzzle not in ready]
-        return {puzzle: self._fields[ways] for puzzle, ways in fields.items()}
+        return {puzzle: self._fields[number] for puzzle, number in numbers.items()}
 
-    def _make_field(self, state: RoomState, ways: tuple, clock: Clock) -> NDArray[np.int16]:
-        """Field of a puzzle state: (target, key of the field after its press) for each press that leads on."""
+    def _make_field(self, state: RoomState, ways: _Ways, clock: Clock) -> NDArray[np.int16]:
+        """Field of a puzzle state."""
         states, costs = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
         for target, after in ways:
             presses = self._find_presses(state, target)
@@ -193,12 +230,13 @@ class JointSearch:
 
     # --- the search ----------------------------------------------------------------------
 
-    def _search(self, state: RoomState, fields: dict[Hashable, NDArray[np.int16]], offset: int, most: int, nodes: int,
-                clock: Clock) -> tuple[tuple[int, ...] | None, int]:
+    def _search(self, state: RoomState, fields: _Fields, offset: int, most: int, nodes: int, clock: Clock,
+                one_leg: bool = False) -> tuple[tuple[int, ...] | None, int]:
         """A* over primitives; poses in one cell of the grid, with the same puzzle state, count as one."""
         rules, (low_x, low_y), size = self.rules, self._shut.low.tolist(), self._shut.size
         (columns, rows), classes = self._shut.shape, self._shut.classes
-        costs = {puzzle: field.tolist() for puzzle, field in fields.items()}
+        shift = round(state.heading_offset / rules.turn_step)
+        costs = {puzzle: field.data for puzzle, field in fields.items()}
         tie = itertools.count()
         heap: list[tuple[int, int, int, RoomState, Any]] = [(0, 0, next(tie), state, None)]
         best: dict[tuple[Hashable, int, bool], int] = {}
@@ -223,13 +261,14 @@ class JointSearch:
                     continue
                 i = min(max(int((after.x - low_x) / size), 0), columns - 1)
                 j = min(max(int((after.y - low_y) / size), 0), rows - 1)
-                place = (i * rows + j) * classes + after.heading_steps % classes
+                place = (i * rows + j) * classes + (after.heading_steps + shift) % classes
                 cost_to_go = field[place]
+                ends = one_leg and after.puzzle != state.puzzle
                 total = spent + max(cost_to_go - offset, 0)
                 key = (after.puzzle, place, after.touching != 0)
                 if 0 <= cost_to_go and total < most and spent < best.get(key, most):
                     best[key] = spent
-                    heapq.heappush(heap, (total, -spent, next(tie), after, (trail, action, False)))
+                    heapq.heappush(heap, (total, -spent, next(tie), after, (trail, action, ends)))
         return None, nodes
 
 

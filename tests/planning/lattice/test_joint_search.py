@@ -118,6 +118,35 @@ def test_a_published_room_takes_two_primitives_fewer_than_leg_after_leg():
     assert planner.solve(start).cost == 34 and plan_by_legs(planner, start).cost == 36
 
 
+def follow_onward(planner: RoomPlanner, state, order) -> int:
+    """Primitives of an escape whose legs are planned one by one, each where the one before ends."""
+    spent = 0
+    while not planner.has_escaped(state):
+        leg = planner.plan_onward(state, order)
+        assert [part.goal for part in leg.parts] and leg.states[0] == state
+        spent, state = spent + leg.cost, leg.states[-1]
+    return spent
+
+
+def test_legs_planned_onward_escape_in_little_more_than_the_joint_plan():
+    """In these small rooms a field's error of one primitive a leg is a tenth of it."""
+    jointly = by_legs = onward = 0
+    for seed in range(4):
+        planner = RoomPlanner(make_room(3, seed))
+        start = planner.rules.make_state(planner.instance.starts[0])
+        jointly, by_legs = jointly + planner.solve(start).cost, by_legs + plan_by_legs(planner, start).cost
+        onward += follow_onward(planner, start, planner.order_goals(start))
+    assert jointly <= onward <= 1.12 * jointly, f"{onward} onward, {jointly} jointly, {by_legs} leg after leg"
+
+
+def test_legs_planned_onward_begin_at_any_heading():
+    planner = RoomPlanner(generate(get_preset("paper-two-button"), 0))
+    start = planner.rules.make_state(planner.instance.starts[0])
+    order = planner.order_goals(start)
+    for offset in (-0.3, 0.05, 1.2):
+        assert follow_onward(planner, start._replace(heading_offset=offset), order) <= 37, "34 along the lattice"
+
+
 def test_puzzles_with_too_many_states_are_searched_along_the_best_order():
     planner = RoomPlanner(make_room(8, 0, side=10.0))
     start = planner.rules.make_state(planner.instance.starts[0])
