@@ -31,7 +31,7 @@ from hrl_escape.planning.collision_map import CollisionMap
 from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, RegionGoal, is_reached
 from hrl_escape.planning.lattice.areas import Area, compute_goal_area, find_headings
 from hrl_escape.planning.lattice.cost_to_go import FieldMaker, Seeds, make_collision
-from hrl_escape.planning.lattice.search_run import SearchProblem, SearchResult, SearchRun
+from hrl_escape.planning.lattice.search_run import HeadingTable, SearchProblem, SearchResult, SearchRun
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 
 if TYPE_CHECKING:
@@ -253,7 +253,7 @@ class PrimitiveSearch:
 
     def _search_variants(self, problem: SearchProblem, variants: Iterator[_Variant], budget: int) -> SearchResult:
         """SearchRun after run until one reaches the goal or the budget is spent."""
-        spent, nearest = 0, (problem.state.x, problem.state.y)
+        spent, nearest, offset = 0, (problem.state.x, problem.state.y), problem.state.heading_offset
         reason, has_sought_proof = PlanningReason.UNREACHABLE_AT_RESOLUTION, False
         for maker, field, avoiding, method in variants:
             if problem.clock.is_up():
@@ -269,7 +269,8 @@ class PrimitiveSearch:
                     break
                 continue
             run = SearchRun(problem, self.kinematics, maker, field, avoiding=avoiding,
-                              reacher=None if problem.table is None else self.reacher)
+                            headings=self._headings if offset == 0.0 else HeadingTable.make(self.kinematics, offset),
+                            reacher=None if problem.table is None else self.reacher)
             limit = (budget - spent) // 2 if avoiding else budget - spent  # leave some for a search without avoiding
             ended, nodes = self._run_schedule(run, limit)
             spent += nodes
@@ -280,6 +281,10 @@ class PrimitiveSearch:
                 reason = ended
                 break
         return SearchResult(reason, (), (problem.state,), expansions=spent, nearest=nearest)
+
+    @cached_property
+    def _headings(self) -> HeadingTable:
+        return HeadingTable.make(self.kinematics, 0.0)
 
     def _run_schedule(self, run: SearchRun, budget: int) -> tuple[SearchResult | PlanningReason, int]:
         """Search by the schedule until a plan is found, then once more for a shorter one."""

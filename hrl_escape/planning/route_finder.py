@@ -338,9 +338,9 @@ class RouteFinder:
             )
         if not result.primitives:  # already at the goal
             return Route((), (get_pose(begin),), (), 0, result.method)
-        route = self.replay(begin, result.primitives, goal, keep_out)
-        assert route is not None, "a search must return what its own replay reaches"
-        return route._replace(expansions=result.expansions, method=result.method, timed_out=result.timed_out)
+        assert not keep_out or self.replay(begin, result.primitives, goal, keep_out), "a search keeps out of these"
+        return Route(result.primitives, tuple(map(get_pose, result.states)), result.also_pressed, result.expansions,
+                     result.method, result.timed_out)
 
     def _explain(self, goal: Goal) -> str:
         """Reason why the hand never touches a target, empty if it can; computed once a target, for it takes seconds."""

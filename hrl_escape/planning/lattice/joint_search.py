@@ -23,6 +23,7 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.planning.clock import NO_LIMIT, Clock
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
+from hrl_escape.planning.lattice import a_star
 from hrl_escape.planning.lattice.areas import compute_goal_area
 from hrl_escape.planning.lattice.cost_to_go import FieldMaker, Seeds
 
@@ -36,13 +37,11 @@ NODES_A_SEARCH = 20_000
 """Nodes that each search may expand."""
 NODES_A_LEG = 2_000
 """Nodes that the search for one leg may expand."""
-MOST_PRIMITIVES = np.iinfo(np.int16).max
-"""Beyond the longest plan that a field knows."""
 
 
 _Fields: TypeAlias = dict[Hashable, NDArray[np.int16]]
 _Ways: TypeAlias = tuple[tuple[int, int], ...]
-"""What a field rests on: (target, number of the field after its press) for each press that leads on; () at the exit."""
+"""Key of a field: (target, number of the field after its press) for each press that leads on; () at the exit."""
 
 
 class _Presses(NamedTuple):
@@ -119,7 +118,7 @@ class JointSearch:
         fields = self._get_fields(state, [order], clock)
         if state.puzzle not in fields:
             return None
-        return self._search(state, fields, 0, MOST_PRIMITIVES, NODES_A_LEG, clock, one_leg=True)[0]
+        return self._search(state, fields, 0, a_star.MOST_PRIMITIVES, NODES_A_LEG, clock, one_leg=True)[0]
 
     def list_goals(self, state: RoomState, primitives: Sequence[int]) -> tuple[Goal, ...]:
         """Presses that change the puzzle on the way of a plan, in order, and the exit."""

@@ -26,7 +26,7 @@ from hrl_escape.planning.lattice.cost_to_go import FieldMaker
 if TYPE_CHECKING:
     from hrl_escape.planning.arm.reacher import Reacher, ReachTable
 
-__all__ = ["SearchProblem", "SearchResult", "SearchRun"]
+__all__ = ["HeadingTable", "SearchProblem", "SearchResult", "SearchRun"]
 
 _SLICE = 5_000  # nodes between two looks at the clock
 _NODES = 1 << 11
@@ -92,33 +92,53 @@ class SearchProblem(NamedTuple):
     effort: int = 0
 
 
+class HeadingTable(NamedTuple):
+    """Directions and moves at every heading of the lattice, shared by all searches with one heading offset.
+
+    Attributes:
+        turns: cosine and sine, shape (headings, 2).
+        moves: displacement of each translation, shape (headings, translations, 2), m.
+    """
+
+    turns: NDArray[np.float64]
+    moves: NDArray[np.float64]
+
+    @classmethod
+    def make(cls, rules: Kinematics, heading_offset: float) -> HeadingTable:
+        """Compute the table for headings that lie beside the lattice by an offset, rad."""
+        turns = np.array([rules.get_rotation(n, heading_offset) for n in range(rules.headings)])
+        return cls(turns, rules.instance.robot.move_step * rules.actions.compute_moves(*turns.T))
+
+
 class SearchRun:
-    """One search with one field; `advance` continues it.
+    """One search with one field; `restart` begins it and `advance` continues it.
 
     Attributes:
         expansions: nodes expanded so far.
     """
 
     def __init__(self, problem: SearchProblem, kinematics: Kinematics, maker: FieldMaker, field: NDArray[np.int16], *,
-                 avoiding: bool, reacher: Reacher | None) -> None:
-        """Set the search up; nothing is expanded yet.
+                 headings: HeadingTable, avoiding: bool, reacher: Reacher | None) -> None:
+        """State the query.
 
         Args:
             problem: the problem.
             kinematics: the room's kinematics without noise and slip.
             maker: the grid of the field.
             field: cost-to-go over the grid's cells.
+            headings: of the state's heading offset.
             avoiding: forbid touching other targets and entering an open exit.
             reacher: the arm, for a press by hand.
         """
         self.problem, self.kinematics, self._maker, self._avoiding = problem, kinematics, maker, avoiding
         self._reacher = reacher
-        self._query = self._make_query(field)
-        self._frontier = a_star.make_frontier(_NODES)
+        self._query = self._make_query(field, headings)
+        self._frontier: a_star.Frontier
+        self._nodes = _NODES
         self._completed: dict[int, tuple[int, ...]] = {}
 
     def restart(self, *, offset: int = 0, weight: float = 1.0, most: int = a_star.MOST_PRIMITIVES) -> None:
-        """Start again with another heuristic, for a shorter plan or for any plan with fewer nodes.
+        """Start with a heuristic; start again with another for a shorter plan, or for any plan with fewer nodes.
 
         Args:
             offset: primitives subtracted from the cost-to-go, against overestimates of the grid; negative to add
@@ -127,7 +147,7 @@ class SearchRun:
             most: plans of this many primitives or more are discarded.
         """
         self._query = self._query._replace(offset=offset, weight=weight)
-        self._frontier = a_star.make_frontier(_NODES, most)
+        self._frontier = a_star.make_frontier(self._nodes, most)
         self._completed.clear()
 
     @property
@@ -150,6 +170,7 @@ class SearchRun:
                     return result
             elif node == a_star.GROW:
                 self._frontier = a_star.enlarge_frontier(self._frontier)
+                self._nodes = len(self._frontier.links)
             elif node == a_star.EXHAUSTED:
                 return PlanningReason.UNREACHABLE_AT_RESOLUTION
             elif self.expansions >= budget:
@@ -167,14 +188,14 @@ class SearchRun:
 
     # --- the query as arrays -----------------------------------------------------------
 
-    def _make_query(self, field: NDArray[np.int16]) -> a_star.SearchQuery:
+    def _make_query(self, field: NDArray[np.int16], headings: HeadingTable) -> a_star.SearchQuery:
         problem, rules, maker = self.problem, self.kinematics, self._maker
         state, goal, instance = problem.state, problem.goal, rules.instance
         target = goal.target if isinstance(goal, PressGoal) else -1
         others = sum(1 << i for i in range(len(instance.targets)) if i != target)
         by_hand = instance.dynamics.press_with == "hand"
         hand = rules.get_hand_in_base(state.joint_steps, state.joint_offsets) if by_hand else (0.0, 0.0, 0.0)
-        turns = np.array([rules.get_rotation(n, state.heading_offset) for n in range(rules.headings)])
+        turns = headings.turns
         reaches = np.array([instance.compute_press_reach(target, hand[2]) for target in instance.targets], dtype=float)
         presser = np.stack([turns @ (hand[0], -hand[1]), turns @ (hand[1], hand[0])], axis=1)
         shun_exit = self._avoiding and not isinstance(goal, ExitGoal) and instance.puzzle.is_solved(state.puzzle)
@@ -188,7 +209,7 @@ class SearchRun:
         layers = len(field) // len(maker.points)
         return a_star.SearchQuery(
             x=state.x, y=state.y, heading=state.heading_steps, touched=np.uint64(state.touching),
-            moves=self._compute_moves(turns), length=instance.robot.move_step,
+            moves=headings.moves, length=instance.robot.move_step,
             stays=instance.dynamics.blocked == "stay", presser=presser,
             targets=maker.targets, reaches=reaches,
             forbidden=np.uint64(others if self._avoiding else 0), keep_out=stack_footprints(problem.keep_out),
@@ -198,12 +219,6 @@ class SearchRun:
             size=maker.size, rows=maker.shape[1], offset=0, weight=1.0, table=table,
             table_low=table_low, table_size=table_size, bin_size=maker.bin_size, bin_headings=bin_headings,
         )
-
-    def _compute_moves(self, turns: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displacement of each translating primitive at each heading, shape (headings, translations, 2), m."""
-        cos, sin = turns.T
-        step = self.kinematics.instance.robot.move_step
-        return step * self.kinematics.actions.compute_moves(cos, sin)
 
     # --- candidates --------------------------------------------------------------------
 
