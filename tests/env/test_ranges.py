@@ -142,6 +142,7 @@ def test_synchronous_vectors_take_rooms_of_different_sizes():
 
 
 def test_options_of_absent_buttons_are_masked_and_cost_one_primitive(rooms):
+    rooms = sorted(rooms, key=lambda room: len(room.targets))[::4]
     batched = BatchedOptionsEnv(len(rooms), instance=rooms, include_primitives=False)
     batched.reset(torch.arange(len(rooms)))
     for number, room in enumerate(rooms):

@@ -27,7 +27,7 @@ from hrl_escape.errors import UnsupportedError
 from hrl_escape.options.batched.value_iteration import UNREACHABLE, iterate_values, trace_moves
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.lattice.areas import compute_goal_area
-from hrl_escape.planning.lattice.cost_to_go import FieldMaker
+from hrl_escape.planning.lattice.cost_to_go import FieldMaker, lay_grid
 
 __all__ = [
     "OTHER_PRESS_COST",
@@ -120,11 +120,12 @@ def _compute(instance: RoomInstance) -> InstanceFields:
     rules = Kinematics(instance, is_still=True)
     offsets = {start.heading_offset for start in instance.starts}
     offset = offsets.pop() if len(offsets) == 1 and not instance.dynamics.noise else 0.0
-    grids = [_FieldGrid(instance, rules, offset, is_solved) for is_solved in (False, True)]
+    shut = _FieldGrid(instance, rules, offset, door_shut=True)
+    grids = shut, shut if instance.door is None else _FieldGrid(instance, rules, offset, door_shut=False)
+    maker = shut.maker
     goals: list[Goal] = [PressGoal(i) for i in range(len(instance.targets))]
-    costs = [grids[is_solved].compute_costs(goal) for goal in goals for is_solved in (False, True)]
-    costs.append(grids[instance.door is not None].compute_costs(ExitGoal()))
-    maker = grids[0].maker
+    costs = [grids[is_solved].compute_costs(goal, is_solved) for goal in goals for is_solved in (False, True)]
+    costs.append(grids[True].compute_costs(ExitGoal(), is_solved=True))
     largest = [max(float(field[field < UNREACHABLE].max(initial=1.0)), 1.0) for field in costs]
     scales = np.array([value / 32_000 for value in largest], np.float32)
     values = np.stack([np.where(field < UNREACHABLE, np.rint(field / scale), _NONE).astype(np.int16)
@@ -133,16 +134,13 @@ def _compute(instance: RoomInstance) -> InstanceFields:
 
 
 class _FieldGrid:
-    """Grid of one room with the puzzle solved or unsolved, on which fields are computed."""
+    """Grid of one room with its door, if any, shut or open, on which fields are computed."""
 
-    def __init__(self, instance: RoomInstance, rules: Kinematics, offset: float, is_solved: bool) -> None:
-        self.instance, self.is_solved = instance, is_solved
-        shut = not is_solved
-        self.maker = FieldMaker(instance, rules, door_shut=shut)
-        refinement = min(int(math.log(max(_FINE_STATES / self.maker.states, 1.0), 4)), 2)
-        if refinement:
-            self.maker = FieldMaker(instance, rules, door_shut=shut, refinement=refinement)
-        maker, exit_ = self.maker, instance.exit
+    def __init__(self, instance: RoomInstance, rules: Kinematics, offset: float, door_shut: bool) -> None:
+        states = lay_grid(instance, rules).states
+        refinement = min(int(math.log(max(_FINE_STATES / states, 1.0), 4)), 2)
+        self.instance, exit_ = instance, instance.exit
+        self.maker = maker = FieldMaker(instance, rules, door_shut=door_shut, refinement=refinement)
         angles = np.arange(maker.classes) * rules.turn_step + offset
         moves = instance.robot.move_step * rules.actions.compute_moves(np.cos(angles), np.sin(angles))
         reaches = np.array([instance.compute_press_reach(target) for target in instance.targets], dtype=np.float64)
@@ -153,12 +151,12 @@ class _FieldGrid:
         x, y = maker.points.T
         self._is_outside = (x < exit_.x_min) | (x > exit_.x_max) | (y < exit_.y_min) | (y > exit_.y_max)
 
-    def compute_costs(self, goal: Goal) -> NDArray[np.float32]:
+    def compute_costs(self, goal: Goal, is_solved: bool) -> NDArray[np.float32]:
         """Compute the cost-to-go of a goal, float32 (cells, classes); `UNREACHABLE` where there is no way."""
         maker = self.maker
         area = compute_goal_area(goal, self.instance)
         target = goal.target if isinstance(goal, PressGoal) else -1
-        leaves = self.is_solved and target >= 0
+        leaves = is_solved and target >= 0
         others = self._touched & ~_make_bit(target) != 0
         stays = self._is_outside if leaves else maker.everywhere
         direct, any_way = (maker.make_field(maker.find_seeds(*area), allowed).astype(np.float32)

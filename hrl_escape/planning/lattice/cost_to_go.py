@@ -27,7 +27,7 @@ from hrl_escape.planning.collision_map import CollisionMap, compute_extent_radiu
 from hrl_escape.planning.lattice import dijkstra_kernels, repair_kernels
 from hrl_escape.planning.lattice.sweep_kernels import SweepScene
 
-__all__ = ["FieldMaker", "Seeds", "make_collision"]
+__all__ = ["FieldMaker", "Grid", "Seeds", "lay_grid", "make_collision"]
 
 MOST_STATES = 1_500_000
 CACHE_BYTES = 256_000_000
@@ -57,6 +57,34 @@ class Seeds(NamedTuple):
         """Return whether these are the same states with the same costs."""
         return (self.headings == other.headings and np.array_equal(self.states, other.states)
                 and np.array_equal(self.costs, other.costs))
+
+
+class Grid(NamedTuple):
+    """Cells over a floor.
+
+    Attributes:
+        classes: heading classes.
+        size: side of a cell, m.
+        shape: (columns, rows) of cells.
+    """
+
+    classes: int
+    size: float
+    shape: tuple[int, int]
+
+    @property
+    def states(self) -> int:
+        """Number of (cell, class) states."""
+        return self.classes * self.shape[0] * self.shape[1]
+
+
+def lay_grid(instance: RoomInstance, rules: Rules, refinement: int = 0) -> Grid:
+    """Lay a grid over a room's floor; `FieldMaker` says how, and `refinement` halves its cells."""
+    classes = rules.headings // math.gcd(rules.headings, 4)
+    area = 4 * instance.reach_x * instance.reach_y
+    step = instance.robot.move_step
+    size = max(min(step / 4, 0.25), math.sqrt(area * classes / MOST_STATES)) / 2**refinement
+    return Grid(classes, size, (math.ceil(2 * instance.reach_x / size), math.ceil(2 * instance.reach_y / size)))
 
 
 class _KeptField(NamedTuple):
@@ -111,9 +139,7 @@ class FieldMaker:
         step = instance.robot.move_step
         self.door_shut = door_shut and instance.door is not None
         self.headings = rules.headings
-        self.classes = rules.headings // math.gcd(rules.headings, 4)
-        area = 4 * instance.reach_x * instance.reach_y
-        self.size = max(min(step / 4, 0.25), math.sqrt(area * self.classes / MOST_STATES)) / 2**refinement
+        self.classes, self.size, self.shape = lay_grid(instance, rules, refinement)
         self.macro = max(1, round(4 * self.size / step))
         self.bin_size = min(self.size / 2, step / 4)
         self._turn_step = rules.turn_step
@@ -121,7 +147,6 @@ class FieldMaker:
         self.span = self.macro * step
         self.collision = collision or make_collision(instance, door_shut)
         self.low = self.collision.low
-        self.shape = (math.ceil(2 * instance.reach_x / self.size), math.ceil(2 * instance.reach_y / self.size))
         door = len(instance.solids) if self.door_shut else -1
         self.scene = _make_scene(self.collision, door, self.span)
         angles = np.arange(self.classes) * rules.turn_step
