@@ -27,6 +27,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.code_lock import CodeLockConfig
 from hrl_escape.env.puzzles.deep_sea import DeepSeaConfig
 from hrl_escape.env.puzzles.factored import FactoredConfig
+from hrl_escape.env.puzzles.foraging import ForagingConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
@@ -219,6 +220,24 @@ def four_rooms(slip: str = "any", row: int = 6, column: int = 8) -> RoomConfig:
     )
 
 
+def foraging(worms: int = 4) -> RoomConfig:
+    """Foraging (Singh, Lewis, Barto and Sorg 2010), cell by cell: three corridors of three cells, joined at the left.
+
+    Args:
+        worms: number to eat before the episode ends, 1 to 100.
+    """
+    ends = Pads(1.2, 1.2, tuple(Place(2, y) for y in (2, 0, -2)))
+    return RoomConfig(
+        name="foraging",
+        room=ShapeConfig(width=6, depth=6, cell=2, walls=(Wall(-1, 1, 3, 1), Wall(-1, -1, 3, -1))),
+        robot=RobotConfig(body_radius=0.4, move_step=2, turn_step_deg=90, gripper=True),
+        puzzle=ForagingConfig(worms=worms, ends=ends),
+        start=StartConfig(place="cells"), exit=EVERYWHERE,
+        reward=RewardConfig(step=0.0, exit=0.0),
+        dynamics=DynamicsConfig(blocked="stay"),
+    )
+
+
 def puddle_world() -> RoomConfig:
     """Puddle World (Boyan and Moore 1995; Sutton 1996) on the lattice of its moves, without the noise of its moves."""
     return RoomConfig(
@@ -256,6 +275,7 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "four-rooms": four_rooms,
     "taxi": taxi,
     "puddle-world": puddle_world,
+    "foraging": foraging,
     "pin-pad": lambda: _panel_puzzle("pin-pad", PinPadConfig()),
     "push-block": push_block,
 }

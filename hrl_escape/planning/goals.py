@@ -223,7 +223,8 @@ def is_reached(goal: Goal, before: RoomState, after: RoomState, rules: Rules) ->
     """Return whether the primitive that led from `before` to `after` reached the goal.
 
     A press is an event and needs both states. For a state without a primitive before it, pass it
-    twice: a press is then never reached. A push is reached when the facts that its operator adds hold.
+    twice: a press is then never reached. A push is reached when the facts that its operator adds hold, a grip too; in a
+    random puzzle, where they may be others than the likely ones, also when those that it deletes do not hold.
     """
     if isinstance(goal, PressGoal):
         return bool(after.touching & ~before.touching & 1 << goal.target)
@@ -239,9 +240,10 @@ def is_reached(goal: Goal, before: RoomState, after: RoomState, rules: Rules) ->
         return region.x_min <= after.x <= region.x_max and region.y_min <= after.y <= region.y_max
     get_facts = rules.instance.puzzle.get_facts
     if isinstance(goal, GripGoal):
-        operator = find_grip(goal, rules.instance)
+        operator, facts = find_grip(goal, rules.instance), get_facts(after.puzzle)
+        is_other = rules.instance.puzzle.is_random and operator.delete and not operator.delete & facts
         return before is not after and operator.is_applicable(get_facts(before.puzzle)) and (
-            operator.add <= get_facts(after.puzzle))
+            operator.add <= facts or bool(is_other))
     return find_push(goal, rules.instance).add <= get_facts(after.puzzle)
 
 

@@ -244,6 +244,7 @@ def test_learning_curves_of_taxi_carry_over_to_the_bit():
 
 @pytest.mark.parametrize("config", [
     get_preset("taxi", rainy=True, fickle=True), get_preset("four-rooms", slip="neighbour"), get_preset("puddle-world"),
+    get_preset("foraging"),
 ], ids=lambda c: c.name)
 def test_both_engines_agree_on_the_grid(config):
     found = compare([generate(config, 0)], 3_000, copies=30)
@@ -333,6 +334,80 @@ def test_puddle_world_is_the_published_square_and_its_values_are_those_of_the_do
 def test_all_starts_of_puddle_world_are_outside_the_corner():
     room = generate(get_preset("puddle-world"), 0)
     assert len(room.starts) == 441 - 9
+
+
+# --- Foraging ------------------------------------------------------------------------------
+
+
+class Worms:
+    """A bird in three corridors joined at the left, and a worm at the right end of one; row 0 is the upper one."""
+
+    primitives = (*TAXI_ACTIONS[:4], "grip")
+    moves = ((1, 0), (-1, 0), (0, 1), (0, -1))
+
+    def list_states(self):
+        return [(row, column, worm, eaten) for row in range(3) for column in range(3) for worm in range(3)
+                for eaten in range(4)]
+
+    def list_outcomes(self, state, action):
+        """Outcomes of one action, all alike: of a worm eaten, the two corridors of the next."""
+        row, column, worm, eaten = state
+        if action == 4:
+            if (row, column) != (worm, 2):
+                return [(state, 0.0, False)]
+            return [((row, column, (worm + turn) % 3, eaten + 1), 1.0, eaten == 3) for turn in (1, 2)]
+        down, right = self.moves[action]
+        then = (row + down, column + right)
+        is_open = 0 <= then[0] < 3 and 0 <= then[1] < 3 and (not down or column == 0)
+        return [((*(then if is_open else (row, column)), worm, eaten), 0.0, False)]
+
+    def step(self, state, action, slip, chance):
+        outcomes = self.list_outcomes(state, action)
+        return GridOutcome(*outcomes[int(chance * len(outcomes))])
+
+    def encode(self, state):
+        row, column, worm, eaten = state
+        return 2.0 * column - 2.0, 2.0 - 2.0 * row, 3 * eaten + worm
+
+
+def test_foraging_is_three_corridors_and_the_best_bird_is_the_domains():
+    env = gymnasium.make("hrl_escape/Foraging-v1")
+    domain = Worms()
+    states = domain.list_states()
+    assert check_isomorphism(env, domain) == 5 * len(states)
+    numbers = {state: n for n, state in enumerate(states)}
+    codes = {domain.encode(state): n for state, n in numbers.items()}
+    published = [[[(1 / len(found), numbers.get(s, 0), r, over) for s, r, over in found]
+                  for found in (domain.list_outcomes(state, action) for action in range(5))] for state in states]
+    rules = Kinematics(env.unwrapped.instance)
+    start = rules.make_state(rules.instance.starts[0])
+    keys = [next(key for key in range(99) if (draw_chance(key, 0) < 0.5) == half) for half in (True, False)]
+    actions = [rules.actions.find(name) for name in domain.primitives]
+    inside = []
+    for x, y, puzzle in codes:
+        touching = rules.compute_touching(x, y, *start.pose[2:])
+        begins = [start._replace(x=x, y=y, puzzle=puzzle, touching=touching, noise_key=key) for key in keys]
+        steps = [[rules.step(begin, action) for begin in begins] for action in actions]
+        inside.append([[(0.5, codes.get((s.state.x, s.state.y, s.state.puzzle), 0), s.reward, s.terminated)
+                        for s in pair] for pair in steps])
+    values = iterate_values(inside, 0.95)
+    assert np.abs(values - iterate_values(published, 0.95)).max() < 1e-9
+    # each next worm is five or six moves away, or seven primitives with the eating at most
+    assert values[numbers[0, 2, 0, 3]] == 1.0
+    assert values[numbers[1, 2, 1, 2]] == pytest.approx(1 + 0.95**6), "from the middle both others are five moves away"
+    assert values[numbers[0, 2, 0, 2]] == pytest.approx(1 + (0.95**6 + 0.95**7) / 2)
+
+
+def test_the_planner_eats_every_worm_wherever_it_appears():
+    from hrl_escape.options import pursue
+
+    env = gymnasium.make("hrl_escape/Foraging-v1")
+    planner = RoomPlanner(env.unwrapped.instance)
+    for seed in range(4):
+        env.reset(seed=seed)
+        done = pursue(env, planner=planner)
+        assert done.terminated and sum(done.rewards) == 4.0
+        assert 4 + 3 * 5 <= len(done.rewards) <= 4 * 7
 
 
 # --- what is refused ------------------------------------------------------------------------

@@ -47,7 +47,7 @@ from hrl_escape.planning.goals import (
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
 from tests.env.rooms import EXTREMES, make_ordered_chain
 
-BY_CHANCE = ("light-box", "random-lights", "factored", "four-rooms")
+BY_CHANCE = ("light-box", "random-lights", "factored", "four-rooms", "foraging")
 KINEMATIC = [name for name in PRESETS if name != "push-block" and name not in BY_CHANCE]
 
 

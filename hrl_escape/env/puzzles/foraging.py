@@ -1,0 +1,135 @@
+"""Foraging (Singh, Lewis, Barto and Sorg 2010): eat a worm at the end of a corridor; another appears in another one.
+
+The ends of the corridors are pads on the floor; a worm is eaten by gripping on its pad, earns 1, and the next appears
+at either of the other ends, both alike. The published task never ends; here the exit opens after a number of worms.
+The state is three times the number of worms eaten plus the number of the corridor with the worm.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Annotated, Any
+
+import numpy as np
+
+from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.places import Pads
+from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
+from hrl_escape.settings import Range
+
+__all__ = ["CORRIDORS", "ForagingConfig", "ForagingPuzzle"]
+
+CORRIDORS = 3
+"""Corridors, each with a pad at its end."""
+
+Worms = Annotated[int, Range(1, 100)]
+
+
+@dataclasses.dataclass(frozen=True)
+class ForagingConfig(PuzzleConfig):
+    """Schematic of foraging."""
+
+    kind = "foraging"
+    worms: Worms = 4
+    """Worms to eat before the exit opens."""
+    ends: Pads = Pads()
+    """Size and places of the corridors' ends."""
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        self.ends.check_places(CORRIDORS)
+
+    @property
+    def pads(self) -> Pads:
+        """Size and places of the corridors' ends."""
+        return self.ends
+
+    def make_puzzle(self, rng: np.random.Generator) -> ForagingPuzzle:
+        """Nothing depends on the instance seed."""
+        return ForagingPuzzle(self.worms)
+
+
+@dataclasses.dataclass(frozen=True)
+class ForagingPuzzle(Puzzle):
+    """Concrete worms; the ends of the corridors are called `corridor-1` to `corridor-3`."""
+
+    kind = "foraging"
+    worms: Worms = 4
+    """Worms to eat before the exit opens."""
+
+    @property
+    def is_random(self) -> bool:
+        """The next worm may appear at either of two ends."""
+        return True
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """The ends of the corridors."""
+        return tuple(f"corridor-{i + 1}" for i in range(CORRIDORS))
+
+    @property
+    def pad_names(self) -> tuple[str, ...]:
+        """All ends are pads."""
+        return self.target_names
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Every number is between 0 and 1."""
+        return ((0.0, 1.0),) * (CORRIDORS + 1)
+
+    def list_starts(self) -> tuple[int, ...]:
+        """The first worm is in any corridor."""
+        return tuple(range(CORRIDORS))
+
+    def make_state(self) -> int:
+        """The first worm is in the first corridor."""
+        return 0
+
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside is a number of worms and a corridor."""
+        return type(state) is int and 0 <= state < CORRIDORS * (self.worms + 1)
+
+    def update(self, state: int, contacts: Contacts) -> int:
+        """Eat the worm."""
+        eaten, place = divmod(state, CORRIDORS)
+        if contacts.grip <= 0 or place not in contacts.touching or eaten == self.worms:
+            return state
+        return (eaten + 1) * CORRIDORS + (place + (1 if contacts.uniform < 0.5 else 2)) % CORRIDORS
+
+    def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
+        """1 for a worm."""
+        return float(after != before)
+
+    def is_solved(self, state: int) -> bool:
+        """All worms have been eaten."""
+        return state // CORRIDORS == self.worms
+
+    def compute_progress(self, state: int) -> float:
+        """Share of the worms that have been eaten."""
+        return state // CORRIDORS / self.worms
+
+    def observe(self, state: int) -> tuple[float, ...]:
+        """One number a corridor, 1 for the worm's, and the share of the worms eaten."""
+        return (*(float(state % CORRIDORS == i) for i in range(CORRIDORS)), self.compute_progress(state))
+
+    def get_lit(self, state: int) -> tuple[bool, ...]:
+        """The corridor with the worm."""
+        return tuple(state % CORRIDORS == i for i in range(CORRIDORS))
+
+    def get_facts(self, state: int) -> frozenset[str]:
+        """`worm(corridor-i)` and `eaten(number)`."""
+        eaten, place = divmod(state, CORRIDORS)
+        return frozenset({f"worm({self.target_names[place]})", f"eaten({eaten})"})
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """For each corridor: eat there, upon which the next worm appears in the corridor after it."""
+        none: frozenset[str] = frozenset()
+        worm = [frozenset({f"worm({name})"}) for name in self.target_names]
+        eaten = [frozenset({f"eaten({number})"}) for number in range(self.worms + 1)]
+        counts = tuple(Effect(before, none, after, before) for before, after in zip(eaten, eaten[1:], strict=False))
+        operators = tuple(Operator(f"eat-in-{name}", name, "grip", worm[i], eaten[-1], worm[(i + 1) % CORRIDORS],
+                                   worm[i], when=counts) for i, name in enumerate(self.target_names))
+        return SymbolicModel(tuple(fact for facts in (*worm, *eaten) for fact in facts), operators, eaten[-1])
+
+
+register_puzzle(ForagingConfig, ForagingPuzzle)
