@@ -132,6 +132,11 @@ class AgentSpec(Settings):
         return self.settings.get("memory", "none") != "none" or (self.chooses_options and self.options.memory)
 
     @property
+    def reads_objects(self) -> bool:
+        """Agent needs the observation `objects`."""
+        return self.settings.get("network") == "objects" or (self.chooses_options and self.options.memory)
+
+    @property
     def privileges(self) -> tuple[str, ...]:
         """Information that its hierarchy gives it and that others lack; printed in tables."""
         return () if self.leaves is None else list_privileges(self.name, self.leaves)

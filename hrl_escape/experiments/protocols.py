@@ -49,7 +49,8 @@ class LadderSettings(NamedTuple):
         rooms: rooms of the test set: to learn in one by one, or to be tested in.
         train_sizes: with all protocols but `per-instance`: numbers of training rooms, each a set of its own.
         eval_episodes: episodes in an evaluation.
-        observation: of every agent.
+        observation: of every agent; by default `features` with `per-instance` where no agent's network reads objects,
+            for nothing need carry over to another room, and else `objects`.
         source: with `transfer`: rung to train on.
         trials: with `few-shot`: in each room.
     """
@@ -59,7 +60,7 @@ class LadderSettings(NamedTuple):
     rooms: int | None = None
     train_sizes: tuple[int, ...] = (64,)
     eval_episodes: int | None = None
-    observation: str = "objects"
+    observation: str | None = None
     source: str | None = None
     trials: int = 8
 
@@ -101,12 +102,14 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
     if not 1 <= count <= test:
         raise ConfigError("rooms", count, f"from 1 to {test}, the rooms of {name}/test")
     primitives = settings.primitives or BUDGETS.get(source, BUDGET)
+    is_plain = protocol == "per-instance" and not any(agent.reads_objects for agent in agents)
+    observation = settings.observation or ("features" if is_plain else "objects")
     if protocol == "per-instance":
         return Grid(
             name=f"{bench.name}-{rung}-per-instance", description=f"Each of {count} rooms of {name} from nothing.",
             agents=tuple(agents), rooms=tuple(RoomSpec(set=f"{name}/test[{index}]") for index in range(count)),
             runs=settings.runs, primitives=primitives, eval_every=max(1, primitives // EVALUATIONS),
-            eval_episodes=settings.eval_episodes or 20, observation=settings.observation,
+            eval_episodes=settings.eval_episodes or 20, observation=observation,
         )
     train, most = f"{bench.source}/{source}", bench[source].record.train.count
     for size in settings.train_sizes:
@@ -118,7 +121,7 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
         agents=tuple(agents), train_rooms=tuple(f"{train}/train[:{size}]" for size in settings.train_sizes),
         test_rooms=(f"{name}/test[:{count}]",), runs=settings.runs, primitives=primitives,
         eval_every=max(1, primitives // EVALUATIONS), eval_episodes=settings.eval_episodes or count,
-        observation=settings.observation, trials=settings.trials if protocol == "few-shot" else 1,
+        observation=observation, trials=settings.trials if protocol == "few-shot" else 1,
     )
 
 

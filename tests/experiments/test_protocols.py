@@ -9,6 +9,7 @@ from hrl_escape.experiments.grid import AgentSpec, Grid
 from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.protocols import (
     LadderSettings,
+    Protocol,
     find_miscalibration,
     find_steps,
     judge,
@@ -29,6 +30,17 @@ def test_per_instance_learns_each_of_ten_test_rooms_from_nothing():
     assert grid.rooms[3].make_instance() == BENCH["pair"].test[3]
     assert make_protocol_grid(BENCH, "lattice", "per-instance", AGENTS, LadderSettings()).primitives == 100_000
     assert make_protocol_grid(BENCH, "house", "per-instance", AGENTS, LadderSettings()).primitives == 500_000
+
+
+def test_per_instance_shows_features_unless_an_agent_reads_objects():
+    def find_observation(*agents: str, protocol: Protocol = "per-instance", observation: str | None = None) -> str:
+        settings, specs = LadderSettings(observation=observation), tuple(map(AgentSpec.parse, agents))
+        return make_protocol_grid(BENCH, "lattice", protocol, specs, settings).observation
+
+    assert find_observation("smdp-factored-r-max", "planner") == "features"
+    assert find_observation("smdp-dqn+objects", "planner") == find_observation("smdp-dqn+memory") == "objects"
+    assert find_observation("smdp-dqn", protocol="generalise") == "objects"
+    assert find_observation("smdp-dqn", observation="state") == "state"
 
 
 def test_generalise_trains_in_sets_of_training_rooms_and_is_tested_once_in_every_test_room():

@@ -11,6 +11,7 @@ Examples:
 from __future__ import annotations
 
 import dataclasses
+from collections import Counter
 from pathlib import Path
 from typing import Literal
 
@@ -74,7 +75,10 @@ def run(args: LadderArgs) -> None:
         if args.ship is not None:
             for rung, agent in ship_agents(found, args.ship).items():
                 console.print(f"{rung}: {agent}", markup=False)
-        console.print(f"{list_missing(found)} runs are left for another time")
+        failures = [failure for comparison in found.values() for failure in comparison.failures]
+        for message, count in Counter(failure.message for failure in failures).items():
+            console.print(f"{count} runs failed: {message}", markup=False)
+        console.print(f"{list_missing(found) - len(failures)} runs are left for another time")
     if not lines:
         raise ConfigError("docs", str(args.docs), "a folder with raw/ladder.jsonl, or leave out --from-raw")
     write_baselines_page(lines, [rung.name for rung in bench], args.docs / "ladder.md")

@@ -59,8 +59,8 @@ class RunArgs(LaunchArgs):
     """Trials in each room with few-shot."""
     eval_episodes: int | None = None
     """Episodes in an evaluation; 20 with per-instance, and else one in each test room, by default."""
-    observation: str = LadderSettings().observation
-    """Observation of all agents."""
+    observation: str | None = None
+    """Observation of all agents; by default features with per-instance where no agent is +objects, and else objects."""
     out: Path = Path("runs/ladder")
     """Folder of all rungs and protocols."""
 

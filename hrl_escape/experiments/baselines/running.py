@@ -1,9 +1,12 @@
-"""Runs of the baselines, rung by rung and room by room, so that whatever time there was compares everybody."""
+"""Runs of the baselines, agent by agent and rung by rung: whatever time there was, what is there is whole cells."""
 
 from __future__ import annotations
 
+import dataclasses
+import itertools
 import shutil
 import time
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -11,9 +14,9 @@ from typing import NamedTuple
 from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.experiments.baselines.lines import BaselineRun, collect_baselines
-from hrl_escape.experiments.comparison import Comparison, run_grid
+from hrl_escape.experiments.comparison import Comparison, read_comparison, run_grid
 from hrl_escape.experiments.grid import AgentSpec, Grid, GridRun
-from hrl_escape.experiments.launching.local import LocalLauncher
+from hrl_escape.experiments.launching.local import Failure, LocalLauncher
 from hrl_escape.experiments.protocols import LadderSettings, Protocol, make_protocol_grid
 from hrl_escape.experiments.runs import RunResult, get_training_folder
 from hrl_escape.files import claim_folder
@@ -24,11 +27,23 @@ __all__ = ["GENERALISTS", "LEARNERS", "BaselineSettings", "make_baseline_grids",
 
 _REFERENCES = ("smdp-random+no-primitives", "smdp-shuffled-round+no-primitives", "smdp-index-order+no-primitives",
                "planner")
-LEARNERS = (*_REFERENCES, *(f"smdp-{name}+no-primitives" for name in ("q-learning", "dqn", "ppo", "factored-r-max")),
+LEARNERS = (*_REFERENCES, *(f"smdp-{name}+no-primitives" for name in ("q-learning", "factored-r-max", "dqn", "ppo")),
             "random", "q-learning", "dqn", "ppo")
-"""Agents that learn a room from nothing, and references: options alone, then primitives alone."""
+"""Agents that learn a room from nothing, and references: options alone, then primitives alone, the cheapest first."""
 GENERALISTS = (*_REFERENCES, *(f"smdp-{name}+objects+memory+no-primitives" for name in ("dqn", "ppo")))
 """Agents that learn in some rooms and act in others, and references."""
+
+
+NO_TRAINING = 100
+"""Training budget of agents that learn nothing, which evaluations alone tell about."""
+
+
+class GridPlace(NamedTuple):
+    """Protocol, rung, and `references` or `learners`."""
+
+    protocol: Protocol
+    rung: str
+    kind: str
 
 
 class BaselineSettings(NamedTuple):
@@ -55,8 +70,11 @@ class BaselineSettings(NamedTuple):
     train_size: int = 64
 
 
-def make_baseline_grids(bench: Benchmark, settings: BaselineSettings) -> Iterator[tuple[Protocol, str, Grid]]:
-    """Yield protocol, rung and grid; those of more rooms and seeds hold the runs of those of fewer before them.
+def make_baseline_grids(bench: Benchmark, settings: BaselineSettings) -> Iterator[tuple[GridPlace, Grid]]:
+    """Yield place and grid; those of more agents and seeds hold the runs of those of fewer before them.
+
+    An agent goes through all rooms of all rungs before the next one, so that what is finished is whole cells. Those
+    that learn nothing have grids of their own, in which training is cut short.
 
     Raises:
         EscapeError: no such rung or agent.
@@ -64,55 +82,60 @@ def make_baseline_grids(bench: Benchmark, settings: BaselineSettings) -> Iterato
     for runs in range(1, settings.runs + 1):
         for protocol in settings.protocols:
             alone = protocol == "per-instance"
-            names = settings.agents or (LEARNERS if alone else GENERALISTS)
-            agents = tuple(map(AgentSpec.parse, names))
-            for rooms in range(1, settings.rooms + 1) if alone else [settings.rooms]:
-                sizes = LadderSettings(runs, settings.primitives, rooms, (settings.train_size,),
-                                       settings.eval_episodes if alone else rooms)
-                for rung in settings.rungs:
-                    yield protocol, rung, make_protocol_grid(bench, rung, protocol, agents, sizes)
+            every = tuple(map(AgentSpec.parse, settings.agents or (LEARNERS if alone else GENERALISTS)))
+            for kind, primitives in (("references", NO_TRAINING), ("learners", settings.primitives)):
+                agents = [agent for agent in every if agent.learns == (kind == "learners")]
+                sizes = LadderSettings(runs, primitives, settings.rooms, (settings.train_size,),
+                                       settings.eval_episodes if alone else settings.rooms)
+                for count, rung in itertools.product(range(1, len(agents) + 1), settings.rungs):
+                    grid = make_protocol_grid(bench, rung, protocol, agents[:count], sizes)
+                    yield GridPlace(protocol, rung, kind), grid
 
 
 def run_baselines(bench: Benchmark, settings: BaselineSettings, out: Path, workers: int | None, minutes: float
-                  ) -> dict[tuple[Protocol, str], Comparison]:
+                  ) -> dict[GridPlace, Comparison]:
     """Make runs until all are made or the time is up; finished ones are kept.
 
     Returns:
-        Largest comparison of each protocol and rung.
+        Whole comparison of each place, with the runs that have finished and those that failed now.
 
     Raises:
         EscapeError: see `run_grid`.
     """
-    until, found = time.monotonic() + 60 * minutes, {}
-    for protocol, rung, grid in make_baseline_grids(bench, settings):
-        found[protocol, rung] = run_grid(grid, out / protocol / rung, LocalLauncher(workers, begin_until=until))
-    return found
+    until, whole = time.monotonic() + 60 * minutes, {}
+    failures: dict[GridPlace, dict[str, Failure]] = defaultdict(dict)
+    for place, grid in make_baseline_grids(bench, settings):
+        whole[place] = grid  # the last one holds the runs of all others
+        if time.monotonic() < until:
+            made = run_grid(grid, out.joinpath(*place), LocalLauncher(workers, begin_until=until))
+            failures[place].update((failure.run.folder, failure) for failure in made.failures)
+    return {place: dataclasses.replace(read_comparison(out.joinpath(*place), grid),
+                                       failures=tuple(failures[place].values())) for place, grid in whole.items()}
 
 
-def collect_lines(found: dict[tuple[Protocol, str], Comparison]) -> list[BaselineRun]:
+def collect_lines(found: dict[GridPlace, Comparison]) -> list[BaselineRun]:
     """Lines of all finished runs."""
-    return [line for (protocol, rung), comparison in found.items()
-            for line in collect_baselines(comparison, protocol, rung)]
+    return [line for place, comparison in found.items()
+            for line in collect_baselines(comparison, place.protocol, place.rung)]
 
 
-def ship_agents(found: dict[tuple[Protocol, str], Comparison], folder: Path) -> dict[str, str]:
+def ship_agents(found: dict[GridPlace, Comparison], folder: Path) -> dict[str, str]:
     """Copy the best agent that learned in one room of each rung, as of its best evaluation.
 
     Of several that are equally efficient the smallest is taken.
 
     Args:
-        found: comparisons, by protocol and rung.
+        found: comparisons by their places.
         folder: takes a folder a rung, with the run's description and its checkpoint.
 
     Returns:
         Label of the agent of each rung.
     """
     shipped = {}
-    for (protocol, rung), comparison in found.items():
-        learned = [(run, result) for run, result in comparison.runs if run.agent.learns]
-        if protocol != "per-instance" or not learned:
+    for (protocol, rung, kind), comparison in found.items():
+        if protocol != "per-instance" or kind != "learners" or not comparison.runs:
             continue
-        run, _ = max(learned, key=lambda each: _rate(comparison, *each))
+        run, _ = max(comparison.runs, key=lambda each: _rate(comparison, *each))
         source = get_training_folder(comparison.out, run)
         claim_folder(folder / rung)
         shutil.copyfile(source / "run.json", folder / rung / "run.json")
@@ -135,7 +158,7 @@ def _rate(comparison: Comparison, run: GridRun, result: RunResult) -> tuple[floa
     return float(result.get_curve("efficiency").max()), -size
 
 
-def list_missing(found: dict[tuple[Protocol, str], Comparison]) -> int:
+def list_missing(found: dict[GridPlace, Comparison]) -> int:
     """Number of runs that the time did not suffice for."""
     return sum(len(comparison.grid.make_runs(comparison.places)) - len(comparison.runs)
                for comparison in found.values())

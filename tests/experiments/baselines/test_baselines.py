@@ -16,6 +16,7 @@ from hrl_escape.experiments.baselines.page import write_baselines_page
 from hrl_escape.experiments.baselines.running import BaselineSettings, make_baseline_grids
 from hrl_escape.ladder.benchmark import load_benchmark
 
+RUNGS_OF_TWO = ("doormat", "pair")
 RUNGS = ("low", "middle", "high")
 LINE = BaselineRun("per-instance", "low", "x/low/test[0]", "dqn", 0, 1000, 0.8, None, 1.0, 5, 1.0, 70, "abc")
 
@@ -59,13 +60,18 @@ def test_few_runs_lead_to_no_conclusion(efficiency: float, runs: int, sentence: 
     assert sentence in (tmp_path / "page.md").read_text()
 
 
-def test_grids_of_more_rooms_and_seeds_hold_the_runs_of_those_before():
-    settings = BaselineSettings(("doormat", "pair"), ("per-instance",), ("smdp-dqn",), rooms=2, runs=2, primitives=50)
+def test_whole_cells_come_first_and_grids_of_more_agents_and_seeds_hold_the_runs_of_those_before():
+    settings = BaselineSettings(RUNGS_OF_TWO, ("per-instance",), ("dqn", "planner", "ppo"), rooms=2, runs=2,
+                                primitives=5000)
     grids = list(make_baseline_grids(load_benchmark("ladder-1"), settings))
-    assert [(rung, len(grid.rooms), grid.runs) for _, rung, grid in grids] == [
-        ("doormat", 1, 1), ("pair", 1, 1), ("doormat", 2, 1), ("pair", 2, 1),
-        ("doormat", 1, 2), ("pair", 1, 2), ("doormat", 2, 2), ("pair", 2, 2)]
-    keys = [{run.folder for run in grid.make_runs(grid.make_places())} for _, rung, grid in grids if rung == "pair"]
+    assert all(len(grid.rooms) == 2 for _, grid in grids)
+    alone, both = ["dqn"], ["dqn", "ppo"]
+    assert [(place.rung, [agent.label for agent in grid.agents], grid.runs) for place, grid in grids] == [
+        (rung, agents, runs) for runs in (1, 2) for agents in (["planner"], alone, both) for rung in RUNGS_OF_TWO]
+    assert {grid.primitives for place, grid in grids if place.kind == "learners"} == {5000}
+    assert {grid.primitives for place, grid in grids if place.kind == "references"} == {100}, "nothing is to be learned"
+    keys = [{run.folder for run in grid.make_runs(grid.make_places())} for place, grid in grids
+            if place.rung == "doormat" and place.kind == "learners"]
     assert keys[0] < keys[1] < keys[3] and keys[0] < keys[2] < keys[3]
 
 
