@@ -9,15 +9,19 @@ import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Literal, NamedTuple, TypeAlias
 
+import numpy as np
+
 from hrl_escape.errors import ConfigError
 from hrl_escape.experiments.grid import AgentSpec, Grid
-from hrl_escape.experiments.inference import compute_wilson_interval
+from hrl_escape.experiments.inference import Estimate, compute_wilson_interval
+from hrl_escape.experiments.ladder_score import compute_ladder_score
 from hrl_escape.experiments.places import RoomSpec
+from hrl_escape.experiments.statistics import Scores
 from hrl_escape.experiments.summary import AgentSummary, Summary
 from hrl_escape.ladder.benchmark import Benchmark
 
 __all__ = ["LadderSettings", "Protocol", "RungStanding", "find_miscalibration", "find_steps", "judge", "list_standings",
-           "make_protocol_grid", "name_protocol"]
+           "make_protocol_grid", "name_protocol", "score_standings"]
 
 Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer", "few-shot"]
 """`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others of the
@@ -133,12 +137,14 @@ class RungStanding(NamedTuple):
         agent: its summary.
         escapes: share of final test episodes that escaped, with Wilson's interval over all of them.
         is_passed: the rung is passed, see `judge`.
+        units: efficiencies (runs,) of each room that was learned in, or of each run alone that was tested in others.
     """
 
     rung: str
     agent: AgentSummary
     escapes: tuple[float, float, float]
     is_passed: bool
+    units: Scores
 
 
 def judge(agent: AgentSummary, episodes: int) -> tuple[tuple[float, float, float], bool]:
@@ -153,11 +159,24 @@ def judge(agent: AgentSummary, episodes: int) -> tuple[tuple[float, float, float
 
 def list_standings(rung: str, summary: Summary) -> list[RungStanding]:
     """RungStanding of every agent of a comparison on a rung."""
-    found = []
+    found, has_sets = [], bool(summary.grid.train_rooms)
     for agent in summary.agents:
-        rooms = summary.grid.eval_episodes if summary.grid.train_rooms else 1  # episodes in one room are much alike
-        found.append(RungStanding(rung, agent, *judge(agent, agent.runs * rooms)))
+        rooms = summary.grid.eval_episodes if has_sets else 1  # episodes in one room are much alike
+        efficiencies = [room for room in agent.efficiencies if len(room)]
+        units = [run for room in efficiencies for run in np.split(room, len(room))] if has_sets else efficiencies
+        found.append(RungStanding(rung, agent, *judge(agent, agent.runs * rooms), units))
     return found
+
+
+def score_standings(standings: Iterable[RungStanding]) -> tuple[list[str], dict[str, Estimate]]:
+    """Rungs that every agent was run on, in order, and the ladder score of each agent over them, by label."""
+    by_rung: dict[str, dict[str, Scores]] = {}
+    for standing in standings:
+        by_rung.setdefault(standing.rung, {})[standing.agent.label] = standing.units
+    labels = list(dict.fromkeys(label for agents in by_rung.values() for label in agents))
+    common = [rung for rung, agents in by_rung.items() if len(agents) == len(labels)]
+    return common, {label: compute_ladder_score([by_rung[rung][label] for rung in common], np.random.default_rng(0))
+                    for label in labels if common}
 
 
 def find_miscalibration(chance: float, planner: float, is_stochastic: bool = False) -> list[str]:

@@ -1,6 +1,7 @@
 """Sum up what `hrl-escape ladder run` has finished: efficiency and escapes of every agent on every rung.
 
-A rung is passed where the lower end of the escapes' 95 % interval is 0.9 or more and efficiency 0.5 or more.
+A rung is passed where the lower end of the escapes' 95 % interval is 0.9 or more and efficiency 0.5 or more. The ladder
+score is the mean over rungs of the interquartile mean of efficiency, over the rungs that every agent was run on.
 
 Examples:
     hrl-escape ladder report
@@ -22,7 +23,7 @@ from rich.table import Table
 
 from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.comparison import read_comparison
-from hrl_escape.experiments.protocols import Protocol, RungStanding, list_standings, name_protocol
+from hrl_escape.experiments.protocols import Protocol, RungStanding, list_standings, name_protocol, score_standings
 from hrl_escape.experiments.summary import summarise
 from hrl_escape.ladder.benchmark import load_benchmark
 
@@ -44,7 +45,7 @@ class ReportArgs:
 
 
 def run(args: ReportArgs) -> None:
-    """Print a table with a row an agent and rung, and the highest rung that each agent passed."""
+    """Print a table with a row an agent and rung, the highest rung that each agent passed, and its ladder score."""
     rungs = [rung.name for rung in load_benchmark(args.benchmark)]
     base = args.folder / name_protocol(args.protocol, args.source)
     folders = {rung: base / rung for rung in rungs}
@@ -55,9 +56,11 @@ def run(args: ReportArgs) -> None:
                  for standing in list_standings(rung, summarise(read_comparison(folder)))]
     highest = {standing.agent.label: "none" for standing in standings}
     highest |= {standing.agent.label: standing.rung for standing in standings if standing.is_passed}
+    common, scores = score_standings(standings)
     if args.json:
-        print(json.dumps({"protocol": args.protocol, "highest": highest, "rungs": list(map(_to_json, standings))},
-                         indent=2))
+        print(json.dumps({"protocol": args.protocol, "highest": highest, "rungs": list(map(_to_json, standings)),
+                          "score_rungs": common,
+                          "scores": {label: score._asdict() for label, score in scores.items()}}, indent=2))
         return
     console = Console(width=120, highlight=False)
     table = Table("rung", "agent", "runs", "efficiency", "trained in", "escapes", "passed", box=None, pad_edge=False)
@@ -73,6 +76,10 @@ def run(args: ReportArgs) -> None:
         console.print(_make_trial_table(standings))
     for label, rung in highest.items():
         console.print(f"Highest rung that {label} passed: {rung}", markup=False)
+    over = f"over {', '.join(common)}:" if common else "over no rung, for none has runs of every agent"
+    console.print(f"Ladder score {over}")
+    for label, score in scores.items():
+        console.print(f"{label}: {score.value:.3f} ({score.low:.3f} to {score.high:.3f})", markup=False)
 
 
 def _make_trial_table(standings: Sequence[RungStanding]) -> Table:

@@ -69,6 +69,7 @@ def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
     assert code == 0 and told["highest"] == {"smdp-random+no-primitives": "none", "planner": "none"}
     planner = next(row for row in told["rungs"] if row["agent"] == "planner")
     assert planner["efficiency"]["value"] == 1.0 and planner["escapes"][0] == 1.0 and not planner["passed"]
+    assert told["score_rungs"] == ["doormat"] and told["scores"]["planner"]["value"] == 1.0
     code, _, err = call(capsys, "report", str(tmp_path), "--protocol", "per-instance")
     assert code == 2 and "no rung was run here" in err
 
@@ -129,7 +130,8 @@ def test_trials_in_unseen_rooms_are_scored_one_by_one(capsys, tmp_path):
     rows = {row["agent"]: [trial["value"] for trial in row["trials"]] for row in json.loads(out)["rungs"]}
     assert rows["planner"] == [1.0] * 3 and len(rows[agents[0]]) == 3
     assert 0 < rows[agents[1]][0] < 1 and len(set(rows[agents[1]])) == 1, "what remembers nothing stays as it is"
-    assert "trial 3" in call(capsys, "report", str(tmp_path), "--protocol", "few-shot")[1]
+    out = call(capsys, "report", str(tmp_path), "--protocol", "few-shot")[1]
+    assert "trial 3" in out and "Ladder score over pair:" in out
     told = (tmp_path / "few-shot" / "pair" / "summary.md").read_text()
     assert "`planner` 1.00, 1.00, 1.00" in told
     assert "No memory, so the same policy at every trial" in told
