@@ -1,7 +1,7 @@
 """Process of one run: one torch thread, its own output file, and no life beyond its parent's.
 
-Everything heavy is imported here, so that a fork server that preloads this module starts each
-process in milliseconds.
+Everything heavy is imported here, so that a fork server that preloads this module starts each process in milliseconds;
+Numba's tables of types and functions, which the first kernel would build in every process, are built here too.
 """
 
 from __future__ import annotations
@@ -13,11 +13,15 @@ import time
 import traceback
 from multiprocessing.connection import Connection
 from pathlib import Path
+from typing import Any
 
 import torch
+from numba.core.registry import cpu_target
 
 import hrl_escape.agents.training.train
-import hrl_escape.planning.best_known  # noqa: F401  # preloaded for the processes forked from here
+import hrl_escape.options.best_with_options
+import hrl_escape.options.memory
+import hrl_escape.options.options_env  # noqa: F401  # preloaded, like those above, for the processes forked from here
 from hrl_escape.errors import EscapeError, FileWriteError, RunBusyError
 from hrl_escape.experiments.grid import GridRun
 from hrl_escape.experiments.runs import execute_run, get_run_folder
@@ -25,6 +29,11 @@ from hrl_escape.files import make_folder, open_for_writing
 from hrl_escape.processes import die_with_parent
 
 __all__ = ["run_guarded", "work"]
+
+NUMBA: Any = cpu_target
+"""Without the type of its cached properties, which pyright does not see through."""
+NUMBA.typing_context.refresh()
+NUMBA.target_context.refresh()
 
 ORPHAN_SECONDS = 20.0
 """Longest wait for a process of a killed comparison to let go of its run."""
