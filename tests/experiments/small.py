@@ -10,10 +10,11 @@ from rich.console import Console
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.experiments.comparison import Comparison, run_grid
-from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView
-from hrl_escape.experiments.launching.local import LocalLauncher
+from hrl_escape.experiments.comparison import WHOLE, Comparison, Shard, run_grid
+from hrl_escape.experiments.grid import AgentSpec, Grid, GridRun, OptionsView
+from hrl_escape.experiments.launching.local import Launcher
 from hrl_escape.experiments.places import RoomSpec
+from hrl_escape.experiments.runs import get_training_folder
 
 SCHEMATIC = RoomConfig(
     name="small",
@@ -47,10 +48,18 @@ def change(**fields: object) -> Grid:
     return dataclasses.replace(SMALL, **fields)  # type: ignore[arg-type]
 
 
-def run_quietly(grid: Grid, out: Path, **launcher: object) -> Comparison:
-    """Run a grid, silently."""
+def run_quietly(grid: Grid, out: Path, launcher: Launcher | None = None, shard: Shard = WHOLE) -> Comparison:
+    """Run a grid, or a part of it, silently."""
     with open("/dev/null", "w") as nowhere:
-        return run_grid(grid, out, LocalLauncher(**launcher), Console(file=nowhere))  # type: ignore[arg-type]
+        return run_grid(grid, out, launcher, Console(file=nowhere), shard)
+
+
+def break_checkpoint(out: Path, run: GridRun) -> Path:
+    """Put a damaged checkpoint where a run that is to be made looks for one."""
+    broken = get_training_folder(out, run) / "checkpoint.npz"
+    broken.parent.mkdir(parents=True)
+    broken.write_bytes(b"no checkpoint")
+    return broken
 
 
 STRANGER = '''

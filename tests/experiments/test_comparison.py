@@ -14,17 +14,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rich.console import Console
 
 from hrl_escape.errors import ComparisonError, ConfigError, EscapeError, FileWriteError, RunBusyError
-from hrl_escape.experiments.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
+from hrl_escape.experiments.comparison import Comparison, Shard, count_missing, read_comparison
 from hrl_escape.experiments.grid import AgentSpec
 from hrl_escape.experiments.launching.local import LocalLauncher, read_progress
 from hrl_escape.experiments.reporting.report import write_report
 from hrl_escape.experiments.runs import get_run_folder, load_run_result, read_episodes
 from hrl_escape.experiments.summary import summarise
 from hrl_escape.files import write_json
-from tests.experiments.small import SMALL, change, plant_strangers, run_quietly
+from tests.experiments.small import SMALL, break_checkpoint, change, plant_strangers, run_quietly
 
 TABLES = ("results.csv", "curves.csv")
 
@@ -61,7 +60,7 @@ def find_processes_of_session(session: int) -> list[int]:
 
 
 def test_two_comparisons_give_the_same_numbers_in_any_number_of_processes(finished: Comparison, tmp_path: Path):
-    again = run_quietly(SMALL, tmp_path, workers=1)
+    again = run_quietly(SMALL, tmp_path, LocalLauncher(1))
     assert [result for _, result in again.runs] == [result for _, result in finished.runs]
     assert read_tables(again) == read_tables(finished)
     for run, _ in again.runs:
@@ -109,8 +108,7 @@ def test_what_killed_writers_left_is_cleared_and_other_parts_are_left_alone(tmp_
     folders = [tmp_path, tmp_path / "rooms", *(get_run_folder(tmp_path, run) for run, _ in runs)]
     for folder in folders:
         (folder / ".writing-abc").write_bytes(b"half")
-    with open("/dev/null", "w") as nowhere:
-        run_grid(grid, tmp_path, LocalLauncher(1), Console(file=nowhere), Shard(1, 2))
+    run_quietly(grid, tmp_path, shard=Shard(1, 2))
     assert [(folder / ".writing-abc").exists() for folder in folders] == [True, True, False, True]
     run_quietly(grid, tmp_path)
     assert not list(tmp_path.rglob(".writing-*"))
@@ -205,9 +203,7 @@ def test_failed_runs_are_told_with_their_error_and_stop_no_others(tmp_path: Path
 def test_a_failed_run_is_tried_again_the_next_time(finished: Comparison, tmp_path: Path):
     grid = change(agents=SMALL.agents[:1], runs=1)
     (run,) = grid.make_runs(grid.make_places())
-    (get_run_folder(tmp_path, run) / "training").mkdir(parents=True)
-    broken = get_run_folder(tmp_path, run) / "training" / "checkpoint.npz"
-    broken.write_bytes(b"no checkpoint")
+    broken = break_checkpoint(tmp_path, run)
     failed = run_quietly(grid, tmp_path)
     (failure,) = failed.failures
     assert str(broken) in failure.message and "damaged" in failure.message and not failure.traceback
@@ -279,9 +275,7 @@ def test_a_folder_deleted_after_the_last_run_is_told_with_its_reason(tmp_path: P
             super().run(runs, out, listener)
             shutil.rmtree(out)
 
-    with open("/dev/null", "w") as nowhere:
-        comparison = run_grid(change(runs=1, agents=["random"], primitives=60), tmp_path / "out", Deleting(1),
-                              Console(file=nowhere))
+    comparison = run_quietly(change(runs=1, agents=["random"], primitives=60), tmp_path / "out", Deleting(1))
     with pytest.raises(EscapeError, match="no such"):
         write_report(comparison, "hrl-escape compare")
 
@@ -305,10 +299,9 @@ def test_parts_are_disjoint_resumable_and_together_the_whole(tmp_path: Path):
     parts = [Shard(number, 3).choose(runs) for number in (1, 2, 3)]
     assert sorted(run.key for part in parts for run in part) == sorted(run.key for run in runs)
     assert count_missing(grid, tmp_path) == (4, 4, None)
-    with open("/dev/null", "w") as nowhere:
-        for number in (2, 1, 2):
-            made = run_grid(grid, tmp_path, LocalLauncher(1), Console(file=nowhere), Shard(number, 2))
-            assert [run.key for run, _ in made.runs] == [run.key for run in runs[number - 1 :: 2]]
+    for number in (2, 1, 2):
+        made = run_quietly(grid, tmp_path, shard=Shard(number, 2))
+        assert [run.key for run, _ in made.runs] == [run.key for run in runs[number - 1 :: 2]]
     assert count_missing(grid, tmp_path)[:2] == (4, 0)
     whole = read_comparison(tmp_path)
     assert [run.key for run, _ in whole.runs] == [run.key for run in runs] and whole.grid == grid

@@ -16,6 +16,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GridError, UnknownNameError
 from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView
+from hrl_escape.experiments.launching.local import LocalLauncher
 from hrl_escape.experiments.places import RunPlace
 from hrl_escape.experiments.reporting.report import write_report
 from hrl_escape.experiments.runs import make_env
@@ -35,7 +36,7 @@ def finished(tmp_path_factory) -> Comparison:
     grid = Grid("split", agents=tuple(map(AgentSpec.parse, agents)), train_rooms=(f"{folder}/ten.json[:4]",),
                 test_rooms=(f"{folder}/ten.json[4:7]",), runs=1, primitives=150, eval_every=150, eval_episodes=4,
                 observation="objects")
-    return run_quietly(grid, folder / "out", workers=1)
+    return run_quietly(grid, folder / "out", LocalLauncher(1))
 
 
 def test_evaluations_go_round_the_test_rooms_and_scores_are_measured_room_by_room(finished: Comparison):
@@ -75,7 +76,7 @@ def test_report_and_tables_show_seen_rooms_beside_unseen_ones_and_the_overlap(fi
 
 
 def test_a_finished_comparison_of_sets_is_kept_and_its_places_load_again(finished: Comparison):
-    again = run_quietly(finished.grid, finished.out, workers=1)
+    again = run_quietly(finished.grid, finished.out, LocalLauncher(1))
     assert again.runs == finished.runs
     (place,) = finished.places
     loaded = RunPlace.load(finished.out / "rooms", place.id)

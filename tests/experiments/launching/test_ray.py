@@ -9,12 +9,11 @@ import time
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from hrl_escape.errors import ConfigError
-from hrl_escape.experiments.comparison import Comparison, run_grid
+from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.launching.ray import RayLauncher
-from tests.experiments.small import change
+from tests.experiments.small import break_checkpoint, change, run_quietly
 
 pytest.importorskip("ray", reason="needs the extra ray")
 
@@ -22,8 +21,7 @@ pytest.importorskip("ray", reason="needs the extra ray")
 @pytest.mark.slow
 def test_ray_gives_the_results_of_local_processes(finished: Comparison, tmp_path: Path):
     one_seed = change(runs=1)
-    with open("/dev/null", "w") as nowhere:
-        comparison = run_grid(one_seed, tmp_path, RayLauncher(2), Console(file=nowhere))
+    comparison = run_quietly(one_seed, tmp_path, RayLauncher(2))
     assert not comparison.failures
     assert [result for _, result in comparison.runs] == [result for _, result in finished.runs[:4]]
 
@@ -31,12 +29,8 @@ def test_ray_gives_the_results_of_local_processes(finished: Comparison, tmp_path
 @pytest.mark.slow
 def test_a_failed_run_is_told_and_stops_no_others(tmp_path: Path):
     grid = change(runs=1, agents=["random", "dqn"], primitives=200)
-    runs = grid.make_runs(grid.make_places())
-    broken = tmp_path / "runs" / runs[1].folder / "training" / "checkpoint.npz"
-    broken.parent.mkdir(parents=True)
-    broken.write_bytes(b"no checkpoint")
-    with open("/dev/null", "w") as nowhere:
-        comparison = run_grid(grid, tmp_path, RayLauncher(2), Console(file=nowhere))
+    break_checkpoint(tmp_path, grid.make_runs(grid.make_places())[1])
+    comparison = run_quietly(grid, tmp_path, RayLauncher(2))
     assert [run.agent.label for run, _ in comparison.runs] == ["random"]
     assert "damaged" in comparison.failures[0].message
 
@@ -69,12 +63,11 @@ def test_a_run_whose_worker_is_killed_is_made_again(tmp_path: Path):
 
     killer = threading.Thread(target=kill)
     killer.start()
-    with open("/dev/null", "w") as nowhere:
-        comparison = run_grid(change(runs=1, agents=["q-learning"]), tmp_path, RayLauncher(1), Console(file=nowhere))
+    comparison = run_quietly(change(runs=1, agents=["q-learning"]), tmp_path, RayLauncher(1))
     killer.join()
     assert killed and len(comparison.runs) == 1 and not comparison.failures
 
 
 def test_options_that_ray_does_not_know_are_refused(tmp_path: Path):
-    with open("/dev/null", "w") as nowhere, pytest.raises(ConfigError, match="options of ray.remote"):
-        run_grid(change(runs=1), tmp_path, RayLauncher(1, resources={"num_cpu": 2}), Console(file=nowhere))
+    with pytest.raises(ConfigError, match="options of ray.remote"):
+        run_quietly(change(runs=1), tmp_path, RayLauncher(1, resources={"num_cpu": 2}))

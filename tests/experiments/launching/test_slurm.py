@@ -5,12 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from rich.console import Console
 
 from hrl_escape.errors import ConfigError
-from hrl_escape.experiments.comparison import Comparison, run_grid
+from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.launching.slurm import SlurmLauncher
-from tests.experiments.small import change
+from tests.experiments.small import break_checkpoint, change, run_quietly
 
 pytest.importorskip("submitit", reason="needs the extra slurm")
 
@@ -18,13 +17,9 @@ pytest.importorskip("submitit", reason="needs the extra slurm")
 @pytest.mark.slow
 def test_jobs_give_the_results_of_local_processes_and_tell_what_failed(finished: Comparison, tmp_path: Path):
     grid = change(runs=1)
-    runs = grid.make_runs(grid.make_places())
-    broken = tmp_path / "runs" / runs[1].folder / "training" / "checkpoint.npz"
-    broken.parent.mkdir(parents=True)
-    broken.write_bytes(b"no checkpoint")
-    with open("/dev/null", "w") as nowhere:
-        comparison = run_grid(grid, tmp_path, SlurmLauncher(2), Console(file=nowhere))
-        assert len(list((tmp_path / "slurm").glob("*_result.pkl"))) == 2, "two jobs"
+    break_checkpoint(tmp_path, grid.make_runs(grid.make_places())[1])
+    comparison = run_quietly(grid, tmp_path, SlurmLauncher(2))
+    assert len(list((tmp_path / "slurm").glob("*_result.pkl"))) == 2, "two jobs"
     assert [failure.run.agent.label for failure in comparison.failures] == ["q-learning"]
     assert "damaged" in comparison.failures[0].message
     made = [result for _, result in comparison.runs]
@@ -32,8 +27,8 @@ def test_jobs_give_the_results_of_local_processes_and_tell_what_failed(finished:
 
 
 def test_parameters_that_submitit_does_not_know_are_refused_before_anything_runs(tmp_path: Path):
-    with open("/dev/null", "w") as nowhere, pytest.raises(ConfigError, match="parameters of submitit"):
-        run_grid(change(runs=1), tmp_path, SlurmLauncher(2, resources={"slurm_partion": "long"}), Console(file=nowhere))
+    with pytest.raises(ConfigError, match="parameters of submitit"):
+        run_quietly(change(runs=1), tmp_path, SlurmLauncher(2, resources={"slurm_partion": "long"}))
     assert not list((tmp_path / "runs").glob("*/run_result.json"))
     with pytest.raises(ConfigError, match="1 or more"):
         SlurmLauncher(0)

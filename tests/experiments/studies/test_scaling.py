@@ -38,6 +38,7 @@ from hrl_escape.experiments.studies.scaling.study import (
     make_room,
     run_scaling,
 )
+from tests.experiments.small import break_checkpoint
 
 KNOWN = (*AGENTS, *(spec.label for spec in TOLD))
 
@@ -180,9 +181,7 @@ def test_a_failed_run_ends_the_study_with_its_message(tmp_path, small_study, mon
     monkeypatch.undo()
     round_ = make_round((RoomKind("chain", 2, "ignore"),), "smdp-r-max", 0)
     (run,) = round_.make_grid(60).make_runs(round_.make_grid(60).make_places())
-    damaged = tmp_path / "runs" / run.folder / "training" / "checkpoint.npz"
-    damaged.parent.mkdir(parents=True)
-    damaged.write_bytes(b"no checkpoint")
+    break_checkpoint(tmp_path, run)
     monkeypatch.setattr(scaling, "BAR_RUNS", 1)
     monkeypatch.setattr(scaling, "BAR", (RoomKind("chain", 2, "ignore"),))
     monkeypatch.setattr(scaling, "BAR_AGENT", "smdp-r-max")
