@@ -1,4 +1,4 @@
-"""Names from rooms, grids and agents, made safe where a file or a line of a console is made of them.
+"""Names from rooms, grids and agents, made safe where a file or a line of a console is made of them, or listed.
 
 Such names come from files that others may have written: `../x`, a line break, 300 letters or a
 terminal's escape codes are all possible.
@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import hashlib
 import re
+from collections.abc import Iterable
 
 from rich import markup
 
-__all__ = ["make_console_text", "make_file_name", "parse_whole"]
+__all__ = ["join_words", "make_console_text", "make_file_name", "parse_whole"]
 
 LONGEST_FILE_NAME = 120
 """Bytes of a file name that is made from a name; file systems take 255, endings included."""
@@ -42,3 +43,9 @@ def make_console_text(name: str, longest: int = LONGEST_CONSOLE_TEXT) -> str:
 def parse_whole(text: str) -> int | None:
     """Read the number in a name such as `clutter#3`: at most 18 digits, 0 to 9; None for any other text."""
     return int(text) if re.fullmatch("[0-9]{1,18}", text) else None
+
+
+def join_words(words: Iterable[str], last: str = "and") -> str:
+    """List words as a sentence does: `a`, `a and b`, `a, b and c`; nothing for none."""
+    *before, end = list(words) or [""]
+    return f"{', '.join(before)} {last} {end}" if before else end

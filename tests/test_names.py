@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from hrl_escape.names import LONGEST_FILE_NAME, make_console_text, make_file_name, parse_whole
+from hrl_escape.names import LONGEST_FILE_NAME, join_words, make_console_text, make_file_name, parse_whole
 
 HOSTILE = ["../../etc/passwd", "..", ".", "", "a/b", "a\\b", "nul\0", "line\nbreak", "x" * 300, "\N{SNOWMAN}" * 300,
            "[/bold]", "[bold", "\x1b[31mred", "\ud800", ".hidden", "C:\\x", "trailing\\"]
@@ -60,3 +60,10 @@ def test_a_long_name_is_cut_for_the_console():
     ("1.0", None), ("\u00b2", None), ("\u0663", None), ("1_0", None), (" 1", None), ("1\n", None)])
 def test_a_number_in_a_name_is_of_plain_digits(text: str, number: int | None):
     assert parse_whole(text) == number
+
+
+@pytest.mark.parametrize(("words", "text"),
+                         [([], ""), (["a"], "a"), (["a", "b"], "a and b"), (["a", "b", "c"], "a, b and c")])
+def test_words_are_listed_as_in_a_sentence(words: list[str], text: str):
+    assert join_words(words) == join_words(iter(words)) == text
+    assert join_words(["a", "b"], "or") == "a or b"

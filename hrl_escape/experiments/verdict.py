@@ -16,6 +16,7 @@ from hrl_escape.experiments.grid import OptionsView
 from hrl_escape.experiments.pairs import FEWEST_PAIRS, is_better
 from hrl_escape.experiments.score_range import CEILING, PLANNER
 from hrl_escape.experiments.summary import AgentSummary, Summary
+from hrl_escape.names import join_words
 
 __all__ = ["Sentence", "find_leader", "write_verdict"]
 
@@ -100,7 +101,7 @@ def _compare_views(summary: Summary) -> list[str]:
     if not flat or not hierarchical:
         return []
     best_flat, best = find_leader(_prefer_learners(flat)), find_leader(_prefer_learners(hierarchical))
-    names = _join([f"`{agent.label}`" for agent in flat])
+    names = join_words([f"`{agent.label}`" for agent in flat])
     if best.success.value > 0 and all(agent.success.value == 0 for agent in flat):
         return [f"Without options nobody escapes: {names} never {'does' if len(flat) == 1 else 'do'} within "
                 f"{summary.grid.primitives:,} primitives. With options, `{best.label}` {_describe_escapes(best)}."]
@@ -144,7 +145,7 @@ def _compare_with_chance(summary: Summary) -> list[str]:
                              f"efficiency of {_describe_efficiency(best)}, chance {_describe_efficiency(chance)}.")
         worse = [agent for agent in learners if agent is not best and _beats(summary, chance, agent)]
         if worse:
-            names = _join([f"`{agent.label}`" for agent in worse])
+            names = join_words([f"`{agent.label}`" for agent in worse])
             sentences.append(f"{names} {'ends' if len(worse) == 1 else 'end'} below choosing at random.")
     return sentences
 
@@ -175,7 +176,7 @@ def _describe_speed(summary: Summary) -> list[str]:
                       if agent.spec.learns and agent.escaped_runs)
     if not learners:
         return []
-    when = _join([f"`{label}` after {value:,.0f} primitives ({agent.escaped_runs} of {agent.runs} runs escape)"
+    when = join_words([f"`{label}` after {value:,.0f} primitives ({agent.escaped_runs} of {agent.runs} runs escape)"
                   for value, label, agent in learners])
     return [f"First escape in training, on average, with runs that never escape counted at the budget: {when}."]
 
@@ -197,7 +198,7 @@ def _describe_gap(summary: Summary) -> list[str]:
 def _describe_stuck(summary: Summary) -> list[str]:
     some = [f"{round(agent.stuck * agent.runs)} of {agent.runs} runs of `{agent.label}`"
             for agent in _prefer_learners(summary.agents) if 0 < agent.stuck and agent.success.value > 0]
-    return [f"Stuck, without any escape in the last fifth of training: {_join(some)}."] if some else []
+    return [f"Stuck, without any escape in the last fifth of training: {join_words(some)}."] if some else []
 
 
 def _describe_generalisation(summary: Summary) -> list[str]:
@@ -206,7 +207,7 @@ def _describe_generalisation(summary: Summary) -> list[str]:
     if not learners:
         return []
     words = [f"`{agent.label}` {agent.efficiency.value:.2f} against {seen.value:.2f}" for agent, seen in learners]
-    return [f"Efficiency in rooms tested in against rooms trained in: {_join(words)}."]
+    return [f"Efficiency in rooms tested in against rooms trained in: {join_words(words)}."]
 
 
 def _describe_trials(summary: Summary) -> list[str]:
@@ -217,7 +218,9 @@ def _describe_trials(summary: Summary) -> list[str]:
     words = [f"`{agent.label}` {', '.join(f'{trial.value:.2f}' for trial in agent.trials)}" for agent in tried]
     sentences = [f"Efficiency trial by trial in the same unseen rooms, without learning: {'; '.join(words)}."]
     forgetful = [f"`{agent.label}`" for agent in tried if not agent.spec.remembers]
-    return sentences + ([f"No memory, so the same policy at every trial: {_join(forgetful)}."] if forgetful else [])
+    if forgetful:
+        sentences.append(f"No memory, so the same policy at every trial: {join_words(forgetful)}.")
+    return sentences
 
 
 def _describe_better_ways(summary: Summary) -> list[str]:
@@ -225,7 +228,7 @@ def _describe_better_ways(summary: Summary) -> list[str]:
     for room in summary.rooms:
         finders = [f"`{source}`" for source in room.source.split(", ") if source in labels]
         if finders:
-            sentences.append(f"In {room.name}, {_join(finders)} found a better way than the planners; efficiency "
+            sentences.append(f"In {room.name}, {join_words(finders)} found a better way than the planners; efficiency "
                              f"is measured by it ({room.fewest:g} primitives).")
     return sentences
 
@@ -241,21 +244,21 @@ def _write_cautions(summary: Summary) -> list[str]:
         lost = [f"`{agent.label}` {expected - agent.runs} of {expected}" for agent in short]
         known = {agent.label for agent in summary.agents}
         lost += [f"`{spec.label}` all {expected}" for spec in grid.agents if spec.label not in known]
-        cautions.append(f"Some runs have no result and count nowhere: {_join(lost)}. Their errors stand below.")
+        cautions.append(f"Some runs have no result and count nowhere: {join_words(lost)}. Their errors stand below.")
     if grid.runs < PUBLISHED_RUNS:
         cautions.append(f"{_count(grid.runs, 'run').capitalize()} a room: large differences show, small ones may not. "
                         f"A published table needs {PUBLISHED_RUNS} or more.")
     told = [f"`{agent.label}` ({', '.join(agent.spec.privileges)})" for agent in summary.agents
             if agent.spec.privileges]
     if told:
-        cautions.append(f"Privileged, by a hierarchy that is synthesised from the room: {_join(told)}.")
+        cautions.append(f"Privileged, by a hierarchy that is synthesised from the room: {join_words(told)}.")
     learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
     chance = [_get_choices(agent) for agent in summary.agents
               if agent.spec.chooses_options and agent.spec.algorithm == "random"]
     unmatched = [f"`{agent.label}`" for agent in learners if _get_choices(agent) not in chance]
     if unmatched:
-        cautions.append(f"No random policy over the same options was run beside {_join(unmatched)}, so how much of the "
-                        "score the options' planners bring is not known.")
+        cautions.append(f"No random policy over the same options was run beside {join_words(unmatched)}, so how much "
+                        "of the score the options' planners bring is not known.")
     if learners and not any(agent.spec.name == references.INDEX_ORDER for agent in summary.agents):
         cautions.append(f"`{references.INDEX_ORDER}` was not run beside the learners, so what pressing all buttons in "
                         "the order of their numbers brings is not known.")
@@ -270,7 +273,7 @@ def _write_cautions(summary: Summary) -> list[str]:
             cautions.append(f"No run in {room.name} has a result.")
     mixed = [name for name, version in summary.versions.items() if ", " in version]
     if mixed:
-        cautions.append(f"The runs were made with different versions of {_join(mixed)}.")
+        cautions.append(f"The runs were made with different versions of {join_words(mixed)}.")
     return cautions
 
 
@@ -297,7 +300,3 @@ def _count(number: int, noun: str) -> str:
     words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
     word = words[number] if number < len(words) else f"{number:,}"
     return f"{word} {noun}" + ("" if number == 1 else "s")
-
-
-def _join(items: Sequence[str]) -> str:
-    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -10,6 +10,7 @@ from hrl_escape.experiments.inference import correct_by_holm
 from hrl_escape.experiments.studies.contrasts import Analysis, Term
 from hrl_escape.experiments.studies.factorial import RESPONSES, compute_response, get_factors, read_levels
 from hrl_escape.experiments.studies.raw import RawRun
+from hrl_escape.names import join_words
 
 __all__ = ["HEALED", "SIGNIFICANT", "conclude", "correct_main_effects", "count_healed_rooms"]
 
@@ -59,9 +60,9 @@ def _tell_response(response: str, terms: Sequence[Term], p: Mapping[str, float])
         return f"No correction is shown to move the {response}."
     parts = [f"the {response} is raised by {_tell_raising(raising)}"] if raising else []
     if lowering:
-        parts.append(f"{'it' if raising else f'the {response}'} is lowered by {_join(map(_describe, lowering))}")
+        parts.append(f"{'it' if raising else f'the {response}'} is lowered by {join_words(map(_describe, lowering))}")
     text = "; ".join(parts)
-    return f"{text[0].upper()}{text[1:]}" + (f". Nothing is shown of {_join(idle)}." if idle else ".")
+    return f"{text[0].upper()}{text[1:]}" + (f". Nothing is shown of {join_words(idle)}." if idle else ".")
 
 
 def _tell_raising(terms: Sequence[Term]) -> str:
@@ -70,8 +71,8 @@ def _tell_raising(terms: Sequence[Term]) -> str:
     if not rest:
         return f"{_describe(first)} alone"
     if first.low > rest[0].high:
-        return f"{_describe(first)} more than any other, and by {_join(map(_describe, rest))}"
-    return f"{_join(map(_describe, terms))}, and the first is not shown to do more than the second"
+        return f"{_describe(first)} more than any other, and by {join_words(map(_describe, rest))}"
+    return f"{join_words(map(_describe, terms))}, and the first is not shown to do more than the second"
 
 
 def _tell_sufficient(counts: Mapping[str, tuple[int, int]]) -> list[str]:
@@ -85,13 +86,8 @@ def _tell_sufficient(counts: Mapping[str, tuple[int, int]]) -> list[str]:
     if len(enough) == 1:
         return [f"One correction suffices alone in more than half of the rooms: {enough[0]}."]
     return [f"Several corrections each suffice alone in more than half of the rooms, so that these runs name no single "
-            f"cause: {_join(enough)}."]
+            f"cause: {join_words(enough)}."]
 
 
 def _describe(term: Term) -> str:
     return f"{term.factors[0]} ({100 * term.effect:+.0f})"
-
-
-def _join(items: Iterable[str]) -> str:
-    words = list(items)
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -26,6 +26,7 @@ from hrl_escape.experiments.studies.factorial_cause import HEALED, SIGNIFICANT, 
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
 from hrl_escape.experiments.studies.raw import BINS, RawRun
 from hrl_escape.files import write_text
+from hrl_escape.names import join_words
 
 __all__ = ["compute_corners", "write_factorial_page"]
 
@@ -112,8 +113,8 @@ def _write_lines(results: dict[str, list[RawRun]], found: dict[tuple[str, str], 
              "schedules is in primitives throughout, and keras-rl's late flag at the end of an episode "
              "(`late_terminal`) is left out: the decay is there without it.", ""]
     for name, runs in results.items():
-        lines += [f"**{name}**, in {_join(rooms[name])}: a half fraction of the {2 ** len(FACTORS[name])} combinations "
-                  f"(resolution VI), {found[name, 'slope'].runs} runs, which is analysed"
+        lines += [f"**{name}**, in {join_words(rooms[name])}: a half fraction of the {2 ** len(FACTORS[name])} "
+                  f"combinations (resolution VI), {found[name, 'slope'].runs} runs, which is analysed"
                   + ("" if np.isnan(compute_corners(name, runs, "slope")[1][1]) else
                      ", and all combinations that differ from either recipe in one factor")
                   + f"; {len(runs)} runs in all, {seeds} training seed{'s' if seeds > 1 else ''}.", "",
@@ -148,9 +149,9 @@ def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], A
             healing = [factor for factor, alone, _ in ends[1:] if alone >= HEALED]
             others = [f"{factor} ({_points(alone)}, slope {_points(trend, '+')})"
                       for (factor, alone, _), (_, trend, _) in zip(ends[1:], trends[1:], strict=True) if alone < HEALED]
-            lines.append(f"- Means over rooms, corrected alone: {_join(healing) or 'no factor'} "
+            lines.append(f"- Means over rooms, corrected alone: {join_words(healing) or 'no factor'} "
                          f"{'ends' if len(healing) < 2 else 'end'} at {_points(HEALED)} points or more; "
-                         f"{_join(others) or 'none'} {'does' if len(others) == 1 else 'do'} not.")
+                         f"{join_words(others) or 'none'} {'does' if len(others) == 1 else 'do'} not.")
         lines += [f"- Control: published but for {control}, `{name}` ends at {_points(float(np.mean(values)))} points "
                   f"({len(values)} run{'s' if len(values) > 1 else ''})."
                   for control, values in compute_controls(name, runs).items()]
@@ -172,10 +173,6 @@ def compute_controls(algorithm: str, runs: Sequence[RawRun]) -> dict[str, list[f
 
 def _points(value: float, sign: str = "") -> str:
     return f"{100 * value:{sign}.0f}"
-
-
-def _join(names: Sequence[str]) -> str:
-    return " and ".join(filter(None, [", ".join(names[:-1]), *names[-1:]]))
 
 
 def _write_analysis(response: str, analysis: Analysis) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ import numpy as np
 from hrl_escape.experiments.studies.claims import META_DECISIONS, ONE, TWO
 from hrl_escape.experiments.studies.measures import Results, get_runs
 from hrl_escape.experiments.studies.raw import BINS, RawRun
+from hrl_escape.names import join_words
 
 __all__ = ["RERUN", "Rerun", "tell_departures"]
 
@@ -58,7 +58,8 @@ def tell_departures(results: Results) -> list[str]:
     for rerun in RERUN:
         ours = [_compute_late_share(run) for run in get_runs(results, rerun.figure, rerun.agent)]
         there, here = float(np.mean(rerun.shares)), float(np.mean(ours))
-        sentence = (f"- {rerun.words}: {_join(rerun.shares)} there, {here:.2f} on average here "
+        shares = join_words(f"{share:.2f}" for share in rerun.shares)
+        sentence = (f"- {rerun.words}: {shares} there, {here:.2f} on average here "
                     f"({min(ours):.2f} to {max(ours):.2f}, {len(ours)} runs){rerun.note and '; '}{rerun.note}.")
         (parted if abs(there - here) > APART else alike).append(sentence)
     return [f"Share of training episodes in the last fifth that escape. Means more than {APART:g} apart:", "",
@@ -68,8 +69,3 @@ def tell_departures(results: Results) -> list[str]:
 def _compute_late_share(run: RawRun) -> float:
     late = slice(BINS * 4 // 5, BINS)
     return sum(run.training_successes[late]) / max(sum(run.episodes[late]), 1)
-
-
-def _join(shares: Sequence[float]) -> str:
-    words = [f"{share:.2f}" for share in shares]
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
@@ -19,6 +19,7 @@ from hrl_escape.experiments.studies.scaling.study import (
     TOLD,
     TOLD_TASKS,
 )
+from hrl_escape.names import join_words
 
 __all__ = ["compute_rank_correlations", "measure_told", "tell_difficulty", "tell_replication", "tell_sizes",
            "tell_told"]
@@ -41,7 +42,7 @@ def tell_sizes(results: Sequence[ScalingRun]) -> list[str]:
                 size, is_tried = _find_reach(own)
                 name = f"`{agent.removeprefix('smdp-')}`"
                 reach.setdefault(size, []).append(name if is_tried else f"{name} (not tried with more)")
-        parts = [f"up to {size} buttons for {_join(names)}" if size else f"with no number of buttons for {_join(names)}"
+        parts = [f"{f'up to {size}' if size else 'with no number of'} buttons for {join_words(names)}"
                  for size, names in sorted(reach.items(), reverse=True)]
         if parts:
             sentences.append(f"With the {rule} rule all planned runs escape {'; '.join(parts)}.")
@@ -92,7 +93,7 @@ def tell_difficulty(results: Sequence[ScalingRun], budget: int) -> list[str]:
     numbers = ", ".join(f"{value:.2f} with {measure}" for measure, value in ranked)
     best = [measure for measure, value in ranked if value > ranked[0][1] - _APART]
     verdict = (f"{best[0]} order{'s' if best[0] == 'depth' else ''} rooms best by how long an escape takes"
-               if len(best) == 1 else f"{_join(best)} order rooms about equally well by how long an escape takes")
+               if len(best) == 1 else f"{join_words(best)} order rooms about equally well by how long an escape takes")
     return [f"{verdict[0].upper()}{verdict[1:]}: rank correlation with the first escape {numbers}, mean over agents "
             "and rules."]
 
@@ -120,9 +121,9 @@ def tell_told(results: Sequence[ScalingRun]) -> list[str]:
             continue
         whole = [f"`{label}`" for label, (runs, _, _, exact) in here.items() if exact == runs]
         part = [f"`{label}` ({exact} of {runs})" for label, (runs, _, _, exact) in here.items() if exact < runs]
-        having = (f"all runs have the whole graph told {_join(whole, 'or')}" if whole else
+        having = (f"all runs have the whole graph told {join_words(whole, 'or')}" if whole else
                   "told nothing here all runs have the whole graph")
-        lacking = f"; not all do told {_join(part, 'or')}" if part and whole else ""
+        lacking = f"; not all do told {join_words(part, 'or')}" if part and whole else ""
         sentences.append(f"Rule {task.rule}: {having}{lacking}.")
     return sentences
 
@@ -154,8 +155,3 @@ NEAR_BAR = 0.9
 def _tell_median(runs: Sequence[ScalingRun]) -> str:
     escapes = [run.first_escape for run in runs if run.first_escape is not None]
     return f"{np.median(escapes):,.0f}" if escapes else "no number of"
-
-
-def _join(items: Iterable[str], last: str = "and") -> str:
-    words = list(items)
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} {last} {words[-1]}"
