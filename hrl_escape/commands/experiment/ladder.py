@@ -81,5 +81,6 @@ def run(args: LadderArgs) -> None:
         console.print(f"{list_missing(found) - len(failures)} runs are left for another time")
     if not lines:
         raise ConfigError("docs", str(args.docs), "a folder with raw/ladder.jsonl, or leave out --from-raw")
-    write_baselines_page(lines, [rung.name for rung in bench], args.docs / "ladder.md")
+    write_baselines_page(lines, [rung.name for rung in bench], args.docs / "ladder.md",
+                         [rung.name for rung in bench if rung.config.dynamics.is_random])
     console.print(f"Page: {args.docs / 'ladder.md'}")

@@ -7,16 +7,20 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.experiments.comparison import Comparison
+from hrl_escape.experiments.statistics import compute_iqm
 from hrl_escape.files import read_text, write_text
 from hrl_escape.settings import read_record
 
-__all__ = ["LEAST_RUNS", "BaselineRun", "collect_baselines", "join_lines", "load_lines", "save_lines"]
+__all__ = ["LEAST_RUNS", "BaselineRun", "collect_baselines", "compute_run_efficiency", "join_lines", "load_lines",
+           "save_lines"]
 
 LEAST_RUNS = 10
 """Fewer runs than these are shown as numbers, and no sentence concludes from them."""
@@ -73,6 +77,11 @@ def collect_baselines(comparison: Comparison, protocol: str, rung: str) -> list[
         progress=round(result.get_final("mean_progress"), 4),
         first_escape=result.first_escape if run.agent.learns else None, key=run.key,
     ) for run, result in comparison.runs]
+
+
+def compute_run_efficiency(runs: Sequence[BaselineRun]) -> float:
+    """Interquartile mean over runs; of fewer than four the mean."""
+    return float(compute_iqm([np.array([run.efficiency for run in runs])]))
 
 
 def join_lines(old: Iterable[BaselineRun], new: Iterable[BaselineRun]) -> list[BaselineRun]:

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun
+from hrl_escape.experiments.baselines.calibration import tell_calibration
+from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun, compute_run_efficiency
 from hrl_escape.experiments.baselines.running import GENERALISTS, LEARNERS
 from hrl_escape.experiments.inference import compute_wilson_interval
+from hrl_escape.experiments.ladder_score import compute_ladder_score
 from hrl_escape.experiments.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES
-from hrl_escape.experiments.statistics import compute_iqm
 from hrl_escape.files import write_text
+from hrl_escape.names import join_words
 
 __all__ = ["write_baselines_page"]
 
@@ -24,13 +27,15 @@ _WORDS = {
 }
 
 
-def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], path: Path) -> None:
+def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], path: Path,
+                         noisy: Collection[str] = ()) -> None:
     """Write the page.
 
     Args:
         lines: at least one.
         rungs: names of the rungs, in order.
         path: the page's file.
+        noisy: rungs in which moves err.
 
     Raises:
         FileWriteError: the file cannot be written.
@@ -42,7 +47,12 @@ def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], pat
     for protocol in [name for name in _WORDS if any(line.protocol == name for line in lines)]:
         own = [line for line in lines if line.protocol == protocol]
         text += [f"## {protocol}", "", _WORDS[protocol], "", _describe_budgets(own), "",
-                 *_make_table(own, rungs), "", *_name_highest(own, rungs), ""]
+                 *_make_table(own, rungs), "", *_name_highest(own, rungs), "", *_score(own, rungs)]
+        if protocol == "per-instance":
+            cells = {(rung, agent): _choose(own, agent, rung) for rung in rungs for agent in _list_agents(own)}
+            told = tell_calibration(cells, rungs, noisy)
+            text += ["### Calibration", "", f"By cells of {LEAST_RUNS} runs or more.", "",
+                     *(f"- {sentence}" for sentence in told), ""] if told else []
     text += ["```console", _make_command(lines), "```", "", "The command goes on with the runs that are missing, and "
              "more `--rooms`, `--runs` or `--minutes` add others. Without options it is the whole: 10 rooms, 10 seeds, "
              "20 episodes, and the rungs' own budgets.", ""]
@@ -88,8 +98,8 @@ def _is_learner(lines: Sequence[BaselineRun], agent: str) -> bool:
 
 def _describe_budgets(lines: Sequence[BaselineRun]) -> str:
     budgets = sorted({line.primitives for line in lines if line.primitives})
-    episodes = _join([str(number) for number in sorted({line.episodes for line in lines})])
-    return (f"Learners train for {_join([f'{budget:,}' for budget in budgets]) or 'no'} primitives, "
+    episodes = join_words([str(number) for number in sorted({line.episodes for line in lines})])
+    return (f"Learners train for {join_words([f'{budget:,}' for budget in budgets]) or 'no'} primitives, "
             f"the largest budget of a cell counting; {episodes} episodes an evaluation.")
 
 
@@ -117,18 +127,14 @@ def _is_shown(runs: Sequence[BaselineRun]) -> bool:
 def _format_cell(runs: Sequence[BaselineRun]) -> str:
     if not runs:
         return "-"
-    text = f"{_compute_efficiency(runs):.2f}"
+    text = f"{compute_run_efficiency(runs):.2f}"
     return f"{f'**{text}**' if _is_mastered(runs) else text} ({len(runs)})"
-
-
-def _compute_efficiency(runs: Sequence[BaselineRun]) -> float:
-    return float(compute_iqm([np.array([run.efficiency for run in runs])]))
 
 
 def _is_mastered(runs: Sequence[BaselineRun]) -> bool:
     """Return whether the numbers themselves pass, however few they are."""
     return (float(np.mean([run.escapes for run in runs])) >= PASSED_ESCAPES
-            and _compute_efficiency(runs) >= PASSED_EFFICIENCY)
+            and compute_run_efficiency(runs) >= PASSED_EFFICIENCY)
 
 
 def _is_passed(runs: Sequence[BaselineRun]) -> bool:
@@ -143,6 +149,32 @@ def _find_highest(lines: Sequence[BaselineRun], agent: str, rungs: Sequence[str]
     return found[-1] if found else None
 
 
+def _score(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
+    """Ladder scores over the rungs and agents that fill the largest table without gaps."""
+    agents = _list_agents(lines)
+    enough = {rung: {agent for agent in agents if len(_choose(lines, agent, rung)) >= LEAST_RUNS} for rung in rungs}
+    chosen = max(enough.values(), key=lambda chosen: len(chosen) * sum(chosen <= there for there in enough.values()))
+    common = [rung for rung, there in enough.items() if chosen <= there]
+    if not chosen:
+        return []
+    rows = []
+    for agent in (agent for agent in agents if agent in chosen):
+        score = compute_ladder_score([_split(_choose(lines, agent, rung)) for rung in common], np.random.default_rng(0))
+        rows.append(f"| `{agent}` | {score.value:.2f} | {score.low:.2f} to {score.high:.2f} |")
+    names = join_words(f"`{rung}`" for rung in common)
+    return [f"Ladder score: the mean of the efficiency over {names}, where all of these agents have {LEAST_RUNS} runs "
+            "or more, with an interval that draws rooms as a whole.", "",
+            "| agent | score | 95 % |", "|---|---|---|", *rows, ""]
+
+
+def _split(runs: Sequence[BaselineRun]) -> list[NDArray[np.float64]]:
+    """Efficiencies (runs,) of each room that was learned in, or of each run alone that was tested in others."""
+    units: dict[object, list[float]] = {}
+    for run in runs:
+        units.setdefault(run.rooms if run.protocol == "per-instance" else run.seed, []).append(run.efficiency)
+    return [np.array(unit) for unit in units.values()]
+
+
 def _name_highest(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
     text = [f"| agent | highest rung mastered, with {LEAST_RUNS} runs or more | passed, by Wilson's interval |",
             "|---|---|---|"]
@@ -154,7 +186,3 @@ def _name_highest(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[st
         text += ["", f"To pass takes 35 runs without a failure at least: the lower end of Wilson's interval reaches "
                  f"{PASSED_ESCAPES:g} with no fewer. Some cells have {few}."]
     return text
-
-
-def _join(items: Sequence[str]) -> str:
-    return items[0] if len(items) == 1 else f"{', '.join(items[:-1])} and {items[-1]}" if items else ""

@@ -5,15 +5,18 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import load_agent, load_env
 from hrl_escape.cli import main
 from hrl_escape.errors import FileReadError
+from hrl_escape.experiments.baselines.calibration import CHANCE, IN_ORDER, KNOWN, ROUND
 from hrl_escape.experiments.baselines.lines import BaselineRun, join_lines, load_lines, save_lines
 from hrl_escape.experiments.baselines.page import write_baselines_page
 from hrl_escape.experiments.baselines.running import BaselineSettings, make_baseline_grids
+from hrl_escape.experiments.ladder_score import compute_ladder_score
 from hrl_escape.ladder.benchmark import load_benchmark
 
 RUNGS_OF_TWO = ("doormat", "pair")
@@ -58,6 +61,49 @@ def test_the_page_names_the_highest_rung_mastered_and_the_highest_that_enough_ru
 def test_few_runs_lead_to_no_conclusion(efficiency: float, runs: int, sentence: str, tmp_path: Path):
     write_baselines_page(make_lines("high", "dqn", efficiency, 1.0, runs), RUNGS, tmp_path / "page.md")
     assert sentence in (tmp_path / "page.md").read_text()
+
+
+def make_cells(curves: dict[str, list[float]], primitives: int = 0) -> list[BaselineRun]:
+    """Ten rooms of each rung, whose efficiencies differ a little."""
+    return [dataclasses.replace(LINE, rung=rung, agent=agent, efficiency=round(value + 0.001 * number, 3),
+                                                rooms=f"x/{rung}/test[{number}]", primitives=primitives)
+            for agent, curve in curves.items() for rung, value in zip(RUNGS, curve, strict=True)
+            for number in range(10)]
+
+
+SOUND = {CHANCE: [0.4, 0.3, 0.1], KNOWN: [1.0, 1.0, 1.0], IN_ORDER: [0.5, 0.4, 0.2], ROUND: [0.51, 0.41, 0.21]}
+ALL = "stay below an efficiency of 0.5 on 3 of 3 rungs."
+
+
+@pytest.mark.parametrize(("references", "learner", "noisy", "told"), [
+    ({}, [1.0, 0.5, 0.0], (), [ALL, "as efficient as can be on 3 of 3 rungs.", "on none of 3 rungs",
+                               "No learner falls from above 0.9 on one rung to below 0.1"]),
+    ({CHANCE: [0.8, 0.3, 0.1]}, [1.0, 0.05, 0.0], (),
+     ["on 2 of 3 rungs, but not on `low` (0.80).", "The fall is not smooth: dqn falls from 1.00 on low to 0.05"]),
+    ({KNOWN: [1.0, 1.0, 0.96]}, [0.2, 0.1, 0.0], (), ["as can be on 2 of 3 rungs, but not on `high` (0.96)"]),
+    ({KNOWN: [1.0, 1.0, 0.96]}, [0.2, 0.1, 0.0], ("high",), ["as efficient as can be on 3 of 3 rungs."]),
+    ({IN_ORDER: [0.5, 0.6, 0.2]}, [0.2, 0.1, 0.0], (), ["drawn by lot on `middle` (by 0.19), so numbers tell"]),
+])
+def test_calibration_tells_what_the_lines_say(references: dict, learner: list, noisy: tuple, told: list,
+                                              tmp_path: Path):
+    lines = [*make_cells({**SOUND, **references}), *make_cells({"dqn": learner}, 1000)]
+    write_baselines_page(lines, RUNGS, tmp_path / "page.md", noisy)
+    page = (tmp_path / "page.md").read_text()
+    assert not [words for words in told if words not in page], page
+    write_baselines_page([line for line in lines if not line.rooms.endswith("[9]")], RUNGS, tmp_path / "page.md")
+    assert "### Calibration" not in (tmp_path / "page.md").read_text(), "nine rooms are too few"
+
+
+def test_ladder_scores_are_over_the_largest_table_without_gaps(tmp_path: Path):
+    lines = [*make_cells(SOUND), *make_cells({"dqn": [0.9, 0.6, 0.0]}, 1000),
+             *(line for line in make_cells({"ppo": [1.0, 1.0, 1.0]}, 1000) if line.rung == "low")]
+    write_baselines_page(lines, RUNGS, tmp_path / "page.md")
+    page = (tmp_path / "page.md").read_text()
+    assert "the mean of the efficiency over `low`, `middle` and `high`" in page
+    units = [[np.array([run.efficiency]) for run in lines if (run.agent, run.rung) == ("dqn", rung)] for rung in RUNGS]
+    score = compute_ladder_score(units, np.random.default_rng(0))
+    assert f"| `dqn` | 0.50 | {score.low:.2f} to {score.high:.2f} |" in page
+    assert "| `ppo` | 1.00 |" not in page, "on one rung only"
 
 
 def test_whole_cells_come_first_and_grids_of_more_agents_and_seeds_hold_the_runs_of_those_before():

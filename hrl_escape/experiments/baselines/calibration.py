@@ -1,0 +1,83 @@
+"""Sentences on whether a ladder is calibrated, by rule from the lines of its baselines.
+
+Chance stays below half the efficiency, the planner reaches all of it, numbers of buttons tell nothing, and learners
+fall off step by step. Only cells of `LEAST_RUNS` runs or more count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping, Sequence
+
+import numpy as np
+
+from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun, compute_run_efficiency
+from hrl_escape.experiments.inference import compare_pairs, correct_by_holm
+from hrl_escape.experiments.protocols import MOST_CHANCE, STEP, find_miscalibration, find_steps
+from hrl_escape.names import join_words
+
+__all__ = ["CHANCE", "IN_ORDER", "KNOWN", "ROUND", "tell_calibration"]
+
+CHANCE, ROUND = "smdp-random+no-primitives", "smdp-shuffled-round+no-primitives"
+IN_ORDER, KNOWN = "smdp-index-order+no-primitives", "planner"
+
+
+def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], rungs: Sequence[str],
+                     noisy: Collection[str]) -> list[str]:
+    """Sentences on chance, the planner, the order of the numbers, and steps; none about what was not measured.
+
+    Args:
+        cells: runs by rung and agent, all of one budget in each.
+        rungs: names of the rungs, in order.
+        noisy: rungs in which moves err, where the planner is measured by its own expectation.
+    """
+    enough = {place: runs for place, runs in cells.items() if len(runs) >= LEAST_RUNS}
+    curves: dict[str, dict[str, float]] = {}
+    for rung in rungs:
+        for agent in (agent for place, agent in enough if place == rung):
+            curves.setdefault(agent, {})[rung] = compute_run_efficiency(enough[rung, agent])
+    told = []
+    if chance := curves.get(CHANCE):
+        above = [rung for rung, value in chance.items() if find_miscalibration(value, 1.0)]
+        told.append(f"Random choices among the options stay below an efficiency of {MOST_CHANCE:g} "
+                    f"{_count(above, chance)}.")
+    if known := curves.get(KNOWN):
+        below = [rung for rung, value in known.items() if find_miscalibration(0.0, value, rung in noisy)]
+        told.append(f"The planner, who knows the graph, is as efficient as can be {_count(below, known)}.")
+    if order := _tell_order(enough, rungs):
+        told.append(order)
+    learners = {agent: curve for agent, curve in curves.items()
+                if any(run.primitives for rung in curve for run in enough[rung, agent])}
+    steps = [step for agent, curve in learners.items()
+             for faults in find_steps({rung: {agent: value} for rung, value in curve.items()}, [agent]).values()
+             for step in faults]
+    if steps:
+        told.append(f"The fall is not smooth: {'; '.join(steps)}.")
+    elif any(len(curve) > 1 for curve in learners.values()):
+        told.append(f"No learner falls from above {STEP[0]:g} on one rung to below {STEP[1]:g} on the next that it was "
+                    f"run on: {join_words(f'`{agent}`' for agent in learners)}.")
+    return told
+
+
+def _tell_order(enough: Mapping[tuple[str, str], Sequence[BaselineRun]], rungs: Sequence[str]) -> str:
+    """Where rounds in the order of the numbers are better than rounds in an order drawn for the episode."""
+    tests = {}
+    for rung in (rung for rung in rungs if (rung, IN_ORDER) in enough and (rung, ROUND) in enough):
+        ours, theirs = ({(run.rooms, run.seed): run.efficiency for run in enough[rung, agent]}
+                        for agent in (IN_ORDER, ROUND))
+        differences = [ours[place] - theirs[place] for place in ours.keys() & theirs.keys()]
+        tests[rung] = compare_pairs([np.array(sorted(differences))])
+    if not tests:
+        return ""
+    adjusted = correct_by_holm([test.p for test in tests.values()])
+    better = [f"`{rung}` (by {test.difference:.2f})"
+              for (rung, test), p in zip(tests.items(), adjusted, strict=True) if p < 0.05 and test.difference > 0]
+    begins = "Rounds in the order of the buttons' numbers are more efficient than rounds in an order drawn by lot on"
+    if better:
+        return f"{begins} {join_words(better)}, so numbers tell something there."
+    return f"{begins} none of {len(tests)} rungs (paired by room, Holm): numbers are not shown to tell anything."
+
+
+def _count(exceptions: Collection[str], curve: Mapping[str, float]) -> str:
+    """On how many rungs, and on which not."""
+    but = f", but not on {join_words(f'`{rung}` ({curve[rung]:.2f})' for rung in exceptions)}" if exceptions else ""
+    return f"on {len(curve) - len(exceptions)} of {len(curve)} rungs{but}"
