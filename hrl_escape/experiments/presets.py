@@ -8,8 +8,9 @@ from hrl_escape.errors import UnknownNameError
 from hrl_escape.experiments.grid import AgentSpec, Grid
 from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.references import REFERENCES
+from hrl_escape.synthesis.kinds import LEAVES
 
-__all__ = ["GRIDS", "get_grid"]
+__all__ = ["GRIDS", "HIERARCHICAL", "get_grid"]
 
 
 def _parse_agents(*texts: str) -> tuple[AgentSpec, ...]:
@@ -23,6 +24,8 @@ def _parse_rooms(*texts: str) -> tuple[RoomSpec, ...]:
 _FLAT = _parse_agents("random", "dqn@paper", "sarsa@paper", "ddpg@paper", "dqn", "sarsa", "ddpg")
 _OPTIONS = _parse_agents("smdp-random", "smdp-dqn@paper", "smdp-sarsa@paper", "smdp-ddpg@paper", "smdp-dqn",
                          "smdp-sarsa", "smdp-ddpg", *REFERENCES)
+HIERARCHICAL = ("maxq-q", "hamq", "h-dqn@table", "feudal-rl")
+"""An agent in tables for each kind of hierarchy that is synthesised."""
 # The paper's rooms have one start and no chance: every episode of one evaluation is the same, so one is enough.
 _PAPER: dict[str, Any] = {"runs": 10, "primitives": 20_000, "eval_every": 500, "eval_episodes": 1}
 
@@ -89,15 +92,16 @@ GRIDS: dict[str, Grid] = {
         ),
         Grid(
             name="hierarchies",
-            description="Task graphs and programs synthesised from a room: what does their structure bring alone, and "
-            "what do planned leaves?",
-            agents=_parse_agents("random", "q-learning", "maxq-q+learned", "hamq+learned", "maxq-q+planned",
-                                 "hamq+planned", "smdp-random", "smdp-q-learning", *REFERENCES),
-            rooms=_parse_rooms("paper-two-button", "four-button-chain"),
+            description="Hierarchies synthesised from a room: what does their structure bring alone, and what do "
+            "planned leaves?",
+            agents=_parse_agents("random", "q-learning", *(f"{name}+{leaves}" for leaves in LEAVES[::-1]
+                                                           for name in HIERARCHICAL),
+                                 "smdp-random+no-primitives", "smdp-q-learning+no-primitives", *REFERENCES),
+            rooms=_parse_rooms("paper-two-button", "four-button-chain", "ten-button", "arm-two-button"),
             runs=10,
             primitives=10_000,
-            eval_every=2_500,
-            eval_episodes=2,
+            eval_every=5_000,
+            eval_episodes=1,  # as in the paper's rooms: one start, no chance
         ),
     )
 }
