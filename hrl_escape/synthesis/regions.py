@@ -7,6 +7,7 @@ open landmarks true, or to escape.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -20,19 +21,27 @@ from hrl_escape.synthesis.situation import Situations
 __all__ = ["compute_depth", "make_region_tree"]
 
 MOST_LEVELS = 3
+KEPT = 50_000
+"""Primitives of the planner that are kept: every manager asks which orders can be obeyed, at every primitive."""
 BORDER_MARGIN = 1e-3
 """Distance that a region to be walked to keeps from its borders, as a share of its size: a border has one owner."""
 
 
-def compute_depth(rooms: Situations) -> int:
-    """Finest level: its cells are at least two moves wide."""
+def compute_depth(rooms: Situations, planned: bool) -> int:
+    """Finest level: its cells are at least two moves wide; with planned leaves they are quarters.
+
+    A planner crosses a quarter as well as a small cell, and every finer level is one more manager that must learn which
+    of its orders serve the one above.
+    """
+    if planned:
+        return 1
     widths = 2 * rooms.instance.reach_x, 2 * rooms.instance.reach_y
     levels = int(math.log2(max(1.0, min(widths) / (2 * rooms.instance.robot.move_step))))
     return min(max(levels, 1), MOST_LEVELS)
 
 
 def make_region_tree(rooms: Situations, planned: bool) -> Quadtree:
-    """The floor, cut into four at every level; north is +y.
+    """The floor, cut into four at every level, once for planned leaves; north is +y.
 
     With planned leaves the planner obeys: it walks into the next cell, or to the nearest thing that a search in this
     cell is for, provided that its way ends here.
@@ -42,7 +51,7 @@ def make_region_tree(rooms: Situations, planned: bool) -> Quadtree:
         planned: the planner walks; else walking is learned over primitives.
     """
     half_width, half_depth = rooms.instance.reach_x, rooms.instance.reach_y
-    landmarks, depth = OpenLandmarks(rooms), compute_depth(rooms)
+    landmarks, depth = OpenLandmarks(rooms), compute_depth(rooms, planned)
     most = math.nextafter(1.0, 0.0)
 
     def locate(x: float, y: float) -> tuple[float, float]:
@@ -60,7 +69,9 @@ def make_region_tree(rooms: Situations, planned: bool) -> Quadtree:
     def has_found(before: Any, after: Any) -> bool:
         return bool(landmarks.list_open(rooms.read(before).facts) & rooms.read(after).facts)
 
-    def obey(observation: Any, cell: tuple[int, int], order: int) -> int | None:
+    @lru_cache(KEPT)
+    def find_obedience(packed: bytes, cell: tuple[int, int], order: int) -> int | None:
+        observation = np.frombuffer(packed)
         here = rooms.read(observation)
         seen = Seen(observation, np.zeros(0, np.bool_), here)
         if order < len(DIRECTIONS):
@@ -80,5 +91,8 @@ def make_region_tree(rooms: Situations, planned: bool) -> Quadtree:
             if way and tuple(int(each * 2**depth) for each in locate(*end)) == cell:
                 ways.append((len(way), way[0]))
         return min(ways)[1] if ways else None
+
+    def obey(observation: Any, cell: tuple[int, int], order: int) -> int | None:
+        return find_obedience(np.asarray(observation, np.float64).tobytes(), cell, order)
 
     return Quadtree(depth, find_place, list_facts, has_found, obey if planned else None)

@@ -45,8 +45,9 @@ class FeudalTask(BaseTask):
         self.tree, self.level = tree, level
         self.is_last = level > tree.depth
         super().__init__(f"level {level}", primitives if self.is_last else SEARCH + 1)
-        # An order that a policy obeys is obeyed at last.
-        self._patience = 0 if tree.policy is not None else patience * 2 ** (tree.depth + 1 - level)
+        # An order that a policy obeys is obeyed at last; what lies between may have been ordered in vain.
+        is_obeyed = self.is_last and tree.policy is not None
+        self._patience = 0 if is_obeyed else patience * 2 ** (tree.depth + 1 - level)
         self._penalty = penalty
         self.below: FeudalTask | None = None
 
@@ -69,6 +70,8 @@ class FeudalTask(BaseTask):
         inside = [self.tree.has_neighbour(cell, self.level, direction) for direction in range(SEARCH)]
         legal = np.array([*inside, True], np.bool_)
         if self.tree.policy is not None and self.below is not None:
+            if not self.below.is_last:  # its choices are the same whatever its order
+                return legal & self.below.legal(seen, None).any()
             for order in legal.nonzero()[0].tolist():
                 legal[order] = self.below.legal(seen, order).any()
         return legal

@@ -7,8 +7,9 @@ import pytest
 
 from hrl_escape.agents.agent import make_transition
 from hrl_escape.agents.algorithms.given.feudal_rl import FeudalRl
-from hrl_escape.agents.hierarchy.feudal import SEARCH
+from hrl_escape.agents.hierarchy.feudal import SEARCH, make_feudal_hierarchy
 from hrl_escape.agents.hierarchy.regions import DIRECTIONS, Quadtree
+from hrl_escape.agents.hierarchy.task import Frame, Seen
 from hrl_escape.errors import AgentSettingsError
 from tests.agents.running import interact, learn
 from tests.classic.barrier_maze import BEHIND, BEYOND, GRID, SIDE, BarrierMaze
@@ -162,6 +163,17 @@ def test_an_order_given_up_bootstraps():
     agent.observe(make_transition(cell, 0, ALL, (there, 0.0, False, False, {}), 0.9))
     assert [frame.task.name for frame in agent.stack] == ["level 1"]
     assert agent.compute_choice_values(last, cell, 3)[0] == pytest.approx(0.45)
+
+
+def test_a_manager_between_gives_up_an_order_even_where_a_policy_obeys_its_own():
+    """Moves are obeyed, so that the last level needs no patience; a search of the manager above may find nothing."""
+    tree = Quadtree(2, find_place, policy=lambda observation, cell, order: order if order < SEARCH else None)
+    manager, last = make_feudal_hierarchy(tree, 4, penalty=0.2, patience=3).below
+    start = Seen(0, ALL)
+    for task, lasting in ((manager, [0.0, 1.0]), (last, [0.0, 0.0])):
+        assert [task.ends(Frame(task, SEARCH, start, primitives), start) for primitives in (5, 6)] == lasting
+    assert list(manager.legal(start, SEARCH)) == [False, True, False, True, False], "no search where none is obeyed"
+    assert list(last.legal(start, 1).nonzero()[0]) == [1]
 
 
 def test_without_cells_it_is_q_learning():
