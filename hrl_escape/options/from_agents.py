@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.errors import OptionError
-from hrl_escape.options.learned import LegalActions
+from hrl_escape.options.learned import LegalActions, check_legal, find_legal
 from hrl_escape.options.option import Option
 from hrl_escape.planning.report import PlanningReport
 
@@ -105,15 +105,21 @@ class AgentOption(Option):
         self._run: GivenRun | None = None
 
     def _look(self, state: Any) -> tuple[Any, NDArray[np.bool_]]:
-        legal = self._legal
-        mask = np.asarray(legal(state), np.bool_) if callable(legal) else np.ones(legal, np.bool_)
-        return state if self._observe is None else self._observe(state), mask
+        return state if self._observe is None else self._observe(state), find_legal(self._legal, state)
 
     def _get_run(self) -> GivenRun:
         """The present run; of a policy that is a function of the state, any."""
         if self._run is None or self.is_markov:
             self._run = self._learned.begin()
         return self._run
+
+    def check_actions(self, state: Any, count: int) -> None:
+        """Refuse an environment for whose actions `legal` has no entry each.
+
+        Raises:
+            OptionError: it has more or fewer.
+        """
+        check_legal(self.name, self._legal, state, count)
 
     def initiation(self, state: Any) -> bool:
         """Ask the policy; where `until` is certain it may not start."""

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from hrl_escape.errors import OptionError
 from hrl_escape.options.option import FunctionOption
 
-__all__ = ["LearnedOption", "LegalActions", "PredictingModel", "TrainedAgent"]
+__all__ = ["LearnedOption", "LegalActions", "PredictingModel", "TrainedAgent", "check_legal", "find_legal"]
 
 LegalActions: TypeAlias = int | Callable[[Any], NDArray[np.bool_]]
 """Number of actions, all legal, or a function of the state that gives a bool (actions,) of the legal ones."""
@@ -36,6 +36,24 @@ class PredictingModel(Protocol):
     def predict(self, observation: Any, *, deterministic: bool = False) -> tuple[Any, Any]:
         """Action and the policy's memory."""
         ...
+
+
+def find_legal(legal: LegalActions, state: Any) -> NDArray[np.bool_]:
+    """Legal actions, bool (actions,)."""
+    return np.asarray(legal(state), np.bool_) if callable(legal) else np.ones(legal, np.bool_)
+
+
+def check_legal(name: str, legal: LegalActions, state: Any, count: int) -> None:
+    """Require an entry for every action of the environment.
+
+    Raises:
+        OptionError: there are more or fewer.
+    """
+    shape = find_legal(legal, state).shape
+    if shape != (count,):
+        said = f"its legal gives an array of shape {shape}" if callable(legal) else f"its legal is {legal}"
+        raise OptionError(f"option {name!r} acts in an environment of {count} actions, and {said}: give that number, "
+                          "or a function of the state that gives a bool for each")
 
 
 class LearnedOption(FunctionOption):
@@ -77,6 +95,16 @@ class LearnedOption(FunctionOption):
                               "or a model with predict")
         super().__init__(name, _LearnedPolicy(policy, observe, legal, is_stochastic), termination, initiation,
                          is_stochastic)
+        self._legal = legal
+
+    def check_actions(self, state: Any, count: int) -> None:
+        """Refuse an environment for whose actions `legal` has no entry each.
+
+        Raises:
+            OptionError: it has more or fewer.
+        """
+        if self._legal is not None:
+            check_legal(self.name, self._legal, state, count)
 
 
 class _LearnedPolicy:
@@ -90,8 +118,8 @@ class _LearnedPolicy:
     def __call__(self, state: Any, rng: np.random.Generator | None = None) -> Any:
         observation = state if self.observe is None else self.observe(state)
         if isinstance(self.learned, TrainedAgent):
-            mask = self.legal(state) if callable(self.legal) else np.ones(self.legal or 0, np.bool_)
-            return self.learned.act_greedy(observation, mask, rng or np.random.default_rng(0))
+            assert self.legal is not None
+            return self.learned.act_greedy(observation, find_legal(self.legal, state), rng or np.random.default_rng(0))
         if isinstance(self.learned, PredictingModel):
             return self.learned.predict(observation, deterministic=True)[0]
         return self.learned(observation, rng) if self._is_stochastic else self.learned(observation)

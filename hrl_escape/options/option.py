@@ -63,6 +63,14 @@ class Option(ABC):
         del state
         self.report = PlanningReport()
 
+    def check_actions(self, state: Any, count: int) -> None:
+        """Refuse an environment of another number of actions than it was made for; asked at each reset. Any will do.
+
+        Raises:
+            OptionError: it was made for another number.
+        """
+        del state, count
+
     @abstractmethod
     def policy(self, state: Any) -> Any:
         """Choose a primitive, as the environment takes it, or a lower option to run to its end before asking again."""

@@ -214,7 +214,10 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         if key is not None or self._rng is None:
             self._rng = np.random.default_rng(key)
         self._lower_mask = self._domain.get_mask(info)
-        return self._compute_mask(self._domain.get_state(observation), self._lower_mask)
+        state, count = self._domain.get_state(observation), len(self._lower_mask)
+        for option in self.options if count else ():
+            option.check_actions(state, count)
+        return self._compute_mask(state, self._lower_mask)
 
     def _enter(self, subject: Any) -> None:
         made = make_options(self._source, subject)

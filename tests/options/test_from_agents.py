@@ -28,7 +28,7 @@ from hrl_escape.agents.registry import list_agents
 from hrl_escape.checks import check_option
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.errors import OptionError, RunMismatchError
-from hrl_escape.options import OptionsEnv, make_learned_options
+from hrl_escape.options import LearnedOption, OptionsEnv, make_learned_options
 from hrl_escape.synthesis import HierarchyEnv
 from tests.agents.hierarchy.four_rooms_tasks import make_walks
 from tests.agents.hierarchy.taxi_program import drive, read
@@ -306,6 +306,22 @@ def test_a_call_that_begins_nowhere_is_masked():
 def test_what_gives_no_options_is_refused(agent, legal, message):
     with pytest.raises(OptionError, match=message):
         make_learned_options(agent, legal)
+
+
+@pytest.mark.parametrize("as_option", [
+    lambda agent, legal: make_learned_options(agent, legal, until=lambda cell: 1.0)[0],
+    lambda agent, legal: LearnedOption("policy", agent, lambda cell: 1.0, legal=legal),
+])
+@pytest.mark.parametrize(("legal", "said"), [
+    (5, "its legal is 5"),
+    (lambda cell: np.ones(3, np.bool_), r"its legal gives an array of shape \(3,\)"),
+    (lambda cell: True, r"its legal gives an array of shape \(\)"),
+])
+def test_legal_has_an_entry_for_every_action_of_the_environment(as_option, legal, said):
+    lake = gymnasium.make("FrozenLake-v1")
+    agent = make_agent("q-learning", lake.observation_space, lake.action_space, 0)
+    with pytest.raises(OptionError, match=f"'policy' acts in an environment of 4 actions, and {said}: give that"):
+        OptionsEnv(lake, [as_option(agent, legal)]).reset(seed=0)
 
 
 # --- provenance ---------------------------------------------------------------------------------
