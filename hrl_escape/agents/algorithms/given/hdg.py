@@ -138,11 +138,10 @@ class Hdg(Agent):
     def _estimate(self, state: int) -> NDArray[np.float64]:
         """d(s, g) of every state met, (states met,); over the goal's landmark where it is not kept."""
         met = len(self._numbers)
-        near = self.distances[:met, :met].min(axis=2) if self._landmarks is not None else None
         estimate = self.distances[state, :met].min(axis=1)
-        if near is not None:
+        if self._landmarks is not None:
             landmark = self._regions[:met]
-            far = estimate[landmark] + near[landmark, np.arange(met)]
+            far = estimate[landmark] + self.distances[landmark, np.arange(met)].min(axis=1)
             estimate = np.where(self._keeps(state), estimate, far)
         estimate[state] = 0.0
         return estimate
