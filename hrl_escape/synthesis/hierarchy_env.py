@@ -27,10 +27,10 @@ class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     Args:
         env: a flat room, always the same instance.
-        kind: kind of hierarchy, `maxq` or `ham`; what the agent takes.
+        kind: kind of hierarchy, what the agent takes; as in `synthesise`, like all that follows.
         leaves: `planned` or `learned`.
         abstract: let each task see only what is relevant to it.
-        cell: as in `synthesise`.
+        cell: squares of learned leaves, m.
 
     Attributes:
         structure: arguments of the agent beside spaces and settings.

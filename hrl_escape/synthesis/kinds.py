@@ -15,8 +15,7 @@ Leaves: TypeAlias = Literal["planned", "learned"]
 KINDS: tuple[HierarchyKind, ...] = ("maxq", "ham", "landmarks", "feudal")
 LEAVES: tuple[Leaves, ...] = ("planned", "learned")
 
-PARTS: Mapping[HierarchyKind, str] = {"maxq": "hierarchy", "ham": "program", "landmarks": "goals",
-                                              "feudal": "tree"}
+PARTS: Mapping[HierarchyKind, str] = {"maxq": "hierarchy", "ham": "program", "landmarks": "goals", "feudal": "tree"}
 """Kind -> the argument by which agents take it."""
 
 

@@ -13,8 +13,8 @@ import numpy as np
 from gymnasium import spaces
 
 from hrl_escape.agents.hierarchy.goals import GoalSet, GoalView
-from hrl_escape.agents.hierarchy.task import Seen
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import SymbolicModel
+from hrl_escape.planning.goals import Goal
 from hrl_escape.planning.symbolic.landmarks import find_landmarks
 from hrl_escape.synthesis.situation import Situations
 
@@ -37,9 +37,9 @@ class OpenLandmarks:
         self._model = rooms.model
         made = frozenset[str]().union(*(operator.add for operator in rooms.operators))
         self.names = (*(fact for fact in self._model.propositions if fact in made), EXIT)
-        self._operators = rooms.operators
+        self._rooms = rooms
         self._find = lru_cache(None)(self._search)
-        self._find_first = lru_cache(None)(self._search_first)
+        self._find_goal = lru_cache(None)(self._search_goal)
 
     def list_open(self, facts: frozenset[str]) -> frozenset[str]:
         """Landmarks with none before them that does not hold; the exit where the goal holds; none at a dead end."""
@@ -51,13 +51,16 @@ class OpenLandmarks:
             return frozenset()
         return frozenset(fact for fact, earlier in found.items() if not earlier) or frozenset({EXIT})
 
-    def find_operator(self, facts: frozenset[str], landmark: str) -> Operator | None:
-        """First operator on the shortest way to a landmark; None for the exit, and at a dead end."""
-        return None if landmark == EXIT else self._find_first(facts, landmark)
+    def find_goal(self, facts: frozenset[str], landmark: str) -> Goal | None:
+        """Goal that comes first on the way to a landmark: a target to press, or the exit; None at a dead end."""
+        return self._find_goal(facts, landmark)
 
-    def _search_first(self, facts: frozenset[str], landmark: str) -> Operator | None:
-        model = SymbolicModel(self._model.propositions, self._operators, frozenset({landmark}))
-        return next(iter(model.find_fewest(facts) or ()), None)
+    def _search_goal(self, facts: frozenset[str], landmark: str) -> Goal | None:
+        if landmark == EXIT:
+            return self._rooms.get_goal(None)
+        model = SymbolicModel(self._model.propositions, self._rooms.operators, frozenset({landmark}))
+        first = next(iter(model.find_fewest(facts) or ()), None)
+        return None if first is None else self._rooms.get_goal(self._rooms.target_names.index(first.target))
 
 
 def make_landmark_goals(rooms: Situations, planned: bool, abstract: bool) -> GoalSet:
@@ -82,24 +85,18 @@ def make_landmark_goals(rooms: Situations, planned: bool, abstract: bool) -> Goa
 
     def choose(observation: Any, goal: int) -> int | None:
         here = rooms.read(observation)
-        operator = landmarks.find_operator(here.facts, names[goal])
-        if operator is None and names[goal] != EXIT:
-            return None
-        target = None if operator is None else rooms.target_names.index(operator.target)
-        return next(iter(rooms.plan(_look(observation, here), rooms.get_goal(target))), None)
+        target = landmarks.find_goal(here.facts, names[goal])
+        return None if target is None else rooms.plan_first(here, target)
 
     def find_place(fact: str) -> tuple[float, float] | None:
         maker = next((operator for operator in rooms.operators if fact in operator.add), None)
         return rooms.get_place(None if maker is None else rooms.target_names.index(maker.target))
 
     views = [GoalView(spaces.Box(-np.inf, np.inf, (size,), np.float64),
-                      lambda observation, see=see: see(_look(observation, rooms.read(observation))))
+                      lambda observation, see=see: see(rooms.read(observation)))
              for see, size in ((rooms.list_facts, rooms.fact_count), (rooms.list_pose, rooms.pose_count))]
     manager, worker = views if abstract else (None, None)
     return GoalSet(len(names), is_reached, is_open, choose if planned else None, manager, worker, names,
                    tuple(map(find_place, names)), "synthesised",
                    ("landmarks", "state", "planner") if planned else ("landmarks", "state"))
 
-
-def _look(observation: Any, situation: Any) -> Seen:
-    return Seen(observation, np.zeros(0, np.bool_), situation)

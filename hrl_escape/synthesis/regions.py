@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from hrl_escape.agents.hierarchy.regions import DIRECTIONS, Quadtree
-from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.planning.goals import RegionGoal
-from hrl_escape.synthesis.landmarks import EXIT, OpenLandmarks
+from hrl_escape.synthesis.landmarks import OpenLandmarks
 from hrl_escape.synthesis.situation import Situations
 
 __all__ = ["compute_depth", "make_region_tree"]
@@ -71,23 +70,18 @@ def make_region_tree(rooms: Situations, planned: bool) -> Quadtree:
 
     @lru_cache(KEPT)
     def find_obedience(packed: bytes, cell: tuple[int, int], order: int) -> int | None:
-        observation = np.frombuffer(packed)
-        here = rooms.read(observation)
-        seen = Seen(observation, np.zeros(0, np.bool_), here)
+        here = rooms.read(np.frombuffer(packed))
         if order < len(DIRECTIONS):
             (down, right), size = DIRECTIONS[order], 2**depth
             row, column = cell[0] + down, cell[1] + right
             goal = RegionGoal(
                 *(half_width * (2 * (column + side) / size - 1) for side in (BORDER_MARGIN, 1 - BORDER_MARGIN)),
                 *(half_depth * (1 - 2 * (row + side) / size) for side in (1 - BORDER_MARGIN, BORDER_MARGIN)))
-            return next(iter(rooms.plan(seen, goal)), None)
+            return rooms.plan_first(here, goal)
         ways = []
         for landmark in sorted(landmarks.list_open(here.facts)):
-            operator = landmarks.find_operator(here.facts, landmark)
-            if operator is None and landmark != EXIT:
-                continue
-            target = None if operator is None else rooms.target_names.index(operator.target)
-            way, end = rooms.plan_to_end(seen, rooms.get_goal(target))
+            target = landmarks.find_goal(here.facts, landmark)
+            way, end = ((), (0.0, 0.0)) if target is None else rooms.plan_to_end(here, target)
             if way and tuple(int(each * 2**depth) for each in locate(*end)) == cell:
                 ways.append((len(way), way[0]))
         return min(ways)[1] if ways else None

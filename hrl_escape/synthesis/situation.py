@@ -20,12 +20,17 @@ from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.errors import PlanningFailed, UnsupportedError
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
+from hrl_escape.planning.route import Route
 from hrl_escape.planning.symbolic.operator_order import find_relevant_operators
 
 __all__ = ["Situation", "Situations"]
 
 SECTORS = 8
 """Directions that learned leaves tell apart at most."""
+
+
+Pose = tuple[int, int, int, tuple[int, ...], int, bool]
+"""Column and row of a cell, sector of the heading, joints, touched targets as bits, an open door."""
 
 
 class Situation(NamedTuple):
@@ -124,22 +129,28 @@ class Situations:
 
     # --- plans --------------------------------------------------------------------------
 
-    def plan(self, seen: Seen, goal: Goal) -> Sequence[int]:
+    def plan(self, here: Situation, goal: Goal) -> Sequence[int]:
         """Primitives of the planner's route from here; none where there is no route."""
-        try:
-            return self.planner.find_route(seen.state.state, goal).primitives
-        except PlanningFailed:
-            return ()
+        route = self._find_route(here, goal)
+        return () if route is None else route.primitives
 
-    def plan_to_end(self, seen: Seen, goal: Goal) -> tuple[Sequence[int], tuple[float, float]]:
+    def plan_first(self, here: Situation, goal: Goal) -> int | None:
+        """First primitive of the planner's route from here; None where there is no route, or nothing to do."""
+        return next(iter(self.plan(here, goal)), None)
+
+    def plan_to_end(self, here: Situation, goal: Goal) -> tuple[Sequence[int], tuple[float, float]]:
         """Primitives of the planner's route from here, and the place of their end, m; none where there is no route."""
-        state = seen.state.state
-        try:
-            route = self.planner.find_route(state, goal)
-        except PlanningFailed:
-            return (), (state.x, state.y)
-        end = self.planner.follow(state, route)
+        route = self._find_route(here, goal)
+        if route is None:
+            return (), (here.state.x, here.state.y)
+        end = self.planner.follow(here.state, route)
         return route.primitives, (end.x, end.y)
+
+    def _find_route(self, here: Situation, goal: Goal) -> Route | None:
+        try:
+            return self.planner.find_route(here.state, goal)
+        except PlanningFailed:
+            return None
 
     def can_escape(self, seen: Seen, primitive: int) -> bool:
         """A primitive ends the episode, by the room's rules."""
@@ -161,24 +172,26 @@ class Situations:
         """Facts and touched targets: what is to be done yet, and at which target the robot stands."""
         return tuple(sorted(seen.state.facts)), seen.state.state.touching
 
-    def see_pose(self, seen: Seen) -> tuple[int, int, int, tuple[int, ...], int, bool]:
+    def see_pose(self, seen: Seen) -> Pose:
         """Cell, sector and joints, what is touched, and an open door; nothing else of the puzzle."""
-        state, rules = seen.state.state, self.planner.rules
+        return self._get_pose(seen.state)
+
+    def _get_pose(self, here: Situation) -> Pose:
+        state, rules = here.state, self.planner.rules
         sectors = min(SECTORS, rules.headings)
         sector = round(rules.get_heading(state) / (2 * np.pi) * sectors) % sectors
-        door = bool(self.instance.door) and seen.state.is_open
+        door = bool(self.instance.door) and here.is_open
         return round(state.x / self._cell), round(state.y / self._cell), sector, state.joint_steps, state.touching, door
 
-    def list_facts(self, seen: Seen) -> NDArray[np.float64]:
+    def list_facts(self, here: Situation) -> NDArray[np.float64]:
         """The same as `see_place`, as numbers (fact_count,): 1 for facts that hold, 1 for targets that are touched."""
-        here = seen.state
         return np.array([*(name in here.facts for name in self._propositions),
                          *(here.state.touching >> target & 1 for target in range(len(self.instance.targets)))],
                         np.float64)
 
-    def list_pose(self, seen: Seen) -> NDArray[np.float64]:
+    def list_pose(self, here: Situation) -> NDArray[np.float64]:
         """The same as `see_pose`, as numbers (pose_count,)."""
-        column, row, sector, joints, touching, door = self.see_pose(seen)
+        column, row, sector, joints, touching, door = self._get_pose(here)
         touched = (touching >> target & 1 for target in range(len(self.instance.targets)))
         return np.array([column, row, sector, door, *joints, *touched], np.float64)
 

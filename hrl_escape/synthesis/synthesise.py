@@ -19,13 +19,13 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.primitives import BASE_ACTIONS, make_action_table
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.synthesis.kinds import KINDS, LEAVES, PARTS, HierarchyKind, Leaves
-from hrl_escape.synthesis.landmarks import make_landmark_goals
+from hrl_escape.synthesis.landmarks import EXIT, make_landmark_goals
 from hrl_escape.synthesis.regions import make_region_tree
 from hrl_escape.synthesis.situation import Situations
 
 __all__ = ["make_structure", "synthesise"]
 
-ROOT, EXIT = "escape", "exit"
+ROOT = "escape"
 
 
 def synthesise(
@@ -106,12 +106,12 @@ def _make_task_graph(rooms: Situations, planned: bool, abstract: bool) -> Hierar
 
 def _make_policy(rooms: Situations, target: int | None) -> Callable[[Seen], int | None]:
     goal = rooms.get_goal(target)
-    return lambda seen: next(iter(rooms.plan(seen, goal)), None)
+    return lambda seen: rooms.plan_first(seen.state, goal)
 
 
 def _make_length_view(rooms: Situations, target: int | None) -> View:
     goal = rooms.get_goal(target)
-    return lambda seen: len(rooms.plan(seen, goal))
+    return lambda seen: len(rooms.plan(seen.state, goal))
 
 
 def _make_primitive_view(rooms: Situations, primitive: int, planned: bool) -> View:
@@ -146,8 +146,8 @@ def _make_program(rooms: Situations, planned: bool) -> Machine:
     @machine
     def step(seen: Callable[[], Seen], target: str) -> Any:
         if planned:
-            plan = rooms.plan(seen(), goals[target])
-            yield do(plan[0] if plan else BASE_ACTIONS.wait)
+            first = rooms.plan_first(seen().state, goals[target])
+            yield do(BASE_ACTIONS.wait if first is None else first)
         else:
             yield do((yield choose(primitives)))
 

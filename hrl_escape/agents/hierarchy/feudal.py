@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.hierarchy.regions import DIRECTIONS, Quadtree
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step, allow_only
 
 __all__ = ["SEARCH", "FeudalTask", "make_feudal_hierarchy"]
 
@@ -77,13 +77,9 @@ class FeudalTask(BaseTask):
         return legal
 
     def _obey(self, seen: Seen, order: int | None) -> NDArray[np.bool_]:
-        legal = np.zeros(len(seen.mask), np.bool_)
-        if self.tree.policy is not None and order is not None:
-            cell = self.tree.find_cell(seen.observation, self.tree.depth)
-            primitive = self.tree.policy(seen.observation, cell, order)
-            if primitive is not None:
-                legal[primitive] = seen.mask[primitive]
-        return legal
+        policy, cell = self.tree.policy, self.tree.find_cell(seen.observation, self.tree.depth)
+        chosen = None if policy is None or order is None else policy(seen.observation, cell, order)
+        return allow_only(chosen, seen.mask)
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
         """The order to the level below; a primitive on the last level."""

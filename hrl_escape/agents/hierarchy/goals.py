@@ -14,7 +14,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step, allow_only
 from hrl_escape.errors import UnsupportedSpaceError
 
 __all__ = ["GoalSet", "GoalView", "Manager", "Worker", "make_goal_hierarchy", "make_goals"]
@@ -142,10 +142,8 @@ class Worker(BaseTask):
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
         """The legal primitives; of a policy that is given, its one."""
-        if self._goals.policy is None:
-            return seen.mask
-        primitive = self._goals.policy(seen.observation, context)
-        return (np.arange(len(seen.mask)) == (-1 if primitive is None else primitive)) & seen.mask
+        policy = self._goals.policy
+        return seen.mask if policy is None else allow_only(policy(seen.observation, context), seen.mask)
 
     def list_calls(self) -> Mapping[str, Any]:
         """One a goal."""

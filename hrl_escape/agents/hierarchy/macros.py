@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, allow_only
 
 __all__ = ["Macro", "MacroChooser", "make_macro_hierarchy"]
 
@@ -50,10 +50,7 @@ class Macro(BaseTask):
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
         """The policy's primitive; none where that is illegal, which ends the macro."""
-        legal = np.zeros(len(seen.mask), np.bool_)
-        primitive = self._policy(seen)
-        legal[primitive] = seen.mask[primitive]
-        return legal
+        return allow_only(self._policy(seen), seen.mask)
 
     def ends(self, frame: Frame, seen: Seen) -> float:
         """Certain where `until` says so, after the first primitive."""

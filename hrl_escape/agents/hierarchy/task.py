@@ -29,6 +29,7 @@ __all__ = [
     "Stack",
     "Step",
     "Task",
+    "allow_only",
 ]
 
 
@@ -44,6 +45,11 @@ class Seen(NamedTuple):
     observation: Any
     mask: NDArray[np.bool_]
     state: Any = None
+
+
+def allow_only(choice: int | None, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """One choice alone, where it is legal: bool (choices,), all false without one."""
+    return mask & (np.arange(len(mask)) == (-1 if choice is None else choice))
 
 
 class Call(NamedTuple):

@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, LearnerSpec, Seen, Stack
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, LearnerSpec, Seen, Stack, allow_only
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
 
 __all__ = ["GraphTask", "Policy", "Pseudo", "Until", "View", "flat", "freeze", "get_graph", "maxq"]
@@ -65,8 +65,7 @@ class GraphTask(BaseTask):
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
         """Legal primitives, and tasks that are not over and have something to choose themselves."""
         if self.policy is not None:
-            chosen = self.policy(seen)
-            return np.arange(len(self.children)) == (-1 if chosen is None else chosen)
+            return allow_only(self.policy(seen), np.ones(len(self.children), np.bool_))
         return np.array([seen.mask[child] if isinstance(child, int) else child.is_callable(seen, None)
                          for child in self.children], np.bool_)  # fmt: skip
 
