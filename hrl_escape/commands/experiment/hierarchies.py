@@ -14,11 +14,11 @@ import dataclasses
 
 from rich.console import Console
 
+from hrl_escape.experiments.baselines.hierarchies_page import GRID_NAME, write_hierarchies_page
 from hrl_escape.experiments.baselines.lines import collect_baselines, load_lines, save_lines
 from hrl_escape.experiments.comparison import run_grid
 from hrl_escape.experiments.launching.local import LocalLauncher
 from hrl_escape.experiments.presets import get_grid
-from hrl_escape.experiments.studies.hierarchies import GRID_NAME, write_hierarchies_page
 from hrl_escape.experiments.studies.running import StudyArgs, get_raw_file, refuse_failures
 from hrl_escape.files import claim_folder
 

@@ -1,1 +1,1 @@
-"""Published baselines of the ladder: which agents, one line a run, the page, and the agents that ship."""
+"""Studies that keep a line a run: the ladder's baselines, generalisation, synthesised hierarchies; agents that ship."""

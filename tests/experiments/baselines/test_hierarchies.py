@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from hrl_escape.cli import main
+from hrl_escape.experiments.baselines.hierarchies_page import QUESTIONS, compare_twins, conclude, write_hierarchies_page
 from hrl_escape.experiments.baselines.lines import BaselineRun, load_lines, save_lines
 from hrl_escape.experiments.presets import HIERARCHICAL, get_grid
-from hrl_escape.experiments.studies.hierarchies import QUESTIONS, compare_twins, conclude, write_hierarchies_page
 
 ROOMS = ("near", "far")
 LEARNERS = [agent.label for agent in get_grid("hierarchies").agents if agent.learns]
