@@ -208,15 +208,14 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     def _begin(self, observation: Any, seed: int | None, info: Mapping[str, Any]) -> NDArray[np.int8]:
         if self._domain.has_left(self._subject):
             self._enter(self._domain.subject)
-        self._run, self._can_step = None, True
-        self._observation = observation
+        self._run, self._can_step, self._observation = None, True, observation
         key = self._domain.make_key(seed)
         if key is not None or self._rng is None:
             self._rng = np.random.default_rng(key)
         self._lower_mask = self._domain.get_mask(info)
-        state, count = self._domain.get_state(observation), len(self._lower_mask)
-        for option in self.options if count else ():
-            option.check_actions(state, count)
+        state = self._domain.get_state(observation)
+        for option in self.options if len(self._lower_mask) else ():
+            option.check_actions(state, len(self._lower_mask))
         return self._compute_mask(state, self._lower_mask)
 
     def _enter(self, subject: Any) -> None:
@@ -338,9 +337,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         for index, option in enumerate(self.options, self.primitive_count):
             if index != running and not option.initiation(state):
                 mask[index] = 0
-        if not mask.any():  # nothing can start: any choice then costs one primitive
-            mask[:] = 1
-        return mask
+        return mask if mask.any() else np.ones_like(mask)  # nothing can start: any choice then costs one primitive
 
     def _show(self, observation: Any, mask: NDArray[np.int8], is_now: bool = True) -> Any:
         """Observation for the agent: with option features, the legal options and the one that is running now."""

@@ -1,4 +1,4 @@
-"""What synthesised hierarchies gain: by their structure alone, by planned leaves, and where a planner walks anyway.
+"""Gains of synthesised hierarchies: by their structure alone, by planned leaves, and where a planner walks anyway.
 
 The page of docs/results/hierarchies.md, written from a line a run. Each agent is held against its twin with the same
 room and training seed; all comparisons of the page are one family (Holm).
@@ -28,7 +28,7 @@ FLAT, OPTIONS = "q-learning", "smdp-q-learning+no-primitives"
 
 
 class Question(NamedTuple):
-    """What is asked of every kind of hierarchy.
+    """Question that is asked of every kind of hierarchy.
 
     Attributes:
         heading: in the page.
