@@ -1,8 +1,8 @@
 """Tasks of Gymnasium with known answers: does an agent solve them, and does it still solve them when its budget ends?
 
-    python benchmarks/classic_control.py                       # all tasks and contenders, ten seeds: hours on a core
-    python benchmarks/classic_control.py --tasks CartPole-v1   # one task
-    python benchmarks/classic_control.py --quick               # seconds: shows that everything runs
+    python -m benchmarks.classic_control                       # all tasks and contenders, ten seeds: hours on a core
+    python -m benchmarks.classic_control --tasks CartPole-v1   # one task
+    python -m benchmarks.classic_control --quick               # seconds: shows that everything runs
 
 Agents run at their default settings, `sb3-dqn` (Stable-Baselines3) at those that RL Baselines3 Zoo tuned for each task,
 all for the same number of primitives. `final` is the mean return of the greedy policy when the budget ends, `best` that
@@ -26,7 +26,7 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_escape.agents import evaluate, make_agent
-from hrl_escape.agents.agent import Agent, make_transition
+from hrl_escape.agents.agent import Agent, count_actions, make_transition
 
 EPISODES = 20
 """Greedy episodes in an evaluation, the same ones for every contender and seed."""
@@ -91,7 +91,7 @@ def train_agent(name: str) -> Trainer:
         env, eval_env = gymnasium.make(task_id), gymnasium.make(task_id)
         agent: Agent = make_agent(name, env.observation_space, env.action_space, seed)
         observation, _ = env.reset(seed=seed)
-        mask = np.ones(env.action_space.n, np.bool_)  # type: ignore[attr-defined]
+        mask = np.ones(count_actions(env.action_space, name), np.bool_)
         for primitives in range(1, budget + 1):
             action = agent.act(observation, mask)
             transition = make_transition(observation, action, mask, env.step(action), agent.gamma)
@@ -124,7 +124,8 @@ def train_peer(task_id: str, task: Task, seed: int, budget: int) -> Iterator[tup
     yield from scores
 
 
-CONTENDERS: dict[str, Trainer] = {"dqn": train_agent("dqn"), "ppo": train_agent("ppo"), "sb3-dqn": train_peer}
+CONTENDERS: dict[str, Trainer] = {name: train_agent(name) for name in ("dqn", "ppo", "dac", "ppoc")} | {
+    "sb3-dqn": train_peer}
 
 
 def summarise(rows: Sequence[dict[str, Any]]) -> str:

@@ -1,9 +1,9 @@
 """Learning from many environments at once: does it learn the same, and how many primitives are learned in a second?
 
-    python benchmarks/many_environments.py curves              # CartPole at 1, 8, 64 and 512 environments, beside SB3
-    python benchmarks/many_environments.py rates               # one room at 1 to 4,096, beside SB3
-    python benchmarks/many_environments.py options             # options a second, beside the single environment
-    python benchmarks/many_environments.py curves --quick      # seconds: shows that everything runs
+    python -m benchmarks.many_environments curves              # CartPole at 1, 8, 64 and 512 environments, beside SB3
+    python -m benchmarks.many_environments rates               # one room at 1 to 4,096, beside SB3
+    python -m benchmarks.many_environments options             # options a second, beside the single environment
+    python -m benchmarks.many_environments curves --quick      # seconds: shows that everything runs
 
 `ppo` at its default settings, Stable-Baselines3's PPO (`sb3`) at its own, with 1 and 8 environments. Seconds are of the
 process's own processor time, on one thread. Finished runs are kept, a line each, in the file `--out`; the command goes
@@ -21,9 +21,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 import torch
-from numpy.typing import NDArray
 
 import hrl_escape  # noqa: F401  # registers the rooms
+from benchmarks.classic_control import Peer
 from hrl_escape.agents import evaluate, train
 
 CURVES, RATES = "CartPole-v1", "hrl_escape/PaperTwoButton-v1"
@@ -31,19 +31,6 @@ OPTIONS = "hrl_escape/PaperTwoButtonOptions-v1"
 BUDGET, EVALUATIONS, EPISODES = 100_000, 10, 10
 PEERS = (1, 8)
 RATE_SETTINGS: dict[str, dict[str, Any]] = {"10 epochs": {}, "4 epochs": {"epochs": 4}}
-
-
-class Peer:
-    """The greedy policy of a model of Stable-Baselines3, as `evaluate` needs it."""
-
-    gamma = 0.99
-
-    def __init__(self, model: Any) -> None:
-        self._model = model
-
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The likeliest action."""
-        return int(self._model.predict(observation, deterministic=True)[0])
 
 
 def train_ours(count: int, seed: int, budget: int) -> list[float]:

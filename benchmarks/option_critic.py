@@ -13,7 +13,7 @@ import dataclasses
 import itertools
 import math
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from typing import Any, Literal
 
 import numpy as np
@@ -57,7 +57,7 @@ class Sarsa(QLearning):
         return {}
 
 
-def make_learners() -> dict[str, tuple[Callable[..., Agent], dict[str, Any]]]:
+def make_learners() -> dict[str, tuple[type[Agent], dict[str, Any]]]:
     """Name in the table -> class and settings."""
     boltzmann = {"gamma": 0.99, "learning_rate": 0.5, "exploration": "boltzmann", "temperature": 0.01}
     return {
@@ -90,17 +90,17 @@ class Args:
     """Tune Q-learning, on seeds 100 to 102."""
 
 
-def run(make: Callable[..., Agent], settings: dict[str, Any], seed: int, args: Args) -> tuple[np.ndarray, list[float]]:
+def run(agent_class: Any, settings: dict[str, Any], seed: int, args: Args) -> tuple[np.ndarray, list[float]]:
     """Primitives of every episode, and of option learners the mean duration at the half and at the end."""
     rng = np.random.default_rng([seed, 7])
     moved = int(rng.choice([goal for goal in SOUTH_EAST_GOALS if goal != EAST_HALLWAY]))
     env = FourRooms(EAST_HALLWAY, args.slip)
-    agent: Any = make(env.observation_space, env.action_space, seed, make.Settings(**settings))  # type: ignore
+    agent: Agent = agent_class(env.observation_space, env.action_space, seed, agent_class.Settings(**settings))
     env.reset(seed=seed)
     steps, durations = np.zeros(args.episodes), []
     for episode in range(args.episodes):
         if episode == args.episodes // 2:
-            durations.append(agent.log.compute_duration() if hasattr(agent, "log") else math.nan)
+            durations.append(measure_duration(agent))
             env = FourRooms(moved, args.slip, [start for start in STARTS if start != moved])
             env.reset(seed=seed + 1_000_000_000)
         observation, _ = env.reset()
@@ -111,8 +111,13 @@ def run(make: Callable[..., Agent], settings: dict[str, Any], seed: int, args: A
             agent.observe(transition)
             observation, over = transition.next_observation, transition.terminated or transition.truncated
             steps[episode] += 1
-    durations.append(agent.log.compute_duration() if hasattr(agent, "log") else math.nan)
+    durations.append(measure_duration(agent))
     return steps, durations
+
+
+def measure_duration(agent: Agent) -> float:
+    """Mean decisions of the latest runs of options; NaN of an agent without options."""
+    return agent.log.compute_duration() if isinstance(agent, OptionCritic) else math.nan
 
 
 def summarise(rows: list[np.ndarray]) -> str:
@@ -147,10 +152,10 @@ def main(args: Args) -> None:
     print(f"slip: {args.slip}; floor before the move {find_fewest_primitives(tables) @ tables.starts:.2f}")
     print("| learner | 0-49 | last 100 | 50 after the move | next 150 | last 100 | duration before, at the end |")
     print("|---|---|---|---|---|---|---|")
-    for name, (make, settings) in make_learners().items():
+    for name, (agent_class, settings) in make_learners().items():
         if args.learners and name not in args.learners:
             continue
-        runs = [run(make, settings, args.first_seed + seed, args) for seed in range(args.seeds)]
+        runs = [run(agent_class, settings, args.first_seed + seed, args) for seed in range(args.seeds)]
         half, end = np.mean([durations for _, durations in runs], axis=0)
         lasts = "" if math.isnan(half) else f"{half:.2f}, {end:.2f}"
         print(f"| {name} | {summarise([steps for steps, _ in runs])} | {lasts} |", flush=True)

@@ -9,7 +9,7 @@ import pytest
 
 from hrl_escape.agents import train
 
-BENCHMARK = Path(__file__).parents[3] / "benchmarks" / "classic_control.py"
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.mark.parametrize(("name", "primitives"), [("dqn", 10_000), ("ppo", 10_000)])
@@ -27,9 +27,15 @@ def test_dqn_holds_cartpole_to_the_end_of_its_budget():
 
 def test_the_benchmark_runs_and_goes_on_where_it_was_stopped(tmp_path):
     out = tmp_path / "runs.jsonl"
-    command = [sys.executable, str(BENCHMARK), "--quick", "--tasks", "CartPole-v1", "--out", str(out)]
-    first = subprocess.run([*command, "--contenders", "dqn"], capture_output=True, text=True, check=True).stdout
+
+    def run(*contenders):
+        command = [sys.executable, "-m", "benchmarks.classic_control", "--quick", "--tasks", "CartPole-v1",
+                   "--out", out]
+        return subprocess.run([*command, "--contenders", *contenders], capture_output=True, text=True, check=True,
+                              cwd=ROOT).stdout
+
+    first = run("dqn")
     assert "| CartPole-v1 | dqn | 1 |" in first and "| ppo |" not in first
-    again = subprocess.run([*command, "--contenders", "dqn", "ppo"], capture_output=True, text=True, check=True).stdout
+    again = run("dqn", "ppo")
     assert "dqn on CartPole-v1" not in again and "ppo on CartPole-v1" in again
     assert len(out.read_text().splitlines()) == 2

@@ -4,7 +4,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
 from hrl_escape.agents import evaluate, load_agent, load_env, train
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
@@ -185,7 +185,7 @@ def make_rooms(count=16):
     return EscapeRoomVectorEnv(count, "paper-one-button", observation="features", output="torch")
 
 
-class Interrupted(EscapeRoomVectorEnv):
+class Interrupted(VectorEnv):
     """Stops at the n-th step of its life."""
 
     left = 10**9
@@ -197,21 +197,17 @@ class Interrupted(EscapeRoomVectorEnv):
         return super().step(actions)
 
 
-class InterruptedPoles(SyncVectorEnv):
-    """The same for environments whose episodes cannot be written down."""
+class InterruptedRooms(Interrupted, EscapeRoomVectorEnv):
+    """Rooms, whose episodes can be written down."""
 
-    left = 10**9
 
-    def step(self, actions):
-        self.left -= 1
-        if self.left < 0:
-            raise KeyboardInterrupt
-        return super().step(actions)
+class InterruptedPoles(Interrupted, SyncVectorEnv):
+    """Environments whose episodes cannot be written down."""
 
 
 def make_interrupted(kind):
     if kind == "rooms":
-        return Interrupted(16, "paper-one-button", observation="features", output="torch")
+        return InterruptedRooms(16, "paper-one-button", observation="features", output="torch")
     env = InterruptedPoles([lambda: gymnasium.make("CartPole-v1")] * 4)
     env.spec = gymnasium.spec("CartPole-v1")
     return env
