@@ -1,14 +1,13 @@
 """Agents that learn models: exact where everything is known, economical where it is not, and right about parents."""
 
 from collections import Counter
-from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
 
-from hrl_escape.agents.agent import SMDPTransition, make_transition, read_action_mask
+from hrl_escape.agents.agent import SMDPTransition, make_transition
 from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRMaxSettings
 from hrl_escape.agents.algorithms.r_max import RMax, RMaxSettings
 from hrl_escape.agents.factored.durations import DurationSample, fit_durations
@@ -17,11 +16,8 @@ from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.agents.registry import make_agent
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
-from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.errors import UnsupportedSpaceError
-from hrl_escape.experiments.graph_recovery import compare_graphs, find_edges_that_matter
-from tests.agents.puzzle_envs import PuzzleEnv
+from tests.agents.puzzle_envs import learn_puzzle, make_button_env
 from tests.agents.running import interact
 
 GAMMA = 0.9
@@ -175,45 +171,21 @@ def test_factored_r_max_equals_value_iteration_on_an_enumerated_bit_flip(conditi
     assert agent.get_graph() == {(lower, bit) for bit in range(4) for lower in range(bit)}
 
 
-def learn_puzzle(name, kind, buttons, rule, primitives, seed):
-    """Train on a button puzzle; returns (primitives at the first escape, precision, recall, returns)."""
-    graph = GraphConfig(kind=kind, max_parents=2)
-    puzzle = ButtonsConfig(count=buttons, graph=graph, on_violation=rule).make_puzzle(np.random.default_rng(seed))
-    env = PuzzleEnv(puzzle, 30.0 if buttons > 10 else 20.0, seed)
-    agent: Any = make_agent(name, env.observation_space, env.action_space, seed)
-    used, first, total, returns = 0, None, 0.0, []
-    observation, info = env.reset(seed=seed)
-    mask = read_action_mask(info, buttons + 1)
-    while used < primitives:
-        action = agent.act(observation, mask)
-        transition = make_transition(observation, action, mask, env.step(action), agent.gamma)
-        agent.observe(transition)
-        used, total = used + transition.duration, total + transition.summed_reward
-        observation, mask = transition.next_observation, transition.next_action_mask
-        if transition.terminated or transition.truncated:
-            first = used if first is None and transition.terminated else first
-            returns.append(total)
-            total = 0.0
-            observation, info = env.reset()
-            mask = read_action_mask(info, buttons + 1)
-    edges = {(parent - 2, child - 2) for parent, child in agent.get_graph()}
-    true = find_edges_that_matter(puzzle.edges, (puzzle.goal,))
-    return first, *compare_graphs(find_edges_that_matter(edges, (puzzle.goal,)), true), returns
-
-
 @pytest.mark.parametrize(
     ("kind", "buttons", "rule", "primitives"),
     [("layered", 20, "ignore", 5_000), ("layered", 10, "reset", 4_000), ("random", 10, "ignore", 3_000)],
 )
 def test_factored_r_max_escapes_and_recovers_every_edge_that_matters(kind, buttons, rule, primitives):
-    first, precision, recall, returns = learn_puzzle("factored-r-max", kind, buttons, rule, primitives, seed=1)
+    first, precision, recall, returns = learn_puzzle(
+        "factored-r-max", make_button_env(kind, buttons, rule, 1), primitives, 1)
     assert first is not None
     assert (precision, recall) == (1.0, 1.0)
     assert returns[-1] == returns[-2] > returns[0], "it has settled on a better way"
 
 
 def test_sampled_partial_models_escape_and_recover_most_edges():
-    first, precision, recall, _ = learn_puzzle("monte-carlo-model", "layered", 15, "ignore", 4_000, seed=1)
+    first, precision, recall, _ = learn_puzzle(
+        "monte-carlo-model", make_button_env("layered", 15, "ignore", 1), 4_000, 1)
     assert first is not None
     assert min(precision, recall) >= 0.8
 

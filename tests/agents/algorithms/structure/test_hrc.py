@@ -4,14 +4,12 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from hrl_escape.agents.agent import make_transition, read_action_mask
 from hrl_escape.agents.algorithms.structure.hrc import END, Hrc, HrcSettings
 from hrl_escape.agents.discovery.interventions import compute_expected_cost, find_causes
-from hrl_escape.env.puzzles.buttons import ButtonsConfig
-from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.experiments.graph_recovery import find_edges_that_matter
-from tests.agents.puzzle_envs import PuzzleEnv
+from tests.agents.puzzle_envs import make_button_env
+from tests.agents.running import interact
 
 CHAIN = {n: [n - 1] if n else [] for n in range(8)}
 TREE = {n: [(n - 1) // 2] if n else [] for n in range(10)}
@@ -71,31 +69,14 @@ def test_a_chain_costs_the_same_by_any_rule_and_a_tree_does_not():
 
 def play(agent, env, decisions, seed):
     """Train until so many decisions; returns the number of escapes."""
-    actions, escapes = int(env.action_space.n), 0
-    observation, info = env.reset(seed=seed)
-    mask = read_action_mask(info, actions)
-    for _ in range(decisions):
-        action = agent.act(observation, mask)
-        transition = make_transition(observation, action, mask, env.step(action), agent.gamma)
-        agent.observe(transition)
-        escapes += transition.terminated
-        observation, mask = transition.next_observation, transition.next_action_mask
-        if transition.terminated or transition.truncated:
-            observation, info = env.reset()
-            mask = read_action_mask(info, actions)
-    return escapes
-
-
-def make_puzzle_env(kind, buttons, rule, seed):
-    config = ButtonsConfig(count=buttons, graph=GraphConfig(kind=kind, max_parents=2), on_violation=rule)
-    return PuzzleEnv(config.make_puzzle(np.random.default_rng(seed)), 20.0, seed)
+    return sum(step.terminated for step in interact(agent, env, decisions, seed))
 
 
 @pytest.mark.parametrize("rule", ["ignore", "reset"])
 @pytest.mark.parametrize("kind", ["chain", "tree", "layered"])
 def test_it_finds_the_way_out_and_the_edges_that_matter(kind, rule):
     for seed in range(3):
-        env = make_puzzle_env(kind, 7, rule, seed)
+        env = make_button_env(kind, 7, rule, seed)
         agent = Hrc(env.observation_space, env.action_space, seed, HrcSettings())
         assert play(agent, env, 700, seed) > 5
         edges = {(parent - 2, child - 2) for parent, child in agent.get_graph()}
@@ -113,7 +94,7 @@ def test_its_cost_lies_below_that_of_subgoals_tried_one_by_one():
     """Bits that were turned on in trying stay on, so that more than the chosen ones are."""
     spent, expected = [], []
     for seed in range(12):
-        env = make_puzzle_env("tree", 9, "ignore", seed)
+        env = make_button_env("tree", 9, "ignore", seed)
         parents = count_parents(env.puzzle)
         agent = Hrc(env.observation_space, env.action_space, seed, HrcSettings())
         play(agent, env, 150, seed)
@@ -153,30 +134,21 @@ def test_parents_are_the_smallest_set_on_in_successes_and_in_the_fewest_failures
 
 
 def test_actions_that_fail_are_tried_again():
-    class Failing(PuzzleEnv):
-        def step(self, action):
-            if self.np_random.random() >= 0.2:
-                return super().step(action)
-            self.elapsed += 1
-            info = {"duration": 1, "rewards": [-1.0], "action_mask": self.compute_mask()}
-            return self.observe(), -1.0, False, self.elapsed >= self.horizon, info
-
     for seed in range(3):
-        sound = make_puzzle_env("tree", 6, "ignore", seed)
-        env = Failing(sound.puzzle, 20.0, seed)
+        env = make_button_env("tree", 6, "ignore", seed, failure=0.2)
         agent = Hrc(env.observation_space, env.action_space, seed, HrcSettings(tries=2))
         assert play(agent, env, 600, seed) > 5
 
 
 def test_it_resumes_to_the_bit_and_refuses_what_has_no_bits():
-    env = make_puzzle_env("tree", 6, "ignore", 0)
+    env = make_button_env("tree", 6, "ignore", 0)
     agent = Hrc(env.observation_space, env.action_space, 0, HrcSettings())
     play(agent, env, 25, 0)
     other = Hrc(env.observation_space, env.action_space, 0, HrcSettings())
     other.load_state_dict(agent.state_dict())
     assert other.get_graph() == agent.get_graph() and other.interventions == agent.interventions
     play(agent, env, 60, 1)
-    play(other, make_puzzle_env("tree", 6, "ignore", 0), 60, 1)
+    play(other, make_button_env("tree", 6, "ignore", 0), 60, 1)
     assert other._samples == agent._samples
     with pytest.raises(UnsupportedSpaceError, match="bits"):
         Hrc(spaces.MultiDiscrete([3, 2]), spaces.Discrete(2), 0)
