@@ -150,6 +150,11 @@ def summarise(rows: Sequence[dict[str, Any]]) -> str:
     return "\n".join(lines)
 
 
+def find_budget(task: Task, arguments: argparse.Namespace) -> int:
+    """Primitives of a run."""
+    return arguments.primitives or task.primitives // (50 if arguments.quick else 1)
+
+
 def main() -> None:
     """Run what is missing, then print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -157,6 +162,7 @@ def main() -> None:
     parser.add_argument("--contenders", nargs="+", choices=CONTENDERS, default=list(CONTENDERS))
     parser.add_argument("--seeds", nargs="+", type=int, default=list(range(10)))
     parser.add_argument("--out", type=Path, default=Path("classic_control.jsonl"), help="where finished runs are kept")
+    parser.add_argument("--primitives", type=int, help="budget of a run, instead of the task's")
     parser.add_argument("--quick", action="store_true", help="a fiftieth of each budget, one seed")
     arguments = parser.parse_args()
     torch.set_num_threads(1)
@@ -165,7 +171,7 @@ def main() -> None:
               for task in arguments.tasks for name in arguments.contenders]
     for task_id, name, seed in wanted:
         task = TASKS[task_id]
-        budget = task.primitives // (50 if arguments.quick else 1)
+        budget = find_budget(task, arguments)
         run = {"task": task_id, "contender": name, "seed": seed, "primitives": budget}
         if any(row.items() >= run.items() for row in rows):
             continue
@@ -175,7 +181,7 @@ def main() -> None:
         with arguments.out.open("a") as file:
             file.write(json.dumps(rows[-1]) + "\n")
         print(f"{name} on {task_id}, seed {seed}: {run['scores'][-1][1]:.1f} at the end", flush=True)
-    budgets = {(each, TASKS[each].primitives // (50 if arguments.quick else 1)) for each in arguments.tasks}
+    budgets = {(each, find_budget(TASKS[each], arguments)) for each in arguments.tasks}
     print(summarise([row for row in rows if (row["task"], row["primitives"]) in budgets]))
 
 

@@ -114,7 +114,7 @@ def learn_puzzle(name: str, env: PuzzleEnv, primitives: int, seed: int) -> Learn
             total = 0.0
         if used >= primitives:
             break
-    goals = (env.puzzle.goal,)
+    goals = env.puzzle.goal_targets
     edges = {(parent - 2, child - 2) for parent, child in agent.get_graph() or ()}
     shares = compare_graphs(find_edges_that_matter(edges, goals), find_edges_that_matter(env.puzzle.edges, goals))
     return LearnedPuzzle(first, *shares, returns)

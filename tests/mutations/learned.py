@@ -25,6 +25,17 @@ def _hrc(bug: str, old: str, new: str, test: str) -> tuple[str, str, str, str, s
     return _trap(bug, "structure/hrc", old, new, f"::{test}")
 
 
+def _networks(bug: str, file: str, old: str, new: str, test: str) -> tuple[str, str, str, str, str]:
+    """The same for options over networks."""
+    folder = f"{ALGORITHMS}/options" if file in ("dac", "ppoc", "a2oc") else "agents/components/options"
+    return bug, f"{folder}/{file}.py", old, new, f"{ALGORITHMS}/options/test_option_networks.py::{test}"
+
+
+def _diayn(bug: str, old: str, new: str, test: str) -> tuple[str, str, str, str, str]:
+    """The same for skills that are told apart."""
+    return _trap(bug, "skills/diayn", old, new, f"::{test}")
+
+
 OPTION_CRITIC = "options/option_critic"
 
 MUTATIONS = [
@@ -71,6 +82,79 @@ MUTATIONS = [
     _trap("the weight of an option forgets which one ran before", OPTION_CRITIC,
           "self._likely = beta * choice + (1 - beta) * self._eye[self._option]", "self._likely = choice",
           "::test_the_weight_of_an_option_is_the_chance_that_it_runs_given_the_one_before"),
+    # options over networks
+    _networks("the option before an episode's first is option 0", "choices",
+              ".masked_fill((former == NONE)[:, None], 1.0)", "",
+              "test_the_option_before_is_kept_unless_it_ends_and_a_first_one_is_drawn_from_the_policy_over_options"),
+    _networks("terminations learn nothing of the choice", "choices",
+              "kept + ends * (choice - kept)", "kept + ends.detach() * (choice - kept)",
+              "test_terminations_learn_through_the_choice_of_options_and_the_value_s_error_moves_the_critic_alone"),
+    _networks("the state reached at a time-out is worth the next episode's option", "choices",
+              "torch.cat([~over[:-1], ", "torch.cat([over[:-1] | True, ",
+              "test_the_state_reached_is_worth_the_option_that_ran_next_and_the_mean_where_none_did"),
+    _networks("illegal actions have a share", "networks",
+              "option], mask)", "option], torch.ones_like(mask))", "test_with_one_option_it_is_ppo_to_the_bit"),
+    _networks("an option that is chosen again counts as going on", "networks",
+              "self._is_chosen = self._option, True", "self._is_chosen = self._option, False",
+              "test_rows_tell_which_option_ran_before_and_whether_one_was_chosen"),
+    _networks("the value's error moves the choice of options", "dac",
+              "choice.detach(), ", "choice, ",
+              "test_terminations_learn_through_the_choice_of_options_and_the_value_s_error_moves_the_critic_alone"),
+    _networks("the high process has the values of the low one", "dac",
+              "compute_advantages(rollout, high_values, high_next, settings)",
+              "compute_advantages(rollout, low_values, low_next, settings)",
+              "test_both_processes_have_advantages_of_their_own_and_the_probabilities_of_the_networks_that_chose"),
+    _networks("a choice among one is learned", "dac",
+              "if self.options > 1:", "if self.options > 0:", "test_with_one_option_it_is_ppo_to_the_bit"),
+    _networks("the high process has the probabilities of the policy over options", "dac",
+              "choice = self.compute_option_choice(rollout.observation, former)",
+              "choice = self.compute_fresh_choice(rollout.observation)",
+              "test_both_processes_have_advantages_of_their_own_and_the_probabilities_of_the_networks_that_chose"),
+    _networks("long options are dear", "dac",
+              "+ settings.deliberation_cost * ending", "- settings.deliberation_cost * ending",
+              "test_dacs_losses_equal_the_formulas_by_hand"),
+    _networks("termination over networks is learned in the state that was left", "networks",
+              "reached, option = rollout.next_observation, choices.option",
+              "reached, option = rollout.observation, choices.option",
+              "test_ppocs_terminations_fall_where_the_option_that_ran_is_better_than_the_mean_at_the_state_reached"),
+    _networks("the best option over networks is ended more and more often", "networks",
+              "* (worse + margin) * goes_on", "* -(worse + margin) * goes_on",
+              "test_ppocs_terminations_fall_where_the_option_that_ran_is_better_than_the_mean_at_the_state_reached"),
+    _networks("termination over networks is learned where the task ended", "networks",
+              "goes_on = rollout.bootstrap > 0", "goes_on = rollout.bootstrap >= 0",
+              "test_ppocs_terminations_fall_where_the_option_that_ran_is_better_than_the_mean_at_the_state_reached"),
+    _networks("the deliberation cost over networks is a reward for ending", "networks",
+              "next_values - cost * ends", "next_values + cost * ends",
+              "test_ppoc_pays_for_ending_upon_arrival_and_learns_choices_where_they_were_made"),
+    _networks("a choice is learned where none was made", "ppoc",
+              "(target - mean) * choices.is_chosen,", "target - mean,",
+              "test_ppoc_pays_for_ending_upon_arrival_and_learns_choices_where_they_were_made"),
+    _networks("an option learns from a few samples", "ppoc",
+              ">= settings.least_samples", ">= 2", "test_an_option_waits_for_its_samples_and_then_learns_from_its_own"),
+    _networks("the value of ending is the best option's", "a2oc",
+              "(1 - self.settings.epsilon) * best + self.settings.epsilon / self.options", "1.0 * best",
+              "test_a2ocs_loss_equals_the_formula_by_hand"),
+    _networks("the margin of terminations is the wrong way round", "a2oc",
+              "margin = settings.deliberation_cost + settings.termination_margin",
+              "margin = settings.deliberation_cost - settings.termination_margin",
+              "test_a2ocs_loss_equals_the_formula_by_hand"),
+    _networks("policies descend what they should climb", "a2oc",
+              "policy_loss = -(take_column(", "policy_loss = (take_column(",
+              "test_a2ocs_loss_equals_the_formula_by_hand"),
+    _diayn("skills are told apart by the pose", "return observation * seen", "return observation",
+           "test_the_pose_says_nothing_to_the_discriminator_and_bits_do"),
+    _diayn("a skill is paid for where it was", "self.compute_rewards(rollout.next_observation, option)",
+           "self.compute_rewards(rollout.observation, option)",
+           "test_the_reward_is_the_forecast_at_the_state_reached_against_an_even_guess"),
+    _diayn("staying alive costs where skills are alike", " + math.log(self.options)", "",
+           "test_the_reward_is_the_forecast_at_the_state_reached_against_an_even_guess"),
+    _diayn("the task's reward is learned from", "rollout._replace(reward=rewards)", "rollout",
+           "test_the_reward_is_the_forecast_at_the_state_reached_against_an_even_guess"),
+    _diayn("a skill ends within its episode", "return np.zeros(self.options)\n\n    def compute_betas",
+           "return np.ones(self.options)\n\n    def compute_betas",
+           "test_a_skill_is_drawn_evenly_and_lasts_its_episode"),
+    _diayn("the last skill acts in evaluation", "return int(means.argmax())", "return self.options - 1",
+           "test_skills_come_to_different_bits_wherever_they_are_and_the_best_one_acts"),
     # eigenvectors and their signs; ends and beginnings of found options
     _discovery("an eigenvector has one option", "eigenoptions",
                "enumerate((1.0, -1.0))", "enumerate((1.0, 1.0))",

@@ -252,8 +252,8 @@ def test_landmarks_are_options_that_lead_there_by_the_shortest_way():
                 assert 4 + number in agreeing, "intra-option learning may use it"
 
 
-OTHERS = ("option-critic", "hrc")
-"""Agents whose options are tested elsewhere: one gives options of its own, one wants bits."""
+OTHERS = ("option-critic", "a2oc", "dac", "diayn", "ppoc", "hrc")
+"""Agents whose options are tested elsewhere: some give options of their own, one wants bits."""
 
 
 @pytest.mark.parametrize("name", [name for name in list_agents() if name not in OTHERS])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -22,28 +22,24 @@ from hrl_escape.agents.components.distillation import DeepBonusSettings, make_bo
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_index
 from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.memory import MemorySettings, cut_stretches, make_memory
-from hrl_escape.agents.components.networks import (
-    NetworkSettings,
-    ObservationEncoder,
-    make_forward,
-    make_generator,
-)
+from hrl_escape.agents.components.networks import ObservationEncoder, make_forward, make_generator
 from hrl_escape.agents.components.object_network import (
     ObjectNetworkSettings,
     make_action_network,
     make_state_network,
 )
 from hrl_escape.agents.components.policy_gradient import (
-    AdvantageSettings,
+    ClippedSettings,
     Rollout,
     compute_advantages,
     compute_clipped_loss,
     compute_entropy,
     compute_log_policy,
+    draw_minibatches,
     sample_policy,
+    stack_decisions,
 )
 from hrl_escape.agents.components.streams.open_choices import OpenChoices
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.streams import StreamAgent, StreamTransitions, compute_backups
 from hrl_escape.settings import Range
 
@@ -51,31 +47,12 @@ __all__ = ["PPO", "PPOSettings"]
 
 
 @dataclass(frozen=True)
-class PPOSettings(MemorySettings, AdvantageSettings, DeepBonusSettings, ObjectNetworkSettings, NetworkSettings,
-                  LearningSettings):
+class PPOSettings(MemorySettings, ClippedSettings, DeepBonusSettings, ObjectNetworkSettings):
     """Settings of `ppo`."""
 
-    initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
-    """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
-    max_grad_norm: Annotated[float, Range(0)] = 0.5
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
-    rollout: Annotated[int, Range(2)] = 256
-    """Decisions collected before each round of updates, of all streams together."""
     stream_rollout: Annotated[int, Range(1)] = 32
     """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
     `rollout` is cut into as many minibatches, so into larger ones."""
-    epochs: Annotated[int, Range(1)] = 10
-    """Passes over a rollout."""
-    batch_size: Annotated[int, Range(1)] = 64
-    """Decisions in a minibatch of a rollout of `rollout` decisions."""
-    clip: Annotated[float, Range(0, open_low=True)] = 0.2
-    """Bound on how far the probability ratio may move to any advantage."""
-    entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the policy's entropy in the loss."""
-    value_weight: Annotated[float, Range(0)] = 0.5
-    """Weight of half the squared value error in the loss."""
 
 
 class PPO(StreamAgent):
@@ -240,7 +217,8 @@ class PPO(StreamAgent):
 
     def _gather(self) -> Rollout:
         """The rollout so far, as one."""
-        chunks = self._chunks + ([_stack(self._rows, sum(len(c.place) for c in self._chunks))] if self._rows else [])
+        first = sum(len(chunk.place) for chunk in self._chunks)
+        chunks = self._chunks + ([stack_decisions(self._rows, first)] if self._rows else [])
         return Rollout(*map(torch.cat, zip(*chunks, strict=True)))
 
     def _learn(self) -> dict[str, float]:
@@ -285,17 +263,16 @@ class PPO(StreamAgent):
         else:
             stretches = cut_stretches(rollout.stream, rollout.place, settings.memory_span)
             units = stretches.grid.shape[1]
-        for _ in range(settings.epochs):
-            order = torch.from_numpy(self._batch_rng.permutation(units)).to(device)
-            for drawn in order.split(max(1, batch_size * units // total)):
-                part = None if stretches is None else stretches.pick(drawn)
-                rows = drawn if part is None else part.rows
-                if len(rows) < 2:
-                    continue  # one advantage cannot be normalised
-                if part is None or self._memory is None:
-                    yield rows, rollout.observation[rows]
-                else:
-                    yield rows, self._memory.read_stretches(rollout.observation, rollout.memory, rollout.over, part)
+        for order in draw_minibatches(self._batch_rng, units, max(1, batch_size * units // total), settings.epochs):
+            drawn = order.to(device)
+            part = None if stretches is None else stretches.pick(drawn)
+            rows = drawn if part is None else part.rows
+            if len(rows) < 2:
+                continue  # one advantage cannot be normalised
+            if part is None or self._memory is None:
+                yield rows, rollout.observation[rows]
+            else:
+                yield rows, self._memory.read_stretches(rollout.observation, rollout.memory, rollout.over, part)
 
     def compute_loss(self, observation: Tensor, mask: Tensor, action: Tensor, old_log_probability: Tensor,
                      advantage: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
@@ -338,14 +315,3 @@ class PPO(StreamAgent):
         for rng, name in ((self._action_rng, "action_rng"), (self._batch_rng, "batch_rng"),
                           (self._stream_rng, "stream_rng")):
             rng.bit_generator.state = state[name]
-
-
-def _stack(rows: list[tuple], first: int) -> Rollout:
-    """Rows of the one environment as a rollout, whose places begin at `first`."""
-    dtypes = (None, np.bool_, np.int64, np.float32, np.float32, np.int64, np.bool_, None, np.float32)
-    fields = [torch.from_numpy(np.array(field, dtype))
-              for field, dtype in zip(zip(*rows, strict=True), dtypes, strict=True)]
-    observation, mask, action, *rest = fields
-    return Rollout(observation, mask, action, torch.zeros(len(rows)), *rest,
-                   stream=torch.zeros(len(rows), dtype=torch.int64),
-                   place=torch.arange(first, first + len(rows)))

@@ -92,6 +92,16 @@ class Learner:
         self.updates += 1
         return value
 
+    def minimise_each(self, losses: Iterable[Mapping[str, torch.Tensor]]) -> dict[str, float]:
+        """One step down the first part of each, taken before the next is asked for; returns the means of all parts."""
+        totals: dict[str, torch.Tensor] = {}
+        count = 0
+        for parts in losses:
+            self.minimise(next(iter(parts.values())))
+            totals = {name: totals.get(name, 0.0) + part.detach() for name, part in parts.items()}
+            count += 1
+        return {name: float(total) / count for name, total in totals.items()}
+
     def _measure_weights(self) -> float:
         return math.hypot(*(network.weights.norm().item() for network in self._trained))
 

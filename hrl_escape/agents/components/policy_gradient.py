@@ -6,18 +6,22 @@ that say their stream and their place in it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.components.networks import NetworkSettings
+from hrl_escape.agents.settings import AgentSettings, LearningSettings
 from hrl_escape.settings import Range
 
-__all__ = ["AdvantageSettings", "Rollout", "compute_advantages", "compute_clipped_loss", "compute_entropy",
-           "compute_log_policy", "sample_policy"]
+__all__ = ["AdvantageSettings", "ClippedSettings", "Rollout", "compute_advantages", "compute_clipped_loss",
+           "compute_entropy", "compute_log_policy", "draw_minibatches", "sample_policy", "stack_decisions",
+           "unstack_decisions"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +32,30 @@ class AdvantageSettings(AgentSettings):
     """Lambda of generalised advantage estimation."""
     lambda_per: Literal["decision", "primitive"] = "decision"
     """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
+
+
+@dataclass(frozen=True)
+class ClippedSettings(AdvantageSettings, NetworkSettings, LearningSettings):
+    """Rounds of updates with the clipped objective from rollouts of decisions."""
+
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
+    """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0)] = 0.5
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    rollout: Annotated[int, Range(2)] = 256
+    """Decisions collected before each round of updates, of all streams together."""
+    epochs: Annotated[int, Range(1)] = 10
+    """Passes over a rollout."""
+    batch_size: Annotated[int, Range(1)] = 64
+    """Decisions in a minibatch of a rollout of `rollout` decisions."""
+    clip: Annotated[float, Range(0, open_low=True)] = 0.2
+    """Bound on how far the probability ratio may move to any advantage."""
+    entropy_weight: Annotated[float, Range(0)] = 0.01
+    """Weight of the policy's entropy in the loss."""
+    value_weight: Annotated[float, Range(0)] = 0.5
+    """Weight of half the squared value error in the loss."""
 
 
 class Rollout(NamedTuple):
@@ -60,6 +88,34 @@ class Rollout(NamedTuple):
     memory: Tensor
     stream: Tensor
     place: Tensor
+
+
+def stack_decisions(rows: Sequence[tuple], first: int) -> Rollout:
+    """Decisions of one environment as a rollout.
+
+    Args:
+        rows: of each decision in order, the fields of a rollout from observation to memory, without log probability.
+        first: place of the first.
+    """
+    dtypes = (None, np.bool_, np.int64, np.float32, np.float32, np.int64, np.bool_, None, np.float32)
+    fields = [torch.from_numpy(np.array(field, dtype))
+              for field, dtype in zip(zip(*rows, strict=True), dtypes, strict=True)]
+    observation, mask, action, *rest = fields
+    return Rollout(observation, mask, action, torch.zeros(len(rows)), *rest,
+                   stream=torch.zeros(len(rows), dtype=torch.int64),
+                   place=torch.arange(first, first + len(rows)))
+
+
+def unstack_decisions(fields: Mapping[str, Any]) -> list[tuple]:
+    """The rows that `stack_decisions` took, of the fields of its result by name."""
+    names = ("observation", "mask", "action", "reward", "bootstrap", "duration", "over", "next_observation", "memory")
+    return list(zip(*(np.asarray(fields[name]) for name in names), strict=True))
+
+
+def draw_minibatches(rng: np.random.Generator, units: int, size: int, epochs: int) -> Iterator[Tensor]:
+    """Shuffle so many units anew in each epoch and cut them into minibatches, int64 (at most `size`,) each."""
+    for _ in range(epochs):
+        yield from torch.from_numpy(rng.permutation(units)).split(size)
 
 
 def compute_advantages(rollout: Rollout, values: Tensor, next_values: Tensor, settings: AdvantageSettings) -> Tensor:

@@ -76,6 +76,10 @@ class FactorReader:
         self._set(chosen)
         return True
 
+    def keep(self, components: NDArray[np.int64]) -> None:
+        """Drop every factor that is none of these components."""
+        self._set(self._chosen & np.isin(np.arange(len(self._chosen)), components))
+
     def read(self, flat: NDArray[np.float64]) -> NDArray[np.int64]:
         """Values of the factors, int64 (..., factors). A number that is no such value (before `notice`) reads as 0."""
         values = flat[..., self.components]

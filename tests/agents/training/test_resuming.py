@@ -34,7 +34,11 @@ SMALL = {
     },
     "sarsa": {"hidden": (8,), "batch_size": 8, "warmup": 20, "updates_per_step": 0.05, "replay_capacity": 60},
     "ddpg": {"hidden": (8,), "batch_size": 8, "warmup": 20, "actor_warmup": 40, "updates_per_step": 0.05},
-    "ppo": {"hidden": (8,), "rollout": 16, "batch_size": 8, "epochs": 2},
+    **dict.fromkeys(("ppo", "dac", "diayn"), {"hidden": (8,), "rollout": 16, "batch_size": 8, "epochs": 2}),
+    "a2oc": {"hidden": (8,), "rollout": 5},
+    "monte-carlo-model": {"redraws": 2},
+    "ppoc": {"hidden": (8,), "rollout": 16, "batch_size": 8, "epochs": 2, "least_samples": 8,
+             "termination_rate": 1e-3},
 }
 WARM = {"dqn": {"warmup": 20}, "ddpg": {"warmup": 20, "actor_warmup": 30}}
 VARIANTS = [

@@ -26,7 +26,8 @@ from tests.agents.small_envs import ButtonGrid, Outcome, SmdpEnv
 from tests.agents.training.test_resuming import SMALL, flatten
 
 ROOT = Path(__file__).parents[3]
-LEARNERS = ["random", "q-learning", "intra-option-q", "dqn", "sarsa", "ddpg", "ppo", "option-critic"]
+LEARNERS = ["random", "q-learning", "intra-option-q", "dqn", "sarsa", "ddpg", "ppo", "option-critic", "a2oc", "dac",
+            "ppoc", "diayn"]
 
 
 def run(name="q-learning", env=None, **more):

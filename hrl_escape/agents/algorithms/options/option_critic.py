@@ -9,18 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Annotated, Any, ClassVar, NamedTuple
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, StateTree, compute_backup, count_actions
+from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_index
-from hrl_escape.agents.components.option_log import OptionLog
+from hrl_escape.agents.components.options.agent import OptionAgent
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
-from hrl_escape.agents.option_policy import OptionPolicy
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.settings import Range
 
@@ -73,7 +71,7 @@ class OptionTables(NamedTuple):
     endings: NDArray[np.float64]
 
 
-class OptionCritic(Agent):
+class OptionCritic(OptionAgent):
     """Learn Q(s, o), Q_U(s, o, a), pi_o and beta_o from every decision (s, o, a) -> R, s'.
 
         U(s', o) = (1 - beta_o(s')) Q(s', o) + beta_o(s') (V(s') - cost)
@@ -85,9 +83,6 @@ class OptionCritic(Agent):
     Then the option ends with probability beta_o(s') and the next is chosen epsilon-greedily. With `multi_option` every
     option o is updated, weighted by w_o = P(o | s, the option before), in its own value and policy also by
     pi_o(a | s) / pi(a | s) of the option that ran; no step is longer than its rate.
-
-    Attributes:
-        log: durations and entropy of options.
     """
 
     name: ClassVar[str] = "option-critic"
@@ -102,18 +97,14 @@ class OptionCritic(Agent):
         settings: OptionCriticSettings | None = None,
     ) -> None:
         self.settings = settings = settings or OptionCriticSettings()
+        super().__init__(settings.options, self.name)
         self._actions = count_actions(action_space, self.name)
         self._discretise = make_discretiser(observation_space, settings, self.name)
         self._tables: dict[bytes, OptionTables] = {}
         self._unknown = self._make_tables()
-        self.log = OptionLog(settings.options, self.name)
         self._rng = make_rng(seed, "actions")
-        self._option, self._decisions = -1, 0
         self._likely = np.zeros(settings.options)  # P(o | s, the option before)
         self._eye = np.eye(settings.options)
-        self._evaluation: tuple[np.random.Generator, int, int] | None = None
-        """Generator of an evaluation, the option that runs in it, and the decisions that it has made."""
-        self._shown: RunningCall | None = None
 
     def _make_tables(self) -> OptionTables:
         options = self.settings.options
@@ -167,20 +158,10 @@ class OptionCritic(Agent):
         choice[values.argmax()] += 1 - self.settings.epsilon
         return choice
 
-    def list_calls(self) -> tuple[RunningCall, ...]:
-        """The option of the latest choice, in evaluation or in learning."""
-        return () if self._shown is None else (self._shown,)
-
-    def get_options(self) -> tuple[OptionPolicy, ...]:
-        """Each option, from anywhere; actions and ends are drawn."""
-        return tuple(OptionPolicy(f"option-{option}", self, partial(_Run, self, option))
-                     for option in range(self.settings.options))
-
     def _draw(self, option: int, decisions: int, observation: Any, mask: NDArray[np.bool_],
               rng: np.random.Generator) -> int:
         """Draw from an option's policy."""
-        ends = float(self.compute_terminations(observation)[option])
-        self._shown = RunningCall(f"option-{option}", None, decisions, ends)
+        self._shown = option, decisions, observation
         return sample_index(self.compute_policies(observation, mask)[option], rng)
 
     # --- acting -------------------------------------------------------------------------
@@ -276,18 +257,3 @@ class OptionCritic(Agent):
         self._likely = np.array(state["likely"])
         self._rng.bit_generator.state = state["rng"]
         self._evaluation = None
-
-
-class _Run:
-    """A run of one option; it remembers nothing."""
-
-    def __init__(self, agent: OptionCritic, option: int) -> None:
-        self._agent, self._option = agent, option
-
-    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Draw from the option's policy."""
-        return sample_index(self._agent.compute_policies(observation, action_mask)[self._option], rng)
-
-    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
-        """Beta of the option."""
-        return float(self._agent.compute_terminations(observation)[self._option])

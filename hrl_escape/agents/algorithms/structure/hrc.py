@@ -218,11 +218,7 @@ class Hrc(Agent):
         self._find_anew()
         self._samples = [(int(before), int(action), int(after), bool(over))
                          for before, action, after, over in state["samples"]]
-        dropped = np.setdiff1d(self._reader.components, np.asarray(state["factors"]))
-        if len(dropped):
-            flat = np.zeros(int(self._reader.components.max()) + 1)
-            flat[dropped] = 0.5
-            self._reader.notice(flat)
+        self._reader.keep(np.asarray(state["factors"], np.int64))
         self.interventions, self.cost = [int(bit) for bit in state["interventions"]], int(state["cost"])
         self._effects = {int(bit): int(action) for bit, action in state["effects"]}
         self._parents = {bit: self._find_parents(bit) for bit in self._effects}

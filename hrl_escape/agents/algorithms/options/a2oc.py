@@ -1,0 +1,124 @@
+"""Option-critic over networks: advantage actor-critic within options, learned terminations, a price of ending.
+
+A2OC of Harb, Bacon, Klissarov and Precup (2018), which is option-critic (Bacon, Harb and Precup 2017) on returns of
+several decisions; in one environment.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any, ClassVar, Literal
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from hrl_escape.agents.agent import StateTree
+from hrl_escape.agents.components.learner import Learner
+from hrl_escape.agents.components.options.choices import OptionChoices, take_column
+from hrl_escape.agents.components.options.networks import EndingSettings, NetworkOptionAgent
+from hrl_escape.agents.components.policy_gradient import AdvantageSettings, Rollout, compute_entropy
+from hrl_escape.settings import Range
+
+__all__ = ["A2OC", "A2OCSettings"]
+
+
+@dataclass(frozen=True)
+class A2OCSettings(AdvantageSettings, EndingSettings):
+    """Settings of `a2oc`."""
+
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
+    """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
+    max_grad_norm: Annotated[float, Range(0)] = 0.5
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    rollout: Annotated[int, Range(2)] = 20
+    """Decisions collected before each update."""
+    gae_lambda: Annotated[float, Range(0, 1)] = 1.0
+    """Lambda of generalised advantage estimation; 1 has returns of as many decisions as the rollout has left."""
+    epsilon: Annotated[float, Range(0, 1)] = 0.1
+    """Share of options that are chosen at random, and of the mean in the value of ending an option."""
+    deliberation_cost: Annotated[float, Range(0)] = 0.01
+    """Price of ending an option, in scaled return: paid in the value upon arrival, and so a margin of terminations."""
+    termination_margin: Annotated[float, Range(0)] = 0.0
+    """Margin by which an option must be worse than the mean before it is ended more often, in scaled return; paid
+    nowhere."""
+    entropy_weight: Annotated[float, Range(0)] = 0.01
+    """Weight of the entropy of the options' policies in the loss."""
+    value_weight: Annotated[float, Range(0)] = 0.5
+    """Weight of half the squared value error in the loss."""
+
+
+class A2OC(NetworkOptionAgent):
+    """Learn pi_o, Q(s, o) and beta_o from every few decisions (s, o, a) -> R, s', in one step down the sum of losses.
+
+        policy       - log pi_o(a | s) (G - Q(s, o)) - weight x entropy of pi_o
+        critic       weight x half of (G - Q(s, o))^2
+        termination  beta_o(s') (Q(s', o) - V(s') + cost + margin), unless terminated
+
+    G = R + b G' where the next decision is known, b its discount, less b x cost where the option ended before it; at
+    the last one G' = U(s', o) = (1 - beta_o(s')) Q(s', o) + beta_o(s') (V(s') - cost). V is the value of the
+    epsilon-greedy choice among options, by which they are chosen.
+    """
+
+    name: ClassVar[str] = "a2oc"
+    Settings: ClassVar[type] = A2OCSettings
+    settings: A2OCSettings
+    heads: ClassVar[tuple[str, ...]] = ("policy", "critic", "ending")
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: A2OCSettings | None = None,
+    ) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        self._learner = Learner(self.name, self.networks, self.networks, self.settings)
+
+    def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
+        """Epsilon-greedy choice among the values of options, float64 (options,)."""
+        choice = np.full(self.options, self.settings.epsilon / self.options)
+        choice[self.compute_option_values(observation).argmax()] += 1 - self.settings.epsilon
+        return choice
+
+    def compute_fresh_choice(self, observation: Tensor) -> Tensor:
+        """The same for many observations, (n, options)."""
+        best = functional.one_hot(self.critic(observation).argmax(dim=1), self.options)
+        return (1 - self.settings.epsilon) * best + self.settings.epsilon / self.options
+
+    def _learn(self, rollout: Rollout, choices: OptionChoices) -> Mapping[str, float]:
+        with torch.no_grad():
+            values = take_column(self.critic(rollout.observation), choices.option)
+            advantage = self.compute_advantages(rollout, choices, values, self.settings.deliberation_cost)
+        parts = self.compute_loss(rollout, choices, advantage, advantage + values)
+        self._learner.minimise(parts["loss"])
+        return {name: part.item() for name, part in parts.items()} | {
+            "gradient_norm": self._learner.gradient_norm, "value": values.mean().item() / self.settings.reward_scale}
+
+    def compute_loss(self, rollout: Rollout, choices: OptionChoices, advantage: Tensor, target: Tensor
+                     ) -> dict[str, Tensor]:
+        """The loss over a rollout, and its parts."""
+        settings, option = self.settings, choices.option
+        log_policy = self.compute_log_policies(rollout.observation, option, rollout.mask)
+        policy_loss = -(take_column(log_policy, rollout.action) * advantage).mean()
+        value_loss = 0.5 * functional.mse_loss(take_column(self.critic(rollout.observation), option), target)
+        entropy = compute_entropy(log_policy, rollout.mask)
+        loss = policy_loss + settings.value_weight * value_loss - settings.entropy_weight * entropy
+        margin = settings.deliberation_cost + settings.termination_margin
+        termination_loss = self.compute_termination_loss(rollout, choices, margin)
+        termination = take_column(self.compute_betas(rollout.next_observation), option).mean().detach()
+        return {"loss": loss + termination_loss, "policy_loss": policy_loss, "value_loss": value_loss,
+                "entropy": entropy, "termination_loss": termination_loss, "termination": termination}
+
+    def state_dict(self) -> StateTree:
+        """Networks, optimiser, the rollout so far, the running option, generators."""
+        return super().state_dict() | {"learner": self._learner.state_dict()}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        super().load_state_dict(state)
+        self._learner.load_state_dict(state["learner"])

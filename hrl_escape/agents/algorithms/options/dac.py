@@ -1,0 +1,131 @@
+"""Double actor-critic: options learned as two ordinary decision processes on one trajectory, each by PPO.
+
+Zhang and Whiteson (2019), on the clipped objective of Schulman et al. (2017). With one option it is `ppo`, to the bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, ClassVar
+
+import gymnasium
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from hrl_escape.agents.agent import StateTree
+from hrl_escape.agents.components.learner import Learner
+from hrl_escape.agents.components.options.choices import OptionChoices, mix_values, take_column
+from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
+from hrl_escape.agents.components.options.networks import EndingSettings
+from hrl_escape.agents.components.policy_gradient import (
+    ClippedSettings,
+    Rollout,
+    compute_advantages,
+    compute_clipped_loss,
+    draw_minibatches,
+)
+from hrl_escape.settings import Range
+
+__all__ = ["DAC", "DACSettings"]
+
+SMALLEST = 1e-12
+"""Probability below which the logarithm of a choice is cut off."""
+
+
+@dataclass(frozen=True)
+class DACSettings(ClippedSettings, EndingSettings):
+    """Settings of `dac`."""
+
+    option_entropy_weight: Annotated[float, Range(0)] = 0.01
+    """Weight of the entropy of the choice of options in the loss."""
+    deliberation_cost: Annotated[float, Range(0)] = 0.0
+    """Weight of the mean termination in the loss; above 0 options last longer."""
+
+
+class DAC(ClippedOptionAgent):
+    """PPO in two decision processes with the same rewards and one critic q(s, o).
+
+        high: state (s, o-), action o    pi(o | s, o-) = (1 - beta_o-(s)) [o = o-] + beta_o-(s) pi_Omega(o | s)
+              value v(s, o-) = sum over o of pi(o | s, o-) q(s, o)
+        low:  state (s, o), action a     pi_o(a | s), value q(s, o)
+
+    o- is the option before; in an episode's first state pi is pi_Omega. Advantages and old probabilities of both are
+    computed with the networks that chose; then all epochs are made in one, then in the other, in random order. An
+    episode that was cut bootstraps both by v(s', o). Terminations learn through pi alone.
+    """
+
+    name: ClassVar[str] = "dac"
+    Settings: ClassVar[type] = DACSettings
+    settings: DACSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: DACSettings | None = None,
+    ) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        self._learner = Learner(self.name, self.networks, self.networks, self.settings)
+
+    def _learn(self, rollout: Rollout, choices: OptionChoices) -> Mapping[str, float]:
+        settings, option, former = self.settings, choices.option, choices.former
+        with torch.no_grad():
+            critic = self.critic(rollout.observation)
+            low_values = take_column(critic, option)
+            choice = self.compute_option_choice(rollout.observation, former)
+            high_values = mix_values(choice, critic, former)
+            low_next, high_next = self.compute_next_values(rollout, choices)
+            low = compute_advantages(rollout, low_values, low_next, settings)
+            log_probability = take_column(self.compute_log_policies(rollout.observation, option, rollout.mask),
+                                    rollout.action)
+            updates = [(self.compute_low_loss, log_probability, low, low + low_values)]
+            if self.options > 1:  # a choice among one is none
+                high = compute_advantages(rollout, high_values, high_next, settings)
+                log_choice = take_column(choice, option).clamp(min=SMALLEST).log()
+                updates.append((self.compute_high_loss, log_choice, high, high + high_values))
+                if self._batch_rng.random() < 0.5:
+                    updates.reverse()
+        metrics: dict[str, float] = {}
+        for compute_loss, *numbers in updates:
+            batches = draw_minibatches(self._batch_rng, len(option), settings.batch_size, settings.epochs)
+            metrics |= self._learner.minimise_each(
+                compute_loss(rollout, choices, rows, *(each[rows] for each in numbers))
+                for rows in batches if len(rows) > 1)  # one advantage cannot be normalised
+        return metrics | {"gradient_norm": self._learner.gradient_norm,
+                          "value": low_values.mean().item() / settings.reward_scale}
+
+    def compute_low_loss(self, rollout: Rollout, choices: OptionChoices, rows: Tensor, old_log_probability: Tensor,
+                         advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
+        """Loss of actions within options over some rows, and its parts."""
+        return self.compute_option_loss(rollout.observation[rows], rollout.mask[rows], choices.option[rows],
+                                        rollout.action[rows], old_log_probability, advantage, target)
+
+    def compute_high_loss(self, rollout: Rollout, choices: OptionChoices, rows: Tensor, old_log_probability: Tensor,
+                          advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
+        """Loss of the choice of options over some rows, and its parts; the value's goes through the critic alone."""
+        settings, observation = self.settings, rollout.observation[rows]
+        former = choices.former[rows]
+        choice = self.compute_option_choice(observation, former)
+        log_probability = take_column(choice, choices.option[rows]).clamp(min=SMALLEST).log()
+        policy_loss = compute_clipped_loss(log_probability, old_log_probability, advantage, settings.clip)
+        values = mix_values(choice.detach(), self.critic(observation), former)
+        value_loss = 0.5 * functional.mse_loss(values, target)
+        entropy = -(choice * choice.clamp(min=SMALLEST).log()).sum(dim=1).mean()
+        has_former = former >= 0
+        ending = (take_column(self.compute_betas(observation), former.clamp(min=0)) * has_former).sum() / len(rows)
+        loss = (policy_loss + settings.value_weight * value_loss - settings.option_entropy_weight * entropy
+                + settings.deliberation_cost * ending)
+        return {"high_loss": loss, "high_policy_loss": policy_loss, "high_value_loss": value_loss,
+                "choice_entropy": entropy, "termination": ending}
+
+    def state_dict(self) -> StateTree:
+        """Networks, optimiser, the rollout so far, the running option, generators."""
+        return super().state_dict() | {"learner": self._learner.state_dict()}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        super().load_state_dict(state)
+        self._learner.load_state_dict(state["learner"])

@@ -1,0 +1,170 @@
+"""Proximal policy option-critic: PPO within options, policy gradient among them, and the termination gradient.
+
+Klissarov, Bacon, Harb and Precup (2017). Its published program is held together by constants that are settings here.
+Unlike it, terminations are learned at the state reached, for the option that ran, and the policy over options where an
+option was chosen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, ClassVar, NamedTuple
+
+import gymnasium
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from hrl_escape.agents.agent import StateTree
+from hrl_escape.agents.components.learner import Learner
+from hrl_escape.agents.components.options.choices import OptionChoices, mix_values, take_column
+from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
+from hrl_escape.agents.components.options.networks import EndingSettings
+from hrl_escape.agents.components.policy_gradient import (
+    ClippedSettings,
+    Rollout,
+    draw_minibatches,
+)
+from hrl_escape.settings import Range
+
+__all__ = ["PPOC", "OptionSamples", "PPOCSettings"]
+
+
+@dataclass(frozen=True)
+class PPOCSettings(ClippedSettings, EndingSettings):
+    """Settings of `ppoc`."""
+
+    options: Annotated[int, Range(1)] = 2
+    """Options that are learned."""
+    least_samples: Annotated[int, Range(2)] = 160
+    """Decisions of an option that are collected, over several rollouts if need be, before it is updated."""
+    termination_rate: Annotated[float, Range(0)] = 5e-7
+    """Step size of Adam for terminations; the published one, which leaves them almost as they begin."""
+    option_entropy_weight: Annotated[float, Range(0)] = 0.1
+    """Weight of the entropy of the policy over options in the loss."""
+    deliberation_cost: Annotated[float, Range(0)] = 0.0
+    """Price of ending an option, in scaled return: paid upon arrival, and so a margin of terminations."""
+
+
+class OptionSamples(NamedTuple):
+    """Decisions of one option that wait for its update, tensors with leading dimension n.
+
+    Attributes:
+        observation: encoded.
+        mask: bool (n, actions).
+        action: int64.
+        log_probability: of the action, under the policy that chose it.
+        advantage: of the action within the option.
+        target: of Q(s, o).
+        choice_advantage: target - V(s) where the option was chosen at this decision, else 0.
+        is_chosen: bool, it was chosen at this decision.
+    """
+
+    observation: Tensor
+    mask: Tensor
+    action: Tensor
+    log_probability: Tensor
+    advantage: Tensor
+    target: Tensor
+    choice_advantage: Tensor
+    is_chosen: Tensor
+
+
+class PPOC(ClippedOptionAgent):
+    """Learn pi_o, Q(s, o), pi_Omega and beta_o from decisions (s, o, a) -> R, s'.
+
+        arrival      U = Q(s', o) if o goes on, Q(s', o') - cost if it ended and o' was chosen; where neither is known
+                     the mean of both
+        policy       PPO on log pi_o(a | s) with the advantages of Q and U; Q(s, o) towards advantage + Q(s, o)
+        choice       grad log pi_Omega(o | s) (target - V(s)) where o was chosen, V(s) = sum pi_Omega(o | s) Q(s, o)
+        termination  - grad beta_o(s') (Q(s', o) - V(s') + cost), unless terminated, with a step size of its own
+
+    Each option is updated from its own decisions, once there are `least_samples`.
+    """
+
+    name: ClassVar[str] = "ppoc"
+    Settings: ClassVar[type] = PPOCSettings
+    settings: PPOCSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: PPOCSettings | None = None,
+    ) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        trained = [name for name in self.networks if name != "ending"]
+        self._learner = Learner(self.name, self.networks, trained, self.settings)
+        slow = replace(self.settings, learning_rate=self.settings.termination_rate or 1.0)
+        self._ending_learner = Learner(self.name, {"ending": self.networks["ending"]}, ["ending"], slow)
+        self._waiting: dict[int, OptionSamples] = {}
+
+    def _learn(self, rollout: Rollout, choices: OptionChoices) -> Mapping[str, float]:
+        settings = self.settings
+        with torch.no_grad():
+            samples = self.compute_samples(rollout, choices)
+        for option in range(self.options):
+            rows = choices.option == option
+            if rows.any():
+                own = OptionSamples(*(field[rows] for field in samples))
+                former = self._waiting.get(option)
+                self._waiting[option] = own if former is None else OptionSamples(
+                    *map(torch.cat, zip(former, own, strict=True)))
+        metrics: dict[str, float] = {}
+        if self.options > 1 and settings.termination_rate:
+            loss = self.compute_termination_loss(rollout, choices, settings.deliberation_cost)
+            metrics["termination_loss"] = self._ending_learner.minimise(loss)
+        due = [option for option, own in self._waiting.items() if len(own.action) >= settings.least_samples]
+        for option in sorted(due):
+            own = self._waiting.pop(option)
+            batches = draw_minibatches(self._batch_rng, len(own.action), settings.batch_size, settings.epochs)
+            metrics |= self._learner.minimise_each(
+                self.compute_loss(option, OptionSamples(*(field[rows] for field in own)))
+                for rows in batches if len(rows) > 1)  # one advantage cannot be normalised
+            metrics["gradient_norm"] = self._learner.gradient_norm
+        betas = take_column(self.compute_betas(rollout.next_observation), choices.option)
+        return metrics | {"termination": betas.mean().item(),
+                          "value": (samples.target - samples.advantage).mean().item() / settings.reward_scale}
+
+    def compute_samples(self, rollout: Rollout, choices: OptionChoices) -> OptionSamples:
+        """Lessons of every decision of a rollout for its option, while the networks are still those that chose."""
+        option, critic = choices.option, self.critic(rollout.observation)
+        values = take_column(critic, option)
+        advantage = self.compute_advantages(rollout, choices, values, self.settings.deliberation_cost)
+        target = advantage + values
+        mean = mix_values(self.compute_fresh_choice(rollout.observation), critic, option)
+        log_policy = self.compute_log_policies(rollout.observation, option, rollout.mask)
+        return OptionSamples(rollout.observation, rollout.mask, rollout.action, take_column(log_policy, rollout.action),
+                             advantage, target, (target - mean) * choices.is_chosen, choices.is_chosen)
+
+    def compute_loss(self, option: int, batch: OptionSamples) -> dict[str, Tensor]:
+        """Loss of an option over some of its decisions, and its parts."""
+        own = torch.full_like(batch.action, option)
+        parts = self.compute_option_loss(batch.observation, batch.mask, own, batch.action, batch.log_probability,
+                                         batch.advantage, batch.target)
+        log_choice = functional.log_softmax(self.networks["chooser"](batch.observation), dim=1)
+        choice_loss = -(log_choice[:, option] * batch.choice_advantage).mean()
+        choice_entropy = -(log_choice.exp() * log_choice).sum(dim=1)
+        choice_entropy = (choice_entropy * batch.is_chosen).mean()
+        loss = parts.pop("loss") + choice_loss - self.settings.option_entropy_weight * choice_entropy
+        return {"loss": loss, **parts, "choice_loss": choice_loss, "choice_entropy": choice_entropy}
+
+    def state_dict(self) -> StateTree:
+        """Networks, optimisers, the rollout so far, what waits for updates, the running option, generators."""
+        return super().state_dict() | {
+            "learner": self._learner.state_dict(),
+            "ending_learner": self._ending_learner.state_dict(),
+            "waiting": [[option, samples._asdict()] for option, samples in self._waiting.items()],
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        super().load_state_dict(state)
+        self._learner.load_state_dict(state["learner"])
+        self._ending_learner.load_state_dict(state["ending_learner"])
+        self._waiting = {int(option): OptionSamples(**{name: torch.from_numpy(np.asarray(field))
+                                                       for name, field in samples.items()})
+                         for option, samples in state["waiting"]}

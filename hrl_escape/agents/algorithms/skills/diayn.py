@@ -1,0 +1,191 @@
+"""DIAYN: skills that can be told apart by where they lead, learned without any reward of the task.
+
+Eysenbach, Gupta, Ibarz and Levine (2019), Diversity is all you need, on the clipped objective of PPO. The discriminator
+sees a goal space only: with a pose in what it sees, skills are told apart by the pose and press nothing.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any, ClassVar, Literal
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from numpy.typing import NDArray
+from torch import Tensor
+from torch.nn import functional
+
+from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.components.exploration import choose_best, make_rng
+from hrl_escape.agents.components.learner import Learner
+from hrl_escape.agents.components.networks import make_generator, make_network
+from hrl_escape.agents.components.options.choices import OptionChoices, take_column
+from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
+from hrl_escape.agents.components.options.networks import OptionNetworkSettings
+from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, compute_advantages, draw_minibatches
+from hrl_escape.agents.factored.observation import FactorReader
+from hrl_escape.settings import Range
+
+__all__ = ["DIAYN", "DIAYNSettings"]
+
+
+@dataclass(frozen=True)
+class DIAYNSettings(ClippedSettings, OptionNetworkSettings):
+    """Settings of `diayn`."""
+
+    options: Annotated[int, Range(2)] = 8
+    """Skills that are learned."""
+    entropy_weight: Annotated[float, Range(0)] = 0.1
+    """Weight of the policy's entropy in the loss."""
+    goal: Literal["bits", "observation"] = "bits"
+    """Part of the observation that the discriminator sees. `bits`: components of a flat Box that have only ever been 0
+    or 1, in a room the puzzle's; all of a discrete observation. `observation`: everything."""
+    discriminator_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
+    """Step size of Adam for the discriminator."""
+
+
+class DIAYN(ClippedOptionAgent):
+    """One skill z an episode, drawn evenly, and PPO within skills.
+
+    A skill is paid
+
+        log q(z | g(s')) - log p(z),    p(z) = 1 / skills
+
+    for every decision that leads to s', where q is the discriminator's forecast of the skill from the goal g(s') and
+    p(z) makes staying alive worth nothing where skills cannot be told apart. The task's reward is seen by the choice
+    among skills alone: in evaluation the one runs whose episodes earned the most in training.
+    """
+
+    name: ClassVar[str] = "diayn"
+    Settings: ClassVar[type] = DIAYNSettings
+    settings: DIAYNSettings
+    heads: ClassVar[tuple[str, ...]] = ("policy", "critic")
+    is_markov: bool = True
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: DIAYNSettings | None = None,
+    ) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        self.discriminator = make_network(self._encoder, self.options, self.settings,
+                                          make_generator(make_rng(seed, "discriminator")))
+        self._learner = Learner(self.name, self.networks, self.networks, self.settings)
+        of_its_own = replace(self.settings, learning_rate=self.settings.discriminator_rate)
+        self._judge = Learner(self.name, {"discriminator": self.discriminator}, ["discriminator"], of_its_own)
+        sees_bits = self.settings.goal == "bits" and isinstance(observation_space, spaces.Box)
+        self._reader = FactorReader(observation_space, self.name) if sees_bits else None
+        self._returns, self._episodes = np.zeros(self.options), np.zeros(self.options, np.int64)
+        self._earned, self._is_warned = 0.0, False
+
+    # --- skills -----------------------------------------------------------------------
+
+    def compute_terminations(self, observation: Any) -> NDArray[np.float64]:
+        """A skill never ends by itself, float64 (skills,)."""
+        return np.zeros(self.options)
+
+    def compute_betas(self, observation: Tensor) -> Tensor:
+        """The same for many observations, (n, skills)."""
+        return torch.zeros((len(observation), self.options))
+
+    def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
+        """p(z), float64 (skills,)."""
+        return np.full(self.options, 1 / self.options)
+
+    def compute_fresh_choice(self, observation: Tensor) -> Tensor:
+        """The same for many observations, (n, skills)."""
+        return torch.full((len(observation), self.options), 1 / self.options)
+
+    def find_best_skill(self) -> int:
+        """The skill whose training episodes earned the most on average; the first before any has ended."""
+        means = np.where(self._episodes > 0, self._returns / np.maximum(self._episodes, 1), -np.inf)
+        return int(means.argmax())
+
+    def compute_preferences(self, observation: Any) -> NDArray:
+        """Logits of the best skill at an observation, before any mask, (actions,)."""
+        return self._compute("policy", observation).reshape(self.options, -1)[self.find_best_skill()]
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The likeliest action of the best skill."""
+        self._shown = self.find_best_skill(), 0, observation
+        return choose_best(self.compute_preferences(observation), action_mask)
+
+    # --- learning ---------------------------------------------------------------------
+
+    def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
+        """Keep the decision and what its episode earned; update when the rollout is full."""
+        if self._reader is not None:
+            self._reader.notice(self._reader.flatten(transition.next_observation))
+        self._earned += transition.summed_reward
+        if transition.terminated or transition.truncated:
+            self._returns[self._option] += self._earned
+            self._episodes[self._option] += 1
+            self._earned = 0.0
+        return super().observe(transition)
+
+    def read_goals(self, observation: Tensor) -> Tensor:
+        """The part of encoded observations that the discriminator sees, the rest 0; (n, ...)."""
+        if self._reader is None:
+            return observation
+        seen = torch.zeros(observation.shape[1])
+        seen[self._reader.components] = 1.0
+        if not seen.any() and not self._is_warned:
+            self._is_warned = True
+            warnings.warn("diayn: no component of the observation is a bit, so that skills cannot be told apart; take "
+                          "goal=observation", stacklevel=2)
+        return observation * seen
+
+    def compute_rewards(self, observation: Tensor, option: Tensor) -> Tensor:
+        """Reward log q(z | g) - log p(z) at encoded observations, nats, (n,)."""
+        log_forecast = functional.log_softmax(self.discriminator(self.read_goals(observation)), dim=1)
+        return take_column(log_forecast, option) + math.log(self.options)
+
+    def _learn(self, rollout: Rollout, choices: OptionChoices) -> Mapping[str, float]:
+        settings, option = self.settings, choices.option
+        with torch.no_grad():
+            rewards = self.compute_rewards(rollout.next_observation, option)
+            values = take_column(self.critic(rollout.observation), option)
+            next_values, _ = self.compute_next_values(rollout, choices)
+            advantage = compute_advantages(rollout._replace(reward=rewards), values, next_values, settings)
+            log_policy = self.compute_log_policies(rollout.observation, option, rollout.mask)
+            columns = (rollout.observation, rollout.mask, option, rollout.action,
+                       take_column(log_policy, rollout.action), advantage, advantage + values)
+        batches = [rows for rows in draw_minibatches(self._batch_rng, len(option), settings.batch_size, settings.epochs)
+                   if len(rows) > 1]  # one advantage cannot be normalised
+        metrics = self._learner.minimise_each(
+            self.compute_option_loss(*(column[rows] for column in columns)) for rows in batches)
+        goals = self.read_goals(rollout.next_observation)
+        judged = self._judge.minimise_each(
+            {"discriminator_loss": functional.cross_entropy(self.discriminator(goals[rows]), option[rows])}
+            for rows in batches)
+        return metrics | judged | {"skill_reward": rewards.mean().item(),
+                                   "gradient_norm": self._learner.gradient_norm}
+
+    def state_dict(self) -> StateTree:
+        """Networks, optimisers, the rollout so far, what skills earned, components that are bits, generators."""
+        return super().state_dict() | {
+            "learner": self._learner.state_dict(),
+            "discriminator": self._judge.state_dict(),
+            "returns": self._returns.copy(),
+            "episodes": self._episodes.copy(),
+            "earned": self._earned,
+            "bits": None if self._reader is None else self._reader.components,
+            "is_warned": self._is_warned,
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        super().load_state_dict(state)
+        self._learner.load_state_dict(state["learner"])
+        self._judge.load_state_dict(state["discriminator"])
+        self._returns, self._episodes = np.array(state["returns"]), np.array(state["episodes"])
+        self._earned, self._is_warned = float(state["earned"]), bool(state["is_warned"])
+        if self._reader is not None:
+            self._reader.keep(np.asarray(state["bits"], np.int64))

@@ -1,0 +1,70 @@
+"""Choices of options in a rollout: what ran, what ran before it, and how likely each option was.
+
+The option is drawn from pi(o | s, o-) = (1 - beta_o-(s)) [o = o-] + beta_o-(s) pi_Omega(o | s), where o- ran before,
+and in an episode's first state from pi_Omega.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+__all__ = ["NONE", "OptionChoices", "find_followed", "mix_values", "mix_with_former", "take_column"]
+
+NONE = -1
+"""In place of the option before an episode's first decision."""
+
+
+class OptionChoices(NamedTuple):
+    """Options of the decisions of a rollout.
+
+    Attributes:
+        option: int64 (n,), that ran.
+        former: int64 (n,), that ran before it; `NONE` at an episode's first decision.
+        is_chosen: bool (n,), the former had ended, or there was none.
+    """
+
+    option: Tensor
+    former: Tensor
+    is_chosen: Tensor
+
+
+def mix_with_former(beta: Tensor, choice: Tensor, former: Tensor) -> Tensor:
+    """pi(o | s, the option before), (n, options); with one option it is 1 to the bit.
+
+    Args:
+        beta: terminations of all options, (n, options).
+        choice: pi_Omega, (n, options).
+        former: int64 (n,).
+    """
+    kept = torch.nn.functional.one_hot(former.clamp(min=0), choice.shape[1]).to(choice.dtype)
+    ends = beta.gather(1, former.clamp(min=0)[:, None]).masked_fill((former == NONE)[:, None], 1.0)
+    return torch.where(ends == 1.0, choice, kept + ends * (choice - kept))
+
+
+def find_followed(over: Tensor) -> Tensor:
+    """Decisions of one environment after which the next row goes on in the same episode, bool (n,).
+
+    Args:
+        over: bool (n,), the episode ended with the decision.
+    """
+    return torch.cat([~over[:-1], torch.zeros(1, dtype=torch.bool)])
+
+
+def mix_values(choice: Tensor, values: Tensor, former: Tensor) -> Tensor:
+    """Sum over options of choice x value, (n,); exact where one option has all of the choice.
+
+    Args:
+        choice: (n, options).
+        values: Q(s, o), (n, options).
+        former: int64 (n,).
+    """
+    base = take_column(values, former.clamp(min=0))
+    return base + (choice * (values - base[:, None])).sum(dim=1)
+
+
+def take_column(rows: Tensor, column: Tensor) -> Tensor:
+    """One entry of each row, (n,) from (n, columns) and int64 (n,)."""
+    return rows.gather(1, column[:, None]).squeeze(1)

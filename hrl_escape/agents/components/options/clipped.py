@@ -1,0 +1,38 @@
+"""Options over networks whose policies learn by the clipped objective of PPO."""
+
+from __future__ import annotations
+
+from torch import Tensor
+from torch.nn import functional
+
+from hrl_escape.agents.components.options.choices import take_column
+from hrl_escape.agents.components.options.networks import NetworkOptionAgent
+from hrl_escape.agents.components.policy_gradient import compute_clipped_loss, compute_entropy
+
+__all__ = ["ClippedOptionAgent"]
+
+
+class ClippedOptionAgent(NetworkOptionAgent):
+    """Base of agents whose settings are `ClippedSettings`."""
+
+    def compute_option_loss(self, observation: Tensor, mask: Tensor, option: Tensor, action: Tensor,
+                            old_log_probability: Tensor, advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
+        """PPO's loss of actions within options over a minibatch, and its parts.
+
+        Args:
+            observation: encoded, (n, ...).
+            mask: bool (n, actions).
+            option: int64 (n,), that ran.
+            action: int64 (n,).
+            old_log_probability: of the action, under the policy that chose it, (n,).
+            advantage: (n,).
+            target: of Q(s, o), (n,).
+        """
+        settings = self.settings
+        log_policy = self.compute_log_policies(observation, option, mask)
+        log_probability = take_column(log_policy, action)
+        policy_loss = compute_clipped_loss(log_probability, old_log_probability, advantage, settings.clip)
+        value_loss = 0.5 * functional.mse_loss(take_column(self.critic(observation), option), target)
+        entropy = compute_entropy(log_policy, mask)
+        loss = policy_loss + settings.value_weight * value_loss - settings.entropy_weight * entropy
+        return {"loss": loss, "policy_loss": policy_loss, "value_loss": value_loss, "entropy": entropy}
