@@ -12,7 +12,6 @@ import numpy as np
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.primitives import make_action_table
 from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.names import parse_whole
 
@@ -96,7 +95,7 @@ def parse_primitives(text: str, instance: RoomInstance, seed: int = 0) -> list[i
 
 def get_names(instance: RoomInstance) -> tuple[str, ...]:
     """Names of the room's primitives, in action order."""
-    return make_action_table(instance.robot.joints, instance.robot.gripper).names
+    return instance.robot.actions.names
 
 
 def drive_room(instance: RoomInstance, actions: Sequence[int], seed: int = 0) -> Drive:

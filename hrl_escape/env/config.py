@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Annotated, Literal
 
-from hrl_escape.env.primitives import SlipKind
+from hrl_escape.env.primitives import ActionTable, DriveKind, SlipKind, make_action_table
 from hrl_escape.env.puzzles.base import PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.errors import ConfigError
@@ -118,7 +118,7 @@ class RobotConfig(Settings):
     """A wheeled base (an upright cylinder) with an arm of 1-DoF joints."""
 
     _section = "robot"
-    _left_out = frozenset({"gripper"})
+    _left_out = frozenset({"gripper", "drive"})
     kind: Literal["arm", "kuka-iiwa", "franka-panda", "urdf"] = "arm"
     """Arm on the base: generated links, a named arm, or a URDF."""
     body_radius: Annotated[float, Range(0.05, 5, "m")] = 0.75
@@ -147,6 +147,13 @@ class RobotConfig(Settings):
     """Link of the URDF whose origin is the hand (default: the last link)."""
     gripper: bool = False
     """Two primitives more, grip and release, for puzzles in which things are picked up."""
+    drive: DriveKind = "strafing"
+    """The base moves along and across its heading, or (differential) along it only, and turns on the spot."""
+
+    @property
+    def actions(self) -> ActionTable:
+        """Primitives of this robot."""
+        return make_action_table(self.joints, self.gripper, self.drive)
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -319,6 +326,9 @@ class RoomConfig(Settings):
             raise ConfigError("robot.body_radius", self.robot.body_radius, "a body that fits into the room")
         if self.exit.door and self.exit.width <= body:
             raise ConfigError("exit.width", self.exit.width, f"more than the {body:g} m that the robot needs to pass")
+        if self.robot.drive == "differential" and self.dynamics.slip_kind.startswith("lateral"):
+            raise ConfigError("dynamics.slip_kind", self.dynamics.slip_kind, "'stay', 'any' or 'neighbour' for a "
+                              "differential drive, which makes no moves sideways")
         if self.dynamics.press_with == "hand" and self.robot.joints == 0:
             raise ConfigError("dynamics.press_with", "hand", "'body', or a robot with robot.joints >= 1")
         if self.puzzle.pads is not None and (self.dynamics.press_with, self.dynamics.kind) != ("body", "kinematic"):

@@ -55,6 +55,8 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     | 4, 5 | turn left, right | 10 degrees |
     | then | for each joint: increment, decrement | 10 degrees |
 
+    A robot with `robot.drive = "differential"` has no strafes, and all later numbers are two less.
+
     A move stops at first contact with 1 mm clearance and does not slide; a joint step that
     would pass a limit does nothing.
 

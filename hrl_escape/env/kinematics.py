@@ -16,7 +16,7 @@ from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.noise import compute_noise, draw_chance, draw_puzzle_start
-from hrl_escape.env.primitives import list_slips, make_action_table
+from hrl_escape.env.primitives import list_slips
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.robot import make_robot
 
@@ -101,7 +101,7 @@ class Rules:
     def __init__(self, instance: RoomInstance, is_still: bool = False) -> None:
         self.instance = instance
         self.robot = make_robot(instance.robot)
-        self.actions = make_action_table(instance.robot.joints, instance.robot.gripper)
+        self.actions = instance.robot.actions
         self.headings = round(360 / instance.robot.turn_step_deg)
         self.turn_step = math.tau / self.headings
         self._angles = tuple(compute_heading(n, 0.0, self.turn_step) for n in range(self.headings))
@@ -261,7 +261,7 @@ class Kinematics(Rules):
         self._radius = robot.body_radius + CONTACT_SKIN
         self._noise, self._slip = (0.0, 0.0) if is_still else (dynamics.noise, dynamics.slip)
         self._slip_kind, self._stays = dynamics.slip_kind, dynamics.blocked == "stay"
-        self._slips = tuple(list_slips(dynamics.slip_kind, action) for action in range(len(self.actions)))
+        self._slips = tuple(list_slips(dynamics.slip_kind, self.actions, action) for action in range(len(self.actions)))
         self.footprints = tuple(solid.footprint for solid in instance.solids)
         self._door = instance.door and instance.door.footprint
         self._span = robot.move_step * (2.0 if self._noise else 1.0)

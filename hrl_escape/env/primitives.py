@@ -13,7 +13,12 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["BASE_ACTIONS", "ActionTable", "JointActions", "Primitive", "SlipKind", "list_slips", "make_action_table"]
+__all__ = ["TURNS", "ActionTable", "DriveKind", "JointActions", "Primitive", "SlipKind", "list_slips",
+           "make_action_table"]
+
+
+DriveKind = Literal["strafing", "differential"]
+"""Drives of the base: one that moves along and across its heading, or one that moves along it only."""
 
 
 class Primitive(NamedTuple):
@@ -53,7 +58,7 @@ class JointActions(NamedTuple):
 class ActionTable:
     """The primitives of a robot in action order: translations, turns, the joints, then the gripper.
 
-    The groups hold action numbers. Those of the base come first and are the same for every robot.
+    The groups hold action numbers. Those of the base come first and are the same for every robot with its drive.
 
     Attributes:
         primitives: all primitives; an action is an index.
@@ -64,6 +69,7 @@ class ActionTable:
         joints: the pair of each joint.
         gripper: grip and release; empty without a gripper.
         wait: the primitive to pass time with: it is always possible and presses nothing that the body is not touching.
+        symmetry: headings, evenly spread over a full turn, at which the base has the same moves.
     """
 
     primitives: tuple[Primitive, ...]
@@ -74,6 +80,7 @@ class ActionTable:
     joints: tuple[JointActions, ...]
     gripper: range
     wait: int
+    symmetry: int
 
     def __len__(self) -> int:
         return len(self.primitives)
@@ -98,15 +105,17 @@ _TRANSLATIONS = (
     Primitive("strafe-left", left=1),
     Primitive("strafe-right", left=-1),
 )
-_TURNS = (Primitive("turn-left", turn=1), Primitive("turn-right", turn=-1))
+TURNS = (Primitive("turn-left", turn=1), Primitive("turn-right", turn=-1))
+"""Turns of every base."""
 _GRIPPER = (Primitive("grip", grip=1), Primitive("release", grip=-1))
 _WAIT = "turn-left"
 
 
 @lru_cache
-def make_action_table(joints: int, gripper: bool = False) -> ActionTable:
+def make_action_table(joints: int, gripper: bool = False, drive: DriveKind = "strafing") -> ActionTable:
     """Make the action table of a robot; names number its joints from 1."""
-    base = _TRANSLATIONS + _TURNS
+    translations = tuple(move for move in _TRANSLATIONS if drive == "strafing" or not move.left)
+    base = translations + TURNS
     arm = tuple(
         Primitive(f"joint-{joint + 1}-{word}", joint=joint, joint_change=change)
         for joint in range(joints)
@@ -120,32 +129,30 @@ def make_action_table(joints: int, gripper: bool = False) -> ActionTable:
     return ActionTable(
         primitives=primitives,
         names=names,
-        translations=range(len(_TRANSLATIONS)),
-        turns=range(len(_TRANSLATIONS), len(base)),
+        translations=range(len(translations)),
+        turns=range(len(translations), len(base)),
         base=range(len(base)),
         joints=tuple(JointActions(*pair) for pair in pairs),
         gripper=range(len(base + arm), len(primitives)),
         wait=names.index(_WAIT),
+        symmetry=len(translations),
     )
 
 
 SlipKind = Literal["stay", "lateral", "lateral-if-free", "any", "neighbour"]
 
 
-def list_slips(kind: SlipKind, action: int) -> tuple[int, ...]:
+def list_slips(kind: SlipKind, actions: ActionTable, action: int) -> tuple[int, ...]:
     """Translations that one may slip to, all alike; those of `neighbour` are tried for being free.
 
-    `lateral`: the two at right angles to it; `any`: the three others; `neighbour`: all four; none of another primitive.
+    `lateral`: those at right angles to it; `any`: all others; `neighbour`: all; none of another primitive.
     """
-    if action >= len(_TRANSLATIONS) or action < 0:
+    if action not in actions.translations:
         return ()
     if kind == "neighbour":
-        return tuple(range(len(_TRANSLATIONS)))
-    others = tuple(n for n in range(len(_TRANSLATIONS)) if n != action)
+        return tuple(actions.translations)
+    others = tuple(n for n in actions.translations if n != action)
     if kind == "any":
         return others
-    return tuple(n for n in others if bool(_TRANSLATIONS[n].forward) != bool(_TRANSLATIONS[action].forward))
-
-
-BASE_ACTIONS = make_action_table(0)
-"""The table of a base without an arm, with which every robot's table begins."""
+    moves = actions.primitives
+    return tuple(n for n in others if bool(moves[n].forward) != bool(moves[action].forward))

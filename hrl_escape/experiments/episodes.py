@@ -16,7 +16,6 @@ import gymnasium
 from hrl_escape.agents.agent import Agent, read_success
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.env.kinematics import RoomState, Rules
-from hrl_escape.env.primitives import make_action_table
 
 __all__ = ["StateRecorder", "record_episode"]
 
@@ -80,7 +79,7 @@ def record_episode(agent: Agent, env: gymnasium.Env, recorder: StateRecorder, se
         `make_frames`.
     """
     room: Any = env.unwrapped
-    names = make_action_table(room.instance.robot.joints, room.instance.robot.gripper).names
+    names = room.instance.robot.actions.names
     total, success = 0.0, False
     decisions: list[list[Any]] = []
     for transition, info in play_episode(agent, env, seed):

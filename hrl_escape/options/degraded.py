@@ -14,17 +14,16 @@ from typing import Annotated, Literal
 
 import numpy as np
 
+from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import philox
-from hrl_escape.env.primitives import BASE_ACTIONS
 from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.options.option import Option, OptionAction
 from hrl_escape.settings import Range, Settings
 
 __all__ = ["DegradedOption", "OptionDegradation"]
 
-_TO, _FRO = BASE_ACTIONS.turns
 _FAILURE, _STOP, _MISSING = range(3)
 
 
@@ -110,7 +109,9 @@ class DegradedOption(Option):
         """Waste the detour first, then follow the other option."""
         if self._wasted < self.degradation.detour:
             self._wasted += 1
-            return _TO if self._wasted % 2 else _FRO
+            robot = RobotConfig() if self.instance is None else self.instance.robot
+            to, fro = robot.actions.turns
+            return to if self._wasted % 2 else fro
         if not self._inner_runs and not self.is_markov:
             self._begin(state)
         return self.inner.sample_action(state, rng)

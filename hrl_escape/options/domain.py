@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.primitives import BASE_ACTIONS, make_action_table
 from hrl_escape.errors import OptionError, StepContractError, UnsupportedError
 from hrl_escape.options.option import Option
 
@@ -250,7 +249,7 @@ class RoomDomain(OptionDomain):
         """Names of the room's action table, or of the actions of the environment of options below."""
         if self.lower is not None:
             return super().action_names
-        return make_action_table(self.room.instance.robot.joints, self.room.instance.robot.gripper).names
+        return self.room.instance.robot.actions.names
 
     def make_default_options(self, flavour: str, planner: str) -> Any:
         """Make the function that synthesises the meta-actions of any room.
@@ -272,7 +271,7 @@ class RoomDomain(OptionDomain):
     def get_idle_action(self, mask: NDArray[np.int8]) -> int:
         """Turn left; over options without primitives, the first legal one."""
         turns = self.lower is None or self.lower.primitive_count > 0
-        return BASE_ACTIONS.wait if turns else super().get_idle_action(mask)
+        return self.room.instance.robot.actions.wait if turns else super().get_idle_action(mask)
 
     def check_action(self, action: Any) -> int:
         """Bring an option's primitive into the form that the room takes; the room itself refuses others."""

@@ -21,7 +21,6 @@ from scipy.sparse.csgraph import dijkstra
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_distance_many, make_footprint, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.primitives import BASE_ACTIONS
 from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.options.option import Option
 from hrl_escape.planning.goals import PoseGoal, PushGoal, find_push
@@ -43,9 +42,6 @@ GAPS = (0.1, 0.4, 0.7)
 MOST_PUSH_PRIMITIVES = 400
 DRIVES = ((3_000, False), (20_000, True))
 """Node budget of a drive behind the block, and use of finer grids: first quickly to any place, then thoroughly."""
-
-_TRANSLATIONS = tuple((action, math.atan2(move.left, move.forward)) for action in BASE_ACTIONS.translations
-                      for move in (BASE_ACTIONS.primitives[action],))
 
 
 class _Push(NamedTuple):
@@ -201,8 +197,10 @@ class PushOption(Option):
         step = self._room.robot.move_step
         heading = self._planner.rules.get_heading(state)
         dx, dy = push.block[0] - state.x, push.block[1] - state.y
-        for primitive, side in _TRANSLATIONS:
-            angle = heading + side
+        actions = self._planner.instance.robot.actions
+        for primitive in actions.translations:
+            move = actions.primitives[primitive]
+            angle = heading + math.atan2(move.left, move.forward)
             if abs((angle - push.direction + math.pi) % math.tau - math.pi) > ASKEW:
                 continue
             along, aside = dx * math.cos(angle) + dy * math.sin(angle), dy * math.cos(angle) - dx * math.sin(angle)

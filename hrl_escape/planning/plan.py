@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.env.primitives import make_action_table
 from hrl_escape.errors import EscapeError
 from hrl_escape.planning.goals import Goal, describe_goal
 
@@ -164,7 +163,7 @@ class Plan:
 
     def make_rows(self) -> list[tuple[str, str, str, str]]:
         """Format the plan as rows of text: a header, one row a part, and the total."""
-        names = make_action_table(self.instance.robot.joints, self.instance.robot.gripper).names
+        names = self.instance.robot.actions.names
         rows = [("part", "primitives", "ends at", "actions")]
         for part in self.parts:
             actions = self.primitives[part.start : part.stop]

@@ -11,7 +11,6 @@ from typing import Any
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.primitives import BASE_ACTIONS
 from hrl_escape.env.puzzles.base import make_contacts
 from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.errors import PlanningFailed, PlanningReason
@@ -158,7 +157,7 @@ class TaskPlanner(RouteFinder):
         if has_moved:
             return Route((), (get_pose(here),), (), 0)
         # start inside an open exit: any primitive escapes
-        route = self.replay(here, (BASE_ACTIONS.wait,), ExitGoal())
+        route = self.replay(here, (self.rules.actions.wait,), ExitGoal())
         assert route is not None, "turning leaves the body's axis where it is"
         return route
 

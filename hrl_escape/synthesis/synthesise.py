@@ -16,7 +16,6 @@ from hrl_escape.agents.hierarchy.regions import Quadtree
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen
 from hrl_escape.agents.hierarchy.task_graph import Until, View, maxq
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.primitives import BASE_ACTIONS, make_action_table
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.synthesis.kinds import KINDS, LEAVES, PARTS, HierarchyKind, Leaves
 from hrl_escape.synthesis.landmarks import EXIT, make_landmark_goals
@@ -77,7 +76,7 @@ def make_structure(situations: Situations, kind: str, leaves: str, abstract: boo
 
 def _make_task_graph(rooms: Situations, planned: bool, abstract: bool) -> Hierarchy:
     """Root -> one task an operator, and the exit -> touch or leave a target -> primitives."""
-    primitives = range(len(make_action_table(rooms.instance.robot.joints, rooms.instance.robot.gripper)))
+    primitives = range(len(rooms.instance.robot.actions))
     graph: dict[str, list[str | int]] = {ROOT: [*(operator.name for operator in rooms.operators), EXIT]}
     until: dict[str, Until] = {EXIT: lambda seen: not seen.state.is_open}
     goals: dict[str, int | None] = {EXIT: None}
@@ -139,7 +138,7 @@ def _make_place_finder(rooms: Situations) -> Callable[[str, tuple[Any, ...]], tu
 
 def _make_program(rooms: Situations, planned: bool) -> Machine:
     """Choose an operator that may be applied, or the open exit; touch its target until it has worked."""
-    primitives = range(len(make_action_table(rooms.instance.robot.joints, rooms.instance.robot.gripper)))
+    primitives = range(len(rooms.instance.robot.actions))
     operators = {operator.name: operator for operator in rooms.operators}
     goals = {EXIT: rooms.get_goal(None)} | {name: rooms.get_goal(i) for i, name in enumerate(rooms.target_names)}
 
@@ -147,7 +146,7 @@ def _make_program(rooms: Situations, planned: bool) -> Machine:
     def step(seen: Callable[[], Seen], target: str) -> Any:
         if planned:
             first = rooms.plan_first(seen().state, goals[target])
-            yield do(BASE_ACTIONS.wait if first is None else first)
+            yield do(rooms.instance.robot.actions.wait if first is None else first)
         else:
             yield do((yield choose(primitives)))
 

@@ -18,7 +18,7 @@ from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_ro
 from hrl_escape.env.batched.puzzles.base import TensorContacts, get_tensor_puzzle
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick
 from hrl_escape.env.config import CONTACT_SKIN
-from hrl_escape.env.primitives import BASE_ACTIONS, list_slips
+from hrl_escape.env.primitives import list_slips
 
 __all__ = ["TensorTransition", "begin", "is_in_exit", "restart", "step"]
 
@@ -66,7 +66,7 @@ def step(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> 
 def _slide(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor, uniform: Tensor
            ) -> Tensor:
     """The actions that are taken instead of slipping ones; -1 for none."""
-    dynamics, moves = layout.dynamics, BASE_ACTIONS.translations
+    dynamics, moves = layout.dynamics, layout.actions.translations
     slips = uniform < dynamics.slip
     if dynamics.slip_kind == "stay":
         return torch.where(slips, -1, action)
@@ -79,7 +79,8 @@ def _slide(layout: Layout, tables: Tables, state: TensorState, action: Tensor, s
         chosen = free & (free.to(torch.int64).cumsum(0) == number + 1)
         taken = (chosen.to(torch.int64) * torch.arange(len(moves), device=action.device).unsqueeze(1)).sum(0)
         return torch.where(slips & (count > 0), taken, action)
-    others = torch.tensor([list_slips(dynamics.slip_kind, move) for move in moves], device=action.device)
+    slipped = [list_slips(dynamics.slip_kind, layout.actions, move) for move in moves]
+    others = torch.tensor(slipped, device=action.device)
     number = (share * others.shape[1]).to(torch.int64).clamp(max=others.shape[1] - 1)
     taken = others[action.clamp(0, len(moves) - 1), number]
     if dynamics.slip_kind == "lateral-if-free":
@@ -95,11 +96,11 @@ def _find_grip(layout: Layout, action: Tensor) -> Tensor:
     return grip
 
 
-def _sum_effects(action: Tensor, name: str) -> Tensor:
+def _sum_effects(layout: Layout, action: Tensor, name: str) -> Tensor:
     """One field of the chosen base primitives (`forward`, `left` or `turn`), int32 (rooms,); 0 for joint steps."""
     total = torch.zeros_like(action, dtype=torch.int32)
-    for number, primitive in enumerate(BASE_ACTIONS.primitives):
-        effect = getattr(primitive, name)
+    for number in layout.actions.base:
+        effect = getattr(layout.actions.primitives[number], name)
         if effect:
             total = total + effect * (action == number).to(torch.int32)
     return total
@@ -118,7 +119,7 @@ def _compute_displacement(layout: Layout, tables: Tables, state: TensorState, ac
                           ) -> tuple[Tensor, Tensor]:
     """Displacements that nothing blocks, m, float64 (rooms,) each."""
     length = layout.robot.move_step if scale is None else layout.robot.move_step * scale
-    forward, left = (length * _sum_effects(action, name).to(torch.float64) for name in ("forward", "left"))
+    forward, left = (length * _sum_effects(layout, action, name).to(torch.float64) for name in ("forward", "left"))
     cos, sin = compute_rotation(layout, tables, state)
     return forward * cos - left * sin, forward * sin + left * cos
 
@@ -153,7 +154,7 @@ def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: 
 
 
 def _turn(layout: Layout, state: TensorState, action: Tensor, scale: Tensor | None) -> TensorState:
-    turn = _sum_effects(action, "turn")
+    turn = _sum_effects(layout, action, "turn")
     steps = state.heading_steps + turn
     steps = torch.where(steps < 0, steps + layout.headings, steps)
     steps = torch.where(steps >= layout.headings, steps - layout.headings, steps)

@@ -20,7 +20,7 @@ from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle
 from hrl_escape.env.config import DynamicsConfig, RewardConfig, RobotConfig
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Rules
-from hrl_escape.env.primitives import ActionTable, make_action_table
+from hrl_escape.env.primitives import ActionTable
 from hrl_escape.env.robot import make_robot
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
@@ -198,7 +198,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
     is_puzzle_random = any(instance.puzzle.is_random for instance in instances)
     return Layout(
         robot=first.robot,
-        actions=make_action_table(first.robot.joints, first.robot.gripper),
+        actions=first.robot.actions,
         arm=make_arm(make_robot(first.robot)),
         dynamics=first.dynamics,
         puzzle=first.puzzle.kind,

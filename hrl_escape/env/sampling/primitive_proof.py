@@ -3,7 +3,8 @@
 **The condition.** The floor is one rectangle with nothing on it, presses never undo anything, turns are of at most 15
 degrees, and a step s is no longer than half the way that the body's axis has along x and along y. A step in one
 direction and back in the next one then shifts the robot by e = 2 s sin(t / 2) for a turn step t, to and fro, and from
-any place in directions that span the plane: it comes within e of every place. A button that the body touches all along
+any place in directions that span the plane: it comes within e of every place. (A base that does not strafe must have
+headings straight at each wall: its turns must divide 90 degrees.) A button that the body touches all along
 a stretch of 3 e of the wall is therefore touched by driving at that wall, and an exit of 3 e by 3 e is entered.
 
 **The search.** Best-first over the kinematics without noise, from every start, button by button in an order that the
@@ -90,6 +91,7 @@ def meets_condition(instance: RoomInstance) -> bool:
         instance.dynamics.press_with == "body" and instance.door is None and not list_hiders(instance)
         and isinstance(puzzle, ButtonsPuzzle) and puzzle.on_violation == "ignore" and not puzzle.allow_off
         and not puzzle.has_dead_ends
+        and (robot.drive == "strafing" or (360 / robot.turn_step_deg) % 4 == 0)
         and robot.turn_step_deg <= _FINEST_TURN_DEG and robot.move_step <= min(free_x, free_y)
         and min(exit_x, exit_y) >= needed
         and all(_measure_stretch(instance, target, free_x, free_y) >= needed for target in instance.targets)
@@ -143,8 +145,9 @@ class _Search:
         self._work = floors.shut.work
         self._rules = Kinematics(instance, is_still=True)
         self._step = instance.robot.move_step
-        quarter = self._rules.headings // 4 if self._rules.headings % 4 == 0 else self._rules.headings
-        self._alike = quarter if instance.dynamics.press_with == "body" else self._rules.headings
+        headings, symmetry = self._rules.headings, self._rules.actions.symmetry
+        alike = headings // symmetry if headings % symmetry == 0 else headings
+        self._alike = alike if instance.dynamics.press_with == "body" else self._rules.headings
         self._stride = math.ceil(math.sqrt(max(1.0, floors.shut.free.size / _MOST_CELLS)))
         self._distances: dict[int, NDArray[np.float64]] = {}
         self._graphs: dict[bool, Any] = {}

@@ -16,7 +16,6 @@ from hrl_escape.env.drawing.graph_inset import shorten
 from hrl_escape.env.drawing.map_axes import compute_extent
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance
-from hrl_escape.env.primitives import make_action_table
 from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.reporting.agent_style import AgentStyle
 from hrl_escape.experiments.runs import read_episodes
@@ -103,7 +102,7 @@ def _round(values: NDArray[np.float64]) -> list[float]:
 
 
 def _list_primitives(instance: RoomInstance) -> set[str]:
-    return set(make_action_table(instance.robot.joints, instance.robot.gripper).names)
+    return set(instance.robot.actions.names)
 
 
 def _describe_room(instance: RoomInstance) -> dict[str, Any]:

@@ -18,7 +18,6 @@ from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle
 from hrl_escape.env.batched.rules import is_in_exit
 from hrl_escape.env.batched.tables import Layout, Tables, pick
 from hrl_escape.env.config import CONTACT_SKIN
-from hrl_escape.env.primitives import BASE_ACTIONS
 from hrl_escape.options.batched.cost_to_go import (
     OTHER_PRESS_COST,
     CostFields,
@@ -85,8 +84,8 @@ def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: 
     depth = 1 if layout.headings >= _FINE_HEADINGS else 2
     after = _estimate_costs(layout, tables, fields, state, goal, cells, costs, depth)
     best = after.amin(0)
-    numbers = torch.arange(len(BASE_ACTIONS), device=goal.device).unsqueeze(1)
-    primitive = torch.where(after == best, numbers, len(BASE_ACTIONS)).amin(0)
+    numbers = torch.arange(len(layout.actions.base), device=goal.device).unsqueeze(1)
+    primitive = torch.where(after == best, numbers, len(layout.actions.base)).amin(0)
     here = locate(layout, fields, state.instance, state.x, state.y)
     heading, _ = classify_headings(layout, fields, state)
     return Choice(primitive, best + 1.0, here.cell * fields.classes + heading)
@@ -105,7 +104,7 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
     begun = touched & ~state.touching
     arrived = is_in_exit(layout, tables, instance, x, y)
     hit = torch.where(is_press, begun & own != 0, arrived)
-    turn = _column(state, "turn", torch.int64)
+    turn = _column(layout, state, "turn", torch.int64)
     if depth == 1:
         place = locate(layout, fields, instance, x, y)
         heading, between = classify_headings(layout, fields, state)
@@ -142,9 +141,9 @@ def _is_in_doorway(layout: Layout, tables: Tables, state: TensorState) -> Tensor
     return compute_distance(state.x, state.y, doors)[0] < layout.robot.body_radius + CONTACT_SKIN - 1e-6
 
 
-def _column(state: TensorState, name: str, dtype: torch.dtype) -> Tensor:
+def _column(layout: Layout, state: TensorState, name: str, dtype: torch.dtype) -> Tensor:
     """Column of one attribute (`forward`, `left`, `turn`) of the base primitives, shape (primitives, 1)."""
-    values = [getattr(primitive, name) for primitive in BASE_ACTIONS.primitives]
+    values = [getattr(primitive, name) for primitive in layout.actions.primitives[:len(layout.actions.base)]]
     return torch.tensor(values, dtype=dtype, device=state.x.device).unsqueeze(1)
 
 
@@ -152,7 +151,7 @@ def _compute_moves(layout: Layout, tables: Tables, state: TensorState, is_open: 
                    ) -> tuple[Tensor, Tensor, Tensor]:
     """Free share of each base primitive's displacement, and x and y of its end, (primitives, rooms) each."""
     cos, sin = compute_rotation(layout, tables, state)
-    forward, left = (layout.robot.move_step * _column(state, name, torch.float64)[BASE_ACTIONS.translations]
+    forward, left = (layout.robot.move_step * _column(layout, state, name, torch.float64)[layout.actions.translations]
                      for name in ("forward", "left"))
     dx, dy = forward * cos - left * sin, forward * sin + left * cos
     motion = (state.x, state.y, dx.unsqueeze(1), dy.unsqueeze(1), layout.robot.body_radius + CONTACT_SKIN)
@@ -165,7 +164,7 @@ def _compute_moves(layout: Layout, tables: Tables, state: TensorState, is_open: 
     if layout.dynamics.blocked == "stay":
         free = (free >= 1.0).to(free.dtype)
     x, y = state.x + free * dx, state.y + free * dy
-    stays = len(BASE_ACTIONS.turns)
+    stays = len(layout.actions.turns)
     return (torch.cat([free, torch.ones_like(free[:stays])]), torch.cat([x, state.x.expand(stays, -1)]),
             torch.cat([y, state.y.expand(stays, -1)]))
 

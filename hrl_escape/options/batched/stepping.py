@@ -16,7 +16,6 @@ from hrl_escape.env.batched.observations import TensorObservation, observe
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rules import is_in_exit, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables
-from hrl_escape.env.primitives import BASE_ACTIONS
 from hrl_escape.options.batched.cost_to_go import CostFields
 from hrl_escape.options.batched.decisions import ENDINGS, PLAN_LENGTH, OpenDecisions, Transitions
 from hrl_escape.options.batched.policy import MEMORY, Choice, can_start, choose_primitive
@@ -78,7 +77,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
         choice = choose_primitive(layout, tables, fields, state, goal, running.cells, running.costs)
         has_failed = is_new & is_option & (~is_legal | (choice.cost >= UNREACHABLE))
     chosen = torch.where(running.plan_left > 0, planned, choice.primitive)
-    primitive = torch.where(has_failed, BASE_ACTIONS.wait, torch.where(is_option, chosen, running.action))
+    primitive = torch.where(has_failed, layout.actions.wait, torch.where(is_option, chosen, running.action))
     is_nearer = choice.cost < running.least - 0.5
     stalled = torch.where(is_nearer, 0, running.stalled + 1)
     slot = torch.arange(MEMORY, device=action.device).unsqueeze(1) == running.duration % MEMORY

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.env.primitives import BASE_ACTIONS
+from hrl_escape.env.primitives import TURNS
 from hrl_escape.kernels import kernel, kernel_part
 from hrl_escape.planning.lattice.sweep_kernels import first_contact, get_shape, measure_distance, sweep
 
@@ -23,7 +23,7 @@ __all__ = ["BUDGET", "EXHAUSTED", "GROW", "Frontier", "SearchQuery", "enlarge_fr
 EXHAUSTED, BUDGET, GROW = -1, -2, -3
 MOST_PRIMITIVES = 32_768
 _OPEN, _GOAL, _BEATEN = 0, 1, 2
-_TURNS = tuple(BASE_ACTIONS.primitives[action].turn for action in BASE_ACTIONS.turns)
+_TURNS = tuple(primitive.turn for primitive in TURNS)
 
 
 class SearchQuery(NamedTuple):

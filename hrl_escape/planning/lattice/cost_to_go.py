@@ -80,7 +80,7 @@ class Grid(NamedTuple):
 
 def lay_grid(instance: RoomInstance, rules: Rules, refinement: int = 0) -> Grid:
     """Lay a grid over a room's floor; `FieldMaker` says how, and `refinement` halves its cells."""
-    classes = rules.headings // math.gcd(rules.headings, 4)
+    classes = rules.headings // math.gcd(rules.headings, rules.actions.symmetry)
     area = 4 * instance.reach_x * instance.reach_y
     step = instance.robot.move_step
     size = max(min(step / 4, 0.25), math.sqrt(area * classes / MOST_STATES)) / 2**refinement
@@ -98,11 +98,11 @@ class _KeptField(NamedTuple):
 class FieldMaker:
     """Grid of one room with the links between its cells, and the fields computed on it.
 
-    A robot that strafes has the same moves at headings 90 degrees apart, so links distinguish
-    only `classes` headings: the turn steps of a quarter turn, or all of them where 90 degrees is no
-    whole number of turns. Cells are a quarter of a move wide, at most 0.25 m, and wider where a
-    room would have more than 1.5 million (cell, class) states; a link then stands for several
-    moves in a row, so that it still spans about four cells.
+    A robot that strafes has the same moves at headings 90 degrees apart, one with a differential
+    drive at opposite ones. So links distinguish only `classes` headings: the turn steps of a quarter
+    or half a turn, or more of them where that is no whole number of turns. Cells are a quarter of a
+    move wide, at most 0.25 m, and wider where a room would have more than 1.5 million (cell, class)
+    states; a link then stands for several moves in a row, so that it still spans about four cells.
 
     Attributes:
         door_shut: True if there is a door and it is shut.

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.geometry import Footprint, stack_footprints
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.env.primitives import BASE_ACTIONS
+from hrl_escape.env.primitives import TURNS
 from hrl_escape.kernels import kernel, kernel_part
 from hrl_escape.planning.goals import Goal, PressGoal, is_reached
 from hrl_escape.planning.lattice.sweep_kernels import compile_geometry
@@ -23,7 +23,7 @@ __all__ = ["find_fewest_primitives"]
 
 _first_contact, _distance = compile_geometry()
 BIN_SIZE = 0.05
-_TURNS = tuple(BASE_ACTIONS.primitives[action].turn for action in BASE_ACTIONS.turns)
+_TURNS = tuple(primitive.turn for primitive in TURNS)
 
 
 def find_fewest_primitives(kinematics: Kinematics, state: RoomState, goal: Goal, area: Footprint, reach: float,
@@ -52,7 +52,8 @@ def find_fewest_primitives(kinematics: Kinematics, state: RoomState, goal: Goal,
     half = np.array([instance.reach_x, instance.reach_y])
     shut = [target.footprint for i, target in enumerate(instance.targets) if i != getattr(goal, "target", -1)]
     touch = instance.robot.body_radius + instance.dynamics.press_margin if isinstance(goal, PressGoal) else -1.0
-    folds = kinematics.headings // (4 if kinematics.headings % 4 == 0 else 1)
+    symmetry = kinematics.actions.symmetry
+    folds = kinematics.headings // (symmetry if kinematics.headings % symmetry == 0 else 1)
     chain = _search_compiled(
         stack_footprints(solids), instance.robot.body_radius + 1e-3, moves, half, bins, folds,
         stack_footprints([area])[0], reach + 1e-12, stack_footprints(shut), touch,

@@ -225,8 +225,12 @@ class ArmPlanner:
             PlanningFailed: there is no path; its reason says why.
             StateError: no such state in this room.
             ConfigError: place or goal are impossible.
+            UnsupportedError: the base has a differential drive, which cannot move in any direction.
         """
         check_fields(self.rules, state)
+        if self.instance.robot.drive == "differential":
+            raise UnsupportedError("base and arm move together only where the base strafes: plan the base's way with "
+                                   "RoomPlanner and the arm's with plan")
         end = np.array([float(number) for number in place])
         if end.shape != (3,) or not np.isfinite(end).all():
             raise ConfigError("place", place, "x and y in m and a heading in rad")

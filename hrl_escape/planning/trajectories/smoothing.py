@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from collections.abc import Sequence
 
@@ -28,7 +29,8 @@ than a fraction of the contact skin."""
 def smooth_plan(plan: Plan, clearance: float) -> list[MotionPath]:
     """Paths of a plan's legs: each ends exactly where the leg ends, by the fewest straight lines that stay clear.
 
-    Heading and joints go evenly from the leg's first to its last state, as the base strafes in any direction.
+    Heading and joints go evenly from the leg's first to its last state, as the base strafes in any direction. A base
+    with a differential drive cannot: it follows the plan's own lines and turns on the spot between them.
 
     Args:
         plan: the plan.
@@ -36,9 +38,11 @@ def smooth_plan(plan: Plan, clearance: float) -> list[MotionPath]:
             own straight moves are kept where nothing else does.
 
     Returns:
-        One path for each leg.
+        One path for each leg; one for each line or turn of a differential drive.
     """
     rules, room = Rules(plan.instance), plan.instance
+    if room.robot.drive == "differential":
+        return _follow_moves(plan, rules)
     radius = room.robot.body_radius + CONTACT_SKIN
     names = ("x", "y", "heading", *rules.robot.joint_names)
     paths = []
@@ -60,6 +64,18 @@ def smooth_plan(plan: Plan, clearance: float) -> list[MotionPath]:
             points = np.column_stack([places[[0, -1]], np.stack([begin, end])])
         path = MotionPath(names, points, np.ones(len(names)), 0.0, plan.planner)
         paths.append(_choose_margin(path, exact, radius))
+    return paths
+
+
+def _follow_moves(plan: Plan, rules: Rules) -> list[MotionPath]:
+    """One path for each run of the same primitive."""
+    names, paths, at = ("x", "y", "heading", *rules.robot.joint_names), [], 0
+    places = np.array([(s.x, s.y, rules.get_heading(s), *rules.get_angles(s)) for s in plan.states])
+    places[:, 2] = np.unwrap(places[:, 2])
+    for _, run in itertools.groupby(plan.primitives):
+        end = at + len(list(run))
+        paths.append(MotionPath(names, places[[at, end]], np.ones(len(names)), 0.0, plan.planner))
+        at = end
     return paths
 
 

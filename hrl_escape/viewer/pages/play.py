@@ -109,7 +109,7 @@ class PlayPage:
         """Build what depends on the room: joints, meta-actions, the best known return."""
         episode = self.episode
         joints = episode.instance.robot.joints
-        self.controls = Controls(joints, len(episode.option_names))
+        self.controls = Controls(episode.instance.robot.actions, len(episode.option_names))
         self._joints.visible = joints > 1
         if joints > 1:
             self._joints.options = tuple(str(n + 1) for n in range(joints))

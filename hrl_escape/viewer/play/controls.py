@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from hrl_escape.env.primitives import BASE_ACTIONS, make_action_table
+from hrl_escape.env.primitives import ActionTable
 
 __all__ = ["HELP", "KEYS", "Command", "Controls"]
 
@@ -51,7 +51,7 @@ class Controls:
     """The keyboard of one player.
 
     Args:
-        joints: number of the arm's joints.
+        actions: the robot's primitives.
         options: number of meta-actions, the exit's included; they follow the primitives.
 
     Attributes:
@@ -59,9 +59,8 @@ class Controls:
         typed: digits of a meta-action so far; None if none is being typed.
     """
 
-    def __init__(self, joints: int, options: int) -> None:
-        self._joints, self._options = joints, options
-        self._actions = make_action_table(joints)
+    def __init__(self, actions: ActionTable, options: int) -> None:
+        self._actions, self._joints, self._options = actions, len(actions.joints), options
         self.joint = 0
         self.typed: str | None = None
 
@@ -79,7 +78,9 @@ class Controls:
             return Command("note", note="meta-action: type its " + ("number" if self.digits == 1 else
                                                                     f"{self.digits} digits") + ", 0 for the exit")
         if key in MOVES:
-            return Command("act", BASE_ACTIONS.find(MOVES[key]))
+            if MOVES[key] not in self._actions.names:
+                return Command("note", note="this base does not strafe")
+            return Command("act", self._actions.find(MOVES[key]))
         if key in OTHERS:
             return Command(OTHERS[key])
         if key in ("u", "j"):

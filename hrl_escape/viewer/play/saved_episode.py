@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.primitives import make_action_table
 from hrl_escape.errors import EpisodeFileError, EscapeError, FileReadError
 from hrl_escape.files import read_json, write_json
 from hrl_escape.names import make_file_name
@@ -76,7 +75,7 @@ def load_episode(path: str | Path) -> SavedEpisode:
         if content["schema"] != SCHEMA:
             raise EpisodeFileError(f"it has schema {content['schema']!r}, this version reads {SCHEMA}")
         instance = RoomInstance.from_dict(content["instance"])
-        count = len(make_action_table(instance.robot.joints, instance.robot.gripper))
+        count = len(instance.robot.actions)
         moves = tuple((str(m["name"]), tuple(int(p) for p in m["primitives"]), str(m["ended"]))
                       for m in content["moves"])
         if any(not primitives or not all(0 <= p < count for p in primitives) for _, primitives, _ in moves):

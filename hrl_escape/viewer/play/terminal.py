@@ -35,7 +35,7 @@ def play_in_terminal(episode: Episode, folder: Path) -> None:
     """Play until `q` or the end of the input."""
     console = Console(highlight=False)
     live = sys.stdin.isatty() and console.is_terminal
-    controls = Controls(episode.instance.robot.joints, len(episode.option_names))
+    controls = Controls(episode.instance.robot.actions, len(episode.option_names))
     note = "Press the buttons in the order of their graph, then drive into the exit"
     best = best_known_return(episode.instance)
     keys = read_keys(sys.stdin.fileno())
@@ -54,7 +54,7 @@ def play_in_terminal(episode: Episode, folder: Path) -> None:
             except EscapeError as error:
                 note = str(error)
             if episode.instance.id != room:
-                controls = Controls(episode.instance.robot.joints, len(episode.option_names))
+                controls = Controls(episode.instance.robot.actions, len(episode.option_names))
                 best = best_known_return(episode.instance)
             if live:
                 _show(console, episode, note, best, live)

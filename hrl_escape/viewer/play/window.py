@@ -25,7 +25,7 @@ def play_in_window(instance: RoomInstance, seed: int = 0) -> None:
     env = EscapeRoomEnv(instance=instance, render_mode="human")
     try:
         assert env.room is not None
-        controls = Controls(instance.robot.joints, 1)
+        controls = Controls(instance.robot.actions, 1)
         env.reset(seed=seed)
         past, rewards, over = [env.get_state()], [0.0], False
         while env.room.is_open:
