@@ -17,9 +17,9 @@ from hrl_escape.env.puzzles.places import Pads
 from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
 from hrl_escape.settings import Range
 
-__all__ = ["CORRIDORS", "ForagingConfig", "ForagingPuzzle"]
+__all__ = ["CORRIDOR_COUNT", "ForagingConfig", "ForagingPuzzle"]
 
-CORRIDORS = 3
+CORRIDOR_COUNT = 3
 """Corridors, each with a pad at its end."""
 
 Worms = Annotated[int, Range(1, 100)]
@@ -37,7 +37,7 @@ class ForagingConfig(PuzzleConfig):
 
     def check(self) -> None:
         """Check what spans several fields."""
-        self.ends.check_places(CORRIDORS)
+        self.ends.check_places(CORRIDOR_COUNT)
 
     @property
     def pads(self) -> Pads:
@@ -65,7 +65,7 @@ class ForagingPuzzle(Puzzle):
     @property
     def target_names(self) -> tuple[str, ...]:
         """The ends of the corridors."""
-        return tuple(f"corridor-{i + 1}" for i in range(CORRIDORS))
+        return tuple(f"corridor-{i + 1}" for i in range(CORRIDOR_COUNT))
 
     @property
     def pad_names(self) -> tuple[str, ...]:
@@ -75,11 +75,11 @@ class ForagingPuzzle(Puzzle):
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
         """Every number is between 0 and 1."""
-        return ((0.0, 1.0),) * (CORRIDORS + 1)
+        return ((0.0, 1.0),) * (CORRIDOR_COUNT + 1)
 
     def list_starts(self) -> tuple[int, ...]:
         """The first worm is in any corridor."""
-        return tuple(range(CORRIDORS))
+        return tuple(range(CORRIDOR_COUNT))
 
     def make_state(self) -> int:
         """The first worm is in the first corridor."""
@@ -87,14 +87,14 @@ class ForagingPuzzle(Puzzle):
 
     def is_state(self, state: Any) -> bool:
         """Say whether a value from outside is a number of worms and a corridor."""
-        return type(state) is int and 0 <= state < CORRIDORS * (self.worms + 1)
+        return type(state) is int and 0 <= state < CORRIDOR_COUNT * (self.worms + 1)
 
     def update(self, state: int, contacts: Contacts) -> int:
         """Eat the worm."""
-        eaten, place = divmod(state, CORRIDORS)
+        eaten, place = divmod(state, CORRIDOR_COUNT)
         if contacts.grip <= 0 or place not in contacts.touching or eaten == self.worms:
             return state
-        return (eaten + 1) * CORRIDORS + (place + (1 if contacts.uniform < 0.5 else 2)) % CORRIDORS
+        return (eaten + 1) * CORRIDOR_COUNT + (place + (1 if contacts.uniform < 0.5 else 2)) % CORRIDOR_COUNT
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
         """1 for a worm."""
@@ -102,23 +102,23 @@ class ForagingPuzzle(Puzzle):
 
     def is_solved(self, state: int) -> bool:
         """All worms have been eaten."""
-        return state // CORRIDORS == self.worms
+        return state // CORRIDOR_COUNT == self.worms
 
     def compute_progress(self, state: int) -> float:
         """Share of the worms that have been eaten."""
-        return state // CORRIDORS / self.worms
+        return state // CORRIDOR_COUNT / self.worms
 
     def observe(self, state: int) -> tuple[float, ...]:
         """One number a corridor, 1 for the worm's, and the share of the worms eaten."""
-        return (*(float(state % CORRIDORS == i) for i in range(CORRIDORS)), self.compute_progress(state))
+        return (*(float(state % CORRIDOR_COUNT == i) for i in range(CORRIDOR_COUNT)), self.compute_progress(state))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
         """The corridor with the worm."""
-        return tuple(state % CORRIDORS == i for i in range(CORRIDORS))
+        return tuple(state % CORRIDOR_COUNT == i for i in range(CORRIDOR_COUNT))
 
     def get_facts(self, state: int) -> frozenset[str]:
         """`worm(corridor-i)` and `eaten(number)`."""
-        eaten, place = divmod(state, CORRIDORS)
+        eaten, place = divmod(state, CORRIDOR_COUNT)
         return frozenset({f"worm({self.target_names[place]})", f"eaten({eaten})"})
 
     def make_symbolic_model(self) -> SymbolicModel:
@@ -127,7 +127,7 @@ class ForagingPuzzle(Puzzle):
         worm = [frozenset({f"worm({name})"}) for name in self.target_names]
         eaten = [frozenset({f"eaten({number})"}) for number in range(self.worms + 1)]
         counts = tuple(Effect(before, none, after, before) for before, after in zip(eaten, eaten[1:], strict=False))
-        operators = tuple(Operator(f"eat-in-{name}", name, "grip", worm[i], eaten[-1], worm[(i + 1) % CORRIDORS],
+        operators = tuple(Operator(f"eat-in-{name}", name, "grip", worm[i], eaten[-1], worm[(i + 1) % CORRIDOR_COUNT],
                                    worm[i], when=counts) for i, name in enumerate(self.target_names))
         return SymbolicModel(tuple(fact for facts in (*worm, *eaten) for fact in facts), operators, eaten[-1])
 
