@@ -33,6 +33,7 @@ from hrl_escape.env.puzzles.hanoi import HanoiConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 from hrl_escape.env.puzzles.pin_pad import PinPadConfig
+from hrl_escape.env.puzzles.potions import PotionsConfig
 from hrl_escape.env.puzzles.puddle_world import PuddleWorldConfig
 from hrl_escape.env.puzzles.push_block import PushBlockConfig
 from hrl_escape.env.puzzles.taxi import TaxiConfig
@@ -271,6 +272,7 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "random-lights": lambda: _panel_puzzle("random-lights", LightBoxConfig(
         count=8, graph=GraphConfig(kind="random", max_parents=3))),
     "factored": lambda: _panel_puzzle("factored", FactoredConfig()),
+    "potions": lambda: _panel_puzzle("potions", PotionsConfig()),
     "deep-sea": deep_sea,
     "four-rooms": four_rooms,
     "taxi": taxi,

@@ -16,6 +16,7 @@ from hrl_escape.env.puzzles.hanoi import HanoiConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 from hrl_escape.env.puzzles.pin_pad import PinPadConfig
+from hrl_escape.env.puzzles.potions import PotionsConfig
 
 KINDS = {
     "buttons": ButtonsConfig(count=7, graph=GraphConfig(kind="random"), on_violation="reset", allow_off=True),
@@ -30,6 +31,8 @@ KINDS = {
     "light-box, sure": LightBoxConfig(count=6, graph=GraphConfig(kind="random", max_parents=2), success=1.0),
     "deep-sea": DeepSeaConfig(size=5),
     "pin-pad": PinPadConfig(count=3),
+    "potions": PotionsConfig(features=2, trials=2),
+    "potions, three features": PotionsConfig(features=3, trials=1),
     "factored": FactoredConfig(count=3, success=0.7),
     "factored, sure": FactoredConfig(count=4, arity=2, max_parents=1, success=1.0),
 }

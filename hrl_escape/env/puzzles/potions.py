@@ -1,0 +1,183 @@
+"""Potions with hidden effects, after Alchemy (Wang et al. 2021): what a potion does is drawn anew for each episode.
+
+A stone has features, each on or off. Each potion, a panel, turns one feature on or off; which one and which way is
+hidden, the same in all trials of an episode, and another in the next. A stone with all features on ends the trial, and
+the next stone has all of them off. The exit opens after the last trial. So an agent that remembers what it has tried
+does better in later trials. The state is a word: the stone, the trials done, and the number of the hidden rule.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from functools import lru_cache
+from typing import Annotated, Any, NamedTuple
+
+import numpy as np
+
+from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.places import Panels
+from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
+from hrl_escape.settings import Range
+
+__all__ = ["RULE_SHIFT", "TRIAL_SHIFT", "Brew", "PotionsConfig", "PotionsPuzzle", "list_rules"]
+
+TRIAL_SHIFT, RULE_SHIFT = 3, 8
+"""Places in the word where the number of trials and that of the rule begin."""
+
+Features = Annotated[int, Range(1, 3)]
+Trials = Annotated[int, Range(1, 31)]
+
+
+class Brew(NamedTuple):
+    """The puzzle's state in words.
+
+    Attributes:
+        stone: bit i is 1 while feature i is on.
+        trials: number of trials done.
+        rule: number of the hidden rule; see `list_rules`.
+    """
+
+    stone: int
+    trials: int
+    rule: int
+
+
+@dataclasses.dataclass(frozen=True)
+class PotionsConfig(PuzzleConfig):
+    """Schematic of potions."""
+
+    kind = "potions"
+    features: Features = 2
+    """Features of a stone; there are two potions for each."""
+    trials: Trials = 5
+    """Stones to make perfect before the exit opens."""
+    bottles: Panels = Panels(width=1.0)
+    """Sizes and places of the potions' panels."""
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        self.bottles.check_places(2 * self.features)
+
+    @property
+    def panels(self) -> Panels:
+        """Sizes and places of the potions' panels."""
+        return self.bottles
+
+    def make_puzzle(self, rng: np.random.Generator) -> PotionsPuzzle:
+        """Nothing depends on the instance seed; rules are drawn by the episode."""
+        return PotionsPuzzle(self.features, self.trials)
+
+
+@dataclasses.dataclass(frozen=True)
+class PotionsPuzzle(Puzzle):
+    """Concrete potions. Potion i is called `potion-<i+1>`."""
+
+    kind = "potions"
+    features: Features = 1
+    """Features of a stone; there are two potions for each."""
+    trials: Trials = 1
+    """Stones to make perfect before the exit opens."""
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """`potion-1` to `potion-<2 features>`."""
+        return tuple(f"potion-{i + 1}" for i in range(2 * self.features))
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Every number is between 0 and 1."""
+        return ((0.0, 1.0),) * (self.features + 1)
+
+    def encode(self, brew: Brew) -> int:
+        """State of a brew."""
+        return brew.stone | brew.trials << TRIAL_SHIFT | brew.rule << RULE_SHIFT
+
+    def decode(self, state: int) -> Brew:
+        """Brew of a state."""
+        return Brew(state & (1 << TRIAL_SHIFT) - 1, state >> TRIAL_SHIFT & (1 << RULE_SHIFT - TRIAL_SHIFT) - 1,
+                    state >> RULE_SHIFT)
+
+    def list_starts(self) -> tuple[int, ...]:
+        """The first stone, under every rule."""
+        return tuple(self.encode(Brew(0, 0, rule)) for rule in range(len(list_rules(self.features))))
+
+    def make_state(self) -> int:
+        """The first stone under the first rule."""
+        return 0
+
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside is a stone that is not perfect, in a trial, under a rule."""
+        if type(state) is not int or state < 0:
+            return False
+        stone, trials, rule = self.decode(state)
+        return (stone < (1 << self.features) - 1 and trials <= self.trials and rule < len(list_rules(self.features))
+                and (trials < self.trials or stone == 0))
+
+    def update(self, state: int, contacts: Contacts) -> int:
+        """Drip the pressed potions on the stone, in index order."""
+        stone, trials, rule = self.decode(state)
+        for potion in contacts.pressed:
+            if trials < self.trials:
+                feature, is_on = list_rules(self.features)[rule][potion]
+                stone = stone | 1 << feature if is_on else stone & ~(1 << feature)
+                if stone == (1 << self.features) - 1:
+                    stone, trials = 0, trials + 1
+        return self.encode(Brew(stone, trials, rule))
+
+    def is_solved(self, state: int) -> bool:
+        """All trials are done."""
+        return self.decode(state).trials == self.trials
+
+    def compute_progress(self, state: int) -> float:
+        """Share of the trials that are done."""
+        return self.decode(state).trials / self.trials
+
+    def observe(self, state: int) -> tuple[float, ...]:
+        """One number a feature, and the share of the trials done; nothing of the rule."""
+        return (*(float(self.decode(state).stone >> i & 1) for i in range(self.features)), self.compute_progress(state))
+
+    def get_lit(self, state: int) -> tuple[bool, ...]:
+        """Potions tell nothing, until all trials are done."""
+        return (self.is_solved(state),) * (2 * self.features)
+
+    def get_facts(self, state: int) -> frozenset[str]:
+        """`on(feature-i)`, `done(trials)`, and the hidden `gives(potion,feature)` or `takes(potion,feature)`."""
+        stone, trials, rule = self.decode(state)
+        known = (self._name(potion, *effect) for potion, effect in enumerate(list_rules(self.features)[rule]))
+        return frozenset({*(f"on(feature-{i + 1})" for i in range(self.features) if stone >> i & 1), f"done({trials})",
+                          *known})
+
+    def _name(self, potion: int, feature: int, is_on: bool) -> str:
+        return f"{'gives' if is_on else 'takes'}({self.target_names[potion]},feature-{feature + 1})"
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """One operator a potion, with conditional effects for all that it may do; planners know the hidden rule."""
+        none: frozenset[str] = frozenset()
+        on = [f"on(feature-{i + 1})" for i in range(self.features)]
+        done = [frozenset({f"done({trials})"}) for trials in range(self.trials + 1)]
+        operators, hidden = [], []
+        for potion, name in enumerate(self.target_names):
+            effects = []
+            for feature in range(self.features):
+                off, gives = (frozenset({self._name(potion, feature, way)}) for way in (False, True))
+                hidden += [*off, *gives]
+                others = frozenset(on) - {on[feature]}
+                effects.append(Effect(off, none, none, frozenset({on[feature]})))
+                effects += [Effect(gives, frozenset({other}), frozenset({on[feature]}), none)
+                            for other in sorted(others)]
+                effects += [Effect(gives | others | before, none, after, before | others)
+                            for before, after in zip(done, done[1:], strict=False)]
+            operators.append(Operator(f"press-{name}", name, "press", none, done[-1], none, none, when=tuple(effects)))
+        facts = (*on, *(fact for each in done for fact in each), *hidden)
+        return SymbolicModel(facts, tuple(operators), done[-1])
+
+
+@lru_cache
+def list_rules(features: int) -> tuple[tuple[tuple[int, bool], ...], ...]:
+    """All hidden rules: for each potion, the feature that it turns and whether it turns it on."""
+    effects = [(feature, is_on) for feature in range(features) for is_on in (True, False)]
+    return tuple(itertools.permutations(effects))
+
+
+register_puzzle(PotionsConfig, PotionsPuzzle)
