@@ -17,6 +17,7 @@ from hrl_escape.env.config import CONTACT_SKIN, DynamicsConfig, RoomConfig
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Start
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.sampling.generation import generate
 from tests.env.rooms import all_schematics
 
@@ -31,6 +32,17 @@ def test_the_batched_engine_agrees_with_the_scalar_rules(name):
     assert not found.disagreements, found.disagreements[0]
     assert found.close_calls <= 1
     assert found.worst < 1e-9
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [name for name in PRESETS if get_preset(name).puzzle.kind != "buttons" and
+                                  name != "push-block"])
+def test_the_engines_agree_on_every_puzzle_over_a_hundred_thousand_primitives(name):
+    """`pytest -m slow tests/env/test_engines_agree.py`, some ten seconds a puzzle."""
+    found = compare([generate(get_preset(name), seed) for seed in range(4)], 25_000, copies=250)
+    assert found.primitives == 100_000
+    assert not found.disagreements, found.disagreements[0]
+    assert found.is_good and found.worst < 1e-9
 
 
 @pytest.mark.parametrize("name", ["paper-two-button", "arm-two-button", "clutter", "noisy"])

@@ -1,0 +1,56 @@
+"""Measure a room of every puzzle and write the gallery: pictures, rules, how exact each is, and how agents do.
+
+Writes docs/results/gallery.md with a line of JSON for each finding. Killed, the same command goes on.
+
+Examples:
+    hrl-escape experiment gallery
+    hrl-escape experiment gallery --presets hanoi taxi --primitives 1000 --docs /tmp/page
+    hrl-escape experiment gallery --from-raw             # the page anew from the lines, nothing is measured
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from rich.console import Console
+
+from hrl_escape.experiments.gallery.entries import load_entries
+from hrl_escape.experiments.gallery.measure import GallerySettings, load_gallery, measure_gallery, save_gallery
+from hrl_escape.experiments.gallery.page import PAGE, write_gallery
+from hrl_escape.files import claim_folder
+
+
+@dataclasses.dataclass(frozen=True)
+class GalleryArgs:
+    """Options of `hrl-escape experiment gallery`."""
+
+    presets: tuple[str, ...] = dataclasses.field(
+        default_factory=lambda: tuple(entry.preset for entry in load_entries()))
+    """Puzzles to measure."""
+    runs: int = 2
+    """Training seeds of the agent that learns."""
+    primitives: int = 20_000
+    """Training budget of a run."""
+    episodes: int = 5
+    """Evaluation episodes of an agent in a room."""
+    docs: Path = Path("docs/results")
+    """Folder of the page and the findings."""
+    from_raw: bool = False
+    """Measure nothing: write the page anew from the findings."""
+
+
+def run(args: GalleryArgs) -> None:
+    """Measure what is missing, keep every finding at once, and write the page."""
+    raw = args.docs / "raw" / "gallery.jsonl"
+    found = load_gallery(raw) if args.from_raw or raw.exists() else []
+    console = Console(highlight=False, soft_wrap=True)
+    if not args.from_raw:
+        claim_folder(raw.parent)
+        settings = GallerySettings(args.runs, args.primitives, args.episodes)
+        for each in measure_gallery(args.presets, settings, tuple(found)):
+            found.append(each)
+            save_gallery(raw, found)
+            console.print(f"{each}")
+    write_gallery(found, args.docs)
+    console.print(f"Page: {args.docs / PAGE}")

@@ -1,0 +1,52 @@
+"""What the gallery says of each puzzle: its rules, how exact it is, and which published numbers carry over."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+from hrl_escape.files import read_toml
+
+__all__ = ["LEVELS", "Entry", "load_entries"]
+
+LEVELS = {
+    "L1": "an action of the domain is a primitive: states, rewards and ends are equal after each",
+    "L2": "an action of the domain is an option: the puzzle is in the domain's state after each, from any pose",
+    "L3": "the structure is that of the domain, and no number is",
+    "own": "the paper's puzzle, or one of this project",
+}
+"""How exactly a puzzle is a published domain, by the name of the level."""
+
+
+@dataclasses.dataclass(frozen=True)
+class Entry:
+    """A puzzle of the gallery.
+
+    Attributes:
+        preset: name of its room.
+        title: heading.
+        rules: three sentences.
+        level: how exactly it is the published domain, of `LEVELS`.
+        carries: published numbers that hold in the room.
+        carries_not: those that do not, and why.
+        optimum: the best that can be done; `{fewest}` stands for the fewest operators, which are measured, and
+            `{expected}` for their mean number where a press may do nothing.
+    """
+
+    preset: str
+    title: str
+    rules: str
+    level: str
+    carries: str
+    carries_not: str
+    optimum: str
+
+    @property
+    def name(self) -> str:
+        """The title without its source."""
+        return self.title.split(" (")[0].split(", after")[0]
+
+
+def load_entries() -> tuple[Entry, ...]:
+    """Read `entries.toml`, in the order of the page."""
+    return tuple(Entry(**fields) for fields in read_toml(Path(__file__).with_name("entries.toml"))["puzzle"])
