@@ -1,4 +1,4 @@
-"""What the gallery says of each puzzle: its rules, how exact it is, and which published numbers carry over."""
+"""The gallery's words on each puzzle: its rules, how exact it is, and which published numbers carry over."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LEVELS = {
     "L3": "the structure is that of the domain, and no number is",
     "own": "the paper's puzzle, or one of this project",
 }
-"""How exactly a puzzle is a published domain, by the name of the level."""
+"""Meaning of each level, by its name: how exactly a puzzle is a published domain."""
 
 
 @dataclasses.dataclass(frozen=True)

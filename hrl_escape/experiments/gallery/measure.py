@@ -47,7 +47,7 @@ class GallerySettings:
 
 @dataclasses.dataclass(frozen=True)
 class SolvedRoom:
-    """What solving a room takes.
+    """Effort of solving a room.
 
     Attributes:
         preset: name; the room is that of instance seed 0, from its first start.
@@ -64,7 +64,7 @@ class SolvedRoom:
 
 @dataclasses.dataclass(frozen=True)
 class PlayedRun:
-    """How an agent does in a room at the end.
+    """Evaluation of an agent in a room at the end.
 
     Attributes:
         preset: name.
