@@ -21,7 +21,7 @@ from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.files import write_json
 
 ROOM, RUNS, PRIMITIVES, POINTS = "paper-one-button", 3, 10_000, 20
-OPTIONS_ONLY = {"factored-r-max", "hrc", "met-r-max", "monte-carlo-model"}
+OPTIONS_ONLY = {"factored-r-max", "hrc", "met-r-max", "monte-carlo-model", "vigorito-barto"}
 """Made for options; among primitives they would plan for hours."""
 CURVES = Path(__file__).parent / "curves"
 

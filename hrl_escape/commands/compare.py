@@ -53,7 +53,8 @@ class CompareArgs(LaunchArgs):
     """Options of `hrl-escape compare`."""
 
     what: Annotated[str, tyro.conf.Positional] = DEFAULT
-    """quickstart, paper, ladder, hierarchies or paper-figure-1 to -3; or a .toml or .json file with your own grid."""
+    """quickstart, paper, ladder, hierarchies, learned-hierarchies or paper-figure-1 to -3; or a .toml or .json file
+    with your own grid."""
     agents: tuple[str, ...] = ()
     """Other agents: names, smdp- in front for those that choose options, @paper behind for another recipe, +objects,
     +memory, +gru or +no-primitives behind for what they see and choose, +planned or +learned behind for a hierarchy

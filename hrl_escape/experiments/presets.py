@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
+from hrl_escape.env.config import RobotConfig, RoomConfig
+from hrl_escape.env.puzzles.base import Panels
+from hrl_escape.env.puzzles.buttons import ButtonsConfig, ViolationRule
+from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.errors import UnknownNameError
 from hrl_escape.experiments.grid import AgentSpec, Grid
 from hrl_escape.experiments.places import RoomSpec
@@ -19,6 +23,14 @@ def _parse_agents(*texts: str) -> tuple[AgentSpec, ...]:
 
 def _parse_rooms(*texts: str) -> tuple[RoomSpec, ...]:
     return tuple(RoomSpec.parse(text) for text in texts)
+
+
+def _make_layered_room(buttons: int, rule: ViolationRule) -> RoomSpec:
+    """A room of buttons anywhere on the walls, their numbers shuffled, each with at most two parents."""
+    graph = GraphConfig(kind="layered", max_parents=2)
+    puzzle = ButtonsConfig(count=buttons, graph=graph, on_violation=rule, buttons=Panels(width=1.5))
+    return RoomSpec(config=RoomConfig(name=f"layered-{buttons}-{rule}", robot=RobotConfig(body_radius=0.5),
+                                      puzzle=puzzle).to_dict())
 
 
 _FLAT = _parse_agents("random", "dqn@paper", "sarsa@paper", "ddpg@paper", "dqn", "sarsa", "ddpg")
@@ -102,6 +114,19 @@ GRIDS: dict[str, Grid] = {
             primitives=10_000,
             eval_every=5_000,
             eval_episodes=1,  # as in the paper's rooms: one start, no chance
+        ),
+        Grid(
+            name="learned-hierarchies",
+            description="Options and causal structure learned over meta-actions: do they help with two to eight "
+            "buttons whose numbers say nothing of their order?",
+            agents=_parse_agents(*(f"smdp-{name}+no-primitives" for name in (
+                "random", "q-learning", "option-critic", "skill-chaining", "hrc", "met-r-max", "vigorito-barto")),
+                *REFERENCES),
+            rooms=tuple(_make_layered_room(buttons, rule) for rule in ("ignore", "reset") for buttons in (2, 4, 8)),
+            runs=10,
+            primitives=4_000,
+            eval_every=2_000,
+            eval_episodes=1,
         ),
     )
 }

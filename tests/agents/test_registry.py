@@ -194,7 +194,8 @@ def test_every_agent_can_do_what_it_declares(name):
     value, graph = agent.compute_state_value(last.observation), agent.get_graph()
     assert value is None or np.isfinite(value)
     assert graph is None or all(parent != child for parent, child in graph)
-    assert (graph is not None) == (name in ("factored-r-max", "hrc", "met-r-max", "monte-carlo-model"))
+    assert (graph is not None) == (name in (
+        "factored-r-max", "hrc", "met-r-max", "monte-carlo-model", "vigorito-barto"))
     assert agent.needs_trace == (name == "intra-option-q")
 
 

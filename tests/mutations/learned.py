@@ -20,6 +20,11 @@ def _meteorologists(bug: str, old: str, new: str, test: str) -> tuple[str, str, 
     return bug, "agents/factored/meteorologists.py", old, new, f"{ALGORITHMS}/structure/test_met_r_max.py::{test}"
 
 
+def _growth(bug: str, file: str, old: str, new: str, test: str) -> tuple[str, str, str, str, str]:
+    """The same for sets of parents that grow."""
+    return bug, f"agents/{file}.py", old, new, f"{ALGORITHMS}/structure/test_vigorito_barto.py::{test}"
+
+
 def _hrc(bug: str, old: str, new: str, test: str) -> tuple[str, str, str, str, str]:
     """The same for interventions."""
     return _trap(bug, "structure/hrc", old, new, f"::{test}")
@@ -204,6 +209,24 @@ MUTATIONS = [
     _meteorologists("the smallest set left predicts",
                     "alive[np.argsort(np.round(self._code[alive], 6), kind=\"stable\")]", "alive",
                     "test_two_forecasts_by_hand"),
+    # sets of parents that grow, and options of bits
+    _growth("parents cost nothing", "factored/growing_sets",
+            "return likelihood - parameters / 2 * np.log(max(self.count_samples(action), 1))", "return likelihood",
+            "test_a_parent_is_taken_in_where_the_history_is_worth_its_parameters_and_dropped_again"),
+    _growth("a parent is never dropped", "factored/growing_sets",
+            "near = np.r_[smaller[believed], believed, larger[believed]]",
+            "near = np.r_[believed, larger[believed]]", "test_a_parent_that_another_explains_away_is_dropped"),
+    _growth("sets that explain much less are tried for ever", "factored/growing_sets",
+            "return tried[likelihoods >= likelihoods[0] - STRONG]", "return tried",
+            "test_a_set_that_explains_much_less_is_tried_no_further"),
+    _growth("nothing beside the present set is tried", "factored/growing_sets",
+            "return tried[likelihoods >= likelihoods[0] - STRONG]", "return tried[:1]",
+            "test_a_set_that_explains_much_less_is_tried_no_further"),
+    _growth("an option does not care for its parents", "algorithms/structure/vigorito_barto",
+            "if not missing:", "if True:", "test_an_option_turns_its_bit_on_and_what_that_needs_before"),
+    _growth("an option begins where its bit is on", "algorithms/structure/vigorito_barto",
+            "if on[bit] or bit not in skills:", "if bit not in skills:",
+            "test_an_option_turns_its_bit_on_and_what_that_needs_before"),
     # interventions
     _hrc("a set that was off in a success may be the parents", "            common &= before\n", "            pass\n",
          "test_parents_are_the_smallest_set_on_in_successes_and_in_the_fewest_failures"),
