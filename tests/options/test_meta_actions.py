@@ -59,7 +59,8 @@ def test_every_preset_has_a_meta_action_for_everything_there_is_to_do(name):
 
 
 @pytest.mark.parametrize("flavour", FLAVOURS)
-@pytest.mark.parametrize("name", [name for name in KINEMATIC if name not in ("ten-button", "twenty-button")])
+@pytest.mark.parametrize("name", [name for name in KINEMATIC if name not in (
+    "ten-button", "twenty-button", "random-lights")])  # chains, and boxes as in light-box
 def test_meta_actions_keep_the_option_contract(name, flavour):
     env = EscapeRoomEnv(name)
     env.reset(seed=0)
