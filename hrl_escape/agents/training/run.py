@@ -12,7 +12,6 @@ import time
 import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any, cast
 
 import gymnasium
@@ -34,37 +33,12 @@ from hrl_escape.agents.training.interrupt import deferring_interrupts
 from hrl_escape.agents.training.probe import Probe
 from hrl_escape.agents.training.progress import Reporter
 from hrl_escape.agents.training.results import EpisodeRecord, SegmentRecord, TrainResult, make_evaluation_row, read_row
+from hrl_escape.agents.training.run_arguments import RunArguments
 from hrl_escape.agents.training.run_folder import FORMAT, RunFolder
 from hrl_escape.errors import CheckpointError, DivergenceError, describe_damage
 from hrl_escape.version import __version__, find_versions
 
-__all__ = ["Run", "RunArguments", "load_agent_state", "make_origin", "refusing_damage"]
-
-
-@dataclass(frozen=True)
-class RunArguments:
-    """Arguments of a run; see `train`.
-
-    Attributes:
-        agent_state: hash of the state of an agent that was given as an object; None for one made by name.
-        threads: of torch.
-    """
-
-    name: str
-    seed: int
-    primitives: int
-    decisions: int | None
-    eval_every: int
-    eval_episodes: int
-    eval_seed: int
-    agent_state: str | None = None
-    threads: int = 1
-
-    @property
-    def identity(self) -> dict[str, Any]:
-        """The arguments as JSON values; one thread, which most runs have, goes without saying."""
-        values = dataclasses.asdict(self)
-        return values if self.threads != 1 else {name: value for name, value in values.items() if name != "threads"}
+__all__ = ["Run", "load_agent_state", "make_origin", "refusing_damage"]
 
 
 NO_OPTIONS = (

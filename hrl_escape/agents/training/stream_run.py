@@ -22,7 +22,8 @@ from hrl_escape.agents.training.env_description import describe_many
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.progress import Reporter
 from hrl_escape.agents.training.results import SegmentRecord, read_row
-from hrl_escape.agents.training.run import NO_OPTIONS, Run, RunArguments, refusing_damage
+from hrl_escape.agents.training.run import NO_OPTIONS, Run, refusing_damage
+from hrl_escape.agents.training.run_arguments import RunArguments
 from hrl_escape.agents.training.run_folder import RunFolder
 from hrl_escape.agents.training.vector_streams import make_streams
 

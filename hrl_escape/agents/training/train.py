@@ -24,7 +24,8 @@ from hrl_escape.agents.training.env_description import compute_digest, hash_larg
 from hrl_escape.agents.training.probe import Probe
 from hrl_escape.agents.training.progress import show_progress
 from hrl_escape.agents.training.results import TrainResult
-from hrl_escape.agents.training.run import Run, RunArguments, load_agent_state, make_origin, refusing_damage
+from hrl_escape.agents.training.run import Run, load_agent_state, make_origin, refusing_damage
+from hrl_escape.agents.training.run_arguments import RunArguments
 from hrl_escape.agents.training.run_folder import BEST, LAST, read_run
 from hrl_escape.agents.training.threads import using_threads
 from hrl_escape.errors import AgentSettingsError, CheckpointError
