@@ -30,6 +30,7 @@ LESSONS = [
     ("own_agent.py", ["--primitives", "4000"], [r"return -1000 untrained, [3-9]\d after 4,0\d\d primitives"]),
     ("own_option.py", [], [r"slide-\w+: \d+ primitives, reached"]),
     ("own_puzzle.py", ["--count", "3"], [r"press-light-2 ", r"total +\d+ .*return [5-9]\d"]),
+    ("own_robot.py", [], [r"flange within (0e\+00|\de-1\d) m", r"[1-9]\d* postures reach", r"through \d+ postures"]),
     ("smallest_puzzle.py", [], [r"press-b ", r"total +\d+ .*return [1-9]\d"]),
     ("own_comparison.py", ["--primitives", "300", "--runs", "1", "--out", "out"],
      [r"headline: ", r"caution: One run a room", r"report: out/report.html"]),

@@ -172,7 +172,7 @@ class FieldMaker:
             make_footprint(x, y, math.hypot(dx, dy) / 2, 0.0, math.atan2(dy, dx))
             for (x, y), (dx, dy) in zip((path[:-1] + legs / 2).tolist(), legs.tolist(), strict=True)
         ])
-        centres = self.low + (list_cells((0, 0), self.shape) + 0.5) * self.size
+        centres = np.add(self.low, (list_cells((0, 0), self.shape) + 0.5) * self.size, dtype=np.float64)
         return compute_distance_many(centres, shapes) <= width
 
     def _choose_points(self, begin: int, end: int, clock: Clock) -> None:
