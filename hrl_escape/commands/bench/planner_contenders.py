@@ -3,7 +3,8 @@
 The idea is OMPL's Planner Arena (Moll, Sucan and Kavraki 2015). Queries are drawn without any
 planner's help: from certified free places of generated rooms to the rooms' own goals, or to other
 free places. Measured are the search along cost-to-go fields, the corridor search round each path
-planner's path, and `auto`, which chooses between the two. Each query is timed three times: in a room
+planner's path, and `auto`, which chooses between the two; beside them a path planner's bare path, for a base
+that needs no primitives. Each query is timed three times: in a room
 that nobody has asked anything yet, in a room that knows another goal, and with its own goal known.
 """
 
@@ -29,17 +30,23 @@ from hrl_escape.kernels import read_clock
 from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, describe_goal, is_reached
 from hrl_escape.planning.lattice.areas import compute_goal_area
 from hrl_escape.planning.lattice.reference import find_fewest_primitives
+from hrl_escape.planning.paths.navigator import PathResult
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.paths.registry import list_planners
 from hrl_escape.planning.primitive_search import METHODS, PrimitiveSearch, SearchResult
+from hrl_escape.planning.trajectories.limits import MotionLimits, compute_duration, compute_rest_to_rest
 
-__all__ = ["AUTO", "FIELDS", "FLOORS", "Floor", "Query", "QueryResult", "Score", "draw_scores", "list_contenders",
-           "make_queries", "measure", "score_contenders", "write_csv"]
+__all__ = ["AUTO", "FIELDS", "FLOORS", "PATH", "Floor", "Query", "QueryResult", "Score", "draw_scores",
+           "list_contenders", "make_queries", "measure", "score_contenders", "write_csv"]
 
 AUTO = "auto"
 """Name of the contender that chooses between fields and a corridor, as planners do by default."""
 FIELDS = "fields"
 """Name of the contender that needs no path planner."""
+PATH = "-path"
+"""End of the name of a contender that is a path planner alone, as in `RRTConnect-path`."""
+LIMITS = MotionLimits()
+"""Limits under which times of motion are computed."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,16 +117,18 @@ class QueryResult:
     """Result of one contender on one query.
 
     Attributes:
-        contender: `AUTO`, `FIELDS` or a path planner.
+        contender: `AUTO`, `FIELDS`, a path planner, or its bare path.
         floor: name of the schematic.
         instance: id of the room.
         goal: the goal in words.
         reached: the goal was reached, confirmed by replay, without falling back on another contender.
-        primitives: number of primitives.
+        primitives: number of primitives; 0 for a bare path.
         fewest: number of primitives of the reference, or of the best contender where there is none.
         cold_ms: time of the first query that the room is asked, with all that it prepares.
         new_ms: time in a room that has been asked for another goal before.
         milliseconds: time in a room that has been asked for this goal before.
+        metres: way of the base.
+        seconds: time of the motion under `LIMITS`, at rest wherever its direction changes.
     """
 
     contender: str
@@ -132,11 +141,17 @@ class QueryResult:
     cold_ms: float
     new_ms: float
     milliseconds: float
+    metres: float
+    seconds: float
 
 
 @dataclasses.dataclass(frozen=True)
 class Score:
-    """Summary of a contender on one kind of queries; ratios are to the fewest, over the goals that it reached."""
+    """Summary of a contender on one kind of queries.
+
+    Ratios are to the fewest primitives. They, and the means of primitives, metres and seconds, are over the goals
+    that it reached.
+    """
 
     contender: str
     floor: str
@@ -145,6 +160,8 @@ class Score:
     primitives: float
     ratio: float
     ratio_p95: float
+    metres: float
+    seconds: float
     cold_ms: float
     new_ms: float
     median_ms: float
@@ -152,8 +169,8 @@ class Score:
 
 
 def list_contenders() -> tuple[str, ...]:
-    """All contenders: `AUTO`, `FIELDS` and every path planner."""
-    return (AUTO, FIELDS, *list_planners())
+    """All contenders: `AUTO`, `FIELDS`, every path planner, and the bare path of each."""
+    return (AUTO, FIELDS, *list_planners(), *(name + PATH for name in list_planners()))
 
 
 def make_queries(floor: str, seeds: Iterable[int], each: int, config: RoomConfig | None = None) -> list[Query]:
@@ -215,7 +232,7 @@ def measure(queries: Sequence[Query], contenders: Sequence[str],
         for contender in contenders:
             report(contender)
             answers.append(_measure_query(query, contender))
-        best = min((answer.primitives for answer in answers if answer.reached), default=0)
+        best = min((answer.primitives for answer in answers if answer.reached and answer.primitives), default=0)
         rows += [dataclasses.replace(answer, fewest=query.fewest or best) for answer in answers]
     return rows
 
@@ -225,9 +242,12 @@ def _measure_query(query: Query, contender: str) -> QueryResult:
     instance = query.search.instance
     method, planner = (contender, DEFAULT_PLANNER) if contender in METHODS else ("corridor", contender)
 
-    def ask(search: PrimitiveSearch, goal: Goal) -> tuple[SearchResult, float]:
+    def ask(search: PrimitiveSearch, goal: Goal) -> tuple[SearchResult | PathResult, float]:
         began = read_clock()
-        result = search.search(query.state, goal, method=method, planner=planner)
+        if contender.endswith(PATH):
+            result = search.navigator.plan((query.state.x, query.state.y), goal, contender.removesuffix(PATH))
+        else:
+            result = search.search(query.state, goal, method=method, planner=planner)
         return result, 1e3 * (read_clock() - began)
 
     one, other = (PrimitiveSearch(instance, query.search.kinematics) for _ in range(2))
@@ -235,9 +255,17 @@ def _measure_query(query: Query, contender: str) -> QueryResult:
     _, again = ask(one, query.goal)
     ask(other, query.other)
     _, new = ask(other, query.goal)
+    goal = describe_goal(query.goal, instance)
+    if isinstance(result, PathResult):
+        lines = np.hypot(*np.diff(result.path, axis=0).T).tolist()
+        seconds = sum(compute_rest_to_rest(line, LIMITS.speed, LIMITS.acceleration) for line in lines)
+        return QueryResult(contender, query.floor, instance.id, goal, result.status == "exact", 0, 0, cold, new, again,
+                           sum(lines), seconds)
     is_own = contender == AUTO or result.method == contender
-    return QueryResult(contender, query.floor, instance.id, describe_goal(query.goal, instance),
-                       result.is_reached and is_own, len(result.primitives), 0, cold, new, again)
+    places = np.array([(state.x, state.y) for state in result.states])
+    seconds = compute_duration(result.states, LIMITS, query.search.kinematics.turn_step, 0.0)
+    return QueryResult(contender, query.floor, instance.id, goal, result.is_reached and is_own, len(result.primitives),
+                       0, cold, new, again, float(np.hypot(*np.diff(places, axis=0).T).sum()), seconds)
 
 
 def score_contenders(rows: Sequence[QueryResult]) -> list[Score]:
@@ -248,13 +276,14 @@ def score_contenders(rows: Sequence[QueryResult]) -> list[Score]:
     scores = []
     for (floor, contender), group in groups.items():
         reached = [row for row in group if row.reached]
-        ratios = np.array([row.primitives / row.fewest for row in reached] or [np.nan])
+        ratios = np.array([row.primitives / row.fewest for row in reached if row.primitives] or [np.nan])
+        metres, seconds = np.mean([(row.metres, row.seconds) for row in reached] or [(np.nan, np.nan)], axis=0).tolist()
         times = np.array([(row.cold_ms, row.new_ms, row.milliseconds) for row in group])
         cold, new, again = np.median(times, axis=0).tolist()
         scores.append(Score(
             contender, floor, len(group), len(reached) / len(group),
-            float(np.mean([row.primitives for row in reached] or [np.nan])), float(ratios.mean()),
-            float(np.quantile(ratios, 0.95)), cold, new, again, float(np.quantile(times[:, 2], 0.99)),
+            float(np.mean([row.primitives for row in reached if row.primitives] or [np.nan])), float(ratios.mean()),
+            float(np.quantile(ratios, 0.95)), metres, seconds, cold, new, again, float(np.quantile(times[:, 2], 0.99)),
         ))
     return scores
 
@@ -281,7 +310,7 @@ def draw_scores(path: str | Path, rows: Sequence[QueryResult]) -> None:
     FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2, sharey=True)
     reached = [[row for row in rows if row.contender == name and row.reached] for name in names]
-    ratios = [[row.primitives / row.fewest for row in group] for group in reached]
+    ratios = [[row.primitives / row.fewest for row in group if row.primitives] for group in reached]
     times = [[row.milliseconds for row in rows if row.contender == name] for name in names]
     look = {"orientation": "horizontal", "whis": (5, 95), "sym": ".", "patch_artist": True,
             "flierprops": {"markersize": 3, "alpha": 0.4}, "medianprops": {"color": "black"}}

@@ -1,7 +1,8 @@
 """Measure planners on the same queries: success, primitives, ratio to the fewest, times.
 
 The contenders are the search along cost-to-go fields, for each path planner the search in a corridor
-round its path, and the method auto, which chooses between the two. The fewest primitives come from a
+round its path, and the method auto, which chooses between the two. Beside them stands a path planner's bare path, for
+a base that needs no primitives. The fewest primitives come from a
 slow, near-exact reference; on floors of 60 m and more, from the best contender.
 Times are those of the first query in a room, of a goal that is new to a known room, and of the same goal
 again; compilation is in none of them.
@@ -16,6 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 
 from rich.console import Console
@@ -29,8 +31,8 @@ from hrl_escape.errors import ConfigError, UnknownNameError
 class BenchPlannersArgs:
     """Options of `hrl-escape bench planners`."""
 
-    contenders: tuple[str, ...] = ("auto", "fields", "RRTConnect", "BITstar")
-    """Contenders to measure: auto, fields, or path planners by name."""
+    contenders: tuple[str, ...] = ("auto", "fields", "RRTConnect", "BITstar", "RRTConnect-path")
+    """Contenders to measure: auto, fields, path planners by name, or the bare path of one, as RRTConnect-path."""
     floors: tuple[str, ...] = ()
     """Kinds of queries, all by default: empty, '10 obstacles', '40 obstacles', 'interior walls', 'narrow passages',
     '60 m', '200 m', 'places, 10 obstacles', 'places, interior walls', 'places, 60 m', 'places, 200 m'."""
@@ -83,14 +85,23 @@ def _print(scores: list) -> None:
     table = Table(box=None, padding=(0, 2), pad_edge=False)
     for heading in ("floor", "contender"):
         table.add_column(heading, no_wrap=True)
-    for heading in ("reached", "primitives", "ratio", "p95", "cold ms", "new ms", "again ms", "p99 ms"):
+    for heading in ("reached", "primitives", "ratio", "p95", "metres", "seconds", "cold ms", "new ms", "again ms",
+                    "p99 ms"):
         table.add_column(heading, justify="right")
     last = ""
     for score in scores:
         table.add_row(score.floor if score.floor != last else "", score.contender, f"{score.success:.1%}",
-                      f"{score.primitives:.1f}", f"{score.ratio:.3f}", f"{score.ratio_p95:.3f}",
+                      *(_show(value, digits) for value, digits in ((score.primitives, 1), (score.ratio, 3),
+                                                                   (score.ratio_p95, 3), (score.metres, 1),
+                                                                   (score.seconds, 1))),
                       f"{score.cold_ms:.1f}", f"{score.new_ms:.1f}", f"{score.median_ms:.2f}", f"{score.p99_ms:.1f}")
         last = score.floor
     table.caption = ("ratio: primitives divided by the near-exact fewest, over goals that were reached; "
-                     "times: medians, and the 99th percentile of the same goal again")
-    Console(width=120, soft_wrap=True).print(table)
+                     "metres, seconds: way of the base, and its time at 1 m/s, 1 m/s^2 and 1.5 rad/s; "
+                     "ms: medians of planning, and the 99th percentile of the same goal again")
+    Console(width=140, soft_wrap=True).print(table)
+
+
+def _show(value: float, digits: int) -> str:
+    """A number; a dash where there is none."""
+    return "-" if math.isnan(value) else f"{value:.{digits}f}"

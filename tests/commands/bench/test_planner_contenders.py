@@ -12,6 +12,7 @@ from hrl_escape.commands.bench.planner_contenders import (
     AUTO,
     FIELDS,
     FLOORS,
+    PATH,
     QueryResult,
     list_contenders,
     make_queries,
@@ -39,25 +40,36 @@ def test_the_same_seeds_give_the_same_queries():
 
 
 def test_scores_are_those_of_the_measurements(tmp_path):
-    rows = [QueryResult("fields", "empty", "a", "exit", True, 11, 10, 30.0, 5.0, 2.0),
-            QueryResult("fields", "empty", "a", "exit", True, 10, 10, 50.0, 7.0, 4.0),
-            QueryResult("fields", "empty", "a", "exit", False, 0, 10, 60.0, 9.0, 90.0),
-            QueryResult("RRT", "empty", "a", "exit", False, 0, 10, 1.0, 1.0, 1.0)]
-    fields, rrt = score_contenders(rows)
+    rows = [QueryResult("fields", "empty", "a", "exit", True, 11, 10, 30.0, 5.0, 2.0, 8.0, 12.0),
+            QueryResult("fields", "empty", "a", "exit", True, 10, 10, 50.0, 7.0, 4.0, 6.0, 10.0),
+            QueryResult("fields", "empty", "a", "exit", False, 0, 10, 60.0, 9.0, 90.0, 0.0, 0.0),
+            QueryResult("RRT", "empty", "a", "exit", False, 0, 10, 1.0, 1.0, 1.0, 0.0, 0.0),
+            QueryResult("RRT-path", "empty", "a", "exit", True, 0, 10, 1.0, 1.0, 1.0, 5.0, 9.0)]
+    fields, rrt, path = score_contenders(rows)
     assert (fields.success, fields.ratio, fields.primitives, fields.median_ms) == (2 / 3, 1.05, 10.5, 4.0)
     assert (fields.cold_ms, fields.new_ms) == (50.0, 7.0)
-    assert rrt.success == 0.0 and np.isnan(rrt.ratio)
+    assert (fields.metres, fields.seconds) == (7.0, 11.0)
+    assert rrt.success == 0.0 and np.isnan(rrt.ratio) and np.isnan(rrt.metres)
+    assert (path.success, path.metres, path.seconds) == (1.0, 5.0, 9.0) and np.isnan(path.primitives)
     write_csv(tmp_path / "rows.csv", rows)
     lines = (tmp_path / "rows.csv").read_text().splitlines()
-    assert lines[0].startswith("contender,floor,instance,goal,reached") and len(lines) == 5
-    assert lines[1] == "fields,empty,a,exit,True,11,10,30,5,2"
+    assert lines[0].startswith("contender,floor,instance,goal,reached") and len(lines) == 6
+    assert lines[1] == "fields,empty,a,exit,True,11,10,30,5,2,8,12"
 
 
 def test_everything_that_plans_is_a_contender():
-    assert list_contenders() == (AUTO, FIELDS, *list_planners())
+    assert list_contenders() == (AUTO, FIELDS, *list_planners(), *(name + PATH for name in list_planners()))
     rows = measure(make_queries("interior walls", range(1), 1), list_contenders())
     assert [row.contender for row in rows] == list(list_contenders())
     assert sum(row.reached for row in rows) >= len(rows) - 1
+
+
+def test_a_bare_path_has_no_primitives_but_a_length_and_a_time():
+    rows = measure(make_queries("10 obstacles", range(1), 3), (FIELDS, "RRTstar-path"))
+    for fields, path in zip(rows[::2], rows[1::2], strict=True):
+        assert path.reached and path.primitives == 0 and path.fewest == fields.fewest
+        assert 0.0 < path.metres < 1.5 * fields.metres <= 1.5 * fields.primitives, "a step is of 1 m"
+        assert path.seconds > path.metres and fields.seconds > fields.metres, "at 1 m/s at most"
 
 
 def test_a_room_costs_more_at_first_and_least_for_a_goal_that_it_knows():
