@@ -86,8 +86,8 @@ MUTATIONS = [
     Mutation(
         "a detour does not come back",
         "options/degraded.py",
-        "return _TO if self._wasted % 2 else _FRO",
-        "return _TO",
+        "return to if self._wasted % 2 else fro",
+        "return to",
         "options/test_degraded.py",
     ),
     Mutation(

@@ -46,6 +46,27 @@ MUTATIONS = [
         "planning/test_clock.py planning/test_room_planner.py",
     ),
     Mutation(
+        "fields of a base that does not strafe take headings for alike that are not",
+        "planning/lattice/cost_to_go.py",
+        "math.gcd(rules.headings, rules.actions.symmetry)",
+        "math.gcd(rules.headings, 4)",
+        "env/test_differential_drive.py::test_plans_are_within_a_few_percent_of_the_near_exact_reference",
+    ),
+    Mutation(
+        "a trajectory of a differential drive slides sideways",
+        "planning/trajectories/smoothing.py",
+        'if room.robot.drive == "differential":',
+        'if room.robot.drive == "none":',
+        "env/test_differential_drive.py::test_trajectories_turn_on_the_spot_and_drive_straight",
+    ),
+    Mutation(
+        "a planner led away by noise keeps its order of buttons for ever",
+        "planning/best_known.py",
+        "if not self._order or state.puzzle != self._puzzle:",
+        "if not self._order:",
+        "planning/test_expected_escape.py::test_hands_that_noise_leads_astray_press_one_button_after_the_other",
+    ),
+    Mutation(
         "luck is recorded",
         "planning/best_known.py",
         'if dynamics.is_random or dynamics.kind == "physics" or',

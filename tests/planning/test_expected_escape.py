@@ -58,6 +58,15 @@ def test_the_expectation_is_what_the_planner_takes_with_other_noise():
     assert expected == compute_expected_escape(room, start(room), rollouts), "the same rollouts every time"
 
 
+def test_hands_that_noise_leads_astray_press_one_button_after_the_other():
+    """Where no joint plan says what comes next, the order of buttons is found anew after every press."""
+    config = get_preset("arm-two-button")
+    room = generate(dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, noise=0.1)), seed=0)
+    best = find_best_known(room, start(room)).primitives
+    assert best is not None
+    assert compute_expected_escape(room, start(room), rollouts=2).primitives < 1.5 * best
+
+
 def test_a_room_that_is_too_short_to_escape_counts_with_its_horizon():
     room = dataclasses.replace(make_room(slip=0.5), horizon=5)
     expected = compute_expected_escape(room, start(room), rollouts=3)
