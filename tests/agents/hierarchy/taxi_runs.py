@@ -33,3 +33,14 @@ def measure_taxi(
             break
     returns = evaluate(agent, env, tests, seed).returns
     return float(np.mean(returns)), float(np.std(returns) / tests**0.5)
+
+
+def compare_ten_seeds(
+    name: str, make: Callable[[Taxi, int, dict[str, Any]], Agent], dynamics: str, episodes: int, tests: int,
+    optimum: float,
+) -> tuple[float, float]:
+    """Mean of `measure_taxi` over ten seeds less the optimum, and its standard error; prints the row of the table."""
+    means, errors = zip(*(measure_taxi(make, dynamics, episodes, seed, tests) for seed in range(10)), strict=True)
+    mean, error = float(np.mean(means)), float(np.sqrt(np.square(errors).sum()) / len(errors))
+    print(f"{name}, {dynamics}: {mean:.2f} +- {error:.2f}, optimum {optimum:.2f}")
+    return mean - optimum, error

@@ -13,7 +13,7 @@ from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.errors import StepContractError
 from tests.agents.hierarchy.priced import make_tabular_model
 from tests.agents.hierarchy.taxi_program import drive, read
-from tests.agents.hierarchy.taxi_runs import DYNAMICS, measure_taxi
+from tests.agents.hierarchy.taxi_runs import DYNAMICS, compare_ten_seeds
 from tests.agents.running import learn
 from tests.classic.exact import find_values, make_model
 from tests.classic.four_rooms import EAST_HALLWAY, FourRooms
@@ -187,7 +187,5 @@ def test_taxi_is_solved_over_ten_seeds(dynamics):
     other dynamics.
     """
     optimum = compute_price(make_tabular_model(Taxi(**DYNAMICS[dynamics])), drive, read=read).hierarchical
-    means, errors = zip(*(measure_taxi(make_driver, dynamics, 5_000, seed, 300) for seed in range(10)), strict=True)
-    error = float(np.sqrt(np.square(errors).sum()) / len(errors))
-    print(f"hamq, {dynamics}: {np.mean(means):.2f} +- {error:.2f}, optimum {optimum:.2f}")
-    assert -0.25 - 4 * error <= np.mean(means) - optimum <= 4 * error
+    gain, error = compare_ten_seeds("hamq", make_driver, dynamics, 5_000, 300, optimum)
+    assert -0.25 - 4 * error <= gain <= 4 * error

@@ -13,7 +13,7 @@ from hrl_escape.agents.algorithms.given.maxq_q import MaxqQ
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import maxq
 from tests.agents.hierarchy.four_rooms_tasks import HOME, make_nested_walks, make_walks
-from tests.agents.hierarchy.taxi_runs import DYNAMICS, measure_taxi
+from tests.agents.hierarchy.taxi_runs import DYNAMICS, compare_ten_seeds, measure_taxi
 from tests.agents.hierarchy.taxi_tasks import make_taxi_tasks
 from tests.agents.running import learn
 from tests.classic.exact import find_recursive_optimum, find_values, make_model
@@ -253,7 +253,5 @@ def test_without_pseudo_rewards_maxq_q_is_maxq_0_to_the_bit():
 def test_taxi_is_solved_over_ten_seeds_in_all_dynamics(dynamics):
     """One or two minutes of one core each. 0.1 is left for what 3,000 episodes do not settle."""
     _, recursive = compute_taxi_optima(dynamics)
-    means, errors = zip(*(measure_taxi(make_driver, dynamics, 3_000, seed, 500) for seed in range(10)), strict=True)
-    error = float(np.sqrt(np.square(errors).sum()) / len(errors))
-    print(f"maxq-0, {dynamics}: {np.mean(means):.2f} +- {error:.2f}, optimum {recursive:.2f}")
-    assert -0.1 - 4 * error <= np.mean(means) - recursive <= 4 * error
+    gain, error = compare_ten_seeds("maxq-0", make_driver, dynamics, 3_000, 500, recursive)
+    assert -0.1 - 4 * error <= gain <= 4 * error
