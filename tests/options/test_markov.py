@@ -13,6 +13,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.presets import get_preset
 from hrl_escape.options.meta_actions import MarkovOption, PlannedOption, make_meta_options
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.room_planner import RoomPlanner
 
 
@@ -69,7 +70,7 @@ def test_they_press_their_target_in_as_many_primitives_as_a_plan(clutter):
                 if option.termination(here):
                     break
                 assert taken < planned + 5
-            assert here.touching >> option.goal.target & 1  # type: ignore[union-attr]
+            assert isinstance(option.goal, PressGoal) and here.touching >> option.goal.target & 1
             assert taken <= 1.05 * planned + 1
 
 
