@@ -27,7 +27,7 @@ from hrl_escape.planning.collision_map import CollisionMap, compute_extent_radiu
 from hrl_escape.planning.lattice import dijkstra_kernels, repair_kernels
 from hrl_escape.planning.lattice.sweep_kernels import SweepScene
 
-__all__ = ["FieldMaker", "Grid", "Seeds", "lay_grid", "make_collision"]
+__all__ = ["FieldMaker", "FloorGrid", "Seeds", "lay_grid", "make_collision"]
 
 MOST_STATES = 1_500_000
 CACHE_BYTES = 256_000_000
@@ -59,7 +59,7 @@ class Seeds(NamedTuple):
                 and np.array_equal(self.costs, other.costs))
 
 
-class Grid(NamedTuple):
+class FloorGrid(NamedTuple):
     """Cells over a floor.
 
     Attributes:
@@ -78,13 +78,13 @@ class Grid(NamedTuple):
         return self.classes * self.shape[0] * self.shape[1]
 
 
-def lay_grid(instance: RoomInstance, rules: Rules, refinement: int = 0) -> Grid:
+def lay_grid(instance: RoomInstance, rules: Rules, refinement: int = 0) -> FloorGrid:
     """Lay a grid over a room's floor; `FieldMaker` says how, and `refinement` halves its cells."""
     classes = rules.headings // math.gcd(rules.headings, rules.actions.symmetry)
     area = 4 * instance.reach_x * instance.reach_y
     step = instance.robot.move_step
     size = max(min(step / 4, 0.25), math.sqrt(area * classes / MOST_STATES)) / 2**refinement
-    return Grid(classes, size, (math.ceil(2 * instance.reach_x / size), math.ceil(2 * instance.reach_y / size)))
+    return FloorGrid(classes, size, (math.ceil(2 * instance.reach_x / size), math.ceil(2 * instance.reach_y / size)))
 
 
 class _KeptField(NamedTuple):
