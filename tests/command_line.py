@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import io
 import subprocess
 import sys
 from pathlib import Path
@@ -34,3 +36,10 @@ def run_program(*arguments: str, cwd: Path | None = None) -> subprocess.Complete
 
 def run_python(script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True)
+
+
+def run_here(script: str) -> str:
+    """What a script prints in this process, to hold against what it prints in another."""
+    with contextlib.redirect_stdout(io.StringIO()) as out:
+        exec(script, {})
+    return out.getvalue()

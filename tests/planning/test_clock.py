@@ -19,6 +19,7 @@ from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason
 from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.paths.navigator import Navigator
 from hrl_escape.planning.room_planner import RoomPlanner
+from tests.command_line import run_here
 
 SCRIPT = """
 import hashlib
@@ -39,17 +40,14 @@ def make_planner(name="clutter", seed=0, **settings):
 
 
 def test_a_machine_busy_with_other_work_makes_the_same_plans():
-    def run():
-        return subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True).stdout
-
-    burners = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(2 * (os.cpu_count() or 1))]
+    burners = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(os.cpu_count() or 1)]
     try:
-        starved = run()
+        starved = subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True).stdout
     finally:
         for burner in burners:
             burner.kill()
             burner.wait()
-    assert len(starved.strip()) == 64 and starved == run()
+    assert len(starved.strip()) == 64 and starved == run_here(SCRIPT)
 
 
 @pytest.mark.parametrize("method", ["fields", "RRTConnect"])
