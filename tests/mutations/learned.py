@@ -215,7 +215,7 @@ MUTATIONS = [
             "test_a_parent_is_taken_in_where_the_history_is_worth_its_parameters_and_dropped_again"),
     _growth("a parent is never dropped", "factored/growing_sets",
             "near = np.r_[smaller[believed], believed, larger[believed]]",
-            "near = np.r_[believed, larger[believed]]", "test_a_parent_that_another_explains_away_is_dropped"),
+            "near = np.r_[believed, larger[believed]]", "test_a_parent_that_others_explain_away_is_dropped"),
     _growth("sets that explain much less are tried for ever", "factored/growing_sets",
             "return tried[likelihoods >= likelihoods[0] - STRONG]", "return tried",
             "test_a_set_that_explains_much_less_is_tried_no_further"),

@@ -32,13 +32,15 @@ def test_a_parent_is_taken_in_where_the_history_is_worth_its_parameters_and_drop
     assert learner.get_alive(0, 1)[0] == 0, "it says too little"
 
 
-def test_a_parent_that_another_explains_away_is_dropped():
-    """The first bit is on wherever the second is; the third follows the second."""
-    learner = GrowingSets(np.full(3, 2), 1, 2, all_on=True)
-    show(learner, [((1, 1, 0), (1, 1, 1)), ((0, 0, 0), (0, 0, 0))] * 4)
-    assert learner.hypotheses[learner.get_alive(0, 2)[0]] == (0,), "the first of two that say the same"
-    show(learner, [((1, 0, 0), (1, 0, 0))] * 4)
-    assert learner.hypotheses[learner.get_alive(0, 2)[0]] == (1,)
+def test_a_parent_that_others_explain_away_is_dropped():
+    """The last bit follows the second and the third; the first says the most alone, and nothing beside these two."""
+    learner = GrowingSets(np.full(4, 2), 1, 3, all_on=True)
+    seen = {(1, 1, 1): 10, (0, 1, 1): 1, (0, 0, 0): 5, (0, 1, 0): 5, (0, 0, 1): 5, (1, 0, 0): 1, (1, 1, 0): 1,
+            (1, 0, 1): 1}
+    show(learner, [((*bits, 0), (*bits, bits[1] & bits[2])) for bits, times in seen.items() for _ in range(times)])
+    alone = learner.compute_criteria(0, 3, np.arange(1, 4))
+    assert [learner.hypotheses[number] for number in range(1, 4)] == [(0,), (1,), (2,)] and alone.argmax() == 0
+    assert learner.hypotheses[learner.get_alive(0, 3)[0]] == (1, 2)
 
 
 def test_only_one_parent_more_is_tried_and_two_are_found_one_after_the_other():
@@ -91,6 +93,7 @@ def test_an_option_turns_its_bit_on_and_what_that_needs_before():
             observation, *_, info = env.step(run.act(observation, info["action_mask"], rng))
             length += 1
         assert observation[bit] == 1
-        assert not option.can_start(observation, info["action_mask"])
+        assert agent.choose_towards(bit, observation) is None
+        assert not option.can_start(observation, np.ones(5, np.bool_))
         lengths.append(length)
     assert sorted(lengths) == [1, 2, 3, 4], "the last of the chain by way of all the others"
