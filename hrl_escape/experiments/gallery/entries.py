@@ -7,9 +7,9 @@ from pathlib import Path
 
 from hrl_escape.files import read_toml
 
-__all__ = ["LEVELS", "Entry", "load_entries"]
+__all__ = ["EXACTNESS", "Entry", "load_entries"]
 
-LEVELS = {
+EXACTNESS = {
     "L1": "an action of the domain is a primitive: states, rewards and ends are equal after each",
     "L2": "an action of the domain is an option: the puzzle is in the domain's state after each, from any pose",
     "L3": "the structure is that of the domain, and no number is",
@@ -26,7 +26,7 @@ class Entry:
         preset: name of its room.
         title: heading.
         rules: three sentences.
-        level: how exactly it is the published domain, of `LEVELS`.
+        level: how exactly it is the published domain, of `EXACTNESS`.
         carries: published numbers that hold in the room.
         carries_not: those that do not, and why.
         optimum: the best that can be done; `{fewest}` stands for the fewest operators, which are measured, and

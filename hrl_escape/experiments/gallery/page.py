@@ -6,7 +6,7 @@ import statistics
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from hrl_escape.experiments.gallery.entries import LEVELS, Entry, load_entries
+from hrl_escape.experiments.gallery.entries import EXACTNESS, Entry, load_entries
 from hrl_escape.experiments.gallery.measure import LEARNER, PLAYERS, PlayedRun, SolvedRoom
 from hrl_escape.files import write_text
 from hrl_escape.names import join_words
@@ -33,7 +33,7 @@ def write_gallery(found: Iterable[SolvedRoom | PlayedRun], docs: Path) -> None:
     shown = [entry for entry in load_entries() if entry.preset in rooms]
     text = ["# Gallery of puzzles", "", _introduce(runs), "", *_summarise(shown, runs), ""]
     text += _tabulate(shown, rooms, runs)
-    for level, meaning in LEVELS.items():
+    for level, meaning in EXACTNESS.items():
         text += ["", f"- **{level}**: {meaning}."] if level == "L1" else [f"- **{level}**: {meaning}."]
     for entry in shown:
         text += ["", *_describe(entry, rooms[entry.preset])]

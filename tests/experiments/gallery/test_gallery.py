@@ -9,7 +9,7 @@ import pytest
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import FileReadError
-from hrl_escape.experiments.gallery.entries import LEVELS, load_entries
+from hrl_escape.experiments.gallery.entries import EXACTNESS, load_entries
 from hrl_escape.experiments.gallery.measure import (
     PLAYERS,
     GallerySettings,
@@ -29,7 +29,7 @@ def test_an_entry_has_three_sentences_a_level_and_a_room():
     entries = load_entries()
     assert len({entry.preset for entry in entries}) == len(entries)
     for entry in entries:
-        assert entry.preset in PRESETS and entry.level in LEVELS
+        assert entry.preset in PRESETS and entry.level in EXACTNESS
         assert entry.rules.count(". ") == 2 and entry.rules.endswith("."), entry.preset
         assert entry.optimum.format(fewest=1, expected="1")
 
