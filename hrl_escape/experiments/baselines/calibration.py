@@ -59,7 +59,7 @@ def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], run
 
 
 def _tell_order(enough: Mapping[tuple[str, str], Sequence[BaselineRun]], rungs: Sequence[str]) -> str:
-    """Where rounds in the order of the numbers are better than rounds in an order drawn for the episode."""
+    """Sentence on whether rounds in the order of the numbers beat rounds in an order drawn for the episode."""
     tests = {}
     for rung in (rung for rung in rungs if (rung, IN_ORDER) in enough and (rung, ROUND) in enough):
         ours, theirs = ({(run.rooms, run.seed): run.efficiency for run in enough[rung, agent]}
@@ -78,6 +78,6 @@ def _tell_order(enough: Mapping[tuple[str, str], Sequence[BaselineRun]], rungs: 
 
 
 def _count(exceptions: Collection[str], curve: Mapping[str, float]) -> str:
-    """On how many rungs, and on which not."""
+    """Number of rungs without an exception, and the exceptions."""
     but = f", but not on {join_words(f'`{rung}` ({curve[rung]:.2f})' for rung in exceptions)}" if exceptions else ""
     return f"on {len(curve) - len(exceptions)} of {len(curve)} rungs{but}"
