@@ -57,6 +57,7 @@ class LadderSettings(NamedTuple):
             for nothing need carry over to another room, and else `objects`.
         source: with `transfer`: rung to train on.
         trials: with `few-shot`: in each room.
+        first_seed: lowest training seed.
     """
 
     runs: int = 10
@@ -67,6 +68,7 @@ class LadderSettings(NamedTuple):
     observation: str | None = None
     source: str | None = None
     trials: int = 8
+    first_seed: int = 0
 
 
 def name_protocol(protocol: Protocol, source: str | None) -> str:
@@ -112,7 +114,8 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
         return Grid(
             name=f"{bench.name}-{rung}-per-instance", description=f"Each of {count} rooms of {name} from nothing.",
             agents=tuple(agents), rooms=tuple(RoomSpec(set=f"{name}/test[{index}]") for index in range(count)),
-            runs=settings.runs, primitives=primitives, eval_every=max(1, primitives // EVALUATIONS),
+            runs=settings.runs, first_seed=settings.first_seed, primitives=primitives,
+            eval_every=max(1, primitives // EVALUATIONS),
             eval_episodes=settings.eval_episodes or 20, observation=observation,
         )
     train, most = f"{bench.source}/{source}", bench[source].record.train.count
@@ -123,9 +126,10 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
     return Grid(
         name=f"{bench.name}-{rung}-{label}", description=f"Trained in rooms of {train}, tested in {tested}.",
         agents=tuple(agents), train_rooms=tuple(f"{train}/train[:{size}]" for size in settings.train_sizes),
-        test_rooms=(f"{name}/test[:{count}]",), runs=settings.runs, primitives=primitives,
-        eval_every=max(1, primitives // EVALUATIONS), eval_episodes=settings.eval_episodes or count,
-        observation=observation, trials=settings.trials if protocol == "few-shot" else 1,
+        test_rooms=(f"{name}/test[:{count}]",), runs=settings.runs, first_seed=settings.first_seed,
+        primitives=primitives, eval_every=max(1, primitives // EVALUATIONS),
+        eval_episodes=settings.eval_episodes or count, observation=observation,
+        trials=settings.trials if protocol == "few-shot" else 1,
     )
 
 

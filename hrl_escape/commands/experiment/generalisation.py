@@ -11,13 +11,12 @@ Examples:
 from __future__ import annotations
 
 import dataclasses
-from typing import Literal
 
 from rich.console import Console
 
 from hrl_escape.errors import ConfigError
 from hrl_escape.experiments.baselines.generalisation import (
-    GeneralisationSettings,
+    GeneralisationArgs,
     make_depth_grid,
     make_sizes_grid,
 )
@@ -25,25 +24,9 @@ from hrl_escape.experiments.baselines.generalisation_page import write_generalis
 from hrl_escape.experiments.baselines.lines import BaselineRun, collect_baselines, join_lines, load_lines, save_lines
 from hrl_escape.experiments.comparison import run_grid
 from hrl_escape.experiments.launching.local import LocalLauncher
-from hrl_escape.experiments.studies.running import StudyArgs, refuse_failures
+from hrl_escape.experiments.studies.running import refuse_failures
 from hrl_escape.files import claim_folder
 from hrl_escape.ladder.benchmark import load_benchmark
-
-
-@dataclasses.dataclass(frozen=True)
-class GeneralisationArgs(StudyArgs):
-    """Options of `hrl-escape experiment generalisation`."""
-
-    part: tuple[Literal["sizes", "depth"], ...] = ("sizes", "depth")
-    """Parts: numbers of training rooms, deeper puzzles."""
-    rung: str = "lattice"
-    """Rung of the numbers of training rooms."""
-    runs: int = 5
-    """Training seeds."""
-    primitives: int = 1_000_000
-    """Training budget of a run."""
-    rooms: int = 64
-    """Rooms to be tested in."""
 
 
 def run(args: GeneralisationArgs) -> None:
@@ -63,10 +46,9 @@ def run(args: GeneralisationArgs) -> None:
 def _make_runs(args: GeneralisationArgs) -> list[BaselineRun]:
     """Lines of the runs of all parts."""
     bench, out = load_benchmark("ladder-1"), args.out / "generalisation"
-    settings = GeneralisationSettings(args.rung, args.runs, args.primitives, args.rooms)
     lines = []
     for part in args.part:
-        grid = make_sizes_grid(bench, settings) if part == "sizes" else make_depth_grid(bench, settings, out / "sets")
+        grid = make_sizes_grid(bench, args) if part == "sizes" else make_depth_grid(bench, args, out / "sets")
         comparison = run_grid(grid, out / part, LocalLauncher(args.workers))
         refuse_failures(comparison)
         found = collect_baselines(comparison, part, args.rung)

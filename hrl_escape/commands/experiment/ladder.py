@@ -13,7 +13,6 @@ from __future__ import annotations
 import dataclasses
 from collections import Counter
 from pathlib import Path
-from typing import Literal
 
 from rich.console import Console
 
@@ -21,36 +20,20 @@ from hrl_escape.errors import ConfigError
 from hrl_escape.experiments.baselines.lines import join_lines, load_lines, save_lines
 from hrl_escape.experiments.baselines.page import write_baselines_page
 from hrl_escape.experiments.baselines.running import (
-    BaselineSettings,
-    choose_rungs,
+    BaselineArgs,
     collect_lines,
     list_missing,
     run_baselines,
     ship_agents,
 )
-from hrl_escape.experiments.studies.running import StudyArgs
 from hrl_escape.files import claim_folder
 from hrl_escape.ladder.benchmark import load_benchmark
 
 
 @dataclasses.dataclass(frozen=True)
-class LadderArgs(StudyArgs):
+class LadderArgs(BaselineArgs):
     """Options of `hrl-escape experiment ladder`."""
 
-    rung: tuple[str, ...] = ()
-    """Names of rungs; all by default."""
-    protocol: tuple[Literal["per-instance", "generalise"], ...] = ("per-instance", "generalise")
-    """Protocols."""
-    agents: tuple[str, ...] = ()
-    """Agents, as for `hrl-escape ladder run`; those of the protocol by default."""
-    rooms: int = 10
-    """Test rooms of each rung."""
-    runs: int = 10
-    """Training seeds in each room."""
-    primitives: int | None = None
-    """Training budget of a run; the rung's own by default."""
-    eval_episodes: int = 20
-    """Episodes in an evaluation with per-instance."""
     minutes: float = 240.0
     """Begin no run after so long."""
     ship: Path | None = None
@@ -67,9 +50,7 @@ def run(args: LadderArgs) -> None:
             if getattr(args, name) <= 0:
                 raise ConfigError(name, getattr(args, name), "above 0")
         claim_folder(raw.parent)
-        settings = BaselineSettings(choose_rungs(bench, args.rung), args.protocol, args.agents, args.rooms, args.runs,
-                                    args.primitives, args.eval_episodes)
-        found = run_baselines(bench, settings, args.out / "ladder", args.workers, args.minutes)
+        found = run_baselines(bench, args, args.minutes)
         lines = join_lines(lines, collect_lines(found))
         save_lines(raw, lines)
         if args.ship is not None:

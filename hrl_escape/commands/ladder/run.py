@@ -49,6 +49,8 @@ class RunArgs(LaunchArgs):
     """Benchmark that comes with the package, or a manifest file."""
     runs: int = LadderSettings().runs
     """Training seeds in each room or set."""
+    first_seed: int = LadderSettings().first_seed
+    """Lowest training seed; another one replicates results with fresh seeds."""
     primitives: int | None = None
     """Training budget of a run; the rung's own by default."""
     rooms: int | None = None
@@ -74,7 +76,7 @@ def run(args: RunArgs) -> int:
     """Run rung by rung; the exit code is 1 if runs failed."""
     bench = load_benchmark(args.benchmark)
     settings = LadderSettings(args.runs, args.primitives, args.rooms, args.train_sizes, args.eval_episodes,
-                              args.observation, args.source, args.trials)
+                              args.observation, args.source, args.trials, args.first_seed)
     agents = tuple(map(AgentSpec.parse, args.agents))
     grids = {rung: make_protocol_grid(bench, rung, args.protocol, agents, settings) for rung in args.rung}
     console, failed = Console(soft_wrap=True, highlight=False), 0

@@ -4,18 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal
 
 from hrl_escape.env.config import Between, RoomConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.experiments.grid import AgentSpec, Grid
 from hrl_escape.experiments.protocols import LadderSettings, make_protocol_grid
+from hrl_escape.experiments.studies.running import StudyArgs
 from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.hidden import derive_seed
 from hrl_escape.ladder.instance_set import InstanceSet
 
-__all__ = ["DEPTHS", "FLAT", "MEMORY", "OBJECTS", "TRAINING_ROOMS", "TRAINED", "VECTORS", "GeneralisationSettings",
+__all__ = ["DEPTHS", "FLAT", "MEMORY", "OBJECTS", "TRAINING_ROOMS", "TRAINED", "VECTORS", "GeneralisationArgs",
            "make_depth_grid", "make_sizes_grid"]
 
 TRAINING_ROOMS = (1, 4, 16, 64, 256, 1000)
@@ -29,52 +30,55 @@ DEPTHS = {"6 buttons, layered": (6, "layered"), "6 buttons, one chain": (6, "cha
 """Rooms to be tested in after training in shallow ones; two of the same number, the chain being deeper."""
 
 
-class GeneralisationSettings(NamedTuple):
-    """Size of the study.
+@dataclasses.dataclass(frozen=True)
+class GeneralisationArgs(StudyArgs):
+    """Options of `hrl-escape experiment generalisation`."""
 
-    Attributes:
-        rung: to train and test on against the number of training rooms.
-        runs: training seeds.
-        primitives: training budget.
-        rooms: test rooms.
-        train_size: training rooms of shallow puzzles.
-    """
+    part: tuple[Literal["sizes", "depth"], ...] = ("sizes", "depth")
+    """Parts: numbers of training rooms, deeper puzzles."""
+    rung: str = "lattice"
+    """Rung of the numbers of training rooms."""
+    agents: tuple[str, ...] = ()
+    """Agents, as for `hrl-escape ladder run`; those of the part by default."""
+    sizes: tuple[int, ...] = TRAINING_ROOMS
+    """Numbers of training rooms; of a rung with fewer, those that it has."""
+    runs: int = 5
+    """Training seeds."""
+    primitives: int = 1_000_000
+    """Training budget of a run."""
+    rooms: int = 64
+    """Rooms to be tested in."""
+    shallow_rooms: int = 256
+    """Rooms of few buttons to train in, in the part `depth`."""
 
-    rung: str
-    runs: int
-    primitives: int
-    rooms: int
-    train_size: int = 256
 
-
-def make_sizes_grid(bench: Benchmark, settings: GeneralisationSettings) -> Grid:
+def make_sizes_grid(bench: Benchmark, args: GeneralisationArgs) -> Grid:
     """Grid over numbers of training rooms of a rung.
 
     Raises:
         EscapeError: no such rung, or more rooms than it has.
     """
-    agents = tuple(map(AgentSpec.parse, (FLAT, VECTORS, OBJECTS, MEMORY, CHANCE)))
-    most = bench[settings.rung].record.train.count
-    sizes = LadderSettings(settings.runs, settings.primitives, settings.rooms,
-                           tuple(size for size in TRAINING_ROOMS if size <= most))
-    return make_protocol_grid(bench, settings.rung, "generalise", agents, sizes)
+    agents = tuple(map(AgentSpec.parse, args.agents or (FLAT, VECTORS, OBJECTS, MEMORY, CHANCE)))
+    sizes = tuple(size for size in args.sizes if size <= bench[args.rung].record.train.count)
+    settings = LadderSettings(args.runs, args.primitives, args.rooms, sizes, first_seed=args.first_seed)
+    return make_protocol_grid(bench, args.rung, "generalise", agents, settings)
 
 
-def make_depth_grid(bench: Benchmark, settings: GeneralisationSettings, folder: Path) -> Grid:
+def make_depth_grid(bench: Benchmark, args: GeneralisationArgs, folder: Path) -> Grid:
     """Grid of training in rooms of few buttons and tests in deeper ones, whose sets are written to a folder.
 
     Raises:
         FileWriteError: the folder cannot be written.
     """
     base = bench["lattice"].config
-    train = _save(folder, TRAINED, _change(base, Between(2, 4), "layered"), settings.train_size)
-    tests = tuple(_save(folder, name, _change(base, count, kind), settings.rooms)
+    train = _save(folder, TRAINED, _change(base, Between(2, 4), "layered"), args.shallow_rooms)
+    tests = tuple(_save(folder, name, _change(base, count, kind), args.rooms)
                   for name, (count, kind) in DEPTHS.items())
     return Grid(
         name="depth", description="Trained in rooms of 2 to 4 buttons, tested in deeper ones without learning.",
-        agents=tuple(map(AgentSpec.parse, (OBJECTS, MEMORY, CHANCE, KNOWN))), train_rooms=(train,) * len(tests),
-        test_rooms=tests, runs=settings.runs, primitives=settings.primitives,
-        eval_every=settings.primitives, eval_episodes=settings.rooms, observation="objects",
+        agents=tuple(map(AgentSpec.parse, args.agents or (OBJECTS, MEMORY, CHANCE, KNOWN))),
+        train_rooms=(train,) * len(tests), test_rooms=tests, runs=args.runs, first_seed=args.first_seed,
+        primitives=args.primitives, eval_every=args.primitives, eval_episodes=args.rooms, observation="objects",
     )
 
 

@@ -7,9 +7,9 @@ import itertools
 import shutil
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
@@ -19,11 +19,12 @@ from hrl_escape.experiments.grid import AgentSpec, Grid, GridRun
 from hrl_escape.experiments.launching.local import Failure, LocalLauncher
 from hrl_escape.experiments.protocols import LadderSettings, Protocol, make_protocol_grid
 from hrl_escape.experiments.runs import RunResult, get_training_folder
+from hrl_escape.experiments.studies.running import StudyArgs
 from hrl_escape.files import claim_folder
 from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.trained import CHECKPOINT
 
-__all__ = ["GENERALISTS", "LEARNERS", "BaselineSettings", "make_baseline_grids", "run_baselines", "ship_agents"]
+__all__ = ["GENERALISTS", "LEARNERS", "BaselineArgs", "make_baseline_grids", "run_baselines", "ship_agents"]
 
 _REFERENCES = ("smdp-random+no-primitives", "smdp-shuffled-round+no-primitives", "smdp-index-order+no-primitives",
                "planner")
@@ -46,31 +47,27 @@ class GridPlace(NamedTuple):
     kind: str
 
 
-class BaselineSettings(NamedTuple):
-    """Size of the baselines.
+@dataclasses.dataclass(frozen=True)
+class BaselineArgs(StudyArgs):
+    """Which baselines are run, and how many runs each has."""
 
-    Attributes:
-        rungs: names of the rungs.
-        protocols: protocols, in order.
-        agents: agents to run; empty for all of the protocol's.
-        rooms: test rooms; with `per-instance` they are gone through one by one.
-        runs: training seeds.
-        primitives: training budget; None for the rung's own.
-        eval_episodes: episodes in an evaluation with `per-instance`.
-        train_size: training rooms with `generalise`.
-    """
-
-    rungs: tuple[str, ...]
-    protocols: tuple[Protocol, ...] = ("per-instance", "generalise")
+    rung: tuple[str, ...] = ()
+    """Names of rungs; all by default."""
+    protocol: tuple[Literal["per-instance", "generalise"], ...] = ("per-instance", "generalise")
+    """Protocols."""
     agents: tuple[str, ...] = ()
+    """Agents, as for `hrl-escape ladder run`; those of the protocol by default."""
     rooms: int = 10
+    """Test rooms of each rung."""
     runs: int = 10
+    """Training seeds in each room."""
     primitives: int | None = None
+    """Training budget of a run; the rung's own by default."""
     eval_episodes: int = 20
-    train_size: int = 64
+    """Episodes in an evaluation with per-instance."""
 
 
-def make_baseline_grids(bench: Benchmark, settings: BaselineSettings) -> Iterator[tuple[GridPlace, Grid]]:
+def make_baseline_grids(bench: Benchmark, args: BaselineArgs) -> Iterator[tuple[GridPlace, Grid]]:
     """Yield place and grid; those of more agents and seeds hold the runs of those of fewer before them.
 
     An agent goes through all rooms of all rungs before the next one, so that what is finished is whole cells. Those
@@ -79,22 +76,21 @@ def make_baseline_grids(bench: Benchmark, settings: BaselineSettings) -> Iterato
     Raises:
         EscapeError: no such rung or agent.
     """
-    for runs in range(1, settings.runs + 1):
-        for protocol in settings.protocols:
-            alone = protocol == "per-instance"
-            every = tuple(map(AgentSpec.parse, settings.agents or (LEARNERS if alone else GENERALISTS)))
-            for kind, primitives in (("references", NO_TRAINING), ("learners", settings.primitives)):
-                agents = [agent for agent in every if agent.learns == (kind == "learners")]
-                sizes = LadderSettings(runs, primitives, settings.rooms, (settings.train_size,),
-                                       settings.eval_episodes if alone else settings.rooms)
-                for count, rung in itertools.product(range(1, len(agents) + 1), settings.rungs):
-                    grid = make_protocol_grid(bench, rung, protocol, agents[:count], sizes)
-                    yield GridPlace(protocol, rung, kind), grid
+    rungs = [bench[name].name for name in args.rung] or [rung.name for rung in bench]
+    for runs, protocol in itertools.product(range(1, args.runs + 1), args.protocol):
+        alone = protocol == "per-instance"
+        every = tuple(map(AgentSpec.parse, args.agents or (LEARNERS if alone else GENERALISTS)))
+        for kind, primitives in (("references", NO_TRAINING), ("learners", args.primitives)):
+            agents = [agent for agent in every if agent.learns == (kind == "learners")]
+            settings = LadderSettings(runs, primitives, args.rooms, first_seed=args.first_seed,
+                                      eval_episodes=args.eval_episodes if alone else args.rooms)
+            for count, rung in itertools.product(range(1, len(agents) + 1), rungs):
+                grid = make_protocol_grid(bench, rung, protocol, agents[:count], settings)
+                yield GridPlace(protocol, rung, kind), grid
 
 
-def run_baselines(bench: Benchmark, settings: BaselineSettings, out: Path, workers: int | None, minutes: float
-                  ) -> dict[GridPlace, Comparison]:
-    """Make runs until all are made or the time is up; finished ones are kept.
+def run_baselines(bench: Benchmark, args: BaselineArgs, minutes: float) -> dict[GridPlace, Comparison]:
+    """Make runs until all are made or the time is up; finished ones are kept, in the folder `ladder` of `args.out`.
 
     Returns:
         Whole comparison of each place, with the runs that have finished and those that failed now.
@@ -102,12 +98,12 @@ def run_baselines(bench: Benchmark, settings: BaselineSettings, out: Path, worke
     Raises:
         EscapeError: see `run_grid`.
     """
-    until, whole = time.monotonic() + 60 * minutes, {}
+    until, out, whole = time.monotonic() + 60 * minutes, args.out / "ladder", {}
     failures: dict[GridPlace, dict[str, Failure]] = defaultdict(dict)
-    for place, grid in make_baseline_grids(bench, settings):
+    for place, grid in make_baseline_grids(bench, args):
         whole[place] = grid  # the last one holds the runs of all others
         if time.monotonic() < until:
-            made = run_grid(grid, out.joinpath(*place), LocalLauncher(workers, begin_until=until))
+            made = run_grid(grid, out.joinpath(*place), LocalLauncher(args.workers, begin_until=until))
             failures[place].update((failure.run.folder, failure) for failure in made.failures)
     return {place: dataclasses.replace(read_comparison(out.joinpath(*place), grid),
                                        failures=tuple(failures[place].values())) for place, grid in whole.items()}
@@ -163,11 +159,3 @@ def list_missing(found: dict[GridPlace, Comparison]) -> int:
     return sum(len(comparison.grid.make_runs(comparison.places)) - len(comparison.runs)
                for comparison in found.values())
 
-
-def choose_rungs(bench: Benchmark, names: Sequence[str]) -> tuple[str, ...]:
-    """Names of rungs; all by default.
-
-    Raises:
-        UnknownNameError: no such rung.
-    """
-    return tuple(bench[name].name for name in names) or tuple(rung.name for rung in bench)

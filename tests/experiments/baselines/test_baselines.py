@@ -15,7 +15,7 @@ from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.baselines.calibration import CHANCE, IN_ORDER, KNOWN, ROUND
 from hrl_escape.experiments.baselines.lines import BaselineRun, join_lines, load_lines, save_lines
 from hrl_escape.experiments.baselines.page import write_baselines_page
-from hrl_escape.experiments.baselines.running import BaselineSettings, make_baseline_grids
+from hrl_escape.experiments.baselines.running import BaselineArgs, make_baseline_grids
 from hrl_escape.experiments.ladder_score import compute_ladder_score
 from hrl_escape.ladder.benchmark import load_benchmark
 
@@ -107,10 +107,10 @@ def test_ladder_scores_are_over_the_largest_table_without_gaps(tmp_path: Path):
 
 
 def test_whole_cells_come_first_and_grids_of_more_agents_and_seeds_hold_the_runs_of_those_before():
-    settings = BaselineSettings(RUNGS_OF_TWO, ("per-instance",), ("dqn", "planner", "ppo"), rooms=2, runs=2,
-                                primitives=5000)
-    grids = list(make_baseline_grids(load_benchmark("ladder-1"), settings))
-    assert all(len(grid.rooms) == 2 for _, grid in grids)
+    args = BaselineArgs(rung=RUNGS_OF_TWO, protocol=("per-instance",), agents=("dqn", "planner", "ppo"), rooms=2,
+                        runs=2, primitives=5000, first_seed=100)
+    grids = list(make_baseline_grids(load_benchmark("ladder-1"), args))
+    assert all(len(grid.rooms) == 2 and grid.first_seed == 100 for _, grid in grids)
     alone, both = ["dqn"], ["dqn", "ppo"]
     assert [(place.rung, [agent.label for agent in grid.agents], grid.runs) for place, grid in grids] == [
         (rung, agents, runs) for runs in (1, 2) for agents in (["planner"], alone, both) for rung in RUNGS_OF_TWO]

@@ -9,7 +9,7 @@ from hrl_escape.experiments.baselines.generalisation import (
     DEPTHS,
     MEMORY,
     VECTORS,
-    GeneralisationSettings,
+    GeneralisationArgs,
     make_depth_grid,
     make_sizes_grid,
 )
@@ -17,20 +17,22 @@ from hrl_escape.experiments.baselines.generalisation_page import write_generalis
 from hrl_escape.experiments.baselines.lines import BaselineRun
 from hrl_escape.ladder.benchmark import load_benchmark
 
-SETTINGS = GeneralisationSettings("pair", 2, 500, rooms=3, train_size=6)
+ARGS = GeneralisationArgs(rung="pair", runs=2, primitives=500, rooms=3, shallow_rooms=6, first_seed=7)
 LINE = BaselineRun("sizes", "pair", "x/train[:1] > x/test", VECTORS, 0, 500, 0.2, 1.0, 0.5, 3, 0.5, 70, "abc")
 
 
 def test_rooms_trained_in_grow_and_those_tested_in_stay():
-    grid = make_sizes_grid(load_benchmark("ladder-1"), SETTINGS)
+    grid = make_sizes_grid(load_benchmark("ladder-1"), ARGS)
     places = grid.make_places()
     assert [len(place.split.train) for place in places] == [1, 4, 16, 64, 256, 1000]
     assert len({tuple(place.split.test.seeds) for place in places}) == 1 and len(places[0].split.test) == 3
-    assert len(grid.make_runs(places)) == 2 * 6 * 5
+    assert len(grid.make_runs(places)) == 2 * 6 * 5 and grid.first_seed == 7
+    few = make_sizes_grid(load_benchmark("ladder-1"), dataclasses.replace(ARGS, sizes=(1, 16), agents=(VECTORS,)))
+    assert [agent.label for agent in few.agents] == [VECTORS] and len(few.train_rooms) == 2
 
 
 def test_rooms_tested_in_are_deeper_than_any_trained_in(tmp_path: Path):
-    grid = make_depth_grid(load_benchmark("ladder-1"), SETTINGS, tmp_path)
+    grid = make_depth_grid(load_benchmark("ladder-1"), ARGS, tmp_path)
     places = grid.make_places()
     assert [place.split.test.name for place in places] == list(DEPTHS)
     trained = {len(room.targets) for room in places[0].split.train}

@@ -104,7 +104,8 @@ def test_kinds_that_are_one_room_share_its_run(tmp_path):
 
 
 def test_every_agent_runs(tmp_path):
-    runs = run_rounds(tmp_path, 60, *(make_round((RoomKind("chain", 2, "ignore"),), agent, 0) for agent in AGENTS))
+    everybody = Round((RoomKind("chain", 2, "ignore"),), tuple(map(choose_options, AGENTS)), 0)
+    runs = run_rounds(tmp_path, 60, everybody)
     assert [run.agent for run in runs] == list(AGENTS)
     assert all(run.primitives >= 60 or run.first_escape is not None for run in runs)
 
@@ -140,8 +141,6 @@ def count_log_bytes(out: Path) -> int:
 
 
 def add_tests_to_path() -> dict[str, str]:
-
-
     return os.environ | {"PYTHONPATH": str(Path(__file__).parents[3])}
 
 
