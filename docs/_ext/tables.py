@@ -135,6 +135,17 @@ class Ladder(Table):
             (f"`{name}`", about[name], f"`hrl_escape/{make_env_name(name)}-v1`") for name in PRESETS))
 
 
+class Rungs(Table):
+    """`{rungs}`: every rung of the ladder, and what its certificate says."""
+
+    def write(self) -> str:
+        """One row a rung."""
+        rungs = json.loads(run_command("ladder", "list", "--json"))["rungs"]
+        return make_table(("rung", "asks for", "train, valid, test, test_task", "skipped", "test tasks in training"), (
+            (f"`{rung['rung']}`", rung["isolates"], ", ".join(f"{count:,}" for count in rung["sets"].values()),
+             str(rung["skipped"]), f"{rung['task_overlap']:.0%}") for rung in rungs))
+
+
 class Layouts(Table):
     """`{layouts} arm-two-button`: the numbers of every vector observation in a real room, a section each."""
 
@@ -181,6 +192,7 @@ class Usage(Table):
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     for name, directive in {"knobs": Knobs, "settings": AgentSettings, "metrics": Metrics, "names": Names,
-                            "ladder": Ladder, "layouts": Layouts, "prices": Prices, "usage": Usage}.items():
+                            "ladder": Ladder, "rungs": Rungs, "layouts": Layouts, "prices": Prices,
+                            "usage": Usage}.items():
         app.add_directive(name, directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -92,7 +92,6 @@ class TrainArgs(RoomChoice):
         return AgentSpec(name=self.agent, recipe=self.recipe, settings=settings, options=options,
                          leaves=self.leaves)
 
-
     def make_batch(self, spec: AgentSpec, instance: RoomInstance) -> EscapeRoomVectorEnv | BatchedOptionsEnv:
         """Copies of the room that train together.
 
@@ -101,7 +100,7 @@ class TrainArgs(RoomChoice):
         """
         assert self.batch is not None
         if self.leaves is not None or self.flavour != "press":
-            raise UnsupportedError("--batch has neither --leaves nor --flavour press-with-ancestors: leave one out")
+            raise UnsupportedError("--batch has neither --leaves nor another --flavour than press: leave one out")
         if not spec.chooses_options:
             from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 

@@ -20,6 +20,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.ranges import sample_puzzle
 from hrl_escape.errors import GridError
 from hrl_escape.files import read_json, write_json
+from hrl_escape.ladder.certificate import compute_task_overlap
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.keys import compute_task_key
 from hrl_escape.ladder.room_sets import parse_room_set
@@ -68,9 +69,8 @@ class Split:
     @cached_property
     def task_overlap(self) -> float:
         """Share of the rooms to be tested in whose puzzle, up to the numbers of buttons, is trained on too."""
-        train, test = ([compute_task_key(sample_puzzle(rooms.config, seed)[1]) for seed in rooms.seeds]
-                       for rooms in (self.train, self.test))
-        return sum(task in set(train) for task in test) / len(test)
+        return compute_task_overlap(*([compute_task_key(sample_puzzle(rooms.config, seed)[1]) for seed in rooms.seeds]
+                                      for rooms in (self.train, self.test)))
 
 
 @dataclasses.dataclass(frozen=True)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from hrl_escape.errors import VerificationError
 from hrl_escape.ladder.instance_set import InstanceSet
@@ -54,10 +54,14 @@ def find_overlaps(sets: Mapping[str, Sequence[RoomKeys]]) -> list[str]:
     return found
 
 
-def compute_task_overlap(train: Sequence[RoomKeys], test: Sequence[RoomKeys]) -> float:
-    """Share of test rooms whose task some training room has."""
-    known = {keys.task for keys in train}
-    return sum(keys.task in known for keys in test) / len(test)
+def compute_task_overlap(train: Sequence[str], test: Sequence[str]) -> float:
+    """Share of test rooms, by the keys of their tasks, whose task some training room has."""
+    known = set(train)
+    return sum(task in known for task in test) / len(test)
+
+
+def _list_tasks(keys: Iterable[RoomKeys]) -> list[str]:
+    return [each.task for each in keys]
 
 
 def certify_rung(rung: Rung) -> RungCertificate:
@@ -68,7 +72,7 @@ def certify_rung(rung: Rung) -> RungCertificate:
     """
     keys = {role: [compute_keys(room) for room in rooms] for role, rooms in rung.sets.items()}
     roots = {role: compute_root([each.content for each in keys[role]]) for role in keys}
-    overlap = compute_task_overlap(keys["train"], keys["test"])
+    overlap = compute_task_overlap(_list_tasks(keys["train"]), _list_tasks(keys["test"]))
     problems = [f"the root of {role} is {root[:16]}..., not {stated[:16]}..." for role, root in roots.items()
                 if root != (stated := getattr(rung.record, role).root)]
     problems += find_overlaps(keys)
@@ -98,7 +102,8 @@ def freeze_rung(benchmark: str, record: RungRecord) -> RungRecord:
         seen |= {each.layout for each in keys[role]}
         root = compute_root([each.content for each in keys[role]])
         record = dataclasses.replace(record, **{role: dataclasses.replace(stated, root=root, skipped=tuple(skipped))})
-    return dataclasses.replace(record, task_overlap=compute_task_overlap(keys["train"], keys["test"]))
+    overlap = compute_task_overlap(_list_tasks(keys["train"]), _list_tasks(keys["test"]))
+    return dataclasses.replace(record, task_overlap=overlap)
 
 
 def freeze_manifest(manifest: Manifest, version: str) -> Manifest:

@@ -4,6 +4,7 @@ import dataclasses
 
 import pytest
 
+from hrl_escape.agents.training.train import train
 from hrl_escape.errors import ConfigError, GridError, UnknownNameError
 from hrl_escape.experiments.grid import AgentSpec, Grid
 from hrl_escape.experiments.places import RoomSpec
@@ -16,6 +17,7 @@ from hrl_escape.experiments.protocols import (
     list_standings,
     make_protocol_grid,
 )
+from hrl_escape.experiments.runs import make_env
 from hrl_escape.experiments.summary import summarise
 from hrl_escape.ladder.benchmark import load_benchmark
 from tests.experiments.made_up import compare
@@ -41,6 +43,15 @@ def test_per_instance_shows_features_unless_an_agent_reads_objects():
     assert find_observation("smdp-dqn+objects", "planner") == find_observation("smdp-dqn+memory") == "objects"
     assert find_observation("smdp-dqn", protocol="generalise") == "objects"
     assert find_observation("smdp-dqn", observation="state") == "state"
+
+
+def test_factored_r_max_plans_over_what_the_largest_lattice_shows():
+    spec = AgentSpec.parse("smdp-factored-r-max+no-primitives")
+    grid = make_protocol_grid(BENCH, "lattice", "per-instance", (spec,), LadderSettings(rooms=1))
+    env, _ = make_env(spec, grid.rooms[0].make_instance(), grid.observation)
+    result = train(spec.name, env, primitives=60, seed=0, eval_every=60, eval_episodes=1, progress=False)
+    assert result.decisions > 2, "it planned, where rows of objects have more bits than it plans over"
+    env.close()
 
 
 def test_generalise_trains_in_sets_of_training_rooms_and_is_tested_once_in_every_test_room():

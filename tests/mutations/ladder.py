@@ -20,8 +20,8 @@ MUTATIONS = [
     Mutation(
         "the task overlap is a share of the training rooms",
         "ladder/certificate.py",
-        "return sum(keys.task in known for keys in test) / len(test)",
-        "return sum(keys.task in known for keys in test) / len(train)",
+        "return sum(task in known for task in test) / len(test)",
+        "return sum(task in known for task in test) / len(train)",
         "ladder/test_certificate.py",
     ),
     Mutation(

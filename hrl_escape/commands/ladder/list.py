@@ -37,6 +37,7 @@ def run(args: LadderListArgs) -> None:
         "rooms": describe_schematic(rung.config),
         "horizon": rung.config.horizon,
         "sets": {role: record.count for role in ROLES if (record := rung.record.get_record(role))},
+        "skipped": sum(len(record.skipped) for role in ROLES if (record := rung.record.get_record(role))),
         "task_overlap": rung.record.task_overlap,
     } for rung in bench]
     if args.json:
