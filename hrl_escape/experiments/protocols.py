@@ -20,8 +20,8 @@ from hrl_escape.experiments.statistics import Scores
 from hrl_escape.experiments.summary import AgentSummary, Summary
 from hrl_escape.ladder.benchmark import Benchmark
 
-__all__ = ["LadderSettings", "Protocol", "RungStanding", "find_miscalibration", "find_steps", "judge", "list_standings",
-           "make_protocol_grid", "name_protocol", "score_standings"]
+__all__ = ["LadderSettings", "Protocol", "RungStanding", "find_miscalibration", "find_steps", "get_budget", "judge",
+           "list_standings", "make_protocol_grid", "name_protocol", "score_standings"]
 
 Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer", "few-shot"]
 """`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others of the
@@ -42,6 +42,11 @@ STEP = 0.9, 0.1
 """A learner steps between two neighbouring rungs where it falls from above the first efficiency to below the second."""
 MOST_CHANCE = 0.5
 """Efficiency that random choices among the options must stay below."""
+
+
+def get_budget(rung: str) -> int:
+    """Primitives of a run on a rung, unless others are asked for."""
+    return BUDGETS.get(rung, BUDGET)
 
 
 class LadderSettings(NamedTuple):
@@ -107,7 +112,7 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
     count = settings.rooms or (min(10, test) if protocol == "per-instance" else test)
     if not 1 <= count <= test:
         raise ConfigError("rooms", count, f"from 1 to {test}, the rooms of {name}/test")
-    primitives = settings.primitives or BUDGETS.get(source, BUDGET)
+    primitives = settings.primitives or get_budget(source)
     is_plain = protocol == "per-instance" and not any(agent.reads_objects for agent in agents)
     observation = settings.observation or ("features" if is_plain else "objects")
     if protocol == "per-instance":

@@ -14,7 +14,7 @@ from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun, comp
 from hrl_escape.experiments.baselines.running import GENERALISTS, LEARNERS
 from hrl_escape.experiments.inference import compute_wilson_interval
 from hrl_escape.experiments.ladder_score import compute_ladder_score
-from hrl_escape.experiments.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES
+from hrl_escape.experiments.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES, get_budget
 from hrl_escape.files import write_text
 from hrl_escape.names import join_words
 
@@ -46,7 +46,7 @@ def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], pat
             f"{PASSED_EFFICIENCY:g} or more. A dash: not run. Every run is a line of `raw/ladder.jsonl`.", ""]
     for protocol in [name for name in _WORDS if any(line.protocol == name for line in lines)]:
         own = [line for line in lines if line.protocol == protocol]
-        text += [f"## {protocol}", "", _WORDS[protocol], "", _describe_budgets(own), "",
+        text += [f"## {protocol}", "", _WORDS[protocol], "", _describe_budgets(own, rungs), "",
                  *_make_table(own, rungs), "", *_name_highest(own, rungs), "", *_score(own, rungs)]
         if protocol == "per-instance":
             cells = {(rung, agent): _choose(own, agent, rung) for rung in rungs for agent in _list_agents(own)}
@@ -96,11 +96,14 @@ def _is_learner(lines: Sequence[BaselineRun], agent: str) -> bool:
     return any(line.agent == agent and line.primitives for line in lines)
 
 
-def _describe_budgets(lines: Sequence[BaselineRun]) -> str:
+def _describe_budgets(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> str:
     budgets = sorted({line.primitives for line in lines if line.primitives})
     episodes = join_words([str(number) for number in sorted({line.episodes for line in lines})])
+    short = [f"`{rung}` ({get_budget(rung):,})" for rung in rungs
+             if 0 < max((line.primitives for line in lines if line.rung == rung), default=0) < get_budget(rung)]
+    less = f" That is less than the rung's own budget on {join_words(short)}." if short else ""
     return (f"Learners train for {join_words([f'{budget:,}' for budget in budgets]) or 'no'} primitives, "
-            f"the largest budget of a cell counting; {episodes} episodes an evaluation.")
+            f"the largest budget of a cell counting; {episodes} episodes an evaluation.{less}")
 
 
 def _make_table(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:

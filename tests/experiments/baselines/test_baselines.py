@@ -104,6 +104,10 @@ def test_ladder_scores_are_over_the_largest_table_without_gaps(tmp_path: Path):
     score = compute_ladder_score(units, np.random.default_rng(0))
     assert f"| `dqn` | 0.50 | {score.low:.2f} to {score.high:.2f} |" in page
     assert "| `ppo` | 1.00 |" not in page, "on one rung only"
+    assert "less than the rung's own budget on `low` (100,000), `middle` (100,000) and `high` (100,000)." in page
+    write_baselines_page([dataclasses.replace(line, primitives=100 * line.primitives) for line in lines], RUNGS,
+                         tmp_path / "page.md")
+    assert "less than the rung's own" not in (tmp_path / "page.md").read_text()
 
 
 def test_whole_cells_come_first_and_grids_of_more_agents_and_seeds_hold_the_runs_of_those_before():
