@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Collection, Sequence
 from pathlib import Path
 
@@ -53,21 +52,26 @@ def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], pat
             told = tell_calibration(cells, rungs, noisy)
             text += ["### Calibration", "", f"By cells of {LEAST_RUNS} runs or more.", "",
                      *(f"- {sentence}" for sentence in told), ""] if told else []
-    text += ["```console", _make_command(lines), "```", "", "The command goes on with the runs that are missing, and "
-             "more `--rooms`, `--runs` or `--minutes` add others. Without options it is the whole: 10 rooms, 10 seeds, "
-             "20 episodes, and the rungs' own budgets.", ""]
+    text += ["```console", *_list_commands(lines, rungs), "```", "", "The commands go on with the runs that are "
+             "missing, and more `--rooms`, `--runs` or `--minutes` add others. Without options the command is the "
+             "whole: 10 rooms, 10 seeds, 20 episodes, and the rungs' own budgets.", ""]
     write_text(path, "\n".join(text))
 
 
-def _make_command(lines: Sequence[BaselineRun]) -> str:
-    """The command line that makes at least these runs."""
-    own = [line for line in lines if line.protocol == "per-instance"] or list(lines)
-    rooms = max(len({line.rooms for line in own if line.rung == rung}) for rung in {line.rung for line in own})
-    budgets = Counter(line.primitives for line in own if line.primitives)
-    words = f"{_COMMAND} --rooms {rooms} --runs {1 + max(line.seed for line in own)}"
-    if budgets:
-        words += f" --primitives {max(budgets, key=lambda budget: (budgets[budget], budget))}"
-    return f"{words} --eval-episodes {max(line.episodes for line in own)}"
+def _list_commands(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
+    """Command lines that make at least these runs, one a protocol and budget."""
+    commands = []
+    for protocol, budget in sorted({(line.protocol, line.primitives) for line in lines}):
+        own = [line for line in lines if (line.protocol, line.primitives) == (protocol, budget)]
+        there = [rung for rung in rungs if any(line.rung == rung for line in own)]
+        rooms = max(len({line.rooms for line in own if line.rung == rung}) for rung in there)
+        episodes = max(line.episodes for line in own)
+        words = [_COMMAND, "--protocol", protocol, "--rung", *there, "--agents", *_list_agents(own), "--runs",
+                 str(1 + max(line.seed for line in own))]
+        words += ["--rooms", str(rooms), "--eval-episodes", str(episodes)] if protocol == "per-instance" else [
+            "--rooms", str(episodes)]
+        commands.append(" ".join([*words, *(["--primitives", str(budget)] if budget else [])]))
+    return commands
 
 
 def _summarise(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> str:

@@ -49,6 +49,8 @@ def test_the_page_names_the_highest_rung_mastered_and_the_highest_that_enough_ru
     page = (tmp_path / "page.md").read_text()
     assert "| `dqn` | middle | low |" in page, "34 of 34 leave Wilson's interval below 0.9, 35 of 35 do not"
     assert "| `ppo` | none | none |" in page
+    assert ("hrl-escape experiment ladder --protocol per-instance --rung low middle high --agents dqn ppo --runs 35 "
+            "--rooms 1 --eval-episodes 5 --primitives 1000\n") in page
     assert "| `low` | **0.80** (35) | 0.90 (2) |" in page and "| `high` | 0.49 (1) | - |" in page
     assert "The highest rung that a learner masters is `middle`, by `dqn`" in page
 
