@@ -36,7 +36,8 @@ def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], run
         for agent in (agent for place, agent in enough if place == rung):
             curves.setdefault(agent, {})[rung] = compute_run_efficiency(enough[rung, agent])
     told = []
-    if chance := curves.get(CHANCE):
+    chance = curves.get(CHANCE, {})
+    if chance:
         above = [rung for rung, value in chance.items() if find_miscalibration(value, 1.0)]
         told.append(f"Random choices among the options stay below an efficiency of {MOST_CHANCE:g} "
                     f"{_count(above, chance)}.")
@@ -55,6 +56,9 @@ def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], run
     elif any(len(curve) > 1 for curve in learners.values()):
         told.append(f"No learner falls from above {STEP[0]:g} on one rung to below {STEP[1]:g} on the next that it was "
                     f"run on: {join_words(f'`{agent}`' for agent in learners)}.")
+    open_rungs = [f"`{rung}`" for rung in rungs if rung not in chance]
+    if told and open_rungs:
+        told.append(f"Open, for want of runs: {join_words(open_rungs)}.")
     return told
 
 

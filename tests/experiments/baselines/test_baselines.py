@@ -92,6 +92,9 @@ def test_calibration_tells_what_the_lines_say(references: dict, learner: list, n
     write_baselines_page(lines, RUNGS, tmp_path / "page.md", noisy)
     page = (tmp_path / "page.md").read_text()
     assert not [words for words in told if words not in page], page
+    assert "Open, for want of runs" not in page
+    write_baselines_page(lines, (*RUNGS, "top"), tmp_path / "page.md", noisy)
+    assert "Open, for want of runs: `top`." in (tmp_path / "page.md").read_text()
     write_baselines_page([line for line in lines if not line.rooms.endswith("[9]")], RUNGS, tmp_path / "page.md")
     assert "### Calibration" not in (tmp_path / "page.md").read_text(), "nine rooms are too few"
 
