@@ -49,7 +49,7 @@ class GridPlace(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class BaselineArgs(StudyArgs):
-    """Which baselines are run, and how many runs each has."""
+    """Choice of baselines, and the number of runs of each."""
 
     rung: tuple[str, ...] = ()
     """Names of rungs; all by default."""
