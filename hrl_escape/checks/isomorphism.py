@@ -77,8 +77,11 @@ class ReferenceGrid(Protocol):
         """The outcome of an action, by the room's own uniform numbers for slips and for its puzzle."""
         ...
 
-    def encode(self, state: Any) -> tuple[float, float, Hashable]:
-        """Place of the robot, m, and state of the puzzle that stand for this one."""
+    def encode(self, state: Any) -> tuple[float, float, Hashable] | tuple[float, float, Hashable, int]:
+        """Place of the robot, m, and state of the puzzle that stand for this one.
+
+        Where actions turn, its heading is the fourth, in turn steps; elsewhere it is the start's and stays.
+        """
         ...
 
 
@@ -87,8 +90,8 @@ def check_isomorphism(env: gymnasium.Env, reference: ReferenceDomain | Reference
     """Check that pressing in a room, or its primitives, do what the actions of a domain do.
 
     Each pair of state and press is tried from the start and from the target's own panel, to which the robot must then
-    come back; of a grid world, each primitive is tried at the start's heading, and rewards are compared too. In a
-    random room, both take the same uniform numbers.
+    come back; of a grid world, each primitive is tried at the heading of the start, or of the state where that tells
+    one, and rewards are compared too. In a random room, both take the same uniform numbers.
 
     Args:
         env: a flat environment of a kinematic room, such as `gymnasium.make("hrl_escape/Hanoi-v1")`.
@@ -127,11 +130,18 @@ class _GridCheck(Claims):
         start = self.room.get_state()
         for key, number in enumerate(sorted(tried)):
             place, action = divmod(number, len(self.actions))
-            x, y, puzzle = codes[place]
-            touching = self.room.rules.compute_touching(x, y, *start.pose[2:])
-            begin = start._replace(x=x, y=y, puzzle=puzzle, primitives=0, noise_key=key, touching=touching)
+            x, y, puzzle, heading = self.read(codes[place], start)
+            touching = self.room.rules.compute_touching(x, y, heading, *start.pose[3:])
+            begin = start._replace(x=x, y=y, puzzle=puzzle, heading_steps=heading, primitives=0, noise_key=key,
+                                   touching=touching)
             self.try_pair(states[place], action, begin)
         return len(tried)
+
+    @staticmethod
+    def read(code: tuple, start: RoomState) -> tuple[float, float, Hashable, int]:
+        """Place, puzzle and heading of a code."""
+        x, y, puzzle, *heading = code
+        return x, y, puzzle, heading[0] if heading else start.heading_steps
 
     def try_pair(self, state: Any, action: int, begin: RoomState) -> None:
         """Run one primitive."""
@@ -140,8 +150,8 @@ class _GridCheck(Claims):
         ended = self.room.get_state()
         slip, chance = compute_noise(begin.noise_key, 0)[1], draw_chance(begin.noise_key, 0)
         after = self.reference.step(state, action, slip, chance)
-        seen = (ended.x, ended.y, ended.puzzle)
-        self.require(seen == self.reference.encode(after.state) and ended.heading_steps == begin.heading_steps,
+        seen = (ended.x, ended.y, ended.puzzle, ended.heading_steps)
+        self.require(seen == self.read(self.reference.encode(after.state), begin),
                      "a primitive does what the action does", (state, action, seen))
         self.require(float(reward) == after.reward, "both earn the same", (state, action, reward, after.reward))
         self.require(terminated == after.is_over, "both are over, or neither", (state, action))

@@ -9,7 +9,7 @@ from collections.abc import Hashable
 import numpy as np
 
 from hrl_escape.checks.claims import Claims
-from hrl_escape.env.puzzles.base import Contacts, Puzzle, make_contacts
+from hrl_escape.env.puzzles.base import Contacts, Puzzle
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 
 __all__ = ["check_puzzle"]
@@ -79,8 +79,9 @@ class _PuzzleCheck(Claims):
         for op in model.operators:
             used = op.reads | op.may_change
             self.require(used <= known, f"operator {op.name!r} is made of propositions", used - known)
-            if op.action in ("press", "grip", "release"):
-                self.require(op.target in self.targets, f"operator {op.name!r} presses a target or grips", op.target)
+            if op.action in ("press", "grip", "release", "use"):
+                self.require(op.target in self.targets, f"operator {op.name!r} presses, grips or uses a target",
+                             op.target)
             else:
                 self.require(op.action == "push" and op.target in self.props and op.destination in self.props,
                              f"operator {op.name!r} presses, grips or releases at a target, or pushes a prop to a prop",
@@ -169,7 +170,7 @@ class _PuzzleCheck(Claims):
     def perform(self, op: Operator, state: Hashable, poses: Poses) -> tuple[Hashable, Poses]:
         """Do physically what an operator means."""
         if op.action != "push":
-            return self.follow(state, make_contacts(op, self.puzzle.target_names)._replace(prop_poses=poses)), poses
+            return self.follow(state, self.puzzle.make_contacts(op)._replace(prop_poses=poses)), poses
         moved = list(poses)
         moved[self.props[op.target]] = poses[self.props[op.destination or ""]]
         return self.update(state, (), tuple(moved)), tuple(moved)

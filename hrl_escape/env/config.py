@@ -118,7 +118,7 @@ class RobotConfig(Settings):
     """A wheeled base (an upright cylinder) with an arm of 1-DoF joints."""
 
     _section = "robot"
-    _left_out = frozenset({"gripper", "drive"})
+    _left_out = frozenset({"gripper", "use", "drive"})
     kind: Literal["arm", "kuka-iiwa", "franka-panda", "urdf"] = "arm"
     """Arm on the base: generated links, a named arm, or a URDF."""
     body_radius: Annotated[float, Range(0.05, 5, "m")] = 0.75
@@ -147,13 +147,15 @@ class RobotConfig(Settings):
     """Link of the URDF whose origin is the hand (default: the last link)."""
     gripper: bool = False
     """Two primitives more, grip and release, for puzzles in which things are picked up."""
+    use: bool = False
+    """One primitive more, use, for puzzles in which things ahead are opened and shut (with `gripper`)."""
     drive: DriveKind = "strafing"
     """The base moves along and across its heading, or (differential) along it only, and turns on the spot."""
 
     @property
     def actions(self) -> ActionTable:
         """Primitives of this robot."""
-        return make_action_table(self.joints, self.gripper, self.drive)
+        return make_action_table(self.joints, self.gripper, self.drive, self.use)
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -164,6 +166,8 @@ class RobotConfig(Settings):
             raise ConfigError("robot.urdf", self.urdf and "(text)", "the URDF text exactly when robot.kind is 'urdf'")
         if self.kind != "arm" and self.joints == 0:
             raise ConfigError("robot.joints", 0, f"from 1 to 7 for robot.kind = {self.kind!r}")
+        if self.use and not self.gripper:
+            raise ConfigError("robot.use", self.use, "false without robot.gripper")
         if abs(self.mount_forward) > self.body_radius:
             raise ConfigError("robot.mount_forward", self.mount_forward,
                               f"at most robot.body_radius = {self.body_radius:g} either way")

@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from functools import cached_property
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,7 @@ from hrl_escape.settings import Range, Settings
 __all__ = [
     "LARGEST_LENGTH",
     "Footprint",
+    "InnerDoors",
     "Neighbourhood",
     "Solid",
     "compute_distance",
@@ -224,3 +225,59 @@ class Neighbourhood:
     def list_near(self, x: float, y: float, distance: float) -> list[Footprint]:
         """Those footprints."""
         return [self.footprints[number] for number in self.find_near(x, y, distance)]
+
+
+class InnerDoors:
+    """Inner doors of a room: those that are shut, as the puzzle's state says, and those that may be met.
+
+    A door cannot shut on the robot: one in which the body stands lets it out.
+
+    Args:
+        footprints: outlines of all of them.
+        get_shut: (state of the puzzle) -> bits of those that are shut.
+        radius: of the body, clearance included, m.
+        step: length of a move, m.
+    """
+
+    def __init__(self, footprints: Sequence[Footprint], get_shut: Callable[[Any], int], radius: float, step: float
+                 ) -> None:
+        self.footprints = tuple(footprints)
+        self._ask, self._radius, self._step = get_shut, radius, step
+        self._shut: dict[Hashable, int] = {}
+        self._cells: dict[tuple[int, int], tuple[tuple[int, Footprint], ...]] = {}
+
+    def get_shut(self, puzzle: Hashable) -> int:
+        """Bits of the doors that are shut; remembered."""
+        shut = self._shut.get(puzzle)
+        if shut is None:
+            if len(self._shut) > 4096:
+                self._shut.clear()
+            shut = self._shut[puzzle] = self._ask(puzzle)
+        return shut
+
+    def find_blocking(self, x: float, y: float, puzzle: Hashable) -> int:
+        """Bits of the doors that are shut, but for those in which the body stands at a place."""
+        shut = self.get_shut(puzzle)
+        for number, door in enumerate(self.footprints if shut else ()):
+            if shut >> number & 1 and compute_distance(x, y, door) < self._radius - 1e-6:
+                shut &= ~(1 << number)
+        return shut
+
+    def list_near(self, x: float, y: float, puzzle: Hashable) -> Iterator[Footprint]:
+        """Outlines of those that a step from a place could meet."""
+        shut = self.get_shut(puzzle)
+        cell = math.floor(x), math.floor(y)
+        near = self._cells.get(cell)
+        if near is None:
+            limit = self._radius + 6.0 * self._step + 0.75  # noise lengthens steps
+            near = self._cells[cell] = tuple(
+                (number, door) for number, door in enumerate(self.footprints)
+                if compute_distance(cell[0] + 0.5, cell[1] + 0.5, door) <= limit)
+        for number, door in near:
+            if shut >> number & 1 and compute_distance(x, y, door) >= self._radius - 1e-6:
+                yield door
+
+    def find_ahead(self, x: float, y: float, cos: float, sin: float) -> int:
+        """Number of the door one move ahead of the body's axis, along a heading; -1 where there is none."""
+        x, y = x + self._step * cos, y + self._step * sin
+        return next((n for n, door in enumerate(self.footprints) if compute_distance(x, y, door) == 0.0), -1)

@@ -152,7 +152,7 @@ class RoomInstance(Settings):
     """
 
     _section = "instance"
-    _left_out = frozenset({"shared"})
+    _left_out = frozenset({"shared", "inner_doors"})
     name: str = "custom"
     """Name of the schematic."""
     seed: Annotated[int, Range(0, 2**63 - 1)] | None = None
@@ -167,6 +167,8 @@ class RoomInstance(Settings):
     """Walls and obstacles."""
     door: Solid | None = None
     """Stands in the exit's doorway until the puzzle is solved."""
+    inner_doors: tuple[Solid, ...] = ()
+    """Stand in their places while the puzzle says that they are shut: doors, and things that block a cell."""
     targets: tuple[Target, ...] = ()
     """Things to press, in the puzzle's order."""
     props: tuple[PlacedProp, ...] = ()
@@ -197,6 +199,10 @@ class RoomInstance(Settings):
             raise ConfigError("instance.targets", names, f"the puzzle's targets {self.puzzle.target_names}")
         if tuple(placed.prop for placed in self.props) != self.puzzle.props:
             raise ConfigError("instance.props", len(self.props), "the puzzle's props, in its order")
+        if len(self.inner_doors) != len(self.puzzle.blockable_cells):
+            raise ConfigError("instance.inner_doors", len(self.inner_doors), "one for each cell that can be blocked")
+        if self.inner_doors and self.dynamics.kind != "kinematic":
+            raise ConfigError("dynamics.kind", self.dynamics.kind, "'kinematic' where the puzzle opens inner doors")
         if not self.starts:
             raise ConfigError("instance.starts", self.starts, "at least one start")
         headings = round(360 / self.robot.turn_step_deg)

@@ -13,7 +13,7 @@ from collections.abc import Hashable
 from typing import Any, NamedTuple
 
 from hrl_escape.env.config import CONTACT_SKIN
-from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
+from hrl_escape.env.geometry import Footprint, InnerDoors, compute_distance, compute_first_contact
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.noise import compute_noise, draw_chance, draw_puzzle_start
 from hrl_escape.env.primitives import list_slips
@@ -96,6 +96,7 @@ class Rules:
         instance: the room.
         robot: its robot.
         actions: the robot's action table.
+        inner_doors: its inner doors; None if there are none.
     """
 
     def __init__(self, instance: RoomInstance, is_still: bool = False) -> None:
@@ -121,6 +122,9 @@ class Rules:
         reach = instance.compute_press_reach
         self._reaches = tuple((i, t.footprint, reach(t), t) for i, t in enumerate(instance.targets))
         self._target_cells: dict[tuple[int, int], tuple] = {}
+        self.inner_doors = None if not instance.inner_doors else InnerDoors(
+            [door.footprint for door in instance.inner_doors], instance.puzzle.get_shut,
+            instance.robot.body_radius + CONTACT_SKIN, instance.robot.move_step)
 
     # --- poses -----------------------------------------------------------------------
 
@@ -222,7 +226,7 @@ class Rules:
             moved: state after its motion, with what is touched now; its puzzle state and
                 primitive count are still those of `before`.
             prop_poses: where the props are now (physics).
-            grip: 1 if the primitive grips, -1 if it releases.
+            grip: 1 if the primitive grips, -1 if it releases, 2 if it uses.
         """
         pressed: tuple[int, ...] = ()
         puzzle = before.puzzle
@@ -234,7 +238,9 @@ class Rules:
             chance = draw_chance(before.noise_key, before.primitives) if self._is_random else 0.0
             touching = tuple(i for i in range(moved.touching.bit_length()) if moved.touching >> i & 1)
             has_moved = moved.x != before.x or moved.y != before.y
-            contacts = Contacts(pressed, prop_poses, chance, touching, grip, has_moved, moved.x, moved.y)
+            turned = self.get_rotation(moved.heading_steps, moved.heading_offset)
+            ahead = self.inner_doors.find_ahead(moved.x, moved.y, *turned) if grip and self.inner_doors else -1
+            contacts = Contacts(pressed, prop_poses, chance, touching, grip, has_moved, moved.x, moved.y, ahead)
             puzzle = self._puzzle.update(puzzle, contacts)
             more = self._puzzle.compute_reward(before.puzzle, puzzle, contacts)
             failed = self._puzzle.is_failed(puzzle)
@@ -341,6 +347,8 @@ class Kinematics(Rules):
                 fraction = met
         if self._door is not None and self.is_door_shut(x, y, puzzle):
             fraction = min(fraction, compute_first_contact(x, y, dx, dy, self._radius, self._door))
+        for footprint in self.inner_doors.list_near(x, y, puzzle) if self.inner_doors else ():
+            fraction = min(fraction, compute_first_contact(x, y, dx, dy, self._radius, footprint))
         return fraction
 
     def is_door_shut(self, x: float, y: float, puzzle: Hashable) -> bool:

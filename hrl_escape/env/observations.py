@@ -140,7 +140,7 @@ class EgocentricObserver(Observer):
     block, each plate and the exit range, sine and cosine. What is out of sight, or not in this instance, is all 0. Then
     joint angles over their limits, and lidar ranges over the diagonal, from straight ahead counter-clockwise.
 
-    Walls, obstacles and the shut door hide things and stop rays.
+    Walls, obstacles and shut doors hide things and stop rays.
     """
 
     def __init__(self, rules: Rules, renderer: Renderer | None = None) -> None:
@@ -154,27 +154,44 @@ class EgocentricObserver(Observer):
         self._diagonal = 2 * math.hypot(frame.reach_x, frame.reach_y)
         self._fixed = [(t.x, t.y) for t in instance.targets]
         self._standing = [(placed.x, placed.y) for placed in instance.props]
+        half = [math.hypot(t.half_x, t.half_y) if instance.inner_doors else t.half_y for t in instance.targets]
         self._slack = SIGHT_SLACK + np.array([
-            *(t.half_y for t in instance.targets), *(placed.prop.half_size for placed in instance.props), 0.0])
+            *half, *(placed.prop.half_size for placed in instance.props), 0.0])
         self._absent = [0.0] * (4 * (len(frame.target_names) - len(instance.targets)))
-        bearings = np.arange(LIDAR_RAYS, dtype=np.float64) * (math.tau / LIDAR_RAYS)
-        door = [instance.door.footprint] if instance.door else []
-        hiders, solids = list_hiders(instance), [solid.footprint for solid in instance.solids]
-        self._opened, self._shut = (Scanner(solids + more, bearings) for more in ([], door))
-        self._hiders = tuple(Scanner(hiders + more, bearings) if hiders or more else None for more in ([], door))
+        self._bearings = np.arange(LIDAR_RAYS, dtype=np.float64) * (math.tau / LIDAR_RAYS)
+        self._hiders, self._solids = list_hiders(instance), [solid.footprint for solid in instance.solids]
+        leaves = (number for number, door in enumerate(instance.inner_doors) if door.role == "door")
+        self._leaves = sum(1 << number for number in leaves)
+        self._scanners: dict[tuple[bool, int], tuple[Scanner, Scanner | None]] = {}
         self.high = np.ones(len(self.names), dtype=np.float32)
         self.low = -self.high
+
+    def _find_scanners(self, state: RoomState) -> tuple[Scanner, Scanner | None]:
+        """Lidar, and lines of sight, among what stands: fixed solids and the doors that are shut."""
+        doors = self._rules.inner_doors
+        inner = doors.get_shut(state.puzzle) & self._leaves if doors else 0
+        key = (self._instance.door is not None and not self._puzzle.is_solved(state.puzzle), inner)
+        found = self._scanners.get(key)
+        if found is None:
+            leaves = [door.footprint for number, door in enumerate(self._instance.inner_doors) if inner >> number & 1]
+            if key[0] and self._instance.door is not None:
+                leaves.append(self._instance.door.footprint)
+            hiders = self._hiders + leaves
+            found = Scanner(self._solids + leaves, self._bearings), Scanner(hiders, self._bearings) if hiders else None
+            if len(self._scanners) > 64:
+                self._scanners.clear()
+            self._scanners[key] = found
+        return found
 
     def observe(self, state: RoomState) -> NDArray[np.float32]:
         """Return a fresh float32 array, one number a name."""
         x, y, diagonal = state.x, state.y, self._diagonal
         cos, sin = self._rules.get_rotation(state.heading_steps, state.heading_offset)
-        is_shut = not self._puzzle.is_solved(state.puzzle)
+        scanner, hiders = self._find_scanners(state)
         standing = self._standing
         if standing and state.physics is not None:
             standing = [(numbers[0], numbers[1]) for numbers in state.physics.props]
         points = [*self._fixed, *standing, self._instance.exit.centre]
-        hiders = self._hiders[is_shut]
         sights = hiders.see(x, y, np.array(points), self._slack).tolist() if hiders else [True] * len(points)
         lit = self._puzzle.get_lit(state.puzzle)
         numbers: list[float] = []
@@ -198,7 +215,7 @@ class EgocentricObserver(Observer):
         seen = np.empty(len(self.names), dtype=np.float32)
         seen[:-LIDAR_RAYS] = numbers
         key = state.heading_steps if state.heading_offset == 0.0 else None
-        ranges = (self._shut if is_shut else self._opened).measure(x, y, cos, sin, key)
+        ranges = scanner.measure(x, y, cos, sin, key)
         seen[-LIDAR_RAYS:] = np.minimum(ranges / diagonal, 1.0)
         return seen
 

@@ -32,6 +32,7 @@ from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
+from hrl_escape.env.puzzles.mini_grid import MiniGridConfig
 from hrl_escape.env.puzzles.pin_pad import PinPadConfig
 from hrl_escape.env.puzzles.potions import PotionsConfig
 from hrl_escape.env.puzzles.puddle_world import PuddleWorldConfig
@@ -253,6 +254,58 @@ def puddle_world() -> RoomConfig:
     )
 
 
+def mini_grid(level: str, size: int, rooms: int = 3, largest: int = 5) -> RoomConfig:
+    """Level of MiniGrid (Chevalier-Boisvert et al. 2023), cell by cell; the instance seed draws the map.
+
+    Args:
+        level: `door-key`, `key-corridor` or `multi-room`.
+        size: side of the map with its outer walls, or of each room of a corridor.
+        rooms: rooms above one another, or one after another.
+        largest: largest side of one of several rooms, walls included.
+    """
+    wide, high = (3 * (size - 1) - 1, rooms * (size - 1) - 1) if level == "key-corridor" else (size - 2, size - 2)
+    steps = {"door-key": 10 * size**2, "key-corridor": 30 * size**2, "multi-room": 20 * rooms}
+    side = 2 if min(wide, high) > 2 else 5  # rooms are 5 m wide at the least
+    puzzle = MiniGridConfig(level, size, rooms, largest)  # type: ignore[arg-type]  # checked there
+    return RoomConfig(
+        name=level, puzzle=puzzle, room=ShapeConfig(width=side * wide, depth=side * high, cell=side),
+        robot=RobotConfig(body_radius=0.4, move_step=side, turn_step_deg=90, drive="differential", gripper=True,
+                          use=True),
+        exit=EVERYWHERE, reward=RewardConfig(step=0.0, exit=1.0, exit_replaces_step=True),
+        dynamics=DynamicsConfig(blocked="stay"), horizon=steps[level],
+    )
+
+
+def door_key(size: int = 8) -> RoomConfig:
+    """MiniGrid's DoorKey: fetch the key, open the door, go to the goal.
+
+    Args:
+        size: side of the map with its outer walls; MiniGrid registers 5, 6, 8 and 16.
+    """
+    return mini_grid("door-key", size)
+
+
+def key_corridor(size: int = 4, rooms: int = 3) -> RoomConfig:
+    """MiniGrid's KeyCorridor: find the key, open the locked door, put the key down, take the ball.
+
+    Args:
+        size: side of each room, walls included; MiniGrid registers 3 to 6.
+        rooms: rooms above one another; 1 to 3.
+    """
+    return mini_grid("key-corridor", size, rooms)
+
+
+def multi_room(rooms: int = 4, largest: int = 5, size: int = 15) -> RoomConfig:
+    """MiniGrid's MultiRoom: open door after door, to the goal in the last room.
+
+    Args:
+        rooms: number of rooms.
+        largest: largest side of a room, walls included.
+        size: side of the map, which is 25 in MiniGrid.
+    """
+    return mini_grid("multi-room", size, rooms, largest)
+
+
 PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "paper-one-button": lambda: paper_room(1),
     "paper-two-button": lambda: paper_room(2),
@@ -278,6 +331,9 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "taxi": taxi,
     "puddle-world": puddle_world,
     "foraging": foraging,
+    "door-key": door_key,
+    "key-corridor": key_corridor,
+    "multi-room": multi_room,
     "pin-pad": lambda: _panel_puzzle("pin-pad", PinPadConfig()),
     "push-block": push_block,
 }

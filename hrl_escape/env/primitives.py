@@ -31,7 +31,7 @@ class Primitive(NamedTuple):
         turn: turn steps, counter-clockwise positive.
         joint: index of the joint that moves, or -1.
         joint_change: joint steps.
-        grip: 1 to grip, -1 to release.
+        grip: 1 to grip, -1 to release, 2 to use.
     """
 
     name: str
@@ -67,7 +67,7 @@ class ActionTable:
         turns: turns of the base.
         base: translations and turns.
         joints: the pair of each joint.
-        gripper: grip and release; empty without a gripper.
+        gripper: grip, release, and use if there is that; empty without a gripper.
         wait: the primitive to pass time with: it is always possible and presses nothing that the body is not touching.
         symmetry: headings, evenly spread over a full turn, at which the base has the same moves.
     """
@@ -108,11 +108,13 @@ _TRANSLATIONS = (
 TURNS = (Primitive("turn-left", turn=1), Primitive("turn-right", turn=-1))
 """Turns of every base."""
 _GRIPPER = (Primitive("grip", grip=1), Primitive("release", grip=-1))
+_USE = (Primitive("use", grip=2),)
 _WAIT = "turn-left"
 
 
 @lru_cache
-def make_action_table(joints: int, gripper: bool = False, drive: DriveKind = "strafing") -> ActionTable:
+def make_action_table(joints: int, gripper: bool = False, drive: DriveKind = "strafing", use: bool = False
+                      ) -> ActionTable:
     """Make the action table of a robot; names number its joints from 1."""
     translations = tuple(move for move in _TRANSLATIONS if drive == "strafing" or not move.left)
     base = translations + TURNS
@@ -121,7 +123,7 @@ def make_action_table(joints: int, gripper: bool = False, drive: DriveKind = "st
         for joint in range(joints)
         for word, change in (("increment", 1), ("decrement", -1))
     )
-    hand = _GRIPPER if gripper else ()
+    hand = (_GRIPPER if gripper else ()) + (_USE if use else ())
     primitives = base + arm + hand
     names = tuple(primitive.name for primitive in primitives)
     pairs = [(names.index(f"joint-{joint + 1}-increment"), names.index(f"joint-{joint + 1}-decrement"))

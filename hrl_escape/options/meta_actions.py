@@ -192,7 +192,8 @@ class AncestorsOption(Option):
         self.instance = planner.instance
         self.goal = goal
         self._planner, self._parts = planner, parts
-        self.targets = tuple(i for i in range(len(planner.instance.targets)) if PressGoal(i) in parts)
+        own = {part.target for part in parts if isinstance(part, (PressGoal, GripGoal))}
+        self.targets = tuple(i for i in range(len(planner.instance.targets)) if i in own)
         self._order: list[Goal] = []
         self._part = parts[goal]
 
@@ -233,8 +234,9 @@ class AbsentOption(Option):
 
 
 def list_goals(instance: RoomInstance) -> list[Goal]:
-    """Goals of a room: every target of its frame, then every push, in the order of the symbolic model."""
-    goals: list[Goal] = [PressGoal(i) for i in range(len(instance.frame.target_names))]
+    """Goals of a room: every target of its frame, unless it is a cell of a map, then the symbolic model's in order."""
+    pressed = () if instance.puzzle.target_cells else range(len(instance.frame.target_names))
+    goals: list[Goal] = [PressGoal(i) for i in pressed]
     for op in instance.puzzle.make_symbolic_model().operators:
         goal = make_goal(op, instance)
         if goal not in goals:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import math
 import numbers
-from typing import Any, TypeAlias
+from typing import Any, Literal, TypeAlias, cast, get_args
 
 from hrl_escape.env.instance import Rectangle, RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
@@ -27,7 +27,7 @@ __all__ = [
     "RegionGoal",
     "check_goal",
     "describe_goal",
-    "find_grip",
+    "find_grips",
     "find_push",
     "get_region",
     "is_reached",
@@ -94,17 +94,22 @@ class PushGoal:
     destination: int
 
 
+GripAction = Literal["grip", "release", "use"]
+
+
 @dataclasses.dataclass(frozen=True)
 class GripGoal:
-    """Grip, or release, while touching a target, with the effect that the puzzle's symbolic model says.
+    """Grip, release or use at a target, with the effect that the puzzle's symbolic model says.
+
+    It is done while touching the target; in a puzzle with a map, from the cell before it.
 
     Attributes:
         target: index of the target.
-        release: release instead of gripping.
+        action: name of the primitive.
     """
 
     target: int
-    release: bool = False
+    action: GripAction = "grip"
 
 
 FARTHEST = 1e6
@@ -123,7 +128,7 @@ def check_goal(goal: Goal, instance: RoomInstance) -> None:
         _check_index("target", goal.target, len(instance.targets))
     elif isinstance(goal, GripGoal):
         _check_index("target", goal.target, len(instance.targets))
-        find_grip(goal, instance)
+        find_grips(goal, instance)
     elif isinstance(goal, PushGoal):
         _check_index("prop", goal.prop, len(instance.props))
         _check_index("prop", goal.destination, len(instance.props))
@@ -157,7 +162,7 @@ def parse_goal(text: str, instance: RoomInstance) -> Goal:
 
     Args:
         text: a target's name (`button-2`), `exit`, a place `x,y`, a pose `x,y,heading_deg`,
-            `block->plate` to push one prop onto another, `grip red` or `release red` to do so at a target.
+            `block->plate` to push one prop onto another, `grip red`, `release red` or `use red` to do so at a target.
         instance: the room with the targets and props.
 
     Raises:
@@ -173,8 +178,8 @@ def parse_goal(text: str, instance: RoomInstance) -> Goal:
     if word in targets:
         return PressGoal(targets.index(word))
     action, _, name = word.partition(" ")
-    if action in ("grip", "release") and name in targets:
-        return GripGoal(targets.index(name), action == "release")
+    if action in get_args(GripAction) and name in targets:
+        return GripGoal(targets.index(name), cast("GripAction", action))
     if "->" in word:
         props = [placed.prop.name for placed in instance.props]
         pair = [part.strip() for part in word.split("->", 1)]
@@ -205,7 +210,7 @@ def describe_goal(goal: Goal, instance: RoomInstance) -> str:
     if isinstance(goal, ExitGoal):
         return "exit"
     if isinstance(goal, GripGoal):
-        return f"{'release' if goal.release else 'grip'} {instance.targets[goal.target].name}"
+        return f"{goal.action} {instance.targets[goal.target].name}"
     if isinstance(goal, PushGoal):
         return f"{instance.props[goal.prop].prop.name}->{instance.props[goal.destination].prop.name}"
     if isinstance(goal, RegionGoal):
@@ -240,10 +245,11 @@ def is_reached(goal: Goal, before: RoomState, after: RoomState, rules: Rules) ->
         return region.x_min <= after.x <= region.x_max and region.y_min <= after.y <= region.y_max
     get_facts = rules.instance.puzzle.get_facts
     if isinstance(goal, GripGoal):
-        operator, facts = find_grip(goal, rules.instance), get_facts(after.puzzle)
-        is_other = rules.instance.puzzle.is_random and operator.delete and not operator.delete & facts
-        return before is not after and operator.is_applicable(get_facts(before.puzzle)) and (
-            operator.add <= facts or bool(is_other))
+        if before is after:
+            return False
+        held, holds, is_random = get_facts(before.puzzle), get_facts(after.puzzle), rules.instance.puzzle.is_random
+        return any(op.is_applicable(held) and (op.add <= holds or (is_random and op.delete and not op.delete & holds))
+                   for op in find_grips(goal, rules.instance))
     return find_push(goal, rules.instance).add <= get_facts(after.puzzle)
 
 
@@ -253,20 +259,21 @@ def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
         props = [placed.prop.name for placed in instance.props]
         return PushGoal(props.index(operator.target), props.index(operator.destination or ""))
     target = instance.puzzle.target_names.index(operator.target)
-    return PressGoal(target) if operator.action == "press" else GripGoal(target, operator.action == "release")
+    return PressGoal(target) if operator.action == "press" else GripGoal(target, cast("GripAction", operator.action))
 
 
-def find_grip(goal: GripGoal, instance: RoomInstance) -> Operator:
-    """Operator of the puzzle that grips or releases at this target.
+def find_grips(goal: GripGoal, instance: RoomInstance) -> tuple[Operator, ...]:
+    """Operators of the puzzle that grip, release or use at this target.
 
     Raises:
         GoalError: the puzzle has no such operator.
     """
-    name, action = instance.targets[goal.target].name, "release" if goal.release else "grip"
-    for operator in instance.puzzle.make_symbolic_model().operators:
-        if (operator.target, operator.action) == (name, action):
-            return operator
-    raise GoalError(f"the puzzle {instance.puzzle.kind!r} does not ask to {action} at {name!r}")
+    name = instance.targets[goal.target].name
+    found = tuple(operator for operator in instance.puzzle.make_symbolic_model().operators
+                  if (operator.target, operator.action) == (name, goal.action))
+    if not found:
+        raise GoalError(f"the puzzle {instance.puzzle.kind!r} does not ask to {goal.action} at {name!r}")
+    return found
 
 
 def find_push(goal: PushGoal, instance: RoomInstance) -> Operator:

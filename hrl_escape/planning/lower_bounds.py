@@ -55,6 +55,8 @@ class LegBounds:
     def _compute_reach(self) -> float:
         """Largest distance between the body's axis and a target that it presses, m."""
         robot, margin = self._instance.robot, self._instance.dynamics.press_margin
+        if self._instance.puzzle.target_cells:
+            return robot.move_step  # from the cell before it
         if self._instance.dynamics.press_with == "body":
             return robot.body_radius + margin
         arm = sum(float(np.linalg.norm(joint.origin[:3, 3])) for joint in make_robot(robot).chain)
@@ -63,7 +65,7 @@ class LegBounds:
 
     def bound_start(self, state: RoomState, then: Operator | None) -> int:
         """Bound the leg from a state to operator `then`; None is the exit."""
-        if then is not None and isinstance(make_goal(then, self._instance), PushGoal):
+        if then is not None and self._is_anywhere(then):
             return 1
         shape, reach = self._get_place(then)
         return self._count(compute_distance(state.x, state.y, shape) - reach, then)
@@ -97,11 +99,15 @@ class LegBounds:
         return self._known[key]
 
     def _compute_leg(self, last: Operator | None, then: Operator | None) -> int:
-        pushes = [op for op in (last, then) if op and isinstance(make_goal(op, self._instance), PushGoal)]
-        if last is None or pushes:
+        if last is None or any(op and self._is_anywhere(op) for op in (last, then)):
             return 0 if then is None else 1
         (begin, begin_reach), (end, end_reach) = self._get_place(last), self._get_place(then)
         return self._count(_compute_gap(begin, end) - begin_reach - end_reach, then)
+
+    def _is_anywhere(self, op: Operator) -> bool:
+        """Nothing is known of where an operator is carried out: a push, or putting down what is held."""
+        puts_down = op.action == "release" and bool(self._instance.puzzle.target_cells)
+        return puts_down or isinstance(make_goal(op, self._instance), PushGoal)
 
     def _get_place(self, op: Operator | None) -> tuple[Footprint, float]:
         if op is None:

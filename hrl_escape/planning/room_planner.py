@@ -208,7 +208,7 @@ class RoomPlanner(TaskPlanner):
     def _can_join(self, order: Sequence[Goal]) -> bool:
         """Return whether legs to these goals can be planned jointly: all is pressed by the body and counts the same."""
         room = self.instance
-        is_plain = not (room.dynamics.press_with == "hand" or room.props or room.puzzle.has_reward)
+        is_plain = not (room.dynamics.press_with == "hand" or room.props or room.inner_doors or room.puzzle.has_reward)
         return is_plain and all(isinstance(goal, (PressGoal, ExitGoal)) for goal in order)
 
     def _get_joint_search(self) -> JointSearch:

@@ -13,7 +13,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from typing_extensions import Self
 
@@ -32,9 +32,10 @@ from hrl_escape.planning.goals import (
     PressGoal,
     check_goal,
     describe_goal,
-    find_grip,
+    find_grips,
     is_reached,
 )
+from hrl_escape.planning.inner_doors import DoorSearches, list_places
 from hrl_escape.planning.lattice.cost_to_go import FieldMaker
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.primitive_search import METHODS, PrimitiveSearch
@@ -52,6 +53,9 @@ MOST_ROUTES = 10_000
 
 CAREFUL = 20_000
 """Search nodes of a route that keeps away from all blocks, before one that may move some."""
+
+RouteKey: TypeAlias = tuple[Goal, SearchSettings, tuple[bool, int], Pose]  # exit open, inner doors shut
+
 
 class RouteFinder:
     """Routes of one room; thread-safe by a lock, and picklable.
@@ -80,12 +84,14 @@ class RouteFinder:
 
     def _open(self) -> None:
         self._search = PrimitiveSearch(self._quiet, self.rules)
-        self._routes: OrderedDict[tuple[Goal, SearchSettings, bool, Pose], Route | PlanningFailed] = OrderedDict()
+        self._doors = DoorSearches(self._search)
+        self._routes: OrderedDict[RouteKey, Route | PlanningFailed] = OrderedDict()
         self._reasons: dict[int, str] = {}
         self._lock = threading.RLock()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in self.__dict__.items() if k not in ("_search", "_routes", "_reasons", "_lock")}
+        left_out = ("_search", "_doors", "_routes", "_reasons", "_lock")
+        return {k: v for k, v in self.__dict__.items() if k not in left_out}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
@@ -100,6 +106,7 @@ class RouteFinder:
         new = type(self)(instance, self.method, self.budget, self.time_limit)
         with self._lock:
             new._search = self._search.adapt(new._quiet, new.rules)
+            new._doors = DoorSearches(new._search)
         return new
 
     def prepare(self) -> None:
@@ -166,7 +173,7 @@ class RouteFinder:
                 return False
             if isinstance(goal, GripGoal):
                 facts = self.instance.puzzle.get_facts(state.puzzle)
-                return find_grip(goal, self.instance).is_applicable(facts)
+                return any(operator.is_applicable(facts) for operator in find_grips(goal, self.instance))
             return isinstance(goal, PressGoal) or not is_reached(goal, state, state, self.rules)
 
     def find_route(self, state: RoomState, goal: Goal, report: PlanningReport | None = None,
@@ -247,17 +254,16 @@ class RouteFinder:
             self._keep(self._make_key(state, goal, self.settings), route)
         return True
 
-    def _keep(self, key: tuple[Goal, SearchSettings, bool, Pose], found: Route | PlanningFailed) -> None:
+    def _keep(self, key: RouteKey, found: Route | PlanningFailed) -> None:
         """Remember what was found, and forget what was not asked for the longest time."""
         self._routes.setdefault(key, found)
         if len(self._routes) > MOST_ROUTES:
             self._routes.popitem(last=False)
 
-    def _make_key(self, state: RoomState, goal: Goal, settings: SearchSettings
-                  ) -> tuple[Goal, SearchSettings, bool, Pose]:
+    def _make_key(self, state: RoomState, goal: Goal, settings: SearchSettings) -> RouteKey:
         """All that a route depends on."""
         props = tuple(get_prop_poses(state, self.instance)) if self.instance.props else ()
-        return goal, settings, self.is_solved(state), (*get_pose(state), props)
+        return goal, settings, (self.is_solved(state), self._doors.find_walls(state)), (*get_pose(state), props)
 
     def replay(self, state: RoomState, primitives: Sequence[int], goal: Goal,
                keep_out: Sequence[Footprint] | None = None) -> Route | None:
@@ -307,18 +313,25 @@ class RouteFinder:
 
     def _search_grip(self, state: RoomState, goal: GripGoal, clock: Clock, settings: SearchSettings
                      ) -> Route | PlanningFailed:
-        """Route to the target, unless it is touched already, and the gripper's primitive.
-
-        Where that has its effect is for the puzzle to say, on which a route does not depend.
-        """
-        route = Route((), (get_pose(state),), (), 0)
-        if not state.touching >> goal.target & 1:
-            found = self._search_round_props(state, PressGoal(goal.target), clock, settings)
-            if isinstance(found, PlanningFailed):
-                return found
-            route = found
-        primitives = (*route.primitives, self.rules.actions.gripper[int(goal.release)])
+        """Route to the target, unless it is touched already, and a primitive whose effect the puzzle decides."""
+        route: Route | PlanningFailed = Route((), (get_pose(state),), (), 0)
+        if self.instance.puzzle.target_cells:
+            route = self._search_place(state, goal, clock, settings)
+        elif not state.touching >> goal.target & 1:
+            route = self._search_round_props(state, PressGoal(goal.target), clock, settings)
+        if isinstance(route, PlanningFailed):
+            return route
+        primitives = (*route.primitives, self.rules.actions.find(goal.action))
         return route._replace(primitives=primitives, poses=(*route.poses, route.poses[-1]))
+
+    def _search_place(self, state: RoomState, goal: GripGoal, clock: Clock, settings: SearchSettings
+                      ) -> Route | PlanningFailed:
+        """Shortest route to a place from which what a goal is about is ahead."""
+        for places in list_places(goal, state, self.rules):
+            found = (self._search_route(state, place, clock, settings) for place in places)
+            if routes := [route for route in found if isinstance(route, Route)]:
+                return min(routes, key=lambda route: len(route.primitives))
+        return self.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, goal)
 
     def _search_route(self, state: RoomState, goal: Goal, clock: Clock, settings: SearchSettings,
                       keep_out: Sequence[Footprint] = (), refine: bool = True) -> Route | PlanningFailed:
@@ -326,9 +339,9 @@ class RouteFinder:
         began, method = read_clock(), settings.method
         way, planner = (method, DEFAULT_PLANNER) if method in METHODS else ("corridor", method)
         way = self._search.choose_method(goal, keep_out) if way == "auto" else way
-        result = self._search.search(begin, goal, method=way, planner=planner, refine=refine, keep_out=keep_out,
-                                     budget_expansions=settings.budget, clock=clock, seed=settings.seed,
-                                     effort=settings.effort)
+        result = self._doors.choose(state).search(
+            begin, goal, method=way, planner=planner, refine=refine, keep_out=keep_out,
+            budget_expansions=settings.budget, clock=clock, seed=settings.seed, effort=settings.effort)
         if not result.is_reached:
             return self.make_failure(
                 PlanningReason(result.status), state, goal, seconds=read_clock() - began,

@@ -11,7 +11,6 @@ from typing import Any
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.env.puzzles.base import make_contacts
 from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.kernels import read_clock
@@ -147,7 +146,7 @@ class TaskPlanner(RouteFinder):
             self.instance.puzzle.get_facts(self.instance.puzzle.make_state()), None, lambda place, op: Leg(1.0, None))
         puzzle = self.instance.puzzle.make_state()
         for op in tasks.operators if tasks else ():
-            puzzle = self.instance.puzzle.update(puzzle, make_contacts(op, self.instance.puzzle.target_names))
+            puzzle = self.instance.puzzle.update(puzzle, self.instance.puzzle.make_contacts(op))
         return puzzle
 
     def _find_exit(self, here: RoomState, has_moved: bool, clock: Clock, settings: SearchSettings) -> Route:

@@ -140,7 +140,7 @@ CHAIN = ((0, 1), (1, 2))
     (NeverSolvedByHand(3, CHAIN, 2), "predicts what update does"),
     (ForgetsParents(3, CHAIN, 2), "predicts what update does"),
     (ForgetsReset(3, ((0, 2), (1, 2)), 2, "reset"), "predicts what update does"),
-    (NoSuchTarget(3, CHAIN, 2), "presses a target"),
+    (NoSuchTarget(3, CHAIN, 2), "presses, grips or uses a target"),
     (UnreachableGoal(3, CHAIN, 2), "can be reached"),
     (BackwardsPresses(3, CHAIN, 2), "index order"),
     (LosesAField(3, CHAIN, 2), "JSON"),

@@ -125,9 +125,30 @@ MUTATIONS = [
     Mutation(
         "another worm than the likely one keeps a grip from being over",
         "planning/goals.py",
-        "operator.add <= facts or bool(is_other))",
-        "operator.add <= facts)",
+        "(op.add <= holds or (is_random and op.delete and not op.delete & holds))",
+        "op.add <= holds",
         "env/test_grid_worlds.py::test_the_planner_eats_every_worm_wherever_it_appears",
+    ),
+    Mutation(
+        "a door stays shut to the batched engine once it was shut",
+        "env/batched/puzzles/mini_grid.py",
+        "turned = (state | 2 << 2 * number) ^ 1 << 2 * number",
+        "turned = state | 2 << 2 * number",
+        "env/test_mini_grid.py",
+    ),
+    Mutation(
+        "any thing in the hand opens a locked door",
+        "env/puzzles/mini_grid.py",
+        "has_key = held is not None and held < grid.keys",
+        "has_key = True",
+        "env/test_mini_grid.py",
+    ),
+    Mutation(
+        "routes of other doors are taken",
+        "planning/route_finder.py",
+        "(self.is_solved(state), self._doors.find_walls(state))",
+        "(self.is_solved(state), 0)",
+        "env/test_mini_grid.py",
     ),
     Mutation(
         "a trial draws another rule",
@@ -146,8 +167,8 @@ MUTATIONS = [
     Mutation(
         "the batched engine's puzzle stands at the place before the primitive",
         "env/batched/rules.py",
-        "grip, has_moved, moved.x, moved.y)",
-        "grip, has_moved, before.x, before.y)",
+        "grip, has_moved, moved.x, moved.y,\n",
+        "grip, has_moved, before.x, before.y,\n",
         "env/test_grid_worlds.py::test_both_engines_agree_on_the_grid",
     ),
 ]

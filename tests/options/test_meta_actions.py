@@ -24,6 +24,7 @@ from hrl_escape.planning.room_planner import get_planner
 from tests.env.rooms import make_ordered_chain
 
 KINEMATIC = [name for name in PRESETS if name != "push-block"]
+GRIPPED = ("taxi", "foraging", "door-key", "key-corridor", "multi-room")
 
 
 def make_noisy(name: str, **dynamics) -> RoomConfig:
@@ -53,7 +54,8 @@ def test_every_preset_has_a_meta_action_for_everything_there_is_to_do(name):
     instance = generate(get_preset(name), 0)
     grips = {(op.target, op.action) for op in instance.puzzle.make_symbolic_model().operators} if (
         instance.robot.gripper) else ()
-    count = len(instance.targets) + len(grips) or len(instance.props) // 2
+    pressed = 0 if instance.puzzle.target_cells else len(instance.targets)
+    count = pressed + len(grips) or len(instance.props) // 2
     names = [option.name for option in make_meta_options(instance)]
     assert names == [*(f"meta-{i:02d}" for i in range(1, count + 1)), "meta-exit"]
 
@@ -67,13 +69,13 @@ def test_meta_actions_keep_the_option_contract(name, flavour):
     plan = get_planner(env.instance).solve(env.get_state())
     states = [plan.states[part.start] for part in plan.parts]
     for option in make_meta_options(env.instance, flavour):
-        if name in ("taxi", "foraging", "deep-sea") and not any(map(option.initiation, states)):
-            continue  # for another passenger or worm, or an exit that is everywhere
+        if name in (*GRIPPED, "deep-sea") and not any(map(option.initiation, states)):
+            continue  # for another passenger, worm or door, or an exit that is everywhere
         check_option(option, env, runs=4, states=states)
     env.close()
 
 
-@pytest.mark.parametrize("name", [name for name in KINEMATIC if name not in ("taxi", "foraging")])  # pads to grip on
+@pytest.mark.parametrize("name", [name for name in KINEMATIC if name not in GRIPPED])
 def test_a_meta_action_presses_its_button_and_no_other(name):
     """Each from the start; what it could not avoid pressing, it names."""
     env = OptionsEnv(EscapeRoomEnv(name), include_primitives=False)

@@ -18,6 +18,7 @@ from torch import Tensor
 from hrl_escape.env.batched.geometry import Shapes, cast_rays
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_heading, compute_rotation
 from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle, unpack_bits
+from hrl_escape.env.batched.rules import find_shut
 from hrl_escape.env.batched.tables import INSTEAD, Layout, Tables, pick
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Rules
@@ -105,8 +106,9 @@ def observe_egocentric(layout: Layout, tables: Tables, state: TensorState) -> li
     lit = unpack_bits(form.get_lit(puzzle, state.puzzle), layout.targets, torch.float32)
     numbers = torch.arange(layout.targets, device=lit.device).unsqueeze(1)
     is_present = numbers < pick(layout, tables.target_counts, state.instance)
+    half = torch.hypot(targets.half_x, targets.half_y) if layout.inner_doors else targets.half_y
     looks, in_sight = look_at(targets.x[: layout.targets], targets.y[: layout.targets],
-                              SIGHT_SLACK + targets.half_y[: layout.targets])
+                              SIGHT_SLACK + half[: layout.targets])
     seen = torch.where((is_present & in_sight).unsqueeze(1), torch.cat([looks, lit.unsqueeze(1)], dim=1), 0.0)
     way_out, in_sight = look_at(((x_min + x_max) / 2).unsqueeze(0), ((y_min + y_max) / 2).unsqueeze(0),
                                 torch.full_like(half_x, SIGHT_SLACK, dtype=torch.float64))
@@ -167,6 +169,11 @@ def _cast_rays(layout: Layout, tables: Tables, state: TensorState, ray_x: Tensor
                is_solved: Tensor) -> Tensor:
     """Range of rays (rays, 1, rooms) to the first of a table's outlines or the shut door, (rays, rooms), float64."""
     ranges = cast_rays(state.x, state.y, ray_x, ray_y, pick(layout, table, state.instance)).amin(1)
+    if layout.inner_doors:
+        inner: Shapes = pick(layout, tables.inner_doors, state.instance)
+        stands = find_shut(layout, tables, state) & pick(layout, tables.inner_leaves, state.instance)
+        met = cast_rays(state.x, state.y, ray_x, ray_y, inner)
+        ranges = torch.minimum(ranges, torch.where(stands, met, math.inf).amin(1))
     if layout.has_door:
         doors: Shapes = pick(layout, tables.doors, state.instance)
         door = cast_rays(state.x, state.y, ray_x, ray_y, doors).amin(1)

@@ -20,7 +20,7 @@ from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.primitives import list_slips
 
-__all__ = ["TensorTransition", "begin", "is_in_exit", "restart", "step"]
+__all__ = ["TensorTransition", "begin", "find_shut", "is_in_exit", "restart", "step"]
 
 
 class TensorTransition(NamedTuple):
@@ -89,7 +89,7 @@ def _slide(layout: Layout, tables: Tables, state: TensorState, action: Tensor, s
 
 
 def _find_grip(layout: Layout, action: Tensor) -> Tensor:
-    """1 where an action grips, -1 where it releases, else 0, int64 (rooms,)."""
+    """1 where an action grips, -1 where it releases, 2 where it uses, else 0, int64 (rooms,)."""
     grip = torch.zeros_like(action)
     for number in layout.actions.gripper:
         grip = grip + layout.actions.primitives[number].grip * (action == number).to(grip.dtype)
@@ -143,6 +143,12 @@ def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: 
     first: Shapes = map_tensors(lambda table: table[which, column].unsqueeze(0), tables.solids)
     nearly, exactly = nearly.clamp(min=0.0), compute_first_contact(*motion, first)[0].clamp(min=0.0)
     free = torch.where((exactly - nearly).abs() < 1e-3, exactly, nearly)  # let by one solid, it may meet another
+    if layout.inner_doors:
+        inner: Shapes = pick(layout, tables.inner_doors, state.instance)
+        is_shut = find_shut(layout, tables, state)
+        is_shut = is_shut & (compute_distance(state.x, state.y, inner) >= motion[-1] - 1e-6)
+        met = compute_first_contact(*motion, inner).clamp(min=0.0)
+        free = torch.minimum(free, torch.where(is_shut, met, 1.0).amin(0))
     if not layout.has_door:
         return free
     doors: Shapes = pick(layout, tables.doors, state.instance)
@@ -197,7 +203,8 @@ def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorSta
     pressed = touching & ~before.touching
     chance = draw_chance(before.noise_key, before.primitives) if layout.is_puzzle_random else torch.zeros_like(before.x)
     has_moved = (moved.x != before.x) | (moved.y != before.y)
-    contacts = TensorContacts(pressed, chance, touching, grip, has_moved, moved.x, moved.y)
+    contacts = TensorContacts(pressed, chance, touching, grip, has_moved, moved.x, moved.y,
+                              _find_ahead(layout, tables, moved))
     puzzle = form.update(columns, before.puzzle, contacts, layout.targets)
     primitives = before.primitives + 1
     escaped = is_in_exit(layout, tables, moved.instance, moved.x, moved.y) & form.is_solved(columns, puzzle)
@@ -211,6 +218,23 @@ def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorSta
     reward = torch.where(escaped, final, each)
     reward = reward if more is None else (reward + torch.where(is_told, more, 0.0)).to(torch.float32)
     return TensorTransition(state, reward, terminated, truncated, pressed)
+
+
+def find_shut(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
+    """Return true where an inner door is shut, bool (inner doors, rooms)."""
+    puzzle = pick(layout, tables.puzzle, state.instance)
+    return get_tensor_puzzle(layout.puzzle).find_shut(puzzle, state.puzzle, layout.inner_doors)
+
+
+def _find_ahead(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
+    """Numbers of the inner doors one move ahead, -1 for none, int64 (rooms,)."""
+    if not layout.inner_doors:
+        return torch.full_like(state.touching, -1)
+    inner: Shapes = pick(layout, tables.inner_doors, state.instance)
+    cos, sin = compute_rotation(layout, tables, state)
+    step = layout.robot.move_step
+    is_ahead = compute_distance(state.x + step * cos, state.y + step * sin, inner) == 0.0
+    return torch.where(is_ahead.any(0), is_ahead.to(torch.int8).argmax(0), -1)
 
 
 def is_in_exit(layout: Layout, tables: Tables, instance: Tensor, x: Tensor, y: Tensor) -> Tensor:

@@ -53,6 +53,7 @@ class Layout:
         puzzle: kind of the puzzle.
         targets: number of targets, that of the instance with most.
         has_door: True if any exit has a door.
+        inner_doors: number of inner doors, that of the instance with most.
         has_offsets: True if headings can leave the lattice of turn steps (noise, or a start off it).
         is_shared: True for a single instance, so that tables need no look-up.
         is_watching: True if puzzles are told of every primitive.
@@ -68,6 +69,7 @@ class Layout:
     puzzle: str
     targets: int
     has_door: bool
+    inner_doors: int
     has_offsets: bool
     is_shared: bool
     is_watching: bool
@@ -93,6 +95,8 @@ class Tables(NamedTuple):
         solids: walls and obstacles, (solids, instances).
         hiders: those of them that can stand between two places on the floor.
         doors: (1, instances), out of the way if there is none.
+        inner_doors: (inner doors, instances), out of the way where there are fewer.
+        inner_leaves: true for those that are doors, which hide what is behind them, bool (inner doors, instances).
         target_counts: targets that each instance has, int64 (1, instances); the others in its columns are out of reach.
         targets: outlines of targets, (targets, instances).
         target_z: height of their centres, m.
@@ -116,6 +120,8 @@ class Tables(NamedTuple):
     solids: Shapes
     hiders: Shapes
     doors: Shapes
+    inner_doors: Shapes
+    inner_leaves: Tensor
     target_counts: Tensor
     targets: Shapes
     target_z: Tensor
@@ -204,6 +210,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
         puzzle=first.puzzle.kind,
         targets=len(first.frame.target_names),
         has_door=any(instance.door for instance in instances),
+        inner_doors=max(len(instance.inner_doors) for instance in instances),
         has_offsets=bool(noise) or any(start.heading_offset for instance in instances for start in instance.starts),
         is_shared=len(instances) == 1,
         is_watching=first.puzzle.is_watching,
@@ -247,6 +254,8 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
         solids=shapes([[solid.footprint for solid in i.solids] for i in instances]),
         hiders=shapes([list_hiders(i) for i in instances]),
         doors=shapes([[i.door.footprint] if i.door else [] for i in instances]),
+        inner_doors=shapes([[door.footprint for door in i.inner_doors] for i in instances]),
+        inner_leaves=_list_leaves(instances, max(1, layout.inner_doors)).to(device),
         target_counts=integers([[len(i.targets) for i in instances]]),
         targets=shapes([[target.footprint for target in i.targets] for i in instances], layout.targets),
         target_z=floats(columns([pad([t.z for t in i.targets]) for i in instances])),
@@ -267,6 +276,12 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
         headings=floats(columns(turns)),
         total=integers(len(instances)),
     )
+
+
+def _list_leaves(instances: Sequence[RoomInstance], most: int) -> Tensor:
+    """Return true for the inner doors that are doors, bool (most, instances)."""
+    roles = [[door.role for door in instance.inner_doors] for instance in instances]
+    return torch.tensor([[number < len(row) and row[number] == "door" for row in roles] for number in range(most)])
 
 
 def _list_rewards(reward: RewardConfig) -> tuple[float, float]:

@@ -16,7 +16,7 @@ import weakref
 import pybullet
 
 from hrl_escape.env.bullet.physics import PhysicsDynamics
-from hrl_escape.env.bullet.scene import SceneBodies, build_scene, show_door, show_exit, show_lit
+from hrl_escape.env.bullet.scene import SceneBodies, build_scene, show_door, show_exit, show_inner_door, show_lit
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules, Transition
 from hrl_escape.env.state_checks import check_state
@@ -234,6 +234,7 @@ class _PuzzleColours:
         self._client, self._instance, self._scene = client, instance, scene
         self._puzzle: object = None
         self._lit = (False,) * len(instance.targets)
+        self._shut = (1 << len(instance.inner_doors)) - 1
         self._solved = False
 
     def show(self, state: RoomState) -> None:
@@ -246,6 +247,11 @@ class _PuzzleColours:
                 if now != before:
                     show_lit(self._client, target, now)
             self._lit = lit
+            shut = puzzle.get_shut(state.puzzle)
+            for number, door in enumerate(self._instance.inner_doors):
+                if (shut ^ self._shut) >> number & 1:
+                    show_inner_door(self._client, self._scene.inner_doors[number], door, bool(shut >> number & 1))
+            self._shut = shut
             solved = puzzle.is_solved(state.puzzle)
             if solved != self._solved:
                 self._solved = solved

@@ -20,7 +20,8 @@ from hrl_escape.env.instance import PlacedProp, Rectangle, RoomInstance, Target
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.files import temporary_folder
 
-__all__ = ["DRIVE_JOINTS", "HINGE_LIMIT", "SceneBodies", "build_scene", "show_door", "show_exit", "show_lit"]
+__all__ = ["DRIVE_JOINTS", "HINGE_LIMIT", "SceneBodies", "build_scene", "show_door", "show_exit", "show_inner_door",
+           "show_lit"]
 
 DRIVE_JOINTS = tuple(f"{BASE_LINK}-{axis}" for axis in ("x", "y", "yaw"))
 HINGE_LIMIT = math.radians(120)
@@ -61,6 +62,7 @@ class SceneBodies:
     door: int | None
     targets: tuple[int, ...]
     props: tuple[int, ...]
+    inner_doors: tuple[int, ...]
     exit: int
     floors: tuple[int, ...]
 
@@ -75,12 +77,15 @@ def build_scene(client: int, instance: RoomInstance, robot: Robot) -> SceneBodie
     door = instance.door and _add_door(client, instance, instance.door)
     targets = tuple(_add_target(client, target, physics) for target in instance.targets)
     props = tuple(_add_prop(client, placed, physics) for placed in instance.props)
+    inner = tuple(_add_box(client, (door.half_x, door.half_y, door.height / 2), (door.x, door.y, door.height / 2),
+                           door.yaw, palette.DOOR if door.role == "door" else palette.PROP)
+                  for door in instance.inner_doors)
     area, (x, y) = instance.exit, instance.exit.centre
     half = (area.x_max - x, area.y_max - y, _MARK / 2)
     exit_id = _add_box(client, half, (x, y, _MARK / 2), 0.0, palette.EXIT_LOCKED)
     return SceneBodies(
         **_add_robot(client, instance, robot),
-        solids=solids, door=door, targets=targets, props=props, exit=exit_id, floors=floors,
+        solids=solids, door=door, targets=targets, props=props, inner_doors=inner, exit=exit_id, floors=floors,
     )
 
 
@@ -95,6 +100,14 @@ def show_lit(client: int, target: int, is_lit: bool) -> None:
 def show_exit(client: int, scene: SceneBodies, is_open: bool) -> None:
     """Colour the exit region."""
     _paint(client, scene.exit, -1, palette.EXIT_OPEN if is_open else palette.EXIT_LOCKED)
+
+
+def show_inner_door(client: int, body: int, door: Solid, is_shut: bool) -> None:
+    """Put an inner door, or a thing, into its place, or out of sight."""
+    height = door.height / 2 if is_shut else -door.height
+    pybullet.resetBasePositionAndOrientation(
+        body, (door.x, door.y, height), (0.0, 0.0, math.sin(door.yaw / 2), math.cos(door.yaw / 2)),
+        physicsClientId=client)
 
 
 def show_door(client: int, instance: RoomInstance, door: int, is_open: bool) -> None:

@@ -101,6 +101,7 @@ class Stage:
         self._arm, self._joints = self._add_arm(robot) if instance.robot.joints else (None, ())
         self._props = [self._add_prop(placed) for placed in instance.props]
         self._door = self._add_door(instance.door) if instance.door else None
+        self._inner = [self._add_inner_door(door) for door in instance.inner_doors]
         self._exit, self._exit_edge, self._is_open = *self._add_exit(), None
         self._add_floor()
 
@@ -124,6 +125,9 @@ class Stage:
             if shadow is not None:
                 self._place(shadow, (x, y, 0.0), _STILL)
         puzzle = self._instance.puzzle
+        shut = puzzle.get_shut(state.puzzle)
+        for number, standing in enumerate(self._inner):
+            self._move(standing, (0.0, 0.0, 0.0) if shut >> number & 1 else _AWAY, _STILL)
         for lamp, is_lit in zip(self._lamps, puzzle.get_lit(state.puzzle), strict=True):
             self._light(lamp, is_lit)
         self._open_exit(puzzle.is_solved(state.puzzle))
@@ -147,10 +151,13 @@ class Stage:
         solid = door.solid
         cos, sin = math.cos(solid.yaw), math.sin(solid.yaw)
         hinge = (solid.x - cos * solid.half_x, solid.y - sin * solid.half_x, 0.0)
-        pose = (hinge, pybullet.getQuaternionFromEuler((0.0, 0.0, solid.yaw + angle)))
-        if pose != door.pose:
-            door.pose = pose
-            self._show(door)
+        self._move(door, hinge, pybullet.getQuaternionFromEuler((0.0, 0.0, solid.yaw + angle)))
+
+    def _move(self, standing: Standing, at: tuple[float, float, float],
+              turn: tuple[float, float, float, float]) -> None:
+        if (at, turn) != standing.pose:
+            standing.pose = at, turn
+            self._show(standing)
 
     def set_cut(self, standing: Standing, is_cut: bool) -> None:
         """Show something whole, or only its lowest part."""
@@ -255,6 +262,17 @@ class Stage:
         leaf = rotate_box(door.half_x, 0.0, door.half_x, 0.6 * door.half_y, 0.0)
         whole = self._add(make_prism(leaf, 0.02, door.height), palette.DOOR)
         cut = self._add(make_prism(leaf, 0.02, min(CURB, door.height)), palette.DOOR, shown=False)
+        standing = Standing(door, [whole], [cut])
+        self.standing.append(standing)
+        return standing
+
+    def _add_inner_door(self, door: Solid) -> Standing:
+        """A door that fills its cell, or a thing that fills half of it."""
+        share = 0.98 if door.role == "door" else 0.5
+        outline = rotate_box(door.x, door.y, share * door.half_x, share * door.half_y, door.yaw)
+        colour = palette.DOOR if door.role == "door" else palette.PROP
+        whole = self._add(make_prism(outline, 0.02, door.height), colour)
+        cut = self._add(make_prism(outline, 0.02, min(CURB, door.height)), colour, shown=False)
         standing = Standing(door, [whole], [cut])
         self.standing.append(standing)
         return standing

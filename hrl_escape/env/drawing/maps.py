@@ -164,6 +164,9 @@ def _make_handles(instance: RoomInstance, trajectories: Sequence[Trajectory]) ->
     handles.append(Patch(facecolor=palette.EXIT_OPEN, alpha=0.45, edgecolor=palette.EXIT_OPEN, label="exit"))
     if instance.door is not None:
         handles.append(Patch(facecolor=palette.DOOR, label="door, open once solved"))
+    for role, colour, label in (("door", palette.DOOR, "door, shut"), ("obstacle", palette.PROP, "thing in its cell")):
+        if any(door.role == role for door in instance.inner_doors):
+            handles.append(Patch(facecolor=colour, label=label))
     if any(solid.role == "obstacle" for solid in instance.solids):
         handles.append(Patch(facecolor=palette.OBSTACLE, edgecolor=palette.OBSTACLE_EDGE, label="obstacle"))
     handles += [Line2D([], [], color=get_colour(path, number), linewidth=2, label=path.label)

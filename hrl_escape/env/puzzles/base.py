@@ -24,6 +24,7 @@ from hrl_escape.plugins import load_entry_points
 from hrl_escape.settings import Range, Settings
 
 __all__ = [
+    "USE",
     "Contacts",
     "Pads",
     "Panels",
@@ -35,9 +36,11 @@ __all__ = [
     "Success",
     "get_puzzle_kind",
     "list_puzzles",
-    "make_contacts",
     "register_puzzle",
 ]
+
+USE = 2
+"""`Contacts.grip` of the primitive `use`."""
 
 PuzzleState: TypeAlias = Any
 """A hashable value of each puzzle's own type; its rules name that type."""
@@ -57,10 +60,12 @@ class Contacts(NamedTuple):
             stands for the most likely outcome: planners press with it, so an outcome of probability p should be that
             of numbers below p.
         touching: indices of all targets touched at its end, ascending: panels in reach, and pads stood on.
-        grip: 1 if the primitive was `grip`, -1 if it was `release`, else 0.
+        grip: 1 if the primitive was `grip`, -1 if it was `release`, `USE` if it was `use`, else 0.
         has_moved: the body's axis has moved.
         x: place of the body's axis in the room frame, m.
         y: place of the body's axis in the room frame, m.
+        ahead: number of the inner door (a cell that can be blocked) one move ahead of a primitive that grips, releases
+            or uses; -1 where there is none.
     """
 
     pressed: tuple[int, ...]
@@ -71,6 +76,7 @@ class Contacts(NamedTuple):
     has_moved: bool = False
     x: float = 0.0
     y: float = 0.0
+    ahead: int = -1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,6 +173,25 @@ class Puzzle(_OfKind):
     def puddles(self) -> tuple[Capsule, ...]:
         """Stretches of floor that the rules speak of, for maps."""
         return ()
+
+    @property
+    def map_rows(self) -> tuple[str, ...]:
+        """Rows of a grid world's map that the puzzle has drawn, see `maps.py`; empty if it has none."""
+        return ()
+
+    @property
+    def target_cells(self) -> tuple[int, ...]:
+        """Cell of each target on that map."""
+        return ()
+
+    @property
+    def blockable_cells(self) -> tuple[int, ...]:
+        """Cells of that map that can be blocked, by doors or things: the room's inner doors, in order."""
+        return ()
+
+    def get_shut(self, state: PuzzleState) -> int:
+        """Bits of the inner doors that are shut."""
+        return 0
 
     @property
     def is_watching(self) -> bool:
@@ -271,6 +296,17 @@ class Puzzle(_OfKind):
         """
         return self._derived[0]
 
+    def list_rests(self, state: PuzzleState) -> tuple[int, ...]:
+        """Numbers of the inner doors in whose cells a thing that is held may be put down without barring a way."""
+        return ()
+
+    def make_contacts(self, operator: Operator) -> Contacts:
+        """Contacts of the primitive that carries out an operator at a target, by the most likely outcome."""
+        target = self.target_names.index(operator.target)
+        if operator.action == "press":
+            return Contacts((target,), touching=(target,))
+        return Contacts((), touching=(target,), grip=1 if operator.action == "grip" else -1)
+
     def plan(self, state: PuzzleState) -> tuple[Operator, ...] | None:
         """Return the operators that solve the puzzle from here, if it knows better than a search; else None."""
         return None
@@ -295,14 +331,6 @@ class Puzzle(_OfKind):
     def goal_targets(self) -> tuple[int, ...]:
         """Targets that must be on in the end, for drawings."""
         return ()
-
-
-def make_contacts(operator: Operator, target_names: tuple[str, ...]) -> Contacts:
-    """Contacts of the primitive that carries out an operator at a target, by the most likely outcome."""
-    target = target_names.index(operator.target)
-    if operator.action == "press":
-        return Contacts((target,), touching=(target,))
-    return Contacts((), touching=(target,), grip=1 if operator.action == "grip" else -1)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,8 +14,10 @@ import numpy as np
 from hrl_escape.env.config import CONTACT_SKIN, RoomConfig
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle
+from hrl_escape.env.puzzles.base import Puzzle
+from hrl_escape.env.puzzles.maps import GridMap
 
-__all__ = ["Face", "Floorplan", "Rejected", "sample_floorplan"]
+__all__ = ["Face", "Floorplan", "Rejected", "compute_cell", "sample_floorplan"]
 
 
 class Rejected(Exception):
@@ -52,8 +54,13 @@ class _Side(NamedTuple):
     length: float
 
 
-def sample_floorplan(config: RoomConfig, rng: np.random.Generator) -> Floorplan:
+def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzle) -> Floorplan:
     """Sample walls and exit of a schematic.
+
+    Args:
+        config: the schematic.
+        rng: generator.
+        puzzle: its map, where it has drawn one, says where walls and perhaps the exit are.
 
     Raises:
         Rejected: interior walls or exit found no place in this sample.
@@ -68,7 +75,10 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator) -> Floorplan:
     gates: dict[int, tuple[float, float]] = {}
     alcove: list[Solid] = []
     door = None
-    if config.exit.door:
+    goal = GridMap(puzzle.map_rows).goal if puzzle.map_rows else None
+    if goal is not None:
+        exit_area = _rectangle(*compute_cell(config, goal), config.room.cell / 2, config.room.cell / 2)
+    elif config.exit.door:
         side, at = _choose_gate(config, sides, rng)
         gates[side] = (at - config.exit.width / 2, at + config.exit.width / 2)
         exit_area, door, alcove = _make_alcove(config, sides[side], at)
@@ -86,14 +96,14 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator) -> Floorplan:
             solids.append(_wall_piece(config, side, low, high, corner=True))
             faces.append(Face(*_along(side, low), side.yaw, high - low))
     inner, inner_faces = _sample_interior(config, gates, sides, rng)
-    given = (*_build_map(config), *_build_walls(config))
+    given = (*_build_map(config, puzzle.map_rows or config.room.map), *_build_walls(config))
     return Floorplan((*solids, *alcove, *inner, *given), door, (*faces, *inner_faces), exit_area)
 
 
-def _build_map(config: RoomConfig) -> list[Solid]:
-    """Walls of the map: one box for each run of cells in a row."""
+def _build_map(config: RoomConfig, rows: tuple[str, ...]) -> list[Solid]:
+    """Walls of a map: one box for each run of cells in a row."""
     room, solids = config.room, []
-    for row, text in enumerate(room.map):
+    for row, text in enumerate(rows):
         y, column = room.depth / 2 - (row + 0.5) * room.cell, 0
         for is_wall, run in itertools.groupby(text, "#".__eq__):
             count = len(list(run))
@@ -102,6 +112,13 @@ def _build_map(config: RoomConfig) -> list[Solid]:
                 solids.append(Solid("box", x, y, count * room.cell / 2, room.cell / 2, 0.0, room.wall_height, "wall"))
             column += count
     return solids
+
+
+def compute_cell(config: RoomConfig, cell: int) -> tuple[float, float]:
+    """Centre of a cell of a map that fills the floor, m; cells are numbered row by row from the top."""
+    side = config.room.cell
+    row, column = divmod(cell, round(config.room.width / side))
+    return (column + 0.5) * side - config.room.width / 2, config.room.depth / 2 - (row + 0.5) * side
 
 
 def _build_walls(config: RoomConfig) -> list[Solid]:

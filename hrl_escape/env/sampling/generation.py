@@ -14,11 +14,12 @@ import math
 import numpy as np
 
 from hrl_escape.env.config import PASSAGE_SLACK, RoomConfig
-from hrl_escape.env.geometry import compute_distance, compute_distance_many, make_footprint, stack_footprints
+from hrl_escape.env.geometry import Solid, compute_distance, compute_distance_many, make_footprint, stack_footprints
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target
 from hrl_escape.env.puzzles.base import Pads, Panels, Place, Puzzle
+from hrl_escape.env.puzzles.maps import GridMap
 from hrl_escape.env.sampling.certificate import find_unmet, has_arm_free, make_floors
-from hrl_escape.env.sampling.floorplan import Face, Floorplan, Rejected, sample_floorplan
+from hrl_escape.env.sampling.floorplan import Face, Floorplan, Rejected, compute_cell, sample_floorplan
 from hrl_escape.env.sampling.free_space import FreeSpace
 from hrl_escape.env.sampling.obstacles import place_obstacles
 from hrl_escape.env.sampling.primitive_proof import find_unproven
@@ -32,6 +33,7 @@ TRIES = 30
 LARGEST_WORK = 1_600_000
 """Work that a room may cost, in units of about a microsecond."""
 _START_TRIES = 100
+_THING_HEIGHT = 0.4  # m, of a thing that lies in a cell
 _PAD_HEIGHT = 0.02  # m, half the height of a pad over the floor
 _ADVICE = "Make the room larger, or ask for fewer or smaller things in it."
 
@@ -68,12 +70,13 @@ def generate(config: RoomConfig, seed: int) -> RoomInstance:
 
 
 def _sample(config: RoomConfig, seed: int, puzzle: Puzzle, rng: np.random.Generator, work: Work) -> RoomInstance:
-    plan = sample_floorplan(config, rng)
+    plan = sample_floorplan(config, rng, puzzle)
     targets = _place_targets(config, puzzle, plan, rng)
     instance = RoomInstance(
         name=config.name, seed=seed, half_width=config.room.width / 2, half_depth=config.room.depth / 2,
-        wall_height=config.room.wall_height, solids=plan.solids, door=plan.door, targets=targets,
-        props=tuple(PlacedProp(prop) for prop in puzzle.props), exit=plan.exit, starts=(_fixed_start(config),),
+        wall_height=config.room.wall_height, solids=plan.solids, door=plan.door,
+        inner_doors=_list_inner_doors(config, puzzle), targets=targets,
+        props=tuple(PlacedProp(prop) for prop in puzzle.props), exit=plan.exit, starts=(_fixed_start(config, puzzle),),
         robot=config.robot, puzzle=puzzle, reward=config.reward, dynamics=config.dynamics, horizon=config.horizon,
     )
     floors = make_floors(instance, work)
@@ -89,14 +92,35 @@ def _sample(config: RoomConfig, seed: int, puzzle: Puzzle, rng: np.random.Genera
     return instance
 
 
-def _fixed_start(config: RoomConfig) -> Start:
+def _list_inner_doors(config: RoomConfig, puzzle: Puzzle) -> tuple[Solid, ...]:
+    """One box for each cell of the puzzle's map that can be blocked: as high as the walls for a door, else low."""
+    side, text = config.room.cell, "".join(puzzle.map_rows)
+    size = len("".join(puzzle.map_rows[:1])) * side, len(puzzle.map_rows) * side
+    if puzzle.map_rows and size != (config.room.width, config.room.depth):
+        raise ConfigError("room.width, room.depth", (config.room.width, config.room.depth),
+                          f"{size[0]:g} and {size[1]:g} m: cells of {side:g} m for all of the puzzle's map")
+    solids = (Solid("box", *compute_cell(config, cell), side / 2, side / 2, height=_THING_HEIGHT)
+              for cell in puzzle.blockable_cells)
+    wall = config.room.wall_height
+    return tuple(dataclasses.replace(solid, height=wall, role="door") if text[cell] in "dD" else solid
+                 for cell, solid in zip(puzzle.blockable_cells, solids, strict=True))
+
+
+def _fixed_start(config: RoomConfig, puzzle: Puzzle) -> Start:
     turns = round(360 / config.robot.turn_step_deg)
+    if puzzle.map_rows:
+        grid = GridMap(puzzle.map_rows)
+        return Start(*compute_cell(config, grid.start), grid.heading * turns // 4)
     heading = config.start.heading_deg / config.robot.turn_step_deg
     offset = math.radians((heading - round(heading)) * config.robot.turn_step_deg)
     return Start(config.start.x, config.start.y, round(heading) % turns, offset if abs(offset) > 1e-12 else 0.0)
 
 
 def _place_targets(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, rng: np.random.Generator) -> tuple[Target, ...]:
+    if puzzle.target_cells:
+        pads = Pads(config.room.cell, config.room.cell)
+        return tuple(_make_pad(pads, name, *compute_cell(config, cell), 0.0)
+                     for name, cell in zip(puzzle.target_names, puzzle.target_cells, strict=True))
     names = tuple(name for name in puzzle.target_names if name not in puzzle.pad_names)
     hung = _hang_panels(config, names, plan, rng)
     if not puzzle.pad_names:
@@ -196,7 +220,7 @@ def _make_pad(pads: Pads, name: str, x: float, y: float, yaw: float) -> Target:
 
 def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace,
                  rng: np.random.Generator) -> RoomInstance:
-    if config.start.place == "fixed":
+    if config.start.place == "fixed" or instance.puzzle.map_rows:
         return instance
     if config.start.place == "cells":
         return dataclasses.replace(instance, starts=_list_cell_starts(config, instance, space))
@@ -240,7 +264,7 @@ def _list_cell_starts(config: RoomConfig, instance: RoomInstance, space: FreeSpa
                         for row in range(rows) for column in range(columns)])
     free = centres[space.is_clear(centres)].tolist()
     outside = [place for place in free if not area.contains(*place)]
-    heading = _fixed_start(config)
+    heading = _fixed_start(config, instance.puzzle)
     starts = tuple(dataclasses.replace(heading, x=x, y=y) for x, y in outside or free)
     if not starts:
         raise Rejected("the body must fit into a cell")

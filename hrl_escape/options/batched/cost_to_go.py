@@ -104,7 +104,7 @@ def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
     """
     if instance.dynamics.press_with == "hand":
         raise UnsupportedError("there are no cost-to-go fields for presses by hand: ask the room's planner")
-    if any(operator.action in ("grip", "release") for operator in instance.puzzle.make_symbolic_model().operators):
+    if any(operator.action != "press" for operator in instance.puzzle.make_symbolic_model().operators):
         raise UnsupportedError("batched options press and leave, they do not grip: use OptionsEnv over one room")
     with _LOCK:
         found = _CACHE.get(instance.id)

@@ -55,6 +55,8 @@ def draw_map(instance: RoomInstance, states: list[RoomState], rules: Rules, colu
                     cells[row][column] = _WALL if solid.role == "wall" else _OBSTACLE
             if instance.door is not None and not is_open and compute_distance(x, y, instance.door.footprint) <= reach:
                 cells[row][column] = ("\N{DARK SHADE}", palette.DOOR)
+    shut = puzzle.get_shut(state.puzzle)
+    inner = [door for number, door in enumerate(instance.inner_doors) if shut >> number & 1]
     for past in states[:-1]:
         put(past.x, past.y, *_TRAIL)
     for placed, (x, y, _) in zip(instance.props, get_prop_poses(state, instance), strict=True):
@@ -66,6 +68,9 @@ def draw_map(instance: RoomInstance, states: list[RoomState], rules: Rules, colu
                 target.y + n / 8 * target.half_x * math.sin(target.yaw), " ", f"{look.ink} on {look.fill}")
         for n, character in enumerate(target.name.rpartition("-")[2]):
             put(target.x + n * size / 2, target.y, character, f"bold {look.ink} on {look.fill}")
+    for door in inner:
+        put(door.x, door.y, *(("\N{DARK SHADE}", palette.DOOR) if door.role == "door" else
+                              ("\N{BLACK SQUARE}", palette.PROP)))
     ground = palette.EXIT_OPEN if is_open else palette.EXIT_LOCKED
     put(*instance.exit.centre, "E", f"bold {palette.EXIT_INK} on {ground}")
     arrow = _ARROWS[round(rules.get_heading(state) / (math.pi / 4)) % 8]

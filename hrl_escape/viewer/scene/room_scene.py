@@ -59,6 +59,7 @@ class RoomScene:
             self._scene.add_label(f"{ROOT}/exit/name", "exit", position=(*instance.exit.centre, 0.05),
                                   anchor="center-center", font_screen_scale=0.9)
             self._door = self._add_door()
+            self._inner_doors = [self._add_inner_door(i) for i in range(len(instance.inner_doors))]
             self._props = [self._add_prop(i) for i in range(len(instance.props))]
             self._robot = _RobotModel(self._scene, f"{ROOT}/robot", self.rules.robot, instance.robot)
             self._ghosts: dict[str, _RobotModel] = {}
@@ -89,13 +90,16 @@ class RoomScene:
                 node.position, node.wxyz = (x, y, z), (qw, qx, qy, qz)
 
     def light(self, state: RoomState) -> None:
-        """Colour panels and exit by the puzzle's state."""
+        """Colour panels and exit, and shut inner doors, by the puzzle's state."""
         if state.puzzle == self._lit:
             return
         self._lit = state.puzzle
         puzzle = self.instance.puzzle
         for i, lamp in enumerate(self._lamps):
             lamp.color = _to_bytes(palette.get_target_look(puzzle, state.puzzle, i).fill)
+        shut = puzzle.get_shut(state.puzzle)
+        for i, node in enumerate(self._inner_doors):
+            node.visible = bool(shut >> i & 1)
         colour = palette.EXIT_OPEN if puzzle.is_solved(state.puzzle) else palette.EXIT_LOCKED
         for part in self._exit:
             part.color = _to_bytes(colour)
@@ -186,6 +190,16 @@ class RoomScene:
         leaf = make_prism(rotate_box(door.half_x, 0.0, door.half_x, 0.6 * door.half_y, 0.0), 0.02, door.height)
         _add_mesh(self._scene, f"{ROOT}/door/leaf", leaf.vertices, leaf.triangles, palette.DOOR, 0.85)
         return hinge
+
+    def _add_inner_door(self, index: int) -> viser.FrameHandle:
+        """A door that fills its cell, or a thing that fills half of it."""
+        door, name = self.instance.inner_doors[index], f"{ROOT}/inner-doors/{index}"
+        share, colour = (0.98, palette.DOOR) if door.role == "door" else (0.5, palette.PROP)
+        node = self._scene.add_frame(name, show_axes=False)
+        leaf = make_prism(rotate_box(door.x, door.y, share * door.half_x, share * door.half_y, door.yaw), 0.02,
+                          door.height)
+        _add_mesh(self._scene, f"{name}/leaf", leaf.vertices, leaf.triangles, colour, 0.85)
+        return node
 
     def _add_prop(self, index: int) -> viser.FrameHandle:
         placed = self.instance.props[index]

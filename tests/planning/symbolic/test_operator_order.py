@@ -16,6 +16,7 @@ from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.planning.goals import make_goal
 from hrl_escape.planning.lower_bounds import LegBounds
 from hrl_escape.planning.room_planner import RoomPlanner
 from hrl_escape.planning.symbolic.operator_order import Leg, TaskSearch, find_relevant_operators
@@ -175,10 +176,10 @@ def test_legs_cost_at_least_what_geometry_says(name):
     instance = generate(get_preset(name), 0)
     planner, bounds = RoomPlanner(instance), LegBounds(instance)
     plan = planner.solve(planner.rules.make_state(instance.starts[0]))
-    by_name = {operator.target: operator for operator in instance.puzzle.make_symbolic_model().operators}
+    by_goal = {make_goal(op, instance): op for op in instance.puzzle.make_symbolic_model().operators}
     last = None
     for part in plan.parts:
-        then = by_name.get(part.name.removeprefix("press-"))
+        then = by_goal.get(part.goal)
         bound = bounds.bound_leg(last, then) if last else bounds.bound_start(plan.states[0], then)
         assert bounds.bound_leg(last, then) <= bound <= part.stop - part.start
         last = then

@@ -33,10 +33,11 @@ class TensorContacts(NamedTuple):
         pressed: bits of the newly touched targets, int64 (rooms,).
         uniform: numbers in (0, 1) drawn for this primitive, float64 (rooms,); 0 where no puzzle is random.
         touching: bits of all targets touched at its end, int64 (rooms,).
-        grip: 1 where the primitive was `grip`, -1 where it was `release`, else 0, int64 (rooms,).
+        grip: 1 where the primitive was `grip`, -1 where it was `release`, 2 where it was `use`, else 0, int64 (rooms,).
         has_moved: true where the body's axis has moved, bool (rooms,).
         x: places of the bodies' axes, m, float64 (rooms,).
         y: places of the bodies' axes, m, float64 (rooms,).
+        ahead: numbers of the inner doors one move ahead, -1 for none, int64 (rooms,).
     """
 
     pressed: Tensor
@@ -46,6 +47,7 @@ class TensorContacts(NamedTuple):
     has_moved: Tensor
     x: Tensor
     y: Tensor
+    ahead: Tensor
 
 
 class TensorPuzzle(ABC):
@@ -89,6 +91,10 @@ class TensorPuzzle(ABC):
         It counts where something was pressed or gripped, or where puzzles watch every primitive.
         """
         return None
+
+    def find_shut(self, tables: PuzzleTables, state: Tensor, doors: int) -> Tensor:
+        """Return true where an inner door is shut, bool (doors, rooms)."""
+        return torch.zeros((doors, state.shape[0]), dtype=torch.bool, device=state.device)
 
     def encode(self, state: Any) -> int:
         """Turn the puzzle's own state into an unsigned word."""

@@ -1,0 +1,134 @@
+"""Maps of grid worlds that a puzzle draws: walls, doors, things that lie in cells, the start and the goal.
+
+A map is rows of characters from the top, one a cell: `#` wall, `d` door, `D` locked door, `k` key, `b` ball, `G` goal,
+`>`, `^`, `<` or `v` the start and its heading, anything else floor. Cells are numbered row by row.
+"""
+
+from __future__ import annotations
+
+import heapq
+from functools import cached_property
+
+from hrl_escape.errors import ConfigError
+
+__all__ = ["HEADINGS", "GridMap"]
+
+HEADINGS = ">^<v"
+"""Characters of a start by quarter turns from +x, counter-clockwise."""
+_DOORS, _THINGS = "dD", "kb"
+
+
+class GridMap:
+    """One map.
+
+    Args:
+        rows: its rows.
+
+    Attributes:
+        rows: its rows.
+        doors: cells of the doors.
+        things: cells in which things lie at first: keys, then balls.
+
+    Raises:
+        ConfigError: rows of different lengths, or more or less than one start.
+    """
+
+    def __init__(self, rows: tuple[str, ...]) -> None:
+        self.rows = rows
+        text = "".join(rows)
+        if len({len(row) for row in rows}) != 1 or sum(text.count(start) for start in HEADINGS) != 1:
+            raise ConfigError("puzzle.rows", rows, "rows of one length, with one start among them")
+        self.columns, self._text = len(rows[0]), text
+        self.doors = self._find(_DOORS)
+        self.things = (*self._find("k"), *self._find("b"))
+
+    def _find(self, characters: str) -> tuple[int, ...]:
+        return tuple(cell for cell, character in enumerate(self._text) if character in characters)
+
+    @cached_property
+    def floor(self) -> tuple[int, ...]:
+        """Cells with nothing in them at first."""
+        return self._find(" ")
+
+    @property
+    def keys(self) -> int:
+        """Number of keys; they are the first things."""
+        return self._text.count("k")
+
+    @cached_property
+    def start(self) -> int:
+        """Cell of the start."""
+        return self._find(HEADINGS)[0]
+
+    @property
+    def heading(self) -> int:
+        """Heading of the start, in quarter turns from +x."""
+        return HEADINGS.index(self._text[self.start])
+
+    @property
+    def goal(self) -> int | None:
+        """Cell of the goal; None where there is none."""
+        return next(iter(self._find("G")), None)
+
+    def is_locked(self, door: int) -> bool:
+        """A door, by its number, is locked at first."""
+        return self._text[self.doors[door]] == "D"
+
+    @cached_property
+    def blockable(self) -> tuple[int, ...]:
+        """Cells that can be blocked: the doors', and where there are things all others that are no walls."""
+        if not self.things:
+            return self.doors
+        return tuple(cell for cell, character in enumerate(self._text) if character != "#")
+
+    def _list_neighbours(self, cell: int) -> list[int]:
+        """Cells beside a cell that are no walls."""
+        row, column = divmod(cell, self.columns)
+        beside = ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1))
+        return [i * self.columns + j for i, j in beside
+                if 0 <= i < len(self.rows) and 0 <= j < self.columns and self.rows[i][j] != "#"]
+
+    @cached_property
+    def _bottlenecks(self) -> frozenset[int]:
+        """Cells without which the others fall apart, and those before doors."""
+        cells = [cell for cell, character in enumerate(self._text) if character != "#"]
+        found = set[int]()
+        for cell in cells:
+            others = [other for other in cells if other != cell]
+            reached, queue = {cell, others[0]}, [others[0]]
+            while queue:
+                more = set(self._list_neighbours(queue.pop())) - reached
+                reached |= more
+                queue += more
+            if len(reached) < len(cells) or any(beside in self.doors for beside in self._list_neighbours(cell)):
+                found.add(cell)
+        return frozenset(found)
+
+    def is_bottleneck(self, cell: int) -> bool:
+        """A thing in this cell would bar the way to others, or stand before a door."""
+        return cell in self._bottlenecks
+
+    @cached_property
+    def _ways(self) -> dict[int, tuple[int, ...]]:
+        """Doors on a way with few doors from the start to each cell that can be reached, in order; things let pass."""
+        ways: dict[int, tuple[int, ...]] = {}
+        queue: list[tuple[int, int, int, tuple[int, ...]]] = [(0, 0, self.start, ())]
+        while queue:
+            doors, steps, cell, way = heapq.heappop(queue)
+            if cell in ways:
+                continue
+            ways[cell] = way
+            beyond = (*way, self.doors.index(cell)) if cell in self.doors else way
+            for other in self._list_neighbours(cell):
+                heapq.heappush(queue, (len(beyond), steps + 1, other, beyond))
+        return ways
+
+    def list_doors_before(self, cell: int) -> tuple[int, ...]:
+        """Numbers of the doors that are passed on the way from the start to a cell.
+
+        Raises:
+            ConfigError: there is no way, whatever is opened.
+        """
+        if cell not in self._ways:
+            raise ConfigError("puzzle.rows", self.rows, f"a way from the start to cell {cell}")
+        return self._ways[cell]
