@@ -20,7 +20,7 @@ from hrl_escape.env.observations import make_observer
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.mini_grid import HELD, PLACE_BITS, MiniGridConfig, MiniGridPuzzle
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ConfigError, ContractError
+from hrl_escape.errors import ConfigError, ContractError, PlanningFailed
 from hrl_escape.planning import RoomPlanner
 
 pytest.importorskip("minigrid")
@@ -272,6 +272,16 @@ def test_a_door_stops_the_robot_until_it_is_open_and_lets_it_out():
     inside = rules.step(after, forward).state
     assert inside.x == door.x
     assert rules.step(inside._replace(puzzle=before.puzzle), forward).state.x == door.x + 2.0
+
+
+def test_routes_are_remembered_by_the_doors_that_are_shut():
+    room = generate(get_preset("door-key", size=5), 0)
+    planner = RoomPlanner(room)
+    shut = planner.rules.make_state(room.starts[0])
+    with pytest.raises(PlanningFailed, match="unreachable"):
+        planner.plan(shut, "exit")
+    free = room.puzzle.make_state() | HELD << 2 | 3  # the key in the hand, the door open
+    assert planner.plan(shut._replace(puzzle=free), "exit").cost > 0
 
 
 def test_impossible_maps_are_refused():

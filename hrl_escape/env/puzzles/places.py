@@ -101,7 +101,7 @@ class Capsule(Settings):
     """Distance within which the floor belongs to it."""
 
     def compute_depth(self, x: float, y: float) -> float:
-        """How far inside a place is from the edge, m; 0 outside."""
+        """Distance of a place inside from the edge, m; 0 outside."""
         along_x, along_y, to_x, to_y = self.x2 - self.x1, self.y2 - self.y1, x - self.x1, y - self.y1
         length = along_x * along_x + along_y * along_y
         share = min(max((to_x * along_x + to_y * along_y) / length, 0.0), 1.0) if length else 0.0
