@@ -218,7 +218,7 @@ def test_every_level_can_be_escaped_and_both_engines_agree(name, arguments):
     assert found.worst == 0.0
 
 
-@pytest.mark.slow  # a minute and a half each: pytest -m slow tests/env/test_mini_grid.py
+@pytest.mark.slow  # five seconds each: pytest -m slow tests/env/test_mini_grid.py
 @pytest.mark.parametrize("name", ["door-key", "key-corridor", "multi-room", "dead-ends"])
 def test_both_engines_agree_over_100_000_primitives(name):
     found = compare([generate(get_preset(name), 0)], 100_000, copies=500)
