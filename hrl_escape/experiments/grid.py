@@ -360,12 +360,10 @@ class GridRun:
             "eval_seed": self.eval_seed,
             "seed": self.seed,
         }
-        if self.agent.leaves is not None:
-            identity["leaves"] = self.agent.leaves
-        if self.grid.trials > 1:
-            identity["trials"] = self.grid.trials
-        return identity if self.grid.until_solved is None else {
-            **identity, "until_solved": self.grid.until_solved.to_dict()}
+        rule, trials = self.grid.until_solved, self.grid.trials
+        asked_for = {"leaves": self.agent.leaves, "trials": trials if trials > 1 else None,
+                     "until_solved": None if rule is None else rule.to_dict()}
+        return identity | {name: value for name, value in asked_for.items() if value is not None}
 
     @cached_property
     def key(self) -> str:

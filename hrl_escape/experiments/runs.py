@@ -26,9 +26,9 @@ from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.experiments.episodes import StateRecorder, record_episode
 from hrl_escape.experiments.grid import AgentSpec, GridRun
 from hrl_escape.experiments.places import RoomSchedule, RunPlace, Split
+from hrl_escape.experiments.probes.solved_probe import Solution, SolvedProbe
 from hrl_escape.experiments.references import make_reference
 from hrl_escape.experiments.score_range import ScoreRange, compute_score_range
-from hrl_escape.experiments.solved_probe import Solution, SolvedProbe
 from hrl_escape.experiments.statistics import compute_final, compute_mean_efficiency
 from hrl_escape.files import read_json, write_json
 from hrl_escape.ladder.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces

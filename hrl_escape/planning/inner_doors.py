@@ -21,7 +21,7 @@ __all__ = ["DoorSearches", "list_places"]
 
 MOST_SEARCHES = 16
 """Sets of shut doors whose searches are kept."""
-MOST_CELLS = 12
+_MOST_CELLS = 12
 """Cells that are tried for putting something down."""
 
 
@@ -67,6 +67,6 @@ def list_places(goal: GripGoal, state: RoomState, rules: Kinematics) -> Iterator
         cells = [room.inner_doors[number] for number in room.puzzle.list_rests(state.puzzle)]
         cells.sort(key=lambda cell: math.hypot(cell.x - state.x, cell.y - state.y))
     sides = ((1, 0, 0.0), (0, 1, math.pi / 2), (-1, 0, math.pi), (0, -1, -math.pi / 2))
-    for cell in cells[:MOST_CELLS]:
+    for cell in cells[:_MOST_CELLS]:
         yield [PoseGoal(cell.x - step * x, cell.y - step * y, heading, step / 4, rules.turn_step / 2 - 1e-6)
                for x, y, heading in sides]

@@ -29,7 +29,7 @@ SECTORS = 8
 """Directions that learned leaves tell apart at most."""
 
 
-Pose = tuple[int, int, int, tuple[int, ...], int, bool]
+_Pose = tuple[int, int, int, tuple[int, ...], int, bool]
 """Column and row of a cell, sector of the heading, joints, touched targets as bits, an open door."""
 
 
@@ -172,11 +172,11 @@ class Situations:
         """Facts and touched targets: what is to be done yet, and at which target the robot stands."""
         return tuple(sorted(seen.state.facts)), seen.state.state.touching
 
-    def see_pose(self, seen: Seen) -> Pose:
+    def see_pose(self, seen: Seen) -> _Pose:
         """Cell, sector and joints, what is touched, and an open door; nothing else of the puzzle."""
         return self._get_pose(seen.state)
 
-    def _get_pose(self, here: Situation) -> Pose:
+    def _get_pose(self, here: Situation) -> _Pose:
         state, rules = here.state, self.planner.rules
         sectors = min(SECTORS, rules.headings)
         sector = round(rules.get_heading(state) / (2 * np.pi) * sectors) % sectors

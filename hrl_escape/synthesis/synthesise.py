@@ -24,7 +24,7 @@ from hrl_escape.synthesis.situation import Situations
 
 __all__ = ["make_structure", "synthesise"]
 
-ROOT = "escape"
+_ROOT = "escape"
 
 
 def synthesise(
@@ -77,7 +77,7 @@ def make_structure(situations: Situations, kind: str, leaves: str, abstract: boo
 def _make_task_graph(rooms: Situations, planned: bool, abstract: bool) -> Hierarchy:
     """Root -> one task an operator, and the exit -> touch or leave a target -> primitives."""
     primitives = range(len(rooms.instance.robot.actions))
-    graph: dict[str, list[str | int]] = {ROOT: [*(operator.name for operator in rooms.operators), EXIT]}
+    graph: dict[str, list[str | int]] = {_ROOT: [*(operator.name for operator in rooms.operators), EXIT]}
     until: dict[str, Until] = {EXIT: lambda seen: not seen.state.is_open}
     goals: dict[str, int | None] = {EXIT: None}
     for operator in rooms.operators:
@@ -93,7 +93,7 @@ def _make_task_graph(rooms: Situations, planned: bool, abstract: bool) -> Hierar
     if abstract:
         # Planned, a walk's value is its length; learned, it depends on the pose. A press needs no more than a walk.
         see |= {name: _make_length_view(rooms, target) if planned else rooms.see_pose for name, target in goals.items()}
-        see |= {operator.name: rooms.see_place for operator in rooms.operators} | {ROOT: rooms.see_place}
+        see |= {operator.name: rooms.see_place for operator in rooms.operators} | {_ROOT: rooms.see_place}
     see |= {primitive: _make_primitive_view(rooms, primitive, planned) if abstract else rooms.see_all
             for primitive in primitives}
     places = {name: rooms.get_place(target) for name, target in goals.items()}

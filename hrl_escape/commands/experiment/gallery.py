@@ -17,7 +17,7 @@ from rich.console import Console
 
 from hrl_escape.experiments.gallery.entries import load_entries
 from hrl_escape.experiments.gallery.measure import GallerySettings, load_gallery, measure_gallery, save_gallery
-from hrl_escape.experiments.gallery.page import PAGE, write_gallery
+from hrl_escape.experiments.gallery.page import GALLERY_PAGE, write_gallery
 from hrl_escape.files import claim_folder
 
 
@@ -53,4 +53,4 @@ def run(args: GalleryArgs) -> None:
             save_gallery(raw, found)
             console.print(f"{each}")
     write_gallery(found, args.docs)
-    console.print(f"Page: {args.docs / PAGE}")
+    console.print(f"Page: {args.docs / GALLERY_PAGE}")

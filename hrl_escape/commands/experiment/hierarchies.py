@@ -22,28 +22,28 @@ from hrl_escape.experiments.presets import get_grid
 from hrl_escape.experiments.studies.running import StudyArgs, get_raw_file, refuse_failures
 from hrl_escape.files import claim_folder
 
-GRID = get_grid(GRID_NAME)
+_GRID = get_grid(GRID_NAME)
 
 
 @dataclasses.dataclass(frozen=True)
 class HierarchiesArgs(StudyArgs):
     """Options of `hrl-escape experiment hierarchies`."""
 
-    runs: int = GRID.runs
+    runs: int = _GRID.runs
     """Training seeds of each agent in each room."""
-    primitives: int = GRID.primitives
+    primitives: int = _GRID.primitives
     """Training budget of a run."""
 
 
 def run(args: HierarchiesArgs) -> None:
     """Run, write the page, and print its conclusions."""
-    raw = get_raw_file(args.docs, GRID.name)
+    raw = get_raw_file(args.docs, _GRID.name)
     if not args.from_raw:
         claim_folder(raw.parent)
-        grid = dataclasses.replace(GRID, runs=args.runs, primitives=args.primitives, first_seed=args.first_seed)
+        grid = dataclasses.replace(_GRID, runs=args.runs, primitives=args.primitives, first_seed=args.first_seed)
         comparison = run_grid(grid, args.out / grid.name, LocalLauncher(args.workers))
         refuse_failures(comparison)
-        save_lines(raw, collect_baselines(comparison, "per-instance", GRID.name))
+        save_lines(raw, collect_baselines(comparison, "per-instance", _GRID.name))
     console = Console(highlight=False, soft_wrap=True)
     page = args.docs / "hierarchies.md"
     for conclusion in write_hierarchies_page(load_lines(raw), page):

@@ -20,7 +20,8 @@ from hrl_escape.experiments.presets import HIERARCHICAL, get_grid
 from hrl_escape.experiments.statistics import compute_iqm
 from hrl_escape.files import write_text
 
-__all__ = ["GRID_NAME", "QUESTIONS", "Contrast", "Question", "compare_twins", "conclude", "write_hierarchies_page"]
+__all__ = ["GRID_NAME", "QUESTIONS", "Contrast", "Question", "compare_twins", "conclude_contrasts",
+           "write_hierarchies_page"]
 
 GRID_NAME = "hierarchies"
 _COMMAND = f"hrl-escape experiment {GRID_NAME}"
@@ -111,7 +112,7 @@ def write_hierarchies_page(lines: Sequence[BaselineRun], path: Path) -> list[str
         FileWriteError: the file cannot be written.
     """
     contrasts = compare_twins(lines)
-    conclusions = conclude(contrasts, lines)
+    conclusions = conclude_contrasts(contrasts, lines)
     budget, rooms = max(line.primitives for line in lines), _list_rooms(lines)
     text = [
         "# Synthesised hierarchies: structure alone, and with planned leaves", "",
@@ -166,7 +167,7 @@ def _get_wait(run: BaselineRun) -> float:
 # --- words ---------------------------------------------------------------------------------
 
 
-def conclude(contrasts: Sequence[Contrast], lines: Sequence[BaselineRun]) -> list[str]:
+def conclude_contrasts(contrasts: Sequence[Contrast], lines: Sequence[BaselineRun]) -> list[str]:
     """A sentence a question: in how many rooms some hierarchy is better than its twin, and in how many worse."""
     return [_conclude(number, contrasts, lines) for number in range(len(QUESTIONS))]
 

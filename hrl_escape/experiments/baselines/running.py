@@ -39,7 +39,7 @@ NO_TRAINING = 100
 """Training budget of agents that learn nothing, which evaluations alone tell about."""
 
 
-class GridPlace(NamedTuple):
+class BaselinePlace(NamedTuple):
     """Protocol, rung, and `references` or `learners`."""
 
     protocol: Protocol
@@ -67,7 +67,7 @@ class BaselineArgs(StudyArgs):
     """Episodes in an evaluation with per-instance."""
 
 
-def make_baseline_grids(bench: Benchmark, args: BaselineArgs) -> Iterator[tuple[GridPlace, Grid]]:
+def make_baseline_grids(bench: Benchmark, args: BaselineArgs) -> Iterator[tuple[BaselinePlace, Grid]]:
     """Yield place and grid; those of more agents and seeds hold the runs of those of fewer before them.
 
     An agent goes through all rooms of all rungs before the next one, so that what is finished is whole cells. Those
@@ -86,10 +86,10 @@ def make_baseline_grids(bench: Benchmark, args: BaselineArgs) -> Iterator[tuple[
                                       eval_episodes=args.eval_episodes if alone else args.rooms)
             for count, rung in itertools.product(range(1, len(agents) + 1), rungs):
                 grid = make_protocol_grid(bench, rung, protocol, agents[:count], settings)
-                yield GridPlace(protocol, rung, kind), grid
+                yield BaselinePlace(protocol, rung, kind), grid
 
 
-def run_baselines(bench: Benchmark, args: BaselineArgs, minutes: float) -> dict[GridPlace, Comparison]:
+def run_baselines(bench: Benchmark, args: BaselineArgs, minutes: float) -> dict[BaselinePlace, Comparison]:
     """Make runs until all are made or the time is up; finished ones are kept, in the folder `ladder` of `args.out`.
 
     Returns:
@@ -99,7 +99,7 @@ def run_baselines(bench: Benchmark, args: BaselineArgs, minutes: float) -> dict[
         EscapeError: see `run_grid`.
     """
     until, out, whole = time.monotonic() + 60 * minutes, args.out / "ladder", {}
-    failures: dict[GridPlace, dict[str, Failure]] = defaultdict(dict)
+    failures: dict[BaselinePlace, dict[str, Failure]] = defaultdict(dict)
     for place, grid in make_baseline_grids(bench, args):
         whole[place] = grid  # the last one holds the runs of all others
         if time.monotonic() < until:
@@ -109,13 +109,13 @@ def run_baselines(bench: Benchmark, args: BaselineArgs, minutes: float) -> dict[
                                        failures=tuple(failures[place].values())) for place, grid in whole.items()}
 
 
-def collect_lines(found: dict[GridPlace, Comparison]) -> list[BaselineRun]:
+def collect_lines(found: dict[BaselinePlace, Comparison]) -> list[BaselineRun]:
     """Lines of all finished runs."""
     return [line for place, comparison in found.items()
             for line in collect_baselines(comparison, place.protocol, place.rung)]
 
 
-def ship_agents(found: dict[GridPlace, Comparison], folder: Path) -> dict[str, str]:
+def ship_agents(found: dict[BaselinePlace, Comparison], folder: Path) -> dict[str, str]:
     """Copy the best agent that learned in one room of each rung, as of its best evaluation.
 
     Of several that are equally efficient the smallest is taken.
@@ -154,7 +154,7 @@ def _rate(comparison: Comparison, run: GridRun, result: RunResult) -> tuple[floa
     return float(result.get_curve("efficiency").max()), -size
 
 
-def list_missing(found: dict[GridPlace, Comparison]) -> int:
+def list_missing(found: dict[BaselinePlace, Comparison]) -> int:
     """Number of runs that the time did not suffice for."""
     return sum(len(comparison.grid.make_runs(comparison.places)) - len(comparison.runs)
                for comparison in found.values())

@@ -11,9 +11,9 @@ from hrl_escape.experiments.gallery.measure import LEARNER, PLAYERS, PlayedRun, 
 from hrl_escape.files import write_text
 from hrl_escape.names import join_words
 
-__all__ = ["PAGE", "write_gallery"]
+__all__ = ["GALLERY_PAGE", "write_gallery"]
 
-PAGE = "gallery.md"
+GALLERY_PAGE = "gallery.md"
 _COMMAND = "hrl-escape experiment gallery"
 
 
@@ -41,7 +41,7 @@ def write_gallery(found: Iterable[SolvedRoom | PlayedRun], docs: Path) -> None:
     text += ["", "```console", f"{_COMMAND} --runs {1 + max((run.seed for run in learned), default=0)} "
              f"--primitives {max((run.primitives for run in learned), default=0)} --episodes {_count_episodes(runs)}",
              "```", "", "Every finding is a line of `raw/gallery.jsonl`.", ""]
-    write_text(docs / PAGE, "\n".join(text))
+    write_text(docs / GALLERY_PAGE, "\n".join(text))
 
 
 def _count_episodes(runs: Sequence[PlayedRun]) -> int:

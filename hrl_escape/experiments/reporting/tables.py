@@ -23,7 +23,7 @@ from hrl_escape.files import write_text
 __all__ = ["describe_place", "format_first_escape", "write_markdown", "write_tables"]
 
 MEASURES = ("efficiency", "mean_progress", "success_rate", "mean_length")
-HEADINGS = ("efficiency", "progress", "success", "length")
+_HEADINGS = ("efficiency", "progress", "success", "length")
 
 
 def write_tables(summary: Summary, folder: Path) -> None:
@@ -51,10 +51,10 @@ def write_tables(summary: Summary, folder: Path) -> None:
                            evaluation.mean_return))
             timings.append((*head, evaluation.primitives, seconds, evaluation.seconds))
     names = ("agent", "room", "instance", "seed")
-    _write(folder / "results.csv", (*names, *HEADINGS, "return_score", "return", "first_escape", "stuck", "worst",
+    _write(folder / "results.csv", (*names, *_HEADINGS, "return_score", "return", "first_escape", "stuck", "worst",
                                     "best", "reachable", "fewest", "fewest_reachable", "seen_efficiency",
                                     "primitives", "decisions", "episodes", "planner_calls", "key"), results)
-    _write(folder / "curves.csv", (*names, "primitives", "decisions", *HEADINGS, "return_score", "return"), curves)
+    _write(folder / "curves.csv", (*names, "primitives", "decisions", *_HEADINGS, "return_score", "return"), curves)
     if trials:
         _write(folder / "trials.csv", (*names, "trial", "efficiency", "success", "length"), trials)
     _write(folder / "timings.csv", (*names, "primitives", "training_seconds", "evaluation_seconds"), timings)

@@ -8,7 +8,12 @@ from pathlib import Path
 import pytest
 
 from hrl_escape.cli import main
-from hrl_escape.experiments.baselines.hierarchies_page import QUESTIONS, compare_twins, conclude, write_hierarchies_page
+from hrl_escape.experiments.baselines.hierarchies_page import (
+    QUESTIONS,
+    compare_twins,
+    conclude_contrasts,
+    write_hierarchies_page,
+)
 from hrl_escape.experiments.baselines.lines import BaselineRun, load_lines, save_lines
 from hrl_escape.experiments.presets import HIERARCHICAL, get_grid
 
@@ -40,7 +45,7 @@ def test_every_agent_of_a_question_is_in_the_grid():
 ])
 def test_another_truth_is_another_conclusion(better, structure, planned, beside):
     lines = make_lines(better)
-    assert [sentence.split(": ")[1] for sentence in conclude(compare_twins(lines), lines)] == [
+    assert [sentence.split(": ")[1] for sentence in conclude_contrasts(compare_twins(lines), lines)] == [
         f"{said}." for said in (structure, planned, beside)]
 
 
@@ -48,9 +53,9 @@ def test_nothing_is_concluded_from_nine_runs():
     lines = make_lines({"+planned": 0.9, "smdp": 0.5}, runs=9)
     contrasts = compare_twins(lines)
     assert not any(contrast.is_shown for contrast in contrasts)
-    assert all("nothing is concluded" in sentence for sentence in conclude(contrasts, lines))
+    assert all("nothing is concluded" in sentence for sentence in conclude_contrasts(contrasts, lines))
     lines += [line for line in make_lines({"+planned": 0.9}) if (line.rooms, line.seed) == (ROOMS[0], 9)]
-    assert "gains in 1 of 1 room." in conclude(compare_twins(lines), lines)[1]
+    assert "gains in 1 of 1 room." in conclude_contrasts(compare_twins(lines), lines)[1]
 
 
 def test_findings_name_room_and_size(tmp_path: Path):
@@ -67,9 +72,9 @@ def test_findings_name_room_and_size(tmp_path: Path):
 def test_the_command_runs_and_writes_the_page_again_from_its_lines(tmp_path: Path, monkeypatch, capsys):
     from hrl_escape.commands.experiment import hierarchies
 
-    agents = tuple(agent for agent in hierarchies.GRID.agents if agent.label in ("hamq+planned", "planner"))
-    small = dataclasses.replace(hierarchies.GRID, agents=agents, rooms=hierarchies.GRID.rooms[:1], eval_every=60)
-    monkeypatch.setattr(hierarchies, "GRID", small)
+    agents = tuple(agent for agent in hierarchies._GRID.agents if agent.label in ("hamq+planned", "planner"))
+    small = dataclasses.replace(hierarchies._GRID, agents=agents, rooms=hierarchies._GRID.rooms[:1], eval_every=60)
+    monkeypatch.setattr(hierarchies, "_GRID", small)
     arguments = ["experiment", "hierarchies", "--runs", "1", "--primitives", "60", "--workers", "1",
                  "--docs", str(tmp_path), "--out", str(tmp_path / "runs")]
     assert main(arguments) == 0 and "nothing is concluded" in capsys.readouterr().out

@@ -20,7 +20,7 @@ from hrl_escape.experiments.gallery.measure import (
     measure_gallery,
     save_gallery,
 )
-from hrl_escape.experiments.gallery.page import PAGE, write_gallery
+from hrl_escape.experiments.gallery.page import GALLERY_PAGE, write_gallery
 
 RESULTS = Path(__file__).parents[3] / "docs" / "results"
 
@@ -57,14 +57,14 @@ def make_findings(lengths: dict[str, tuple[int | None, ...]]) -> list[SolvedRoom
 def test_sentences_follow_the_findings(tmp_path):
     random, order, learner = PLAYERS
     write_gallery(make_findings({random: (10, 30), order: (None, 5), learner: (None, None)}), tmp_path)
-    page = (tmp_path / PAGE).read_text()
+    page = (tmp_path / GALLERY_PAGE).read_text()
     assert "Random options escape in every episode of LightBox." in page
     assert "Options in the order of their numbers escape in every episode of no puzzle." in page
     assert f"`{learner}` escapes in no episode of LightBox." in page
     assert "| `light-box` | L2 | 9 | 70 | 100%, 20 | 50%, 5 | 0% |" in page
     assert "9 presses where all work, 18.0 on average" in page
     write_gallery(make_findings({random: (None, None), order: (5, 5), learner: (7, 8)}), tmp_path)
-    page = (tmp_path / PAGE).read_text()
+    page = (tmp_path / GALLERY_PAGE).read_text()
     assert "Random options escape in every episode of no puzzle." in page
     assert f"`{learner}` escapes in every episode of LightBox." in page and "in no episode" not in page
 
@@ -72,7 +72,7 @@ def test_sentences_follow_the_findings(tmp_path):
 def test_the_page_in_the_docs_is_the_one_of_its_findings(tmp_path):
     found = load_gallery(RESULTS / "raw" / "gallery.jsonl")
     write_gallery(found, tmp_path)
-    assert (tmp_path / PAGE).read_text() == (RESULTS / PAGE).read_text()
+    assert (tmp_path / GALLERY_PAGE).read_text() == (RESULTS / GALLERY_PAGE).read_text()
     measured = {each.preset for each in found if isinstance(each, SolvedRoom)}
     assert measured == {entry.preset for entry in load_entries()}
 

@@ -15,7 +15,7 @@ from hrl_escape.agents.training.results import find_first_escape, load_result
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.comparison import Comparison
-from hrl_escape.experiments.graph_recovery import compute_edge_depth, find_edges_that_matter
+from hrl_escape.experiments.probes.graph_recovery import compute_edge_depth, find_edges_that_matter
 from hrl_escape.experiments.runs import get_training_folder
 from hrl_escape.files import read_text, write_text
 

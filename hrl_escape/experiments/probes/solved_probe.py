@@ -15,8 +15,8 @@ from hrl_escape.agents.agent import Agent, StateTree
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.experiments.graph_recovery import EdgeSet, compare_graphs, find_edges_that_matter
 from hrl_escape.experiments.grid import AgentSpec, SolvedRule
+from hrl_escape.experiments.probes.graph_recovery import EdgeSet, compare_graphs, find_edges_that_matter
 from hrl_escape.experiments.score_range import ScoreRange
 from hrl_escape.experiments.statistics import compute_score
 

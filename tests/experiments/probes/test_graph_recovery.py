@@ -1,6 +1,6 @@
 """Recovered graphs: edges that matter, precision and recall."""
 
-from hrl_escape.experiments.graph_recovery import compare_graphs, compute_edge_depth, find_edges_that_matter
+from hrl_escape.experiments.probes.graph_recovery import compare_graphs, compute_edge_depth, find_edges_that_matter
 
 
 def test_an_edge_that_a_longer_way_implies_does_not_matter():
