@@ -169,6 +169,7 @@ def test_options_go_on_when_the_next_room_has_another_number_of_buttons():
 
 
 def test_batched_random_options_escape_from_rooms_of_different_sizes(rooms):
+    rooms = sorted(rooms, key=lambda room: len(room.targets))[::4]
     env = BatchedOptionsEnv(len(rooms), instance=rooms, include_primitives=False)
     env.reset(torch.arange(len(rooms)))
     generator = torch.Generator().manual_seed(0)
@@ -176,6 +177,8 @@ def test_batched_random_options_escape_from_rooms_of_different_sizes(rooms):
     for _ in range(1000):
         done = env.step(torch.multinomial(env.action_mask.float(), 1, generator=generator).squeeze(1))
         escaped |= done.where & done.terminated
+        if escaped.all():
+            break
     assert escaped.all()
 
 

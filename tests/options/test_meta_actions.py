@@ -71,7 +71,7 @@ def test_meta_actions_keep_the_option_contract(name, flavour):
     for option in make_meta_options(env.instance, flavour):
         if name in (*GRIPPED, "deep-sea") and not any(map(option.initiation, states)):
             continue  # for another passenger, worm or door, or an exit that is everywhere
-        check_option(option, env, runs=4, states=states)
+        check_option(option, env, runs=2, states=states)
     env.close()
 
 
