@@ -50,11 +50,11 @@ def test_there_are_as_many_forms_as_unlabelled_dags(count, classes):
 
 
 @pytest.mark.parametrize("edges", [
-    [(i, 23) for i in range(23)],
-    [(2 * i, 2 * i + 1) for i in range(12)],
+    [(i, 15) for i in range(15)],
+    [(2 * i, 2 * i + 1) for i in range(8)],
     [],
-    [(i, 12 + (i + k) % 12) for i in range(12) for k in range(3)],
+    [(i, 8 + (i + k) % 8) for i in range(8) for k in range(3)],
 ])
-def test_symmetric_graphs_of_24_nodes_take_no_factorial_time(edges):
-    form = compute_canonical_form([0] * 24, edges)
-    assert compute_canonical_form(*relabel([0] * 24, edges, list(range(23, -1, -1)))) == form
+def test_symmetric_graphs_of_16_nodes_take_no_factorial_time(edges):
+    form = compute_canonical_form([0] * 16, edges)
+    assert compute_canonical_form(*relabel([0] * 16, edges, list(range(15, -1, -1)))) == form
