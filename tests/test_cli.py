@@ -115,13 +115,20 @@ def test_a_closed_pipe_ends_a_program_as_the_shell_expects(tmp_path):
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
 def test_a_signal_ends_a_run_in_order_and_with_its_own_exit_code(tmp_path, number):
-    process = subprocess.Popen([PROGRAM, "train", "random", "--primitives", "100000000", "--out", tmp_path / "run"],
-                               stderr=subprocess.PIPE, text=True)
-    while not (tmp_path / "run" / "log.jsonl").exists():
-        assert process.poll() is None
-        time.sleep(0.05)
-    process.send_signal(number)
-    error = process.communicate(timeout=60)[1]
+    before = signal.signal(number, signal.default_int_handler)  # a child inherits what is ignored, as under nohup
+    try:
+        process = subprocess.Popen([PROGRAM, "train", "random", "--primitives", "100000000", "--out", tmp_path / "run"],
+                                   stderr=subprocess.PIPE, text=True)
+    finally:
+        signal.signal(number, before)
+    try:
+        while not (tmp_path / "run" / "log.jsonl").exists():
+            assert process.poll() is None
+            time.sleep(0.05)
+        process.send_signal(number)
+        error = process.communicate(timeout=60)[1]
+    finally:
+        process.kill()
     assert process.returncode == 128 + number
     assert error.count("\n") == 1 and error.startswith("hrl-escape: ")
 
