@@ -20,7 +20,7 @@ from hrl_escape.env.observations import make_observer
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.mini_grid import HELD, PLACE_BITS, MiniGridConfig, MiniGridPuzzle
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ConfigError, ContractError, PlanningFailed
+from hrl_escape.errors import ConfigError, ContractError, PlanningFailed, UnsupportedError
 from hrl_escape.planning import RoomPlanner
 
 pytest.importorskip("minigrid")
@@ -195,6 +195,14 @@ def test_a_key_that_opens_nothing_is_found_out():
 
 
 # --- generated levels ------------------------------------------------------------------------
+
+
+def test_levels_of_a_batch_have_as_many_doors_each():
+    rooms = [generate(get_preset("key-corridor"), seed) for seed in (0, 4)]
+    assert [len(room.puzzle.grid.doors) for room in rooms] == [6, 7]
+    with pytest.raises(UnsupportedError, match="make one batch for each"):
+        TensorRoom(rooms, 2)
+
 
 LEVELS = [("door-key", {"size": 5}), ("door-key", {}), ("key-corridor", {}), ("multi-room", {"rooms": 3})]
 

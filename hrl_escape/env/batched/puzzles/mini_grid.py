@@ -13,6 +13,7 @@ from torch import Tensor
 from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, TensorPuzzle, register_tensor_puzzle
 from hrl_escape.env.puzzles.base import USE
 from hrl_escape.env.puzzles.mini_grid import HELD, PLACE_BITS, MiniGridPuzzle
+from hrl_escape.errors import UnsupportedError
 
 __all__ = ["MiniGridTensorPuzzle"]
 
@@ -26,12 +27,16 @@ class MiniGridTensorPuzzle(TensorPuzzle):
         `cells`: cell of each inner door, -1 where there are fewer; `doors`: its door's number, -1 for other cells
         (inner doors, instances); `locked` doors (doors, instances); `goal`: its cell, `size`: rows and columns of the
         map (2, instances); `is_ball`, of each thing (things, instances).
+
+        Raises:
+            UnsupportedError: numbers of doors, keys or balls differ.
         """
         grids = [puzzle.grid for puzzle in puzzles]
         first = grids[0]
         if any((len(g.doors), len(g.things), g.keys) != (len(first.doors), len(first.things), first.keys)
                for g in grids):
-            raise ValueError("levels of a batch have as many doors, keys and balls each")
+            raise UnsupportedError("levels of a batch have as many doors, keys and balls each, and these have not: "
+                                   "make one batch for each")
         cells = np.full((max(1, *(len(g.blockable) for g in grids)), len(grids)), -1, dtype=np.int64)
         doors = cells.copy()
         for number, grid in enumerate(grids):
