@@ -225,6 +225,7 @@ def compute_taxi_optima(dynamics):
     return tables.starts @ find_values(make_model(tables, 1.0)), tables.starts @ nested.values["root"]
 
 
+@pytest.mark.slow
 def test_taxi_is_solved_in_three_thousand_episodes():
     flat, recursive = compute_taxi_optima("still")
     assert flat == pytest.approx(recursive)
