@@ -44,11 +44,16 @@ def test_distances_are_those_of_the_scalar_geometry(some, x, y):
 def test_first_contact_is_that_of_the_scalar_geometry(outline, x, y, radius, direction, length):
     dx, dy = length * math.cos(direction), length * math.sin(direction)
     expected = min(1.0, geometry.compute_first_contact(x, y, dx, dy, radius, outline))
-    spread = [min(1.0, geometry.compute_first_contact(x + a, y + b, dx, dy, radius, outline))
-              for a, b in ((1e-6, 0), (-1e-6, 0), (0, 1e-6), (0, -1e-6))]
-    assume(max(spread) - min(spread) < 1e-3)  # grazing: rounding decides
+
+    def spread(step: float) -> float:
+        near = [min(1.0, geometry.compute_first_contact(x + a, y + b, dx, dy, radius, outline))
+                for a, b in ((step, 0), (-step, 0), (0, step), (0, -step))]
+        return max(near) - min(near)
+
+    assume(spread(1e-6) < 1e-3)  # grazing: rounding decides
     assert abs(meet(x, y, dx, dy, radius, outline) - expected) < 1e-7
-    assert abs(meet(x, y, dx, dy, radius, outline, single=True) - expected) < 1e-3
+    if spread(1e-4) < 0.5:  # else rounding to single precision decides
+        assert abs(meet(x, y, dx, dy, radius, outline, single=True) - expected) < 1e-3
 
 
 @given(outlines, st.floats(0, math.tau), st.floats(0.05, 1.5), st.floats(0, math.tau), st.floats(0.1, 3))
