@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from pathlib import Path
+from typing import ClassVar
 
 import gymnasium
 import numpy as np
@@ -220,21 +221,33 @@ def test_the_same_run_gives_the_same_bits_in_another_process():
     assert done.stdout.strip() == compute_digest() == compute_digest()
 
 
+class CountsThreads(ButtonGrid):
+    """Remembers with how many threads it was stepped."""
+
+    seen: ClassVar[set[int]] = set()
+
+    def step(self, action):
+        self.seen.add(torch.get_num_threads())
+        return super().step(action)
+
+
 def test_threads_are_a_part_of_the_run_and_those_around_it_are_not(tmp_path):
     before = torch.get_num_threads()
     try:
         keys, digests = [], []
         for around, threads in ((1, 1), (2, 1), (1, 2)):
             torch.set_num_threads(around)
-            result = run("dqn", out=tmp_path / "{key}", primitives=100, threads=threads)
-            assert torch.get_num_threads() == around
+            CountsThreads.seen.clear()
+            result = run("dqn", CountsThreads(trace=True, horizon=40), out=tmp_path / str(around) / "{key}",
+                         primitives=100, threads=threads)
+            assert torch.get_num_threads() == around and CountsThreads.seen == {threads}
             keys.append(result.folder.name)
             digests.append(compute_state_digest(result.agent.state_dict()))
     finally:
         torch.set_num_threads(before)
     assert keys[0] == keys[1] != keys[2] and digests[0] == digests[1]
     with pytest.raises(RunMismatchError, match="threads: 2 there, None now"):
-        run("dqn", out=tmp_path / keys[2], primitives=100)
+        run("dqn", CountsThreads(trace=True, horizon=40), out=tmp_path / "1" / keys[2], primitives=100)
 
 
 def test_another_seed_gives_another_run():
