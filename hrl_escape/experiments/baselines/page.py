@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,9 @@ from hrl_escape.files import write_text
 from hrl_escape.names import join_words
 
 __all__ = ["write_baselines_page"]
+
+_Cells: TypeAlias = Mapping[tuple[str, str], Sequence[BaselineRun]]
+"""Runs of one protocol by rung and agent."""
 
 _COMMAND = "hrl-escape experiment ladder"
 _WORDS = {
@@ -45,10 +49,10 @@ def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], pat
             f"{PASSED_EFFICIENCY:g} or more. A dash: not run. Every run is a line of `raw/ladder.jsonl`.", ""]
     for protocol in [name for name in _WORDS if any(line.protocol == name for line in lines)]:
         own = [line for line in lines if line.protocol == protocol]
+        cells = _group(own)
         text += [f"## {protocol}", "", _WORDS[protocol], "", _describe_budgets(own, rungs), "",
-                 *_make_table(own, rungs), "", *_name_highest(own, rungs), "", *_score(own, rungs)]
+                 *_make_table(cells, rungs), "", *_name_highest(cells, rungs), "", *_score(cells, rungs)]
         if protocol == "per-instance":
-            cells = {(rung, agent): _choose(own, agent, rung) for rung in rungs for agent in _list_agents(own)}
             told = tell_calibration(cells, rungs, noisy)
             text += ["### Calibration", "", f"By cells of {LEAST_RUNS} runs or more.", "",
                      *(f"- {sentence}" for sentence in told), ""] if told else []
@@ -66,8 +70,8 @@ def _list_commands(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[s
         there = [rung for rung in rungs if any(line.rung == rung for line in own)]
         rooms = max(len({line.rooms for line in own if line.rung == rung}) for rung in there)
         episodes = max(line.episodes for line in own)
-        words = [_COMMAND, "--protocol", protocol, "--rung", *there, "--agents", *_list_agents(own), "--runs",
-                 str(1 + max(line.seed for line in own))]
+        words = [_COMMAND, "--protocol", protocol, "--rung", *there, "--agents",
+                 *_sort_agents(line.agent for line in own), "--runs", str(1 + max(line.seed for line in own))]
         words += ["--rooms", str(rooms), "--eval-episodes", str(episodes)] if protocol == "per-instance" else [
             "--rooms", str(episodes)]
         commands.append(" ".join([*words, *(["--primitives", str(budget)] if budget else [])]))
@@ -75,13 +79,13 @@ def _list_commands(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[s
 
 
 def _summarise(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> str:
-    own = [line for line in lines if line.protocol == "per-instance"] or list(lines)
-    met = {agent: _find_highest(own, agent, rungs) for agent in _list_agents(own)}
-    learners = {agent: rung for agent, rung in met.items() if _is_learner(own, agent)}
+    cells = _group([line for line in lines if line.protocol == "per-instance"] or lines)
+    learners = {agent: _find_highest(cells, agent, rungs)
+                for agent in _sort_agents(agent for (_, agent), runs in cells.items() if runs[0].primitives)}
     words = f"{len(lines)} runs on {len({line.rung for line in lines})} rungs."
     reached = [rung for rung in learners.values() if rung is not None]
     if not reached:
-        enough = any(len(_choose(own, agent, rung)) >= LEAST_RUNS for agent in learners for rung in rungs)
+        enough = any(len(cells.get((rung, agent), ())) >= LEAST_RUNS for agent in learners for rung in rungs)
         why = "" if enough else f": none has {LEAST_RUNS} runs on one, and fewer say nothing of the next room"
         return f"**No learner is shown to master a rung{why}.** {words}"
     top = max(reached, key=list(rungs).index)
@@ -89,15 +93,20 @@ def _summarise(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> str:
     return f"**The highest rung that a learner masters is `{top}`, by {', '.join(best)}.** {words}"
 
 
-def _list_agents(lines: Sequence[BaselineRun]) -> list[str]:
-    """Agents in the order of the baselines, others after them."""
+def _sort_agents(agents: Iterable[str]) -> list[str]:
+    """Each agent once, in the order of the baselines, others after them."""
     known = list(dict.fromkeys((*LEARNERS, *GENERALISTS)))
-    return sorted({line.agent for line in lines},
-                  key=lambda agent: (known.index(agent) if agent in known else len(known), agent))
+    return sorted(set(agents), key=lambda agent: (known.index(agent) if agent in known else len(known), agent))
 
 
-def _is_learner(lines: Sequence[BaselineRun], agent: str) -> bool:
-    return any(line.agent == agent and line.primitives for line in lines)
+def _group(lines: Sequence[BaselineRun]) -> _Cells:
+    """Runs by rung and agent, of several budgets those of the largest; agents in the order of the baselines."""
+    cells: dict[tuple[str, str], list[BaselineRun]] = {}
+    agents = _sort_agents(line.agent for line in lines)
+    for line in sorted(lines, key=lambda line: agents.index(line.agent)):
+        cells.setdefault((line.rung, line.agent), []).append(line)
+    most = {place: max(run.primitives for run in runs) for place, runs in cells.items()}
+    return {place: [run for run in runs if run.primitives == most[place]] for place, runs in cells.items()}
 
 
 def _describe_budgets(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> str:
@@ -110,20 +119,14 @@ def _describe_budgets(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> str
             f"the largest budget of a cell counting; {episodes} episodes an evaluation.{less}")
 
 
-def _make_table(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
-    agents = _list_agents(lines)
+def _make_table(cells: _Cells, rungs: Sequence[str]) -> list[str]:
+    agents = _sort_agents(agent for _, agent in cells)
     rows = ["| rung | " + " | ".join(f"`{agent}`" for agent in agents) + " |", "|---" * (len(agents) + 1) + "|"]
     for rung in rungs:
-        cells = [_choose(lines, agent, rung) for agent in agents]
-        if any(cells):
-            rows.append(f"| `{rung}` | " + " | ".join(map(_format_cell, cells)) + " |")
+        row = [cells.get((rung, agent), ()) for agent in agents]
+        if any(row):
+            rows.append(f"| `{rung}` | " + " | ".join(map(_format_cell, row)) + " |")
     return rows
-
-
-def _choose(lines: Sequence[BaselineRun], agent: str, rung: str) -> list[BaselineRun]:
-    """Runs of an agent on a rung, of several budgets those of the largest."""
-    own = [line for line in lines if (line.agent, line.rung) == (agent, rung)]
-    return [line for line in own if line.primitives == max(each.primitives for each in own)]
 
 
 def _is_shown(runs: Sequence[BaselineRun]) -> bool:
@@ -151,22 +154,22 @@ def _is_passed(runs: Sequence[BaselineRun]) -> bool:
     return _is_mastered(runs) and float(low) >= PASSED_ESCAPES
 
 
-def _find_highest(lines: Sequence[BaselineRun], agent: str, rungs: Sequence[str]) -> str | None:
-    found = [rung for rung in rungs if _is_shown(_choose(lines, agent, rung))]
+def _find_highest(cells: _Cells, agent: str, rungs: Sequence[str]) -> str | None:
+    found = [rung for rung in rungs if _is_shown(cells.get((rung, agent), ()))]
     return found[-1] if found else None
 
 
-def _score(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
+def _score(cells: _Cells, rungs: Sequence[str]) -> list[str]:
     """Ladder scores over the rungs and agents that fill the largest table without gaps."""
-    agents = _list_agents(lines)
-    enough = {rung: {agent for agent in agents if len(_choose(lines, agent, rung)) >= LEAST_RUNS} for rung in rungs}
+    enough = {rung: {agent for (place, agent), runs in cells.items() if place == rung and len(runs) >= LEAST_RUNS}
+              for rung in rungs}
     chosen = max(enough.values(), key=lambda chosen: len(chosen) * sum(chosen <= there for there in enough.values()))
     common = [rung for rung, there in enough.items() if chosen <= there]
     if not chosen:
         return []
     rows = []
-    for agent in (agent for agent in agents if agent in chosen):
-        score = compute_ladder_score([_split(_choose(lines, agent, rung)) for rung in common], np.random.default_rng(0))
+    for agent in _sort_agents(chosen):
+        score = compute_ladder_score([_split(cells[rung, agent]) for rung in common], np.random.default_rng(0))
         rows.append(f"| `{agent}` | {score.value:.2f} | {score.low:.2f} to {score.high:.2f} |")
     names = join_words(f"`{rung}`" for rung in common)
     return [f"Ladder score: the mean of the efficiency over {names}, where all of these agents have {LEAST_RUNS} runs "
@@ -182,14 +185,15 @@ def _split(runs: Sequence[BaselineRun]) -> list[NDArray[np.float64]]:
     return [np.array(unit) for unit in units.values()]
 
 
-def _name_highest(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
+def _name_highest(cells: _Cells, rungs: Sequence[str]) -> list[str]:
     text = [f"| agent | highest rung mastered, with {LEAST_RUNS} runs or more | passed, by Wilson's interval |",
             "|---|---|---|"]
-    for agent in _list_agents(lines):
-        sure = [rung for rung in rungs if (runs := _choose(lines, agent, rung)) and _is_passed(runs)]
-        text.append(f"| `{agent}` | {_find_highest(lines, agent, rungs) or 'none'} | {sure[-1] if sure else 'none'} |")
-    few = min(len(_choose(lines, line.agent, line.rung)) for line in lines)
-    if few < 35 and lines[0].protocol == "per-instance":
+    for agent in _sort_agents(agent for _, agent in cells):
+        sure = [rung for rung in rungs if (runs := cells.get((rung, agent))) and _is_passed(runs)]
+        text.append(f"| `{agent}` | {_find_highest(cells, agent, rungs) or 'none'} | {sure[-1] if sure else 'none'} |")
+    fewest = min(cells.values(), key=len)
+    few = len(fewest)
+    if few < 35 and fewest[0].protocol == "per-instance":
         text += ["", f"To pass takes 35 runs without a failure at least: the lower end of Wilson's interval reaches "
                  f"{PASSED_ESCAPES:g} with no fewer. Some cells have {few}."]
     return text
