@@ -18,6 +18,7 @@ from rich.console import Console
 from hrl_escape.experiments.gallery.entries import load_entries
 from hrl_escape.experiments.gallery.measure import GallerySettings, load_gallery, measure_gallery, save_gallery
 from hrl_escape.experiments.gallery.page import GALLERY_PAGE, write_gallery
+from hrl_escape.experiments.studies.running import get_raw_file
 from hrl_escape.files import claim_folder
 
 
@@ -42,7 +43,7 @@ class GalleryArgs:
 
 def run(args: GalleryArgs) -> None:
     """Measure what is missing, keep every finding at once, and write the page."""
-    raw = args.docs / "raw" / "gallery.jsonl"
+    raw = get_raw_file(args.docs, "gallery")
     found = load_gallery(raw) if args.from_raw or raw.exists() else []
     console = Console(highlight=False, soft_wrap=True)
     if not args.from_raw:

@@ -24,14 +24,14 @@ from hrl_escape.experiments.baselines.generalisation_page import write_generalis
 from hrl_escape.experiments.baselines.lines import BaselineRun, collect_baselines, join_lines, load_lines, save_lines
 from hrl_escape.experiments.comparison import run_grid
 from hrl_escape.experiments.launching.local import LocalLauncher
-from hrl_escape.experiments.studies.running import refuse_failures
+from hrl_escape.experiments.studies.running import get_raw_file, refuse_failures
 from hrl_escape.files import claim_folder
 from hrl_escape.ladder.benchmark import load_benchmark
 
 
 def run(args: GeneralisationArgs) -> None:
     """Run, write lines, page and figure, and say where they are."""
-    raw = args.docs / "raw" / "generalisation.jsonl"
+    raw = get_raw_file(args.docs, "generalisation")
     lines = load_lines(raw) if raw.exists() else []
     if not args.from_raw:
         claim_folder(raw.parent)

@@ -26,6 +26,7 @@ from hrl_escape.experiments.baselines.running import (
     run_baselines,
     ship_agents,
 )
+from hrl_escape.experiments.studies.running import get_raw_file
 from hrl_escape.files import claim_folder
 from hrl_escape.ladder.benchmark import load_benchmark
 
@@ -42,7 +43,7 @@ class LadderArgs(BaselineArgs):
 
 def run(args: LadderArgs) -> None:
     """Run, write lines and page, and say where they are."""
-    bench, raw = load_benchmark("ladder-1"), args.docs / "raw" / "ladder.jsonl"
+    bench, raw = load_benchmark("ladder-1"), get_raw_file(args.docs, "ladder")
     console = Console(highlight=False, soft_wrap=True)
     lines = load_lines(raw) if raw.exists() else []
     if not args.from_raw:

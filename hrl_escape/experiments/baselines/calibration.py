@@ -12,6 +12,7 @@ import numpy as np
 
 from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun, compute_run_efficiency
 from hrl_escape.experiments.inference import compare_pairs, correct_by_holm
+from hrl_escape.experiments.pairs import ALPHA
 from hrl_escape.experiments.protocols import MOST_CHANCE, STEP, find_miscalibration, find_steps
 from hrl_escape.names import join_words
 
@@ -74,7 +75,7 @@ def _tell_order(enough: Mapping[tuple[str, str], Sequence[BaselineRun]], rungs: 
         return ""
     adjusted = correct_by_holm([test.p for test in tests.values()])
     better = [f"`{rung}` (by {test.difference:.2f})"
-              for (rung, test), p in zip(tests.items(), adjusted, strict=True) if p < 0.05 and test.difference > 0]
+              for (rung, test), p in zip(tests.items(), adjusted, strict=True) if p < ALPHA and test.difference > 0]
     begins = "Rounds in the order of the buttons' numbers are more efficient than rounds in an order drawn by lot on"
     if better:
         return f"{begins} {join_words(better)}, so numbers tell something there."

@@ -9,6 +9,7 @@ from typing import Literal
 from hrl_escape.env.config import Between, RoomConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.experiments.baselines.calibration import CHANCE, KNOWN
 from hrl_escape.experiments.grid import AgentSpec, Grid
 from hrl_escape.experiments.protocols import LadderSettings, make_protocol_grid
 from hrl_escape.experiments.studies.running import StudyArgs
@@ -23,7 +24,6 @@ TRAINING_ROOMS = (1, 4, 16, 64, 256, 1000)
 """Numbers of training rooms; the last is the whole set, of which few runs see a room twice."""
 FLAT, VECTORS = "ppo+objects", "smdp-ppo+no-primitives"
 OBJECTS, MEMORY = "smdp-ppo+objects+no-primitives", "smdp-ppo+objects+memory+no-primitives"
-CHANCE, KNOWN = "smdp-random+no-primitives", "planner"
 TRAINED = "2 to 4 buttons"
 DEPTHS = {"6 buttons, layered": (6, "layered"), "6 buttons, one chain": (6, "chain"),
           "8 buttons, layered": (8, "layered"), "10 buttons, layered": (10, "layered")}

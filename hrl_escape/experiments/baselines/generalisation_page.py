@@ -16,6 +16,7 @@ from hrl_escape.experiments.baselines.generalisation import DEPTHS, FLAT, MEMORY
 from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
 from hrl_escape.files import write_text
+from hrl_escape.names import join_words
 
 __all__ = ["draw_sizes", "write_generalisation_page"]
 
@@ -101,7 +102,7 @@ def _describe(lines: Sequence[BaselineRun]) -> str:
     seeds, episodes = len({line.seed for line in lines}), max(line.episodes for line in lines)
     few = f" Nothing is concluded from fewer than {LEAST_RUNS} seeds." if seeds < LEAST_RUNS else ""
     return (f"{len(lines)} runs: {seeds} training {'seed' if seeds == 1 else 'seeds'}, "
-            f"{' and '.join(f'{budget:,}' for budget in budgets)} primitives, tested in {episodes} rooms "
+            f"{join_words(f'{budget:,}' for budget in budgets)} primitives, tested in {episodes} rooms "
             f"that no run was trained in.{few}")
 
 

@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 
 from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
+from hrl_escape.experiments.baselines.calibration import CHANCE, IN_ORDER, KNOWN, ROUND
 from hrl_escape.experiments.baselines.lines import BaselineRun, collect_baselines
 from hrl_escape.experiments.comparison import Comparison, read_comparison, run_grid
 from hrl_escape.experiments.grid import AgentSpec, Grid, GridRun
@@ -26,14 +27,12 @@ from hrl_escape.ladder.trained import CHECKPOINT
 
 __all__ = ["GENERALISTS", "LEARNERS", "BaselineArgs", "make_baseline_grids", "run_baselines", "ship_agents"]
 
-_REFERENCES = ("smdp-random+no-primitives", "smdp-shuffled-round+no-primitives", "smdp-index-order+no-primitives",
-               "planner")
+_REFERENCES = (CHANCE, ROUND, IN_ORDER, KNOWN)
 LEARNERS = (*_REFERENCES, *(f"smdp-{name}+no-primitives" for name in ("q-learning", "factored-r-max", "dqn", "ppo")),
             "random", "q-learning", "dqn", "ppo")
 """Agents that learn a room from nothing, and references: options alone, then primitives alone, the cheapest first."""
 GENERALISTS = (*_REFERENCES, *(f"smdp-{name}+objects+memory+no-primitives" for name in ("dqn", "ppo")))
 """Agents that learn in some rooms and act in others, and references."""
-
 
 NO_TRAINING = 100
 """Training budget of agents that learn nothing, which evaluations alone tell about."""
@@ -158,4 +157,3 @@ def list_missing(found: dict[BaselinePlace, Comparison]) -> int:
     """Number of runs that the time did not suffice for."""
     return sum(len(comparison.grid.make_runs(comparison.places)) - len(comparison.runs)
                for comparison in found.values())
-
