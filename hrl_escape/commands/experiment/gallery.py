@@ -23,18 +23,12 @@ from hrl_escape.files import claim_folder
 
 
 @dataclasses.dataclass(frozen=True)
-class GalleryArgs:
+class GalleryArgs(GallerySettings):
     """Options of `hrl-escape experiment gallery`."""
 
     presets: tuple[str, ...] = dataclasses.field(
         default_factory=lambda: tuple(entry.preset for entry in load_entries()))
     """Puzzles to measure."""
-    runs: int = 2
-    """Training seeds of the agent that learns."""
-    primitives: int = 20_000
-    """Training budget of a run."""
-    episodes: int = 5
-    """Evaluation episodes of an agent in a room."""
     docs: Path = Path("docs/results")
     """Folder of the page and the findings."""
     from_raw: bool = False
@@ -48,8 +42,7 @@ def run(args: GalleryArgs) -> None:
     console = Console(highlight=False, soft_wrap=True)
     if not args.from_raw:
         claim_folder(raw.parent)
-        settings = GallerySettings(args.runs, args.primitives, args.episodes)
-        for each in measure_gallery(args.presets, settings, tuple(found)):
+        for each in measure_gallery(args.presets, args, tuple(found)):
             found.append(each)
             save_gallery(raw, found)
             console.print(f"{each}")

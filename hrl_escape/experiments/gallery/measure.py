@@ -32,17 +32,14 @@ PLAYERS = ("smdp-random", "smdp-index-order", LEARNER)
 
 @dataclasses.dataclass(frozen=True)
 class GallerySettings:
-    """Size of the measurement.
-
-    Attributes:
-        runs: training seeds.
-        primitives: training budget of a run.
-        episodes: evaluation episodes.
-    """
+    """Size of the measurement."""
 
     runs: int = 2
+    """Training seeds of the agent that learns."""
     primitives: int = 20_000
+    """Training budget of a run."""
     episodes: int = 5
+    """Evaluation episodes of an agent in a room."""
 
 
 @dataclasses.dataclass(frozen=True)
