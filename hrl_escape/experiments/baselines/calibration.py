@@ -48,13 +48,13 @@ def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], run
     if order := _tell_order(enough, rungs):
         told.append(order)
     learners = {agent: curve for agent, curve in curves.items()
-                if any(run.primitives for rung in curve for run in enough[rung, agent])}
+                if len(curve) > 1 and any(run.primitives for rung in curve for run in enough[rung, agent])}
     steps = [step for agent, curve in learners.items()
              for faults in find_steps({rung: {agent: value} for rung, value in curve.items()}, [agent]).values()
              for step in faults]
     if steps:
         told.append(f"The fall is not smooth: {'; '.join(steps)}.")
-    elif any(len(curve) > 1 for curve in learners.values()):
+    elif learners:
         told.append(f"No learner falls from above {STEP[0]:g} on one rung to below {STEP[1]:g} on the next that it was "
                     f"run on: {join_words(f'`{agent}`' for agent in learners)}.")
     open_rungs = [f"`{rung}`" for rung in rungs if rung not in chance]

@@ -51,8 +51,11 @@ def test_the_page_names_the_highest_rung_mastered_and_the_highest_that_enough_ru
     assert "| `ppo` | none | none |" in page
     assert ("hrl-escape experiment ladder --protocol per-instance --rung low middle high --agents dqn ppo --runs 35 "
             "--rooms 1 --eval-episodes 5 --primitives 1000\n") in page
+    assert "reaches 0.9 with no fewer. Some cells have 1." in page
     assert "| `low` | **0.80** (35) | 0.90 (2) |" in page and "| `high` | 0.49 (1) | - |" in page
     assert "The highest rung that a learner masters is `middle`, by `dqn`" in page
+    write_baselines_page(make_lines("low", "dqn", 0.8, 1.0, 35), RUNGS, tmp_path / "page.md")
+    assert "To pass takes" not in (tmp_path / "page.md").read_text()
 
 
 @pytest.mark.parametrize(("efficiency", "runs", "sentence"), [
@@ -96,7 +99,16 @@ def test_calibration_tells_what_the_lines_say(references: dict, learner: list, n
     write_baselines_page(lines, (*RUNGS, "top"), tmp_path / "page.md", noisy)
     assert "Open, for want of runs: `top`." in (tmp_path / "page.md").read_text()
     write_baselines_page([line for line in lines if not line.rooms.endswith("[9]")], RUNGS, tmp_path / "page.md")
-    assert "### Calibration" not in (tmp_path / "page.md").read_text(), "nine rooms are too few"
+    page = (tmp_path / "page.md").read_text()
+    assert "### Calibration" not in page and "Ladder score" not in page, "nine rooms are too few"
+
+
+def test_of_a_learner_on_one_rung_no_fall_is_denied(tmp_path: Path):
+    once = [line for line in make_cells({"ppo": [1.0, 1.0, 1.0]}, 1000) if line.rung == "low"]
+    for others, told in (({}, False), ({"dqn": [1.0, 0.5, 0.0]}, True)):
+        write_baselines_page([*make_cells(SOUND), *once, *make_cells(others, 1000)], RUNGS, tmp_path / "page.md")
+        page = (tmp_path / "page.md").read_text()
+        assert ("No learner falls" in page) is told and ("that it was run on: `dqn`.\n" in page) is told
 
 
 def test_ladder_scores_are_over_the_largest_table_without_gaps(tmp_path: Path):
