@@ -119,8 +119,8 @@ def write_hierarchies_page(lines: Sequence[BaselineRun], path: Path) -> list[str
         f"**{' '.join(conclusions)}**", "",
         "[Hierarchies that are given](../hierarchies.md) explains the agents. All learn in tables, at their default "
         "settings, so that twins differ in the hierarchy and in what it tells them; agents with networks were not run. "
-        f"{budget:,} primitives of training, then one episode of the frozen policy: these rooms have one start and no "
-        "chance.", "",
+        f"{budget:,} primitives of training, then {_count_episodes(lines)} of the frozen policy: these rooms have one "
+        "start and no chance.", "",
     ]
     for number, question in enumerate(QUESTIONS):
         text += [f"## {question.heading}", "", f"{question.words}.", "",
@@ -142,6 +142,11 @@ def write_hierarchies_page(lines: Sequence[BaselineRun], path: Path) -> list[str
 def _make_command(lines: Sequence[BaselineRun]) -> str:
     runs, budget = 1 + max(line.seed for line in lines), max(line.primitives for line in lines)
     return f"{_COMMAND} --runs {runs} --primitives {budget}"
+
+
+def _count_episodes(lines: Sequence[BaselineRun]) -> str:
+    most = max(line.episodes for line in lines)
+    return "one episode" if most == 1 else f"{most} episodes"
 
 
 def _list_rooms(lines: Sequence[BaselineRun]) -> list[str]:

@@ -6,6 +6,7 @@ import statistics
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+from hrl_escape.experiments.baselines.lines import LEAST_RUNS
 from hrl_escape.experiments.gallery.entries import EXACTNESS, Entry, load_entries
 from hrl_escape.experiments.gallery.measure import LEARNER, PLAYERS, PlayedRun, SolvedRoom
 from hrl_escape.files import write_text
@@ -51,8 +52,9 @@ def _count_episodes(runs: Sequence[PlayedRun]) -> int:
 def _introduce(runs: Sequence[PlayedRun]) -> str:
     learned = [run for run in runs if run.agent == LEARNER]
     seeds, budget = len({run.seed for run in learned}), max((run.primitives for run in learned), default=0)
+    few = "few runs, " if seeds < LEAST_RUNS else ""
     return ("One room of each puzzle, solved by the planner and played by three agents that choose among options: at "
-            f"random, in the order of the numbers, and learning (`{LEARNER}`). These are few runs, {seeds} training "
+            f"random, in the order of the numbers, and learning (`{LEARNER}`). These are {few}{seeds} training "
             f"seed{'' if seeds == 1 else 's'} of {budget:,} primitives and {_count_episodes(runs)} evaluation episodes "
             "each: they tell what is easy, and rank no agents. [The puzzle zoo](../puzzles.md) has sources and proofs.")
 

@@ -67,6 +67,34 @@ def test_findings_name_room_and_size(tmp_path: Path):
     assert page.count("| `maxq-q+planned` | 10 | 0.5") == 2
     assert "- `maxq-q+planned`: escapes later in far (by 300 primitives), near (by 300 primitives)." in page
     assert "- `hamq+planned`: no difference is shown." in page and "`hamq+planned` (program, state, planner)" in page
+    assert "then one episode of the frozen policy" in page and "Too few runs" not in page
+
+
+def test_another_truth_is_another_page(tmp_path: Path):
+    fast = [dataclasses.replace(line, episodes=3, first_escape=40) if line.agent == "hamq+planned" else line
+            for line in make_lines({"maxq-q+planned": 0.2, "+planned": 0.5, "smdp": 0.5})
+            if line.agent != "h-dqn@table+planned" or (line.rooms, line.seed) != ("far", 9)]
+    write_hierarchies_page(fast, tmp_path / "page.md")
+    page = (tmp_path / "page.md").read_text()
+    beside = page.partition("## Structure where a planner walks anyway")[2]
+    assert "- `maxq-q+planned`: less efficient in far (-0.31), near (-0.31)." in beside
+    assert "- `hamq+planned`: escapes sooner in far (by 60 primitives), near (by 60 primitives)." in beside
+    assert "- `maxq-q+planned`: more efficient in far (+0.21), near (+0.21); escapes sooner in far (by 900" in page
+    assert page.count("Too few runs to conclude anything: far.") == 2, "of the questions that it is a part of"
+    assert "then 3 episodes of the frozen policy" in page
+    write_hierarchies_page([line for line in fast if "+" not in line.agent], tmp_path / "page.md")
+    assert "Privileged" not in (tmp_path / "page.md").read_text()
+
+
+def test_what_the_page_says_of_its_grid_holds():
+    grid = get_grid("hierarchies")
+    for agent in (agent for agent in grid.agents if agent.learns):
+        settings = agent.resolve_settings()
+        assert "hidden" not in settings or settings["values"] == "table", f"{agent.label} learns in a network"
+        assert not agent.settings, f"{agent.label} is not at its default settings"
+    for room in grid.rooms:
+        instance = room.make_instance()
+        assert len(instance.starts) == len(instance.puzzle.list_starts()) == 1 and not instance.dynamics.is_random
 
 
 def test_the_command_runs_and_writes_the_page_again_from_its_lines(tmp_path: Path, monkeypatch, capsys):

@@ -69,6 +69,15 @@ def test_sentences_follow_the_findings(tmp_path):
     assert f"`{learner}` escapes in every episode of LightBox." in page and "in no episode" not in page
 
 
+@pytest.mark.parametrize(("seeds", "told"), [(1, "These are few runs, 1 training seed of 100 primitives and 2 "),
+                                             (9, "These are few runs, 9 training seeds of 100 "),
+                                             (10, "These are 10 training seeds of 100 ")])
+def test_runs_are_called_few_where_they_are(tmp_path, seeds, told):
+    found = [PlayedRun("light-box", PLAYERS[-1], seed, 100, (7, None)) for seed in range(seeds)]
+    write_gallery([SolvedRoom("light-box", 9, 0.5, 70), *found], tmp_path)
+    assert told in (tmp_path / GALLERY_PAGE).read_text()
+
+
 def test_the_page_in_the_docs_is_the_one_of_its_findings(tmp_path):
     found = load_gallery(RESULTS / "raw" / "gallery.jsonl")
     write_gallery(found, tmp_path)
