@@ -10,15 +10,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
-import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.agent import StateTree
-from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.options.choices import OptionChoices, take_column
 from hrl_escape.agents.components.options.networks import EndingSettings, NetworkOptionAgent
 from hrl_escape.agents.components.policy_gradient import AdvantageSettings, Rollout, compute_entropy
@@ -69,16 +66,6 @@ class A2OC(NetworkOptionAgent):
     settings: A2OCSettings
     heads: ClassVar[tuple[str, ...]] = ("policy", "critic", "ending")
 
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: A2OCSettings | None = None,
-    ) -> None:
-        super().__init__(observation_space, action_space, seed, settings)
-        self._learner = Learner(self.name, self.networks, self.networks, self.settings)
-
     def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
         """Epsilon-greedy choice among the values of options, float64 (options,)."""
         choice = np.full(self.options, self.settings.epsilon / self.options)
@@ -113,12 +100,3 @@ class A2OC(NetworkOptionAgent):
         termination = take_column(self.compute_betas(rollout.next_observation), option).mean().detach()
         return {"loss": loss + termination_loss, "policy_loss": policy_loss, "value_loss": value_loss,
                 "entropy": entropy, "termination_loss": termination_loss, "termination": termination}
-
-    def state_dict(self) -> StateTree:
-        """Networks, optimiser, the rollout so far, the running option, generators."""
-        return super().state_dict() | {"learner": self._learner.state_dict()}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        super().load_state_dict(state)
-        self._learner.load_state_dict(state["learner"])

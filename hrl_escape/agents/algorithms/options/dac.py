@@ -9,13 +9,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
-import gymnasium
 import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.agent import StateTree
-from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.options.choices import OptionChoices, mix_values, take_column
 from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
 from hrl_escape.agents.components.options.networks import EndingSettings
@@ -59,16 +56,6 @@ class DAC(ClippedOptionAgent):
     name: ClassVar[str] = "dac"
     Settings: ClassVar[type] = DACSettings
     settings: DACSettings
-
-    def __init__(
-        self,
-        observation_space: gymnasium.Space,
-        action_space: gymnasium.Space,
-        seed: int,
-        settings: DACSettings | None = None,
-    ) -> None:
-        super().__init__(observation_space, action_space, seed, settings)
-        self._learner = Learner(self.name, self.networks, self.networks, self.settings)
 
     def _learn(self, rollout: Rollout, choices: OptionChoices) -> Mapping[str, float]:
         settings, option, former = self.settings, choices.option, choices.former
@@ -120,12 +107,3 @@ class DAC(ClippedOptionAgent):
                 + settings.deliberation_cost * ending)
         return {"high_loss": loss, "high_policy_loss": policy_loss, "high_value_loss": value_loss,
                 "choice_entropy": entropy, "termination": ending}
-
-    def state_dict(self) -> StateTree:
-        """Networks, optimiser, the rollout so far, the running option, generators."""
-        return super().state_dict() | {"learner": self._learner.state_dict()}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        super().load_state_dict(state)
-        self._learner.load_state_dict(state["learner"])

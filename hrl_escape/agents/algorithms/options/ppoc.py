@@ -87,6 +87,7 @@ class PPOC(ClippedOptionAgent):
     name: ClassVar[str] = "ppoc"
     Settings: ClassVar[type] = PPOCSettings
     settings: PPOCSettings
+    trained: ClassVar[tuple[str, ...]] = ("policy", "critic", "chooser")
 
     def __init__(
         self,
@@ -96,8 +97,6 @@ class PPOC(ClippedOptionAgent):
         settings: PPOCSettings | None = None,
     ) -> None:
         super().__init__(observation_space, action_space, seed, settings)
-        trained = [name for name in self.networks if name != "ending"]
-        self._learner = Learner(self.name, self.networks, trained, self.settings)
         slow = replace(self.settings, learning_rate=self.settings.termination_rate or 1.0)
         self._ending_learner = Learner(self.name, {"ending": self.networks["ending"]}, ["ending"], slow)
         self._waiting: dict[int, OptionSamples] = {}
@@ -155,7 +154,6 @@ class PPOC(ClippedOptionAgent):
     def state_dict(self) -> StateTree:
         """Networks, optimisers, the rollout so far, what waits for updates, the running option, generators."""
         return super().state_dict() | {
-            "learner": self._learner.state_dict(),
             "ending_learner": self._ending_learner.state_dict(),
             "waiting": [[option, samples._asdict()] for option, samples in self._waiting.items()],
         }
@@ -163,7 +161,6 @@ class PPOC(ClippedOptionAgent):
     def load_state_dict(self, state: StateTree) -> None:
         """Restore the result of `state_dict`."""
         super().load_state_dict(state)
-        self._learner.load_state_dict(state["learner"])
         self._ending_learner.load_state_dict(state["ending_learner"])
         self._waiting = {int(option): OptionSamples(**{name: torch.from_numpy(np.asarray(field))
                                                        for name, field in samples.items()})

@@ -77,7 +77,6 @@ class DIAYN(ClippedOptionAgent):
         super().__init__(observation_space, action_space, seed, settings)
         self.discriminator = make_network(self._encoder, self.options, self.settings,
                                           make_generator(make_rng(seed, "discriminator")))
-        self._learner = Learner(self.name, self.networks, self.networks, self.settings)
         of_its_own = replace(self.settings, learning_rate=self.settings.discriminator_rate)
         self._judge = Learner(self.name, {"discriminator": self.discriminator}, ["discriminator"], of_its_own)
         sees_bits = self.settings.goal == "bits" and isinstance(observation_space, spaces.Box)
@@ -171,7 +170,6 @@ class DIAYN(ClippedOptionAgent):
     def state_dict(self) -> StateTree:
         """Networks, optimisers, the rollout so far, what skills earned, components that are bits, generators."""
         return super().state_dict() | {
-            "learner": self._learner.state_dict(),
             "discriminator": self._judge.state_dict(),
             "returns": self._returns.copy(),
             "episodes": self._episodes.copy(),
@@ -183,7 +181,6 @@ class DIAYN(ClippedOptionAgent):
     def load_state_dict(self, state: StateTree) -> None:
         """Restore the result of `state_dict`."""
         super().load_state_dict(state)
-        self._learner.load_state_dict(state["learner"])
         self._judge.load_state_dict(state["discriminator"])
         self._returns, self._episodes = np.array(state["returns"]), np.array(state["episodes"])
         self._earned, self._is_warned = float(state["earned"]), bool(state["is_warned"])

@@ -19,6 +19,7 @@ from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_index
+from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.networks import (
     NetworkSettings,
     ObservationEncoder,
@@ -78,15 +79,17 @@ class NetworkOptionAgent(OptionAgent):
         networks: by name. `policy`: logits of every option's policy, (options x actions). `critic`: Q(s, o) in scaled
             return, (options,). `ending`: terminations before the logistic function and the shift of
             `initial_termination`, (options,). `chooser`: logits of the policy over options, (options,).
+        trained: names of the networks that are learned with `learning_rate`; empty for all.
     """
 
     name: ClassVar[str]
     heads: ClassVar[tuple[str, ...]] = ("policy", "critic", "ending", "chooser")
+    trained: ClassVar[tuple[str, ...]] = ()
     settings: Any
     is_markov: bool = False
 
     def __init__(
-        self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int, settings: Any
+        self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int, settings: Any = None
     ) -> None:
         self.settings = settings = settings or self.Settings()
         super().__init__(settings.options, self.name)
@@ -102,6 +105,7 @@ class NetworkOptionAgent(OptionAgent):
         self._forward = {name: make_forward(network) for name, network in self.networks.items()}
         self._action_rng, self._option_rng = make_rng(seed, "actions"), make_rng(seed, "options")
         self._batch_rng = make_rng(seed, "batches")
+        self._learner = Learner(self.name, self.networks, self.trained or self.heads, settings)
         self._former, self._is_chosen = NONE, True
         self._forget()
 
@@ -266,7 +270,7 @@ class NetworkOptionAgent(OptionAgent):
         return (take_column(self.compute_betas(reached), option) * (worse + margin) * goes_on).mean()
 
     def state_dict(self) -> StateTree:
-        """The rollout so far, the running option, its log, generators; subclasses add their learners."""
+        """The rollout so far, the running option, its log, generators, networks and optimiser."""
         rollout, choices = self._gather() if self._rows else (None, None)
         return {
             "rollout": None if rollout is None else rollout._asdict(),
@@ -274,6 +278,7 @@ class NetworkOptionAgent(OptionAgent):
             "log": self.log.state_dict(),
             "running": [self._option, self._former, int(self._is_chosen), self._decisions],
             **{f"{name}_rng": rng.bit_generator.state for name, rng in self._list_rngs()},
+            "learner": self._learner.state_dict(),
         }
 
     def load_state_dict(self, state: StateTree) -> None:
@@ -289,6 +294,7 @@ class NetworkOptionAgent(OptionAgent):
         self._evaluation = None
         for name, rng in self._list_rngs():
             rng.bit_generator.state = state[f"{name}_rng"]
+        self._learner.load_state_dict(state["learner"])
 
     def _list_rngs(self) -> tuple[tuple[str, np.random.Generator], ...]:
         return ("action", self._action_rng), ("option", self._option_rng), ("batch", self._batch_rng)
