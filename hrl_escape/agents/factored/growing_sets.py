@@ -31,6 +31,16 @@ class GrowingSets(StructureLearner):
     """
 
     @cached_property
+    def _alive(self) -> dict[int, dict[int, NDArray[np.int64]]]:
+        """Results of `get_alive` by action and outcome, until the action's next sample."""
+        return {}
+
+    def add(self, before: NDArray[np.int64], action: int, after: NDArray[np.int64], over: bool, bonus: int) -> None:
+        """Take in one transition; what is believed of its action is then found anew."""
+        super().add(before, action, after, over, bonus)
+        self._alive.pop(action, None)
+
+    @cached_property
     def _neighbours(self) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]]]:
         """Of each hypothesis, those that have one parent more, and those that have one less."""
         numbers = {parents: number for number, parents in enumerate(self.hypotheses)}
@@ -60,6 +70,12 @@ class GrowingSets(StructureLearner):
 
     def get_alive(self, action: int, outcome: int) -> NDArray[np.int64]:
         """The set that is believed, then those with one parent more that do not explain the history much worse."""
+        alive = self._alive.setdefault(action, {})
+        if outcome not in alive:
+            alive[outcome] = self._grow(action, outcome)
+        return alive[outcome]
+
+    def _grow(self, action: int, outcome: int) -> NDArray[np.int64]:
         larger, smaller = self._neighbours
         believed = 0
         while self.count_samples(action):
