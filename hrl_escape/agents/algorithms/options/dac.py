@@ -21,7 +21,6 @@ from hrl_escape.agents.components.policy_gradient import (
     Rollout,
     compute_advantages,
     compute_clipped_loss,
-    draw_minibatches,
 )
 from hrl_escape.settings import Range
 
@@ -77,10 +76,9 @@ class DAC(ClippedOptionAgent):
                     updates.reverse()
         metrics: dict[str, float] = {}
         for compute_loss, *numbers in updates:
-            batches = draw_minibatches(self._batch_rng, len(option), settings.batch_size, settings.epochs)
             metrics |= self._learner.minimise_each(
                 compute_loss(rollout, choices, rows, *(each[rows] for each in numbers))
-                for rows in batches if len(rows) > 1)  # one advantage cannot be normalised
+                for rows in self._draw_batches(len(option)))
         return metrics | {"gradient_norm": self._learner.gradient_norm,
                           "value": low_values.mean().item() / settings.reward_scale}
 

@@ -22,11 +22,7 @@ from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.options.choices import OptionChoices, mix_values, take_column
 from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
 from hrl_escape.agents.components.options.networks import EndingSettings
-from hrl_escape.agents.components.policy_gradient import (
-    ClippedSettings,
-    Rollout,
-    draw_minibatches,
-)
+from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout
 from hrl_escape.settings import Range
 
 __all__ = ["PPOC", "OptionSamples", "PPOCSettings"]
@@ -119,10 +115,9 @@ class PPOC(ClippedOptionAgent):
         due = [option for option, own in self._waiting.items() if len(own.action) >= settings.least_samples]
         for option in sorted(due):
             own = self._waiting.pop(option)
-            batches = draw_minibatches(self._batch_rng, len(own.action), settings.batch_size, settings.epochs)
             metrics |= self._learner.minimise_each(
                 self.compute_loss(option, OptionSamples(*(field[rows] for field in own)))
-                for rows in batches if len(rows) > 1)  # one advantage cannot be normalised
+                for rows in self._draw_batches(len(own.action)))
             metrics["gradient_norm"] = self._learner.gradient_norm
         betas = take_column(self.compute_betas(rollout.next_observation), choices.option)
         return metrics | {"termination": betas.mean().item(),

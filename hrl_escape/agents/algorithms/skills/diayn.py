@@ -27,7 +27,7 @@ from hrl_escape.agents.components.networks import make_generator, make_network
 from hrl_escape.agents.components.options.choices import OptionChoices, take_column
 from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
 from hrl_escape.agents.components.options.networks import OptionNetworkSettings
-from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, compute_advantages, draw_minibatches
+from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, compute_advantages
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.settings import Range
 
@@ -156,8 +156,7 @@ class DIAYN(ClippedOptionAgent):
             log_policy = self.compute_log_policies(rollout.observation, option, rollout.mask)
             columns = (rollout.observation, rollout.mask, option, rollout.action,
                        take_column(log_policy, rollout.action), advantage, advantage + values)
-        batches = [rows for rows in draw_minibatches(self._batch_rng, len(option), settings.batch_size, settings.epochs)
-                   if len(rows) > 1]  # one advantage cannot be normalised
+        batches = list(self._draw_batches(len(option)))
         metrics = self._learner.minimise_each(
             self.compute_option_loss(*(column[rows] for column in columns)) for rows in batches)
         goals = self.read_goals(rollout.next_observation)

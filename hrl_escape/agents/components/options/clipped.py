@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from torch import Tensor
 from torch.nn import functional
 
 from hrl_escape.agents.components.options.choices import take_column
 from hrl_escape.agents.components.options.networks import NetworkOptionAgent
-from hrl_escape.agents.components.policy_gradient import compute_clipped_loss, compute_entropy
+from hrl_escape.agents.components.policy_gradient import compute_clipped_loss, compute_entropy, draw_minibatches
 
 __all__ = ["ClippedOptionAgent"]
 
 
 class ClippedOptionAgent(NetworkOptionAgent):
     """Base of agents whose settings are `ClippedSettings`."""
+
+    def _draw_batches(self, units: int) -> Iterator[Tensor]:
+        """Rows of the minibatches of all epochs; one row is left out, since one advantage cannot be normalised."""
+        batches = draw_minibatches(self._batch_rng, units, self.settings.batch_size, self.settings.epochs)
+        return (rows for rows in batches if len(rows) > 1)
 
     def compute_option_loss(self, observation: Tensor, mask: Tensor, option: Tensor, action: Tensor,
                             old_log_probability: Tensor, advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
