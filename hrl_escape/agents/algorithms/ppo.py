@@ -15,7 +15,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from torch.nn import functional
 
 from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions
 from hrl_escape.agents.components.distillation import DeepBonusSettings, make_bonus
@@ -32,12 +31,12 @@ from hrl_escape.agents.components.policy_gradient import (
     ClippedSettings,
     Rollout,
     compute_advantages,
-    compute_clipped_loss,
-    compute_entropy,
+    compute_clipped_parts,
     compute_log_policy,
     draw_minibatches,
     sample_policy,
     stack_decisions,
+    take_column,
 )
 from hrl_escape.agents.components.streams.open_choices import OpenChoices
 from hrl_escape.agents.streams import StreamAgent, StreamTransitions, compute_backups
@@ -191,7 +190,7 @@ class PPO(StreamAgent):
                 seen = self._memory.read(seen, self._open.memory[stream])
             log_policy = compute_log_policy(self.policy(seen), mask)
         action = sample_policy(log_policy, self._open.generator)
-        self._open.choose(stream, mask, log_policy.gather(1, action[:, None]).squeeze(1),
+        self._open.choose(stream, mask, take_column(log_policy, action),
                           seen[:, seen.shape[1] - numbers :] if numbers else self._open.memory[stream])
         return action
 
@@ -235,7 +234,7 @@ class PPO(StreamAgent):
             old_log_probability = rollout.log_probability
             if self._open is None:  # the policy is still the one that chose
                 log_policy = compute_log_policy(self.policy(seen), mask)
-                old_log_probability = log_policy.gather(1, action[:, None]).squeeze(1)
+                old_log_probability = take_column(log_policy, action)
             else:
                 self._open.begin_rollout()
         advantages = compute_advantages(rollout, values, next_values, self.settings)
@@ -277,14 +276,10 @@ class PPO(StreamAgent):
     def compute_loss(self, observation: Tensor, mask: Tensor, action: Tensor, old_log_probability: Tensor,
                      advantage: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
         """The loss over a minibatch; and, without gradient, (4,): loss, policy loss, value loss, entropy."""
-        settings = self.settings
         log_policy = compute_log_policy(self.policy(observation), mask)
-        log_probability = log_policy.gather(1, action[:, None]).squeeze(1)
-        policy_loss = compute_clipped_loss(log_probability, old_log_probability, advantage, settings.clip)
-        value_loss = 0.5 * functional.mse_loss(self.critic(observation).squeeze(1), target)
-        entropy = compute_entropy(log_policy, mask)
-        loss = policy_loss + settings.value_weight * value_loss - settings.entropy_weight * entropy
-        return loss, torch.stack((loss, policy_loss, value_loss, entropy)).detach()
+        parts = compute_clipped_parts(log_policy, mask, action, self.critic(observation).squeeze(1),
+                                      old_log_probability, advantage, target, self.settings)
+        return parts["loss"], torch.stack(tuple(parts.values())).detach()
 
     def state_dict(self) -> StateTree:
         """Networks, optimiser, the rollout so far, choices in progress, generators."""

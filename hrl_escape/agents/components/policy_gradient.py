@@ -20,8 +20,8 @@ from hrl_escape.agents.settings import AgentSettings, LearningSettings
 from hrl_escape.settings import Range
 
 __all__ = ["AdvantageSettings", "ClippedSettings", "Rollout", "compute_advantages", "compute_clipped_loss",
-           "compute_entropy", "compute_log_policy", "draw_minibatches", "sample_policy", "stack_decisions",
-           "unstack_decisions"]
+           "compute_clipped_parts", "compute_entropy", "compute_log_policy", "draw_minibatches", "sample_policy",
+           "stack_decisions", "take_column", "unstack_decisions"]
 
 
 @dataclass(frozen=True)
@@ -151,6 +151,11 @@ def compute_log_policy(logits: Tensor, mask: Tensor) -> Tensor:
     return functional.log_softmax(logits.masked_fill(~mask, -torch.inf), dim=1)
 
 
+def take_column(rows: Tensor, column: Tensor) -> Tensor:
+    """One entry of each row, (n,) from (n, columns) and int64 (n,)."""
+    return rows.gather(1, column[:, None]).squeeze(1)
+
+
 def sample_policy(log_policy: Tensor, generator: torch.Generator) -> Tensor:
     """Draw an action from each row of log probabilities, int64 (batch,); one of probability 0 is never drawn."""
     waits = torch.empty_like(log_policy).exponential_(generator=generator).clamp_(min=1e-30)
@@ -163,6 +168,29 @@ def compute_clipped_loss(log_probability: Tensor, old_log_probability: Tensor, a
     ratio = (log_probability - old_log_probability).exp()
     advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
     return -torch.minimum(ratio * advantage, ratio.clamp(1 - clip, 1 + clip) * advantage).mean()
+
+
+def compute_clipped_parts(
+    log_policy: Tensor, mask: Tensor, action: Tensor, values: Tensor, old_log_probability: Tensor, advantage: Tensor,
+    target: Tensor, settings: ClippedSettings,
+) -> dict[str, Tensor]:
+    """PPO's loss over a minibatch, and after it its parts.
+
+    Args:
+        log_policy: log probabilities of the actions, (n, actions).
+        mask: bool (n, actions).
+        action: int64 (n,).
+        values: of the critic, (n,).
+        old_log_probability: of the action, under the policy that chose it, (n,).
+        advantage: (n,).
+        target: of the value, (n,).
+        settings: bound and weights.
+    """
+    policy_loss = compute_clipped_loss(take_column(log_policy, action), old_log_probability, advantage, settings.clip)
+    value_loss = 0.5 * functional.mse_loss(values, target)
+    entropy = compute_entropy(log_policy, mask)
+    loss = policy_loss + settings.value_weight * value_loss - settings.entropy_weight * entropy
+    return {"loss": loss, "policy_loss": policy_loss, "value_loss": value_loss, "entropy": entropy}
 
 
 def compute_entropy(log_policy: Tensor, mask: Tensor) -> Tensor:

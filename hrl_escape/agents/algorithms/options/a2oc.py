@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.components.options.choices import OptionChoices, take_column
+from hrl_escape.agents.components.options.choices import OptionChoices
 from hrl_escape.agents.components.options.networks import EndingSettings, NetworkOptionAgent
-from hrl_escape.agents.components.policy_gradient import AdvantageSettings, Rollout, compute_entropy
+from hrl_escape.agents.components.policy_gradient import AdvantageSettings, Rollout, compute_entropy, take_column
 from hrl_escape.settings import Range
 
 __all__ = ["A2OC", "A2OCSettings"]

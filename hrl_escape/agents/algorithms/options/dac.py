@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.components.options.choices import OptionChoices, mix_values, take_column
+from hrl_escape.agents.components.options.choices import OptionChoices, mix_values
 from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
 from hrl_escape.agents.components.options.networks import EndingSettings
 from hrl_escape.agents.components.policy_gradient import (
@@ -21,6 +21,7 @@ from hrl_escape.agents.components.policy_gradient import (
     Rollout,
     compute_advantages,
     compute_clipped_loss,
+    take_column,
 )
 from hrl_escape.settings import Range
 

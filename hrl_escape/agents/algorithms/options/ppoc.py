@@ -19,10 +19,10 @@ from torch.nn import functional
 
 from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.components.learner import Learner
-from hrl_escape.agents.components.options.choices import OptionChoices, mix_values, take_column
+from hrl_escape.agents.components.options.choices import OptionChoices, mix_values
 from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
 from hrl_escape.agents.components.options.networks import EndingSettings
-from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout
+from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, take_column
 from hrl_escape.settings import Range
 
 __all__ = ["PPOC", "OptionSamples", "PPOCSettings"]

@@ -24,10 +24,10 @@ from hrl_escape.agents.agent import SMDPTransition, StateTree
 from hrl_escape.agents.components.exploration import choose_best, make_rng
 from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.networks import make_generator, make_network
-from hrl_escape.agents.components.options.choices import OptionChoices, take_column
+from hrl_escape.agents.components.options.choices import OptionChoices
 from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
 from hrl_escape.agents.components.options.networks import OptionNetworkSettings
-from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, compute_advantages
+from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, compute_advantages, take_column
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.settings import Range
 

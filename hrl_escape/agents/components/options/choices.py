@@ -11,7 +11,9 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-__all__ = ["NONE", "OptionChoices", "find_followed", "mix_values", "mix_with_former", "take_column"]
+from hrl_escape.agents.components.policy_gradient import take_column
+
+__all__ = ["NONE", "OptionChoices", "find_followed", "mix_values", "mix_with_former"]
 
 NONE = -1
 """In place of the option before an episode's first decision."""
@@ -63,8 +65,3 @@ def mix_values(choice: Tensor, values: Tensor, former: Tensor) -> Tensor:
     """
     base = take_column(values, former.clamp(min=0))
     return base + (choice * (values - base[:, None])).sum(dim=1)
-
-
-def take_column(rows: Tensor, column: Tensor) -> Tensor:
-    """One entry of each row, (n,) from (n, columns) and int64 (n,)."""
-    return rows.gather(1, column[:, None]).squeeze(1)

@@ -5,11 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from torch import Tensor
-from torch.nn import functional
 
-from hrl_escape.agents.components.options.choices import take_column
 from hrl_escape.agents.components.options.networks import NetworkOptionAgent
-from hrl_escape.agents.components.policy_gradient import compute_clipped_loss, compute_entropy, draw_minibatches
+from hrl_escape.agents.components.policy_gradient import compute_clipped_parts, draw_minibatches, take_column
 
 __all__ = ["ClippedOptionAgent"]
 
@@ -35,11 +33,7 @@ class ClippedOptionAgent(NetworkOptionAgent):
             advantage: (n,).
             target: of Q(s, o), (n,).
         """
-        settings = self.settings
         log_policy = self.compute_log_policies(observation, option, mask)
-        log_probability = take_column(log_policy, action)
-        policy_loss = compute_clipped_loss(log_probability, old_log_probability, advantage, settings.clip)
-        value_loss = 0.5 * functional.mse_loss(take_column(self.critic(observation), option), target)
-        entropy = compute_entropy(log_policy, mask)
-        loss = policy_loss + settings.value_weight * value_loss - settings.entropy_weight * entropy
-        return {"loss": loss, "policy_loss": policy_loss, "value_loss": value_loss, "entropy": entropy}
+        values = take_column(self.critic(observation), option)
+        return compute_clipped_parts(log_policy, mask, action, values, old_log_probability, advantage, target,
+                                     self.settings)

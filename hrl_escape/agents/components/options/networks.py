@@ -34,13 +34,13 @@ from hrl_escape.agents.components.options.choices import (
     find_followed,
     mix_values,
     mix_with_former,
-    take_column,
 )
 from hrl_escape.agents.components.policy_gradient import (
     Rollout,
     compute_advantages,
     compute_log_policy,
     stack_decisions,
+    take_column,
     unstack_decisions,
 )
 from hrl_escape.agents.settings import LearningSettings
