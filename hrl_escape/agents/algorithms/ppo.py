@@ -18,7 +18,7 @@ from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions
 from hrl_escape.agents.components.distillation import DeepBonusSettings, make_bonus
-from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_index
+from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.memory import MemorySettings, cut_stretches, make_memory
 from hrl_escape.agents.components.networks import ObservationEncoder, make_forward, make_generator
@@ -136,9 +136,8 @@ class PPO(StreamAgent):
         """Draw from the policy over legal actions."""
         seen = self._see(observation, self._recollection)
         self._before, self._recollection = self._recollection, self._recall(seen)
-        logits = np.where(action_mask, self._forward(seen), -np.inf)
-        weights = np.exp(logits.astype(np.float64) - logits.max())
-        return sample_index(weights / weights.sum(), self._action_rng)
+        policy = compute_softmax(mask_values(self._forward(seen), action_mask))
+        return sample_index(policy, self._action_rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The likeliest legal action."""

@@ -23,6 +23,7 @@ __all__ = [
     "compute_choice_entropy",
     "compute_epsilon",
     "compute_policy",
+    "compute_softmax",
     "make_rng",
     "mask_values",
     "sample_action",
@@ -104,6 +105,12 @@ def compute_policy(
     best = legal_values.argmax(axis=-1)[..., None]
     np.put_along_axis(policy, best, np.take_along_axis(policy, best, axis=-1) + (1 - epsilon), axis=-1)
     return policy
+
+
+def compute_softmax(logits: NDArray) -> NDArray[np.float64]:
+    """Softmax over the last axis, 0 where a logit is -inf. Shapes (..., actions)."""
+    weights = np.exp(logits.astype(np.float64) - logits.max(axis=-1, keepdims=True))
+    return weights / weights.sum(axis=-1, keepdims=True)
 
 
 def compute_choice_entropy(policy: NDArray) -> float:

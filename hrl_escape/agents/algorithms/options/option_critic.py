@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions
-from hrl_escape.agents.components.exploration import make_rng, sample_index
+from hrl_escape.agents.components.exploration import compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.options.agent import OptionAgent
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.settings import LearningSettings
@@ -127,9 +127,8 @@ class OptionCritic(OptionAgent):
 
     def compute_policies(self, observation: Any, action_mask: NDArray[np.bool_]) -> NDArray[np.float64]:
         """pi_o(a | s) over legal actions, float64 (options, actions)."""
-        scaled = np.where(action_mask, self._get(observation).preferences / self.settings.temperature, -np.inf)
-        weights = np.exp(scaled - scaled.max(axis=1, keepdims=True))
-        return weights / weights.sum(axis=1, keepdims=True)
+        preferences = self._get(observation).preferences / self.settings.temperature
+        return compute_softmax(mask_values(preferences, action_mask))
 
     def compute_terminations(self, observation: Any) -> NDArray[np.float64]:
         """beta_o(s), float64 (options,)."""

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions
-from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_index
+from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.networks import (
     NetworkSettings,
@@ -123,7 +123,7 @@ class NetworkOptionAgent(OptionAgent):
     def compute_policies(self, observation: Any, action_mask: NDArray[np.bool_]) -> NDArray[np.float64]:
         """pi_o(a | s) over legal actions, float64 (options, actions)."""
         logits = self._compute("policy", observation).reshape(self.options, -1)
-        return _normalise(np.where(action_mask, logits, -np.inf))
+        return compute_softmax(mask_values(logits, action_mask))
 
     def compute_terminations(self, observation: Any) -> NDArray[np.float64]:
         """beta_o(s), float64 (options,)."""
@@ -131,7 +131,7 @@ class NetworkOptionAgent(OptionAgent):
 
     def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
         """pi_Omega(o | s), float64 (options,)."""
-        return _normalise(self._compute("chooser", observation))
+        return compute_softmax(self._compute("chooser", observation))
 
     def compute_option_values(self, observation: Any) -> NDArray[np.float64]:
         """Q(s, .) of options, in units of return, float64 (options,)."""
@@ -298,9 +298,3 @@ class NetworkOptionAgent(OptionAgent):
 
     def _list_rngs(self) -> tuple[tuple[str, np.random.Generator], ...]:
         return ("action", self._action_rng), ("option", self._option_rng), ("batch", self._batch_rng)
-
-
-def _normalise(logits: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Softmax over the last axis."""
-    weights = np.exp(logits - logits.max(axis=-1, keepdims=True))
-    return weights / weights.sum(axis=-1, keepdims=True)
