@@ -29,6 +29,7 @@ __all__ = [
     "correct_by_benjamini_hochberg",
     "correct_by_holm",
     "draw_ends",
+    "draw_weights",
 ]
 
 LEVEL = 0.95
@@ -77,16 +78,17 @@ def draw_ends(statistic: Statistic, scores: Scores, bounds: tuple[float, float],
     The share of the first at or below a level is the p-value of a statistic above that level, the share of the second
     at or above it that of a statistic below.
     """
-    weights = [_draw_weights(room, resamples, rng) for room in scores]
+    weights = [draw_weights(room.shape[-1], resamples, rng).reshape(resamples, *[1] * (room.ndim - 1), -1)
+               for room in scores]
     lower, upper = (statistic([_append(room, bound) for room in scores], weights) for bound in bounds)
     return lower, upper
 
 
-def _draw_weights(room: Floats, resamples: int, rng: np.random.Generator) -> Floats:
-    """Weights (resamples, 1, ..., runs + 1)."""
-    drawn = rng.standard_exponential((resamples, room.shape[-1] + 1))
+def draw_weights(count: int, resamples: int, rng: np.random.Generator) -> Floats:
+    """Weights (resamples, count + 1) by a flat Dirichlet law: of so many values, and of the one that is added."""
+    drawn = rng.standard_exponential((resamples, count + 1))
     drawn /= drawn.sum(axis=-1, keepdims=True)
-    return drawn.reshape(resamples, *[1] * (room.ndim - 1), -1)
+    return drawn
 
 
 def _append(room: Floats, bound: float) -> Floats:

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hrl_escape.experiments.inference import LEVEL, RESAMPLES, Estimate
+from hrl_escape.experiments.inference import LEVEL, RESAMPLES, Estimate, draw_weights
 from hrl_escape.experiments.statistics import Floats, Scores, compute_iqm
 
 __all__ = ["compute_ladder_score"]
@@ -35,8 +35,7 @@ def compute_ladder_score(rungs: Sequence[Scores], rng: np.random.Generator, resa
 
 def _draw_ends(units: Scores, rng: np.random.Generator, resamples: int) -> tuple[Floats, Floats]:
     """Draws (resamples,) of a rung's interquartile mean with the lowest efficiency added, and with the highest."""
-    drawn = rng.standard_exponential((resamples, len(units) + 1))
-    drawn /= drawn.sum(axis=-1, keepdims=True)
+    drawn = draw_weights(len(units), resamples, rng)
     shares = [np.repeat(drawn[:, [number]] / len(unit), len(unit), axis=-1) for number, unit in enumerate(units)]
     weights = np.concatenate([*shares, drawn[:, -1:]], axis=-1)
     lower, upper = (compute_iqm([np.concatenate([*units, [bound]])], [weights]) for bound in (0.0, 1.0))
