@@ -7,18 +7,18 @@ test says so after correction for all pairs of agents (`pairs.py`). Labels of ag
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
 from hrl_escape.experiments import references
-from hrl_escape.experiments.grid import OptionsView
+from hrl_escape.experiments.grid import AgentSpec, OptionsView
 from hrl_escape.experiments.pairs import FEWEST_PAIRS, is_better
 from hrl_escape.experiments.score_range import CEILING, PLANNER
 from hrl_escape.experiments.summary import AgentSummary, Summary
 from hrl_escape.names import join_words
 
-__all__ = ["Sentence", "find_leader", "write_verdict"]
+__all__ = ["Sentence", "count_things", "find_leader", "tell_privileges", "write_verdict"]
 
 PUBLISHED_RUNS = 10
 SETTLED = 0.9
@@ -69,14 +69,14 @@ def _write_headline(summary: Summary) -> str:
         return f"`{leader.label}` {_describe_escapes(leader)}."
     level = [agent for agent in contenders if agent is not leader and not _beats(summary, leader, agent)]
     if min(summary.get_pair(leader, agent).count for agent in contenders if agent is not leader) < FEWEST_PAIRS:
-        return (f"`{leader.label}` is most efficient, but {_count(leader.fewest_runs, 'run')} a room "
+        return (f"`{leader.label}` is most efficient, but {count_things(leader.fewest_runs, 'run')} a room "
                 f"{'is' if leader.fewest_runs == 1 else 'are'} too few to be sure.")
     if not leader.spec.learns and not level:
         return f"Nothing that learns beats `{leader.label}`, which {_describe_escapes(leader)}."
     if not level:
         return f"`{leader.label}` is best: it {_describe_escapes(leader)}."
     if len(level) > 1:
-        return f"No clear winner: `{leader.label}` is ahead, but not clearly of {_count(len(level), 'other')}."
+        return f"No clear winner: `{leader.label}` is ahead, but not clearly of {count_things(len(level), 'other')}."
     return f"`{leader.label}` and `{level[0].label}` cannot be told apart; the first {_describe_escapes(leader)}."
 
 
@@ -246,12 +246,9 @@ def _write_cautions(summary: Summary) -> list[str]:
         lost += [f"`{spec.label}` all {expected}" for spec in grid.agents if spec.label not in known]
         cautions.append(f"Some runs have no result and count nowhere: {join_words(lost)}. Their errors stand below.")
     if grid.runs < PUBLISHED_RUNS:
-        cautions.append(f"{_count(grid.runs, 'run').capitalize()} a room: large differences show, small ones may not. "
-                        f"A published table needs {PUBLISHED_RUNS} or more.")
-    told = [f"`{agent.label}` ({', '.join(agent.spec.privileges)})" for agent in summary.agents
-            if agent.spec.privileges]
-    if told:
-        cautions.append(f"Privileged, by a hierarchy that is synthesised from the room: {join_words(told)}.")
+        cautions.append(f"{count_things(grid.runs, 'run').capitalize()} a room: large differences show, small ones may "
+                        f"not. A published table needs {PUBLISHED_RUNS} or more.")
+    cautions += tell_privileges(agent.spec for agent in summary.agents)
     learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
     chance = [_get_choices(agent) for agent in summary.agents
               if agent.spec.chooses_options and agent.spec.algorithm == "random"]
@@ -296,7 +293,14 @@ def _describe_efficiency(agent: AgentSummary) -> str:
     return f"{agent.efficiency.value:.3f} ({agent.efficiency.low:.3f} to {agent.efficiency.high:.3f})"
 
 
-def _count(number: int, noun: str) -> str:
+def tell_privileges(agents: Iterable[AgentSpec]) -> list[str]:
+    """Sentence on what their hierarchies tell agents; none where no agent has one."""
+    told = [f"`{agent.label}` ({', '.join(agent.privileges)})" for agent in agents if agent.privileges]
+    return [f"Privileged, by a hierarchy that is synthesised from the room: {join_words(told)}."] if told else []
+
+
+def count_things(number: int, noun: str) -> str:
+    """Number and noun as in a sentence: `no runs`, `one run`, `two runs`, `10 runs`."""
     words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
     word = words[number] if number < len(words) else f"{number:,}"
     return f"{word} {noun}" + ("" if number == 1 else "s")

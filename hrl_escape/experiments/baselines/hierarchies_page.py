@@ -18,6 +18,7 @@ from hrl_escape.experiments.inference import compare_pairs, compute_interval, co
 from hrl_escape.experiments.pairs import ALPHA
 from hrl_escape.experiments.presets import HIERARCHICAL, get_grid
 from hrl_escape.experiments.statistics import compute_iqm
+from hrl_escape.experiments.verdict import count_things, tell_privileges
 from hrl_escape.files import write_text
 
 __all__ = ["GRID_NAME", "QUESTIONS", "Contrast", "Question", "compare_twins", "conclude_contrasts",
@@ -114,13 +115,14 @@ def write_hierarchies_page(lines: Sequence[BaselineRun], path: Path) -> list[str
     contrasts = compare_twins(lines)
     conclusions = conclude_contrasts(contrasts, lines)
     budget, rooms = max(line.primitives for line in lines), _list_rooms(lines)
+    episodes = count_things(max(line.episodes for line in lines), "episode")
     text = [
         "# Synthesised hierarchies: structure alone, and with planned leaves", "",
         f"**{' '.join(conclusions)}**", "",
         "[Hierarchies that are given](../hierarchies.md) explains the agents. All learn in tables, at their default "
         "settings, so that twins differ in the hierarchy and in what it tells them; agents with networks were not run. "
-        f"{budget:,} primitives of training, then {_count_episodes(lines)} of the frozen policy: these rooms have one "
-        "start and no chance.", "",
+        f"{budget:,} primitives of training, then {episodes} of the frozen policy: these rooms have one start "
+        "and no chance.", "",
     ]
     for number, question in enumerate(QUESTIONS):
         text += [f"## {question.heading}", "", f"{question.words}.", "",
@@ -134,7 +136,8 @@ def write_hierarchies_page(lines: Sequence[BaselineRun], path: Path) -> list[str
     text += ["Efficiency is 0 without escape, else the fewest primitives known over those taken: interquartile mean "
              "over runs with its 95 % interval. Progress is the share of the goal's ancestors that were lit. First "
              "escape is in training, on average, with runs that never escape counted at the budget.", "",
-             *_tell_privileges(lines), "", "```console", _make_command(lines), "```", ""]
+             *tell_privileges(map(AgentSpec.parse, _list_agents(lines))), "",
+             "```console", _make_command(lines), "```", ""]
     write_text(path, "\n".join(text))
     return conclusions
 
@@ -142,11 +145,6 @@ def write_hierarchies_page(lines: Sequence[BaselineRun], path: Path) -> list[str
 def _make_command(lines: Sequence[BaselineRun]) -> str:
     runs, budget = 1 + max(line.seed for line in lines), max(line.primitives for line in lines)
     return f"{_COMMAND} --runs {runs} --primitives {budget}"
-
-
-def _count_episodes(lines: Sequence[BaselineRun]) -> str:
-    most = max(line.episodes for line in lines)
-    return "one episode" if most == 1 else f"{most} episodes"
 
 
 def _list_rooms(lines: Sequence[BaselineRun]) -> list[str]:
@@ -237,9 +235,3 @@ def _make_table(lines: Sequence[BaselineRun], budget: int) -> list[str]:
                     f"{float(high):.3f}) | {np.mean([run.progress for run in runs]):.2f} "
                     f"| {np.mean([run.escapes for run in runs]):.0%} | {first} |")
     return rows
-
-
-def _tell_privileges(lines: Sequence[BaselineRun]) -> list[str]:
-    told = {label: AgentSpec.parse(label).privileges for label in _list_agents(lines)}
-    words = [f"`{label}` ({', '.join(privileges)})" for label, privileges in told.items() if privileges]
-    return [f"Privileged, by a hierarchy that is synthesised from the room: {', '.join(words)}."] if words else []

@@ -81,7 +81,7 @@ def test_another_truth_is_another_page(tmp_path: Path):
     assert "- `hamq+planned`: escapes sooner in far (by 60 primitives), near (by 60 primitives)." in beside
     assert "- `maxq-q+planned`: more efficient in far (+0.21), near (+0.21); escapes sooner in far (by 900" in page
     assert page.count("Too few runs to conclude anything: far.") == 2, "of the questions that it is a part of"
-    assert "then 3 episodes of the frozen policy" in page
+    assert "then three episodes of the frozen policy" in page
     write_hierarchies_page([line for line in fast if "+" not in line.agent], tmp_path / "page.md")
     assert "Privileged" not in (tmp_path / "page.md").read_text()
 
