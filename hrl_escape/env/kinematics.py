@@ -238,8 +238,8 @@ class Rules:
             chance = draw_chance(before.noise_key, before.primitives) if self._is_random else 0.0
             touching = tuple(i for i in range(moved.touching.bit_length()) if moved.touching >> i & 1)
             has_moved = moved.x != before.x or moved.y != before.y
-            turned = self.get_rotation(moved.heading_steps, moved.heading_offset)
-            ahead = self.inner_doors.find_ahead(moved.x, moved.y, *turned) if grip and self.inner_doors else -1
+            ahead = -1 if not grip or self.inner_doors is None else self.inner_doors.find_ahead(
+                moved.x, moved.y, *self.get_rotation(moved.heading_steps, moved.heading_offset))
             contacts = Contacts(pressed, prop_poses, chance, touching, grip, has_moved, moved.x, moved.y, ahead)
             puzzle = self._puzzle.update(puzzle, contacts)
             more = self._puzzle.compute_reward(before.puzzle, puzzle, contacts)
