@@ -78,7 +78,7 @@ def build_scene(client: int, instance: RoomInstance, robot: Robot) -> SceneBodie
     targets = tuple(_add_target(client, target, physics) for target in instance.targets)
     props = tuple(_add_prop(client, placed, physics) for placed in instance.props)
     inner = tuple(_add_box(client, (door.half_x, door.half_y, door.height / 2), (door.x, door.y, door.height / 2),
-                           door.yaw, palette.DOOR if door.role == "door" else palette.PROP)
+                           door.yaw, palette.get_inner_colour(door))
                   for door in instance.inner_doors)
     area, (x, y) = instance.exit, instance.exit.centre
     half = (area.x_max - x, area.y_max - y, _MARK / 2)

@@ -260,17 +260,15 @@ class Stage:
     def _add_door(self, door: Solid) -> Standing:
         """The leaf in the frame of its hinge."""
         leaf = rotate_box(door.half_x, 0.0, door.half_x, 0.6 * door.half_y, 0.0)
-        whole = self._add(make_prism(leaf, 0.02, door.height), palette.DOOR)
-        cut = self._add(make_prism(leaf, 0.02, min(CURB, door.height)), palette.DOOR, shown=False)
-        standing = Standing(door, [whole], [cut])
-        self.standing.append(standing)
-        return standing
+        return self._add_leaf(door, leaf, palette.DOOR)
 
     def _add_inner_door(self, door: Solid) -> Standing:
         """A door that fills its cell, or a thing that fills half of it."""
         share = 0.98 if door.role == "door" else 0.5
         outline = rotate_box(door.x, door.y, share * door.half_x, share * door.half_y, door.yaw)
-        colour = palette.DOOR if door.role == "door" else palette.PROP
+        return self._add_leaf(door, outline, palette.get_inner_colour(door))
+
+    def _add_leaf(self, door: Solid, outline: Sequence[tuple[float, float]], colour: str) -> Standing:
         whole = self._add(make_prism(outline, 0.02, door.height), colour)
         cut = self._add(make_prism(outline, 0.02, min(CURB, door.height)), colour, shown=False)
         standing = Standing(door, [whole], [cut])

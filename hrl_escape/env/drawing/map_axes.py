@@ -147,7 +147,7 @@ def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
         axes.add_patch(_make_outline(instance.door, edgecolor=palette.DOOR, linewidth=1.2, zorder=4, **style))
     shut = instance.puzzle.get_shut(state.puzzle)
     for number, door in enumerate(instance.inner_doors):
-        colour, share = (palette.DOOR, 0.9) if door.role == "door" else (palette.PROP, 0.4)
+        colour, share = palette.get_inner_colour(door), 0.9 if door.role == "door" else 0.4
         shape = dataclasses.replace(door, half_x=share * door.half_x, half_y=share * door.half_y)
         if shut >> number & 1:
             axes.add_patch(_make_outline(shape, facecolor=colour, edgecolor=colour, zorder=5))

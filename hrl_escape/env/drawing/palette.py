@@ -11,11 +11,11 @@ import math
 from collections.abc import Hashable
 from typing import NamedTuple
 
-from hrl_escape.env.geometry import compute_distance, make_footprint
+from hrl_escape.env.geometry import Solid, compute_distance, make_footprint
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.puzzles.base import Puzzle
 
-__all__ = ["TargetLook", "compute_floors", "find_front", "get_target_look", "to_rgb"]
+__all__ = ["TargetLook", "compute_floors", "find_front", "get_inner_colour", "get_target_look", "to_rgb"]
 
 BACKGROUND = "#ffffff"
 FLOOR = "#f4f1ea"
@@ -53,6 +53,11 @@ def get_target_look(puzzle: Puzzle, state: Hashable, target: int) -> TargetLook:
     name, facts = puzzle.target_names[target], puzzle.get_facts(state)
     operators = [o for o in puzzle.make_symbolic_model().operators if o.target == name]
     return OFF if not operators or any(operator.is_applicable(facts) for operator in operators) else WAITING
+
+
+def get_inner_colour(door: Solid) -> str:
+    """Choose the colour of an inner door, or of a thing that blocks a cell."""
+    return DOOR if door.role == "door" else PROP
 
 
 def compute_floors(instance: RoomInstance) -> tuple[Rectangle, ...]:

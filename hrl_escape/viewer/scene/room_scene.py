@@ -194,7 +194,7 @@ class RoomScene:
     def _add_inner_door(self, index: int) -> viser.FrameHandle:
         """A door that fills its cell, or a thing that fills half of it."""
         door, name = self.instance.inner_doors[index], f"{ROOT}/inner-doors/{index}"
-        share, colour = (0.98, palette.DOOR) if door.role == "door" else (0.5, palette.PROP)
+        share, colour = 0.98 if door.role == "door" else 0.5, palette.get_inner_colour(door)
         node = self._scene.add_frame(name, show_axes=False)
         leaf = make_prism(rotate_box(door.x, door.y, share * door.half_x, share * door.half_y, door.yaw), 0.02,
                           door.height)
