@@ -15,7 +15,6 @@ __all__ = ["HEADINGS", "GridMap"]
 
 HEADINGS = ">^<v"
 """Characters of a start by quarter turns from +x, counter-clockwise."""
-_DOORS, _THINGS = "dD", "kb"
 
 
 class GridMap:
@@ -39,7 +38,7 @@ class GridMap:
         if len({len(row) for row in rows}) != 1 or sum(text.count(start) for start in HEADINGS) != 1:
             raise ConfigError("puzzle.rows", rows, "rows of one length, with one start among them")
         self.columns, self._text = len(rows[0]), text
-        self.doors = self._find(_DOORS)
+        self.doors = self._find("dD")
         self.things = (*self._find("k"), *self._find("b"))
 
     def _find(self, characters: str) -> tuple[int, ...]:

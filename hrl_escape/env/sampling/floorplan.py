@@ -115,7 +115,7 @@ def _build_map(config: RoomConfig, rows: tuple[str, ...]) -> list[Solid]:
 
 
 def compute_cell(config: RoomConfig, cell: int) -> tuple[float, float]:
-    """Centre of a cell of a map that fills the floor, m; cells are numbered row by row from the top."""
+    """Centre of a cell of the floor, m; cells are numbered row by row from the top."""
     side = config.room.cell
     row, column = divmod(cell, round(config.room.width / side))
     return (column + 0.5) * side - config.room.width / 2, config.room.depth / 2 - (row + 0.5) * side

@@ -94,16 +94,17 @@ def _sample(config: RoomConfig, seed: int, puzzle: Puzzle, rng: np.random.Genera
 
 def _list_inner_doors(config: RoomConfig, puzzle: Puzzle) -> tuple[Solid, ...]:
     """One box for each cell of the puzzle's map that can be blocked: as high as the walls for a door, else low."""
-    side, text = config.room.cell, "".join(puzzle.map_rows)
-    size = len("".join(puzzle.map_rows[:1])) * side, len(puzzle.map_rows) * side
-    if puzzle.map_rows and size != (config.room.width, config.room.depth):
+    if not puzzle.map_rows:
+        return ()
+    grid, side = GridMap(puzzle.map_rows), config.room.cell
+    size = grid.columns * side, len(grid.rows) * side
+    if size != (config.room.width, config.room.depth):
         raise ConfigError("room.width, room.depth", (config.room.width, config.room.depth),
                           f"{size[0]:g} and {size[1]:g} m: cells of {side:g} m for all of the puzzle's map")
-    solids = (Solid("box", *compute_cell(config, cell), side / 2, side / 2, height=_THING_HEIGHT)
-              for cell in puzzle.blockable_cells)
-    wall = config.room.wall_height
-    return tuple(dataclasses.replace(solid, height=wall, role="door") if text[cell] in "dD" else solid
-                 for cell, solid in zip(puzzle.blockable_cells, solids, strict=True))
+    thing = Solid("box", half_x=side / 2, half_y=side / 2, height=_THING_HEIGHT)
+    door = dataclasses.replace(thing, height=config.room.wall_height, role="door")
+    places = ((cell, *compute_cell(config, cell)) for cell in puzzle.blockable_cells)
+    return tuple(dataclasses.replace(door if cell in grid.doors else thing, x=x, y=y) for cell, x, y in places)
 
 
 def _fixed_start(config: RoomConfig, puzzle: Puzzle) -> Start:
@@ -260,8 +261,7 @@ def _list_cell_starts(config: RoomConfig, instance: RoomInstance, space: FreeSpa
     """Starts in the middle of every free cell, row by row from the top, outside the exit unless that is everywhere."""
     cell, area = config.room.cell, instance.exit
     columns, rows = round(config.room.width / cell), round(config.room.depth / cell)
-    centres = np.array([((column + 0.5) * cell - instance.half_width, instance.half_depth - (row + 0.5) * cell)
-                        for row in range(rows) for column in range(columns)])
+    centres = np.array([compute_cell(config, number) for number in range(rows * columns)])
     free = centres[space.is_clear(centres)].tolist()
     outside = [place for place in free if not area.contains(*place)]
     heading = _fixed_start(config, instance.puzzle)
