@@ -32,7 +32,7 @@ from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
 from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
-from hrl_escape.env.puzzles.mini_grid import MiniGridConfig
+from hrl_escape.env.puzzles.mini_grid import DrawnLevel, MiniGridConfig
 from hrl_escape.env.puzzles.pin_pad import PinPadConfig
 from hrl_escape.env.puzzles.potions import PotionsConfig
 from hrl_escape.env.puzzles.puddle_world import PuddleWorldConfig
@@ -254,7 +254,7 @@ def puddle_world() -> RoomConfig:
     )
 
 
-def mini_grid(level: str, size: int, rooms: int = 3, largest: int = 5) -> RoomConfig:
+def mini_grid(level: DrawnLevel, size: int, rooms: int = 3, largest: int = 5) -> RoomConfig:
     """Level of MiniGrid (Chevalier-Boisvert et al. 2023), cell by cell; the instance seed draws the map.
 
     Args:
@@ -266,9 +266,9 @@ def mini_grid(level: str, size: int, rooms: int = 3, largest: int = 5) -> RoomCo
     wide, high = (3 * (size - 1) - 1, rooms * (size - 1) - 1) if level == "key-corridor" else (size - 2, size - 2)
     steps = {"door-key": 10 * size**2, "key-corridor": 30 * size**2, "multi-room": 20 * rooms}
     side = 2 if min(wide, high) > 2 else 5  # rooms are 5 m wide at the least
-    puzzle = MiniGridConfig(level, size, rooms, largest)  # type: ignore[arg-type]  # checked there
     return RoomConfig(
-        name=level, puzzle=puzzle, room=ShapeConfig(width=side * wide, depth=side * high, cell=side),
+        name=level, puzzle=MiniGridConfig(level, size, rooms, largest),
+        room=ShapeConfig(width=side * wide, depth=side * high, cell=side),
         robot=RobotConfig(body_radius=0.4, move_step=side, turn_step_deg=90, drive="differential", gripper=True,
                           use=True),
         exit=EVERYWHERE, reward=RewardConfig(step=0.0, exit=1.0, exit_replaces_step=True),

@@ -21,12 +21,14 @@ from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["HELD", "PLACE_BITS", "MiniGridConfig", "MiniGridPuzzle"]
+__all__ = ["HELD", "PLACE_BITS", "DrawnLevel", "MiniGridConfig", "MiniGridPuzzle"]
 
 PLACE_BITS = 10
 """Bits of a thing's place in a state."""
 HELD = (1 << PLACE_BITS) - 1
 """Place of the thing in the hand."""
+DrawnLevel = Literal["door-key", "key-corridor", "multi-room"]
+"""Families of levels whose maps are drawn."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,7 +36,7 @@ class MiniGridConfig(PuzzleConfig):
     """Schematic of a MiniGrid level; the room must have as many cells as its map."""
 
     kind = "mini-grid"
-    level: Literal["door-key", "key-corridor", "multi-room", "rows"] = "door-key"
+    level: Literal[DrawnLevel, "rows"] = "door-key"
     """Family of levels; `rows` takes the map given there."""
     size: Annotated[int, Range(3, 25)] = 8
     """Side of the map with its outer walls (door-key, multi-room), or of each room (key-corridor)."""
@@ -42,7 +44,6 @@ class MiniGridConfig(PuzzleConfig):
     """Rooms one above another (key-corridor), or one after another (multi-room)."""
     largest: Annotated[int, Range(4, 10)] = 5
     """Largest side of a room with its walls (multi-room)."""
-
     rows: tuple[str, ...] = ()
     """An explicit map without its outer walls, such as one of MiniGrid's own levels."""
 
