@@ -69,7 +69,7 @@ class ActionTable:
         joints: the pair of each joint.
         gripper: grip, release, and use if there is that; empty without a gripper.
         wait: the primitive to pass time with: it is always possible and presses nothing that the body is not touching.
-        symmetry: headings, evenly spread over a full turn, at which the base has the same moves.
+        symmetry: number of headings, evenly spread over a full turn, at which the base has the same moves.
     """
 
     primitives: tuple[Primitive, ...]

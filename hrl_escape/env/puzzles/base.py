@@ -200,7 +200,7 @@ class Puzzle(_OfKind):
 
     @property
     def has_dead_ends(self) -> bool:
-        """Some presses leave the puzzle where nothing solves it any more, for ever."""
+        """Some presses lead to states from which the puzzle can no longer be solved."""
         return False
 
     @property
@@ -297,7 +297,7 @@ class Puzzle(_OfKind):
         return self._derived[0]
 
     def list_rests(self, state: PuzzleState) -> tuple[int, ...]:
-        """Numbers of the inner doors in whose cells a thing that is held may be put down without barring a way."""
+        """Numbers of the inner doors whose cells are free, and where a thing that is put down bars no way."""
         return ()
 
     def make_contacts(self, operator: Operator) -> Contacts:

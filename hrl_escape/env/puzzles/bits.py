@@ -49,7 +49,7 @@ class BitPuzzle(Puzzle):
 
 @dataclasses.dataclass(frozen=True)
 class GraphPuzzle(BitPuzzle):
-    """Base of those whose targets depend on each other along a DAG, with one goal; a subclass names and rules them."""
+    """Base of puzzles whose targets depend on each other along a DAG with one goal; subclasses give names and rules."""
 
     count: Annotated[int, Range(1, 64)] = 1
     """Number of targets."""

@@ -55,7 +55,7 @@ class ButtonsConfig(PuzzleConfig):
     buttons: Panels = Panels()
     """Sizes and places."""
     dead_ends: Annotated[int, Range(0, 64)] = 0
-    """Locks: pairs of buttons of which the first, once it is on, locks the second, which the goal needs, for ever."""
+    """Locks: pairs of buttons. Once the first is on, the second, which the goal needs, cannot be turned on any more."""
 
     def check(self) -> None:
         """Check what spans several fields."""

@@ -25,7 +25,7 @@ class CodePuzzle(Puzzle):
         return 0
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a progress in the code."""
+        """Say whether a value from outside is a number of presses of the code."""
         return type(state) is int and 0 <= state <= len(self.code)
 
     def is_solved(self, state: int) -> bool:

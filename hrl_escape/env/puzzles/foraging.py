@@ -1,8 +1,8 @@
 """Foraging (Singh, Lewis, Barto and Sorg 2010): eat a worm at the end of a corridor; another appears in another one.
 
 The ends of the corridors are pads on the floor; a worm is eaten by gripping on its pad, earns 1, and the next appears
-at either of the other ends, both alike. The published task never ends; here the exit opens after a number of worms.
-The state is three times the number of worms eaten plus the number of the corridor with the worm.
+at either of the other ends with the same probability. The published task never ends; here the exit opens after a number
+of worms. The state is three times the number of worms eaten plus the number of the corridor with the worm.
 """
 
 from __future__ import annotations

@@ -25,18 +25,18 @@ class _Canvas:
         self.cells, self.rng = np.full((rows, columns), "#"), rng
 
     def clear(self, left: int, top: int, right: int, bottom: int) -> None:
-        """Make floor of the cells from a corner up to, and without, another one."""
+        """Turn the cells from one corner up to, but not including, another into floor."""
         self.cells[top:bottom, left:right] = " "
 
     def put(self, what: str, at: tuple[int, int]) -> None:
         self.cells[at[1], at[0]] = what
 
     def draw(self, low: int, high: int) -> int:
-        """A whole number from `low` up to, and without, `high`."""
+        """A whole number from `low` up to, but not including, `high`."""
         return int(self.rng.integers(low, high))
 
     def scatter(self, what: str, left: int, top: int, right: int, bottom: int) -> tuple[int, int]:
-        """Put something into a free cell of a part of the map, all alike."""
+        """Put something into a free cell of a part of the map, each with the same probability."""
         rows, columns = np.nonzero(self.cells[top:bottom, left:right] == " ")
         number = self.draw(0, len(rows))
         at = left + int(columns[number]), top + int(rows[number])
@@ -114,7 +114,7 @@ def _find_connected(room: tuple[int, int], links: set[frozenset[tuple[int, int]]
 def draw_multi_room(size: int, rooms: int, largest: int, rng: np.random.Generator) -> tuple[str, ...]:
     """Rooms of random sizes one after another, a door between each two, the start in the first, the goal in the last.
 
-    As many rooms as fit from the first place are drawn again until there are enough.
+    A layout that comes to a stop with too few rooms is drawn anew.
     """
     boxes: list[tuple[int, int, int, int]] = []
     doors: list[tuple[int, int]] = []

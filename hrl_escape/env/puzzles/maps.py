@@ -109,7 +109,7 @@ class GridMap:
 
     @cached_property
     def _ways(self) -> dict[int, tuple[int, ...]]:
-        """Doors on a way with few doors from the start to each cell that can be reached, in order; things let pass."""
+        """For each cell that can be reached, the fewest doors on a way from the start, in order; things bar none."""
         ways: dict[int, tuple[int, ...]] = {}
         queue: list[tuple[int, int, int, tuple[int, ...]]] = [(0, 0, self.start, ())]
         while queue:

@@ -23,8 +23,8 @@ class FactoredTensorPuzzle(TensorPuzzle):
         """Tables by instance.
 
         `after`: states after each press (states x factors, instances); `lit`: word of the factors that have their goal,
-        by state (states, instances); `goal` and `success` (instances,); `values` of a factor, of which all domains of a
-        batch have as many, because their observations do (arity, instances).
+        by state (states, instances); `goal` and `success` (instances,); `values` of a factor (arity, instances). All
+        domains of a batch have the same arity, because their observations are equally long.
         """
         states = max(puzzle.arity**puzzle.count for puzzle in puzzles)
         after = np.zeros((len(puzzles), states, targets), dtype=np.int64)

@@ -19,7 +19,7 @@ __all__ = ["MiniGridTensorPuzzle"]
 
 
 class MiniGridTensorPuzzle(TensorPuzzle):
-    """`env.puzzles.mini_grid.MiniGridPuzzle`; instances of a batch have as many doors, keys and balls each."""
+    """`env.puzzles.mini_grid.MiniGridPuzzle`; instances of a batch have the same numbers of doors, keys and balls."""
 
     def make_tables(self, puzzles: Sequence[MiniGridPuzzle], targets: int) -> dict[str, NDArray[Any]]:
         """Tables by instance.
@@ -35,8 +35,8 @@ class MiniGridTensorPuzzle(TensorPuzzle):
         first = grids[0]
         if any((len(g.doors), len(g.things), g.keys) != (len(first.doors), len(first.things), first.keys)
                for g in grids):
-            raise UnsupportedError("levels of a batch have as many doors, keys and balls each, and these have not: "
-                                   "make one batch for each")
+            raise UnsupportedError("all levels of a batch have the same numbers of doors, keys and balls, and these "
+                                   "have not: make one batch for each")
         cells = np.full((max(1, *(len(g.blockable) for g in grids)), len(grids)), -1, dtype=np.int64)
         doors = cells.copy()
         for number, grid in enumerate(grids):
