@@ -273,13 +273,15 @@ def test_a_door_stops_the_robot_until_it_is_open_and_lets_it_out():
     door = room.inner_doors[puzzle.grid.blockable.index(puzzle.grid.doors[0])]
     before = rules.make_state(room.starts[0])._replace(x=door.x - 2.0, y=door.y, heading_steps=0,
                                                        puzzle=puzzle._move(puzzle.make_state(), 0, HELD))
-    forward, use = (rules.actions.find(name) for name in ("forward", "use"))
+    forward, back, use = (rules.actions.find(name) for name in ("forward", "back", "use"))
     assert rules.step(before, forward).state.has_pose_of(before)
     after = rules.step(before, use).state
     assert puzzle.is_open(after.puzzle, 0) and not puzzle.is_open(rules.step(after, use).state.puzzle, 0)
     inside = rules.step(after, forward).state
     assert inside.x == door.x
     assert rules.step(inside._replace(puzzle=before.puzzle), forward).state.x == door.x + 2.0
+    beside = inside._replace(x=door.x + 0.25, puzzle=before.puzzle)  # off its middle, where contact has a direction
+    assert rules.step(beside, back).state.x == door.x - 1.75
 
 
 def test_routes_are_remembered_by_the_doors_that_are_shut():
