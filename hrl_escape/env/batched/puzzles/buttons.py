@@ -26,24 +26,28 @@ class ButtonsTensorPuzzle(TensorPuzzle):
     """`env.puzzles.buttons.ButtonsPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[ButtonsPuzzle], targets: int) -> dict[str, NDArray[Any]]:
-        """Bits of parents and locking buttons (buttons, instances), each puzzle's goal and rules (instances,)."""
+        """Bits of each button's parents and, if any, its locks (buttons, instances); goals and rules (instances,)."""
         parents, locks = np.zeros((2, len(puzzles), targets), dtype=np.uint64)
         for number, puzzle in enumerate(puzzles):
             parents[number, : puzzle.count], locks[number, : puzzle.count] = puzzle.parent_masks, puzzle.lock_masks
-        return {
+        tables = {
             "parents": np.ascontiguousarray(parents.T).view(np.int64),
-            "locks": np.ascontiguousarray(locks.T).view(np.int64),
             "goal": np.array([puzzle.goal for puzzle in puzzles], dtype=np.int64),
             "resets": np.array([puzzle.on_violation == "reset" for puzzle in puzzles]),
             "allow_off": np.array([puzzle.allow_off for puzzle in puzzles]),
         }
+        if locks.any():
+            tables["locks"] = np.ascontiguousarray(locks.T).view(np.int64)
+        return tables
 
     def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
-        """Each press turns its button on if its parents are, one after the other."""
+        """Each press turns its button on if its parents are and none that locks it is, one after the other."""
         for button in range(targets):
             bit = as_signed(1 << button)
-            is_ready = (tables["parents"][button] & ~state | tables["locks"][button] & state) == 0
-            when_off = torch.where(is_ready, state | bit, torch.where(tables["resets"], 0, state))
+            unmet = tables["parents"][button] & ~state
+            if "locks" in tables:
+                unmet = unmet | tables["locks"][button] & state
+            when_off = torch.where(unmet == 0, state | bit, torch.where(tables["resets"], 0, state))
             when_on = torch.where(tables["allow_off"], state & ~bit, state)
             after = torch.where((state & bit) != 0, when_on, when_off)
             state = torch.where((contacts.pressed & bit) != 0, after, state)
