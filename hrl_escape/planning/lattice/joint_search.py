@@ -102,7 +102,7 @@ class JointSearch:
             best, spent = found or best, spent + used
         return best, spent
 
-    def find_leg(self, state: RoomState, order: Sequence[Goal], *, clock: Clock = NO_LIMIT) -> tuple[int, ...] | None:
+    def find_leg(self, state: RoomState, order: Sequence[Goal]) -> tuple[int, ...] | None:
         """Search for the primitives to the next change of the puzzle, or to the exit, where the rest is short.
 
         It takes milliseconds, as what comes after is not searched: its field says what that costs.
@@ -110,15 +110,14 @@ class JointSearch:
         Args:
             state: first state, whatever its heading.
             order: goals that are left, looked at if the puzzle has more states than fit.
-            clock: time limit.
 
         Returns:
             The primitives; None if the fields lead nowhere from here.
         """
-        fields = self._get_fields(state, [order], clock)
+        fields = self._get_fields(state, [order], NO_LIMIT)
         if state.puzzle not in fields:
             return None
-        return self._search(state, fields, 0, a_star.MOST_PRIMITIVES, NODES_A_LEG, clock, one_leg=True)[0]
+        return self._search(state, fields, 0, a_star.MOST_PRIMITIVES, NODES_A_LEG, NO_LIMIT, one_leg=True)[0]
 
     def list_goals(self, state: RoomState, primitives: Sequence[int]) -> tuple[Goal, ...]:
         """Presses that change the puzzle on the way of a plan, in order, and the exit."""
