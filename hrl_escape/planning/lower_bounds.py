@@ -17,7 +17,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.env.robot import make_robot
-from hrl_escape.planning.goals import Goal, PressGoal, PushGoal, make_goal
+from hrl_escape.planning.goals import Goal, PressGoal
 from hrl_escape.planning.lattice.areas import compute_goal_area
 from hrl_escape.planning.symbolic.operator_order import Leg, TaskSearch
 
@@ -105,9 +105,8 @@ class LegBounds:
         return self._count(_compute_gap(begin, end) - begin_reach - end_reach, then)
 
     def _is_anywhere(self, op: Operator) -> bool:
-        """Nothing is known of where an operator is carried out: a push, or putting down what is held."""
-        puts_down = op.action == "release" and bool(self._instance.puzzle.target_cells)
-        return puts_down or isinstance(make_goal(op, self._instance), PushGoal)
+        """Return whether an operator may be carried out anywhere: a push, or on a map putting down what is held."""
+        return op.action == "push" or (op.action == "release" and bool(self._instance.puzzle.target_cells))
 
     def _get_place(self, op: Operator | None) -> tuple[Footprint, float]:
         if op is None:
