@@ -17,7 +17,8 @@ __all__ = ["draw_map"]
 _ARROWS = "\N{RIGHTWARDS ARROW}\N{NORTH EAST ARROW}\N{UPWARDS ARROW}\N{NORTH WEST ARROW}" \
           "\N{LEFTWARDS ARROW}\N{SOUTH WEST ARROW}\N{DOWNWARDS ARROW}\N{SOUTH EAST ARROW}"
 _WALL, _OBSTACLE = ("\N{FULL BLOCK}", "#7b818c"), ("\N{MEDIUM SHADE}", palette.OBSTACLE_EDGE)
-_TRAIL = ("\N{MIDDLE DOT}", palette.TRAIL)
+_DOOR, _TRAIL = ("\N{DARK SHADE}", palette.DOOR), ("\N{MIDDLE DOT}", palette.TRAIL)
+_BLOCK, _PLATE = ("\N{BLACK SQUARE}", palette.PROP), ("\N{WHITE SQUARE}", palette.PROP)
 
 
 def draw_map(instance: RoomInstance, states: list[RoomState], rules: Rules, columns: int, rows: int) -> Text:
@@ -54,13 +55,11 @@ def draw_map(instance: RoomInstance, states: list[RoomState], rules: Rules, colu
                 if compute_distance(x, y, solid.footprint) <= reach:
                     cells[row][column] = _WALL if solid.role == "wall" else _OBSTACLE
             if instance.door is not None and not is_open and compute_distance(x, y, instance.door.footprint) <= reach:
-                cells[row][column] = ("\N{DARK SHADE}", palette.DOOR)
-    shut = puzzle.get_shut(state.puzzle)
-    inner = [door for number, door in enumerate(instance.inner_doors) if shut >> number & 1]
+                cells[row][column] = _DOOR
     for past in states[:-1]:
         put(past.x, past.y, *_TRAIL)
     for placed, (x, y, _) in zip(instance.props, get_prop_poses(state, instance), strict=True):
-        put(x, y, "\N{BLACK SQUARE}" if placed.prop.kind == "block" else "\N{WHITE SQUARE}", palette.PROP)
+        put(x, y, *(_BLOCK if placed.prop.kind == "block" else _PLATE))
     for index, target in enumerate(instance.targets):
         look = palette.get_target_look(puzzle, state.puzzle, index)
         for n in range(-8, 9):
@@ -68,9 +67,10 @@ def draw_map(instance: RoomInstance, states: list[RoomState], rules: Rules, colu
                 target.y + n / 8 * target.half_x * math.sin(target.yaw), " ", f"{look.ink} on {look.fill}")
         for n, character in enumerate(target.name.rpartition("-")[2]):
             put(target.x + n * size / 2, target.y, character, f"bold {look.ink} on {look.fill}")
-    for door in inner:
-        put(door.x, door.y, *(("\N{DARK SHADE}", palette.DOOR) if door.role == "door" else
-                              ("\N{BLACK SQUARE}", palette.PROP)))
+    shut = puzzle.get_shut(state.puzzle)
+    for number, door in enumerate(instance.inner_doors):
+        if shut >> number & 1:
+            put(door.x, door.y, *(_DOOR if door.role == "door" else _BLOCK))
     ground = palette.EXIT_OPEN if is_open else palette.EXIT_LOCKED
     put(*instance.exit.centre, "E", f"bold {palette.EXIT_INK} on {ground}")
     arrow = _ARROWS[round(rules.get_heading(state) / (math.pi / 4)) % 8]
