@@ -143,8 +143,8 @@ class Situations:
         route = self._find_route(here, goal)
         if route is None:
             return (), (here.state.x, here.state.y)
-        end = self.planner.follow(here.state, route)
-        return route.primitives, (end.x, end.y)
+        x, y, *_ = route.poses[-1]
+        return route.primitives, (x, y)
 
     def _find_route(self, here: Situation, goal: Goal) -> Route | None:
         try:
