@@ -197,7 +197,7 @@ class PushOption(Option):
         step = self._room.robot.move_step
         heading = self._planner.rules.get_heading(state)
         dx, dy = push.block[0] - state.x, push.block[1] - state.y
-        actions = self._planner.instance.robot.actions
+        actions = self._planner.rules.actions
         for primitive in actions.translations:
             move = actions.primitives[primitive]
             angle = heading + math.atan2(move.left, move.forward)

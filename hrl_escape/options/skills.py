@@ -128,7 +128,7 @@ class PressOption(Option):
     def policy(self, state: RoomState) -> OptionAction:
         """Go to the last place of the base in the plan; from there reach, or press by plan if noise led elsewhere."""
         route = self._planner.find_route(state, self._goal, self.report)
-        by_arm = [p not in self._planner.instance.robot.actions.base for p in route.primitives]
+        by_arm = [p not in self._planner.rules.actions.base for p in route.primitives]
         going = [p for p, arm in zip(route.primitives, by_arm, strict=True) if not arm]
         if self._reach is None:
             going.pop()
