@@ -114,7 +114,7 @@ class AgentOption(Option):
         return self._run
 
     def check_actions(self, state: Any, count: int) -> None:
-        """Refuse an environment for whose actions `legal` has no entry each.
+        """Refuse an environment unless `legal` has one entry for each of its actions.
 
         Raises:
             OptionError: it has more or fewer.

@@ -234,7 +234,7 @@ class AbsentOption(Option):
 
 
 def list_goals(instance: RoomInstance) -> list[Goal]:
-    """Goals of a room: every target of its frame, unless it is a cell of a map, then the symbolic model's in order."""
+    """Goals of a room: presses of the targets of its frame, unless they are cells of a map; then the model's others."""
     pressed = () if instance.puzzle.target_cells else range(len(instance.frame.target_names))
     goals: list[Goal] = [PressGoal(i) for i in pressed]
     for op in instance.puzzle.make_symbolic_model().operators:

@@ -64,7 +64,9 @@ class Option(ABC):
         self.report = PlanningReport()
 
     def check_actions(self, state: Any, count: int) -> None:
-        """Refuse an environment of another number of actions than it was made for; asked at each reset. Any will do.
+        """Refuse an environment with another number of actions than the option was made for; called at each reset.
+
+        By default any number will do.
 
         Raises:
             OptionError: it was made for another number.

@@ -228,8 +228,8 @@ def is_reached(goal: Goal, before: RoomState, after: RoomState, rules: Rules) ->
     """Return whether the primitive that led from `before` to `after` reached the goal.
 
     A press is an event and needs both states. For a state without a primitive before it, pass it
-    twice: a press is then never reached. A push is reached when the facts that its operator adds hold, a grip too; in a
-    random puzzle, where they may be others than the likely ones, also when those that it deletes do not hold.
+    twice: a press is then never reached. A push or a grip is reached when the facts that its operator adds hold. In a
+    random puzzle others may come true instead, so there a grip counts, too, once those that it deletes no longer hold.
     """
     if isinstance(goal, PressGoal):
         return bool(after.touching & ~before.touching & 1 << goal.target)

@@ -57,9 +57,9 @@ class DoorSearches:
 
 
 def list_places(goal: GripGoal, state: RoomState, rules: Kinematics) -> Iterator[list[PoseGoal]]:
-    """Places from which a grip, release or use is possible, the four round one cell at a time.
+    """Places from which a grip, release or use is possible: for one cell after the other, the four beside it.
 
-    What is held may be put down in any cell where it bars no way: the nearest ones come first.
+    What is held may be put down in any cell where it bars no way: the nearest of these cells come first.
     """
     room, step = rules.instance, rules.instance.robot.move_step
     cells: list[Target | Solid] = [room.targets[goal.target]]

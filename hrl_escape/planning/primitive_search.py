@@ -252,7 +252,7 @@ class PrimitiveSearch:
     # --- variants of the search ----------------------------------------------------------
 
     def _search_variants(self, problem: SearchProblem, variants: Iterator[_Variant], budget: int) -> SearchResult:
-        """SearchRun after run until one reaches the goal or the budget is spent."""
+        """Search one variant after the other until one reaches the goal or the budget is spent."""
         spent, nearest, offset = 0, (problem.state.x, problem.state.y), problem.state.heading_offset
         reason, has_sought_proof = PlanningReason.UNREACHABLE_AT_RESOLUTION, False
         for maker, field, avoiding, method in variants:

@@ -206,7 +206,7 @@ class RoomPlanner(TaskPlanner):
                                    expansions=plan.expansions + spent)
 
     def _can_join(self, order: Sequence[Goal]) -> bool:
-        """Return whether legs to these goals can be planned jointly: all is pressed by the body and counts the same."""
+        """Return whether legs to these goals can be planned jointly: the body presses, and only primitives count."""
         room = self.instance
         is_plain = not (room.dynamics.press_with == "hand" or room.props or room.inner_doors or room.puzzle.has_reward)
         return is_plain and all(isinstance(goal, (PressGoal, ExitGoal)) for goal in order)
@@ -220,8 +220,8 @@ class RoomPlanner(TaskPlanner):
     def plan_onward(self, state: RoomState, order: Sequence[Goal]) -> Plan:
         """Plan the next leg of an escape that noise has led astray, within milliseconds.
 
-        Where the body presses, the leg ends where the rest is short, and may be one of another order if that has
-        become shorter. Elsewhere it leads to the first goal.
+        Where the body presses, the leg ends where the way on is short, and may lead to another goal first if that
+        order has become shorter. Elsewhere it leads to the first goal.
 
         Args:
             state: present state.

@@ -326,7 +326,7 @@ class RouteFinder:
 
     def _search_place(self, state: RoomState, goal: GripGoal, clock: Clock, settings: SearchSettings
                       ) -> Route | PlanningFailed:
-        """Shortest route to a place from which what a goal is about is ahead."""
+        """Shortest route to a place that faces a cell in which the goal can be reached."""
         for places in list_places(goal, state, self.rules):
             found = (self._search_route(state, place, clock, settings) for place in places)
             if routes := [route for route in found if isinstance(route, Route)]:

@@ -27,10 +27,10 @@ class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     Args:
         env: a flat room, always the same instance.
-        kind: kind of hierarchy, what the agent takes; as in `synthesise`, like all that follows.
+        kind: kind of hierarchy that the agent takes, as in `synthesise`.
         leaves: `planned` or `learned`.
         abstract: let each task see only what is relevant to it.
-        cell: squares of learned leaves, m.
+        cell: squares by which poses are told apart in learned leaves, m; the length of a move by default.
 
     Attributes:
         structure: arguments of the agent beside spaces and settings.

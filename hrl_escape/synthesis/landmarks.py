@@ -99,4 +99,3 @@ def make_landmark_goals(rooms: Situations, planned: bool, abstract: bool) -> Goa
     return GoalSet(len(names), is_reached, is_open, choose if planned else None, manager, worker, names,
                    tuple(map(find_place, names)), "synthesised",
                    ("landmarks", "state", "planner") if planned else ("landmarks", "state"))
-

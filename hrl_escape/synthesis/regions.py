@@ -21,7 +21,7 @@ __all__ = ["compute_depth", "make_region_tree"]
 
 MOST_LEVELS = 3
 KEPT = 50_000
-"""Primitives of the planner that are kept: every manager asks which orders can be obeyed, at every primitive."""
+"""Answers of the planner that are kept: every manager asks before every primitive which orders can be obeyed."""
 BORDER_MARGIN = 1e-3
 """Distance that a region to be walked to keeps from its borders, as a share of its size: a border has one owner."""
 

@@ -103,9 +103,9 @@ class JointSearch:
         return best, spent
 
     def find_leg(self, state: RoomState, order: Sequence[Goal]) -> tuple[int, ...] | None:
-        """Search for the primitives to the next change of the puzzle, or to the exit, where the rest is short.
+        """Search for the primitives to the next change of the puzzle, or to the exit, so that the way on is short, too.
 
-        It takes milliseconds, as what comes after is not searched: its field says what that costs.
+        It takes milliseconds: the way on is not searched, its length is read from the field of the puzzle's next state.
 
         Args:
             state: first state, whatever its heading.
