@@ -37,7 +37,7 @@ class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
 
     Raises:
         UnknownNameError: no such kind or leaves.
-        UnsupportedError: the puzzle needs pushes, or the environment changes its room.
+        UnsupportedError: the puzzle needs more than presses, or the environment changes its room.
     """
 
     def __init__(self, env: gymnasium.Env, kind: str = "maxq", leaves: str = "planned", abstract: bool = True,

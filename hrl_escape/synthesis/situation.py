@@ -60,16 +60,18 @@ class Situations:
         space: of packed observations.
 
     Raises:
-        UnsupportedError: the puzzle asks for pushes, which no task here makes.
+        UnsupportedError: the puzzle asks for more than presses, of which tasks are made.
     """
 
     def __init__(self, instance: RoomInstance, cell: float | None = None) -> None:
         self.model = model = instance.puzzle.make_symbolic_model()
         self.instance = instance
         self.operators: tuple[Operator, ...] = find_relevant_operators(model)
-        if any(operator.action != "press" for operator in self.operators):
-            raise UnsupportedError(f"no hierarchy is synthesised for the puzzle {instance.puzzle.kind!r}: its props "
-                                   "must be pushed, and tasks are made of presses")
+        others = {operator.action for operator in self.operators} - {"press"}
+        if others:
+            asked = "its props must be pushed" if "push" in others else "its targets must be gripped"
+            raise UnsupportedError(f"no hierarchy is synthesised for the puzzle {instance.puzzle.kind!r}: {asked}, and "
+                                   "tasks are made of presses")
         if any(operator.when for operator in self.operators):
             raise UnsupportedError(f"no hierarchy is synthesised for the puzzle {instance.puzzle.kind!r}: its "
                                    "operators have conditional effects, and tasks are made of preconditions")

@@ -47,7 +47,7 @@ def synthesise(
 
     Raises:
         UnknownNameError: no such kind or leaves.
-        UnsupportedError: the puzzle needs pushes.
+        UnsupportedError: the puzzle needs more than presses.
     """
     structure = make_structure(Situations(instance, cell), kind, leaves, abstract)
     return structure[PARTS[kind]]

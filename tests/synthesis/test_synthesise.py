@@ -210,6 +210,8 @@ def test_a_folder_brings_back_agent_and_hierarchy(tmp_path):
 def test_what_cannot_be_synthesised_is_refused_in_words():
     with pytest.raises(UnsupportedError, match="must be pushed"):
         synthesise(generate(get_preset("push-block"), 0))
+    with pytest.raises(UnsupportedError, match="must be gripped"):
+        synthesise(generate(get_preset("taxi"), 0))
     with pytest.raises(UnknownNameError, match="kind of hierarchy"):
         synthesise(generate(TINY, 0), "maxx")
     with pytest.raises(UnknownNameError, match="leaves"):
