@@ -22,6 +22,7 @@ __all__ = [
     "choose_best",
     "compute_choice_entropy",
     "compute_epsilon",
+    "compute_epsilon_greedy",
     "compute_policy",
     "compute_softmax",
     "make_rng",
@@ -104,6 +105,13 @@ def compute_policy(
     policy = epsilon * mask / mask.sum(axis=-1, keepdims=True)
     best = legal_values.argmax(axis=-1)[..., None]
     np.put_along_axis(policy, best, np.take_along_axis(policy, best, axis=-1) + (1 - epsilon), axis=-1)
+    return policy
+
+
+def compute_epsilon_greedy(values: NDArray, epsilon: float) -> NDArray[np.float64]:
+    """Probabilities of the best choice, and with probability epsilon of any, where all are legal; (choices,)."""
+    policy = np.full(len(values), epsilon / len(values))
+    policy[values.argmax()] += 1 - epsilon
     return policy
 
 

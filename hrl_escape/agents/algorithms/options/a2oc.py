@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
+from hrl_escape.agents.components.exploration import compute_epsilon_greedy
 from hrl_escape.agents.components.options.choices import OptionChoices
 from hrl_escape.agents.components.options.networks import EndingSettings, NetworkOptionAgent
 from hrl_escape.agents.components.policy_gradient import AdvantageSettings, Rollout, compute_entropy, take_column
@@ -68,9 +69,7 @@ class A2OC(NetworkOptionAgent):
 
     def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
         """Epsilon-greedy choice among the values of options, float64 (options,)."""
-        choice = np.full(self.options, self.settings.epsilon / self.options)
-        choice[self.compute_option_values(observation).argmax()] += 1 - self.settings.epsilon
-        return choice
+        return compute_epsilon_greedy(self.compute_option_values(observation), self.settings.epsilon)
 
     def compute_fresh_choice(self, observation: Tensor) -> Tensor:
         """The same for many observations, (n, options)."""

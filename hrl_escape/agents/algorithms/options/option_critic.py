@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions
-from hrl_escape.agents.components.exploration import compute_softmax, make_rng, mask_values, sample_index
+from hrl_escape.agents.components.exploration import (
+    compute_epsilon_greedy,
+    compute_softmax,
+    make_rng,
+    mask_values,
+    sample_index,
+)
 from hrl_escape.agents.components.options.agent import OptionAgent
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.settings import LearningSettings
@@ -153,9 +159,7 @@ class OptionCritic(OptionAgent):
 
     def _compute_choice(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Probability of each option to be chosen, (options,)."""
-        choice = np.full(len(values), self.settings.epsilon / len(values))
-        choice[values.argmax()] += 1 - self.settings.epsilon
-        return choice
+        return compute_epsilon_greedy(values, self.settings.epsilon)
 
     def _draw(self, option: int, decisions: int, observation: Any, mask: NDArray[np.bool_],
               rng: np.random.Generator) -> int:
