@@ -153,6 +153,10 @@ def test_in_evaluation_an_option_runs_until_another_is_likelier_and_exported_opt
     assert run.compute_termination(seen[0], mask) == pytest.approx(beta[0, 1], abs=1e-6)
 
 
+def test_a_minibatch_of_one_decision_is_left_out():
+    assert [len(rows) for rows in make("dac", batch_size=8, epochs=2)._draw_batches(17)] == [8, 8, 8, 8]
+
+
 # --- DAC ----------------------------------------------------------------------------------
 
 
