@@ -87,7 +87,7 @@ def make_button_env(kind: Any, buttons: int, rule: Any, seed: int, failure: floa
 
 
 class LearnedPuzzle(NamedTuple):
-    """What an agent has made of a puzzle.
+    """What an agent has learned about a puzzle.
 
     Attributes:
         first_escape: primitives at the end of the first episode that escaped; None if none did.

@@ -1,7 +1,7 @@
-"""Structure learning by growth: a set of parents takes in one more where the history is worth its parameters.
+"""Structure learning by growth: a set takes in one more parent where the history justifies the parameters it adds.
 
 What the decision trees of Vigorito and Barto (2010) do leaf by leaf, set by set: only sets with one parent more or less
-are held against the present one, by the Bayesian information criterion (Schwarz 1978). So contexts are tried one
+are compared with the present one, by the Bayesian information criterion (Schwarz 1978). So contexts are tried one
 variable further, where SLF-R-MAX and Met-R-MAX try every set.
 """
 
@@ -23,11 +23,11 @@ STRONG = 3.0
 class GrowingSets(StructureLearner):
     """Believes, for each outcome of an action, the set that grew from the empty one.
 
-    The present set h takes in a parent, or drops one, to raise the most
+    In every step the present set h takes in or drops the parent whose change raises the most
 
         BIC(h) = sum over contexts, own values and results of n log(n / n of the context) - parameters / 2 x log n
 
-    and among equals to have the fewest parents, as long as one does.
+    until none raises it; of equals the smallest set is taken.
     """
 
     @cached_property
@@ -54,7 +54,7 @@ class GrowingSets(StructureLearner):
         return [np.array(each, np.int64) for each in larger], [np.array(each, np.int64) for each in smaller]
 
     def compute_likelihoods(self, action: int, outcome: int, hypotheses: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Largest log likelihood that some hypotheses give an outcome of an action that was seen, (hypotheses,)."""
+        """Maximum log likelihood of some hypotheses about an outcome of an action that was seen, nats, (hypotheses,)."""
         counts = self.get_samples(action, hypotheses, outcome).astype(np.float64)  # (hypotheses, contexts, own, values)
         totals = counts.sum(axis=3, keepdims=True)
         shares = np.divide(counts, totals, out=np.ones_like(counts), where=counts > 0)

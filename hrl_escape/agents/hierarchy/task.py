@@ -48,7 +48,7 @@ class Seen(NamedTuple):
 
 
 def allow_only(choice: int | None, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """One choice alone, where it is legal: bool (choices,), all false without one."""
+    """Mask of one choice alone, all false where it is illegal or None; bool (choices,)."""
     return mask & (np.arange(len(mask)) == (-1 if choice is None else choice))
 
 

@@ -1,4 +1,4 @@
-"""Threads of torch while a run lasts: sums split over threads differ in the last bit, so they are part of a run."""
+"""Threads of torch while a run lasts: sums split over threads differ in the last bit, so their number is part of a run."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ __all__ = ["using_threads"]
 
 @contextmanager
 def using_threads(threads: int) -> Iterator[None]:
-    """Give torch a number of threads, and back what it had; nothing happens where torch is not loaded."""
+    """Set the number of torch's threads, and restore it afterwards; nothing happens where torch is not loaded."""
     torch = sys.modules.get("torch")
     if torch is None:
         yield

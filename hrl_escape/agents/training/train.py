@@ -81,7 +81,7 @@ def train(
         progress: show a progress line; by default on a terminal only.
         probe: measures the agent on the way, and may end the run before its budget.
         threads: of torch while the run lasts, a part of what decides its numbers. One is quickest for small networks;
-            many environments at once on a CPU are quicker with one a core.
+            many environments at once on a CPU are quicker with one per core.
 
     Returns:
         Curves, episodes, totals and the trained agent.

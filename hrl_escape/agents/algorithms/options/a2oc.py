@@ -40,10 +40,10 @@ class A2OCSettings(AdvantageSettings, EndingSettings):
     epsilon: Annotated[float, Range(0, 1)] = 0.1
     """Share of options that are chosen at random, and of the mean in the value of ending an option."""
     deliberation_cost: Annotated[float, Range(0)] = 0.01
-    """Price of ending an option, in scaled return: paid in the value upon arrival, and so a margin of terminations."""
+    """Price of ending an option, in scaled return: paid upon arrival, and so a margin of terminations."""
     termination_margin: Annotated[float, Range(0)] = 0.0
-    """Margin by which an option must be worse than the mean before it is ended more often, in scaled return; paid
-    nowhere."""
+    """Margin by which an option must be worse than the mean before it is ended more often, in scaled return; no value
+    pays it."""
     entropy_weight: Annotated[float, Range(0)] = 0.01
     """Weight of the entropy of the options' policies in the loss."""
     value_weight: Annotated[float, Range(0)] = 0.5

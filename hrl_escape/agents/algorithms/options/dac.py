@@ -49,8 +49,8 @@ class DAC(ClippedOptionAgent):
         low:  state (s, o), action a     pi_o(a | s), value q(s, o)
 
     o- is the option before; in an episode's first state pi is pi_Omega. Advantages and old probabilities of both are
-    computed with the networks that chose; then all epochs are made in one, then in the other, in random order. An
-    episode that was cut bootstraps both by v(s', o). Terminations learn through pi alone.
+    computed with the networks that chose; then one process goes through all of its epochs, then the other, in random
+    order. An episode that was cut bootstraps both by v(s', o). Terminations learn through pi alone.
     """
 
     name: ClassVar[str] = "dac"

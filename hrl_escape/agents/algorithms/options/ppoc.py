@@ -1,7 +1,7 @@
 """Proximal policy option-critic: PPO within options, policy gradient among them, and the termination gradient.
 
-Klissarov, Bacon, Harb and Precup (2017). Its published program is held together by constants that are settings here.
-Unlike it, terminations are learned at the state reached, for the option that ran, and the policy over options where an
+Klissarov, Bacon, Harb and Precup (2017). The constants of its published program are settings here. Unlike in that
+program, terminations are learned at the state reached, for the option that ran, and the policy over options where an
 option was chosen.
 """
 
@@ -37,7 +37,7 @@ class PPOCSettings(ClippedSettings, EndingSettings):
     least_samples: Annotated[int, Range(2)] = 160
     """Decisions of an option that are collected, over several rollouts if need be, before it is updated."""
     termination_rate: Annotated[float, Range(0)] = 5e-7
-    """Step size of Adam for terminations; the published one, which leaves them almost as they begin."""
+    """Step size of Adam for terminations; the published one hardly moves them."""
     option_entropy_weight: Annotated[float, Range(0)] = 0.1
     """Weight of the entropy of the policy over options in the loss."""
     deliberation_cost: Annotated[float, Range(0)] = 0.0

@@ -28,11 +28,11 @@ class VigoritoBartoSettings(OptimisticSettings):
     """Settings of `vigorito-barto`."""
 
     visits: Annotated[int, Range(1)] = 3
-    """Samples after which one more of a context is expected to tell nothing, and a variable's option is made."""
+    """Samples of a context after which no more are needed; a variable then gets its option."""
 
 
 class VigoritoBarto(OptimisticPlanner):
-    """Grow each outcome's set of parents, go where one parent more is untried, and keep an option for each bit.
+    """Grow each outcome's set of parents, go where one more parent is untried, and keep an option for each bit.
 
     The option of a bit does the action that turns it on, once its parents are on; a parent that is off is turned on
     first, by that parent's option.

@@ -1,1 +1,1 @@
-"""Options that are learned end to end: what runs, what is measured of it, and networks of it."""
+"""Options that are learned end to end: the one that runs, what is measured of them, and their networks."""

@@ -1,4 +1,4 @@
-"""Base of agents that learn options end to end: the option that runs, what is shown of it, and options given away."""
+"""Base of agents that learn options end to end: the option that runs, what is shown of it, and options for export."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["OptionAgent"]
 
 
 class OptionAgent(Agent):
-    """Base of agents of a fixed number of options, each with a policy and a termination in every state.
+    """Base of agents with a fixed number of options, each with a policy and a termination in every state.
 
     Args:
         options: how many.
