@@ -37,7 +37,7 @@ _FLAT = _parse_agents("random", "dqn@paper", "sarsa@paper", "ddpg@paper", "dqn",
 _OPTIONS = _parse_agents("smdp-random", "smdp-dqn@paper", "smdp-sarsa@paper", "smdp-ddpg@paper", "smdp-dqn",
                          "smdp-sarsa", "smdp-ddpg", *REFERENCES)
 HIERARCHICAL = ("maxq-q", "hamq", "h-dqn@table", "feudal-rl")
-"""An agent in tables for each kind of hierarchy that is synthesised."""
+"""A tabular agent for each kind of hierarchy that is synthesised."""
 # The paper's rooms have one start and no chance: every episode of one evaluation is the same, so one is enough.
 _PAPER: dict[str, Any] = {"runs": 10, "primitives": 20_000, "eval_every": 500, "eval_episodes": 1}
 

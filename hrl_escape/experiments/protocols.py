@@ -58,8 +58,8 @@ class LadderSettings(NamedTuple):
         rooms: rooms of the test set: to learn in one by one, or to be tested in.
         train_sizes: with all protocols but `per-instance`: numbers of training rooms, each a set of its own.
         eval_episodes: episodes in an evaluation.
-        observation: of every agent; by default `features` with `per-instance` where no agent's network reads objects,
-            for nothing need carry over to another room, and else `objects`.
+        observation: of every agent; by default `features` with `per-instance`, where nothing need carry over to
+            another room, unless an agent's network reads objects; else `objects`.
         source: with `transfer`: rung to train on.
         trials: with `few-shot`: in each room.
         first_seed: lowest training seed.

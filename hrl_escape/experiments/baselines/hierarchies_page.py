@@ -62,7 +62,8 @@ class Contrast(NamedTuple):
         room: name.
         agent: label.
         twin: label.
-        measure: `efficiency`, or `first escape`: primitives by which it comes sooner, the whole budget without one.
+        measure: `efficiency`, or `first escape`: primitives by which it comes sooner, runs without one
+            counting with the whole budget.
         gain: mean difference; above 0 the agent is better.
         p: two-sided, corrected over the page; 1 where too few runs were made to conclude anything.
     """

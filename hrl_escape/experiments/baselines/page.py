@@ -63,7 +63,7 @@ def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], pat
 
 
 def _list_commands(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
-    """Command lines that make at least these runs, one a protocol and budget."""
+    """Command lines that make at least these runs, one for each protocol and budget."""
     commands = []
     for protocol, budget in sorted({(line.protocol, line.primitives) for line in lines}):
         own = [line for line in lines if (line.protocol, line.primitives) == (protocol, budget)]

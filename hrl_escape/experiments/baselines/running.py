@@ -1,4 +1,4 @@
-"""Runs of the baselines, agent by agent and rung by rung: whatever time there was, what is there is whole cells."""
+"""Runs of the baselines, agent by agent and rung by rung, so that however short the time, whole cells are finished."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ GENERALISTS = (*_REFERENCES, *(f"smdp-{name}+objects+memory+no-primitives" for n
 """Agents that learn in some rooms and act in others, and references."""
 
 NO_TRAINING = 100
-"""Training budget of agents that learn nothing, which evaluations alone tell about."""
+"""Training budget of agents that learn nothing: only their evaluations count."""
 
 
 class BaselinePlace(NamedTuple):
@@ -67,7 +67,7 @@ class BaselineArgs(StudyArgs):
 
 
 def make_baseline_grids(bench: Benchmark, args: BaselineArgs) -> Iterator[tuple[BaselinePlace, Grid]]:
-    """Yield place and grid; those of more agents and seeds hold the runs of those of fewer before them.
+    """Yield places and grids; a grid of more agents and seeds holds the runs of the smaller ones before it.
 
     An agent goes through all rooms of all rungs before the next one, so that what is finished is whole cells. Those
     that learn nothing have grids of their own, in which training is cut short.
@@ -140,7 +140,7 @@ def ship_agents(found: dict[BaselinePlace, Comparison], folder: Path) -> dict[st
 
 
 def drop_experience(state: StateTree) -> StateTree:
-    """State of a run without the replay of its agent, which acting needs not and which is most of its bytes."""
+    """State of a run without its agent's replay, which acting does not need and which makes up most of its bytes."""
     agent = dict(state["agent"])
     if "replay" in agent:
         agent["replay"] = {name: 0 if name == "added" else rows[:0] for name, rows in agent["replay"].items()}
@@ -154,6 +154,6 @@ def _rate(comparison: Comparison, run: GridRun, result: RunResult) -> tuple[floa
 
 
 def list_missing(found: dict[BaselinePlace, Comparison]) -> int:
-    """Number of runs that the time did not suffice for."""
+    """Number of runs for which there was no time."""
     return sum(len(comparison.grid.make_runs(comparison.places)) - len(comparison.runs)
                for comparison in found.values())

@@ -48,8 +48,8 @@ class SolvedRoom:
 
     Attributes:
         preset: name; the room is that of instance seed 0, from its first start.
-        fewest: fewest operators of the symbolic model; those of the most likely outcomes where there is chance.
-        success: probability that a press has its effect; 1 but in puzzles that say otherwise.
+        fewest: fewest operators of the symbolic model; with the most likely outcomes where there is chance.
+        success: probability that a press has its effect; 1 unless the puzzle says otherwise.
         planned: primitives of the planner's escape; None under physics, where nothing is planned ahead.
     """
 
@@ -80,13 +80,13 @@ class PlayedRun:
 
 def measure_gallery(presets: Sequence[str], settings: GallerySettings, done: Iterable[SolvedRoom | PlayedRun] = ()
                     ) -> Iterator[SolvedRoom | PlayedRun]:
-    """Measure room after room, and yield each finding when it is there; those in `done` are not made again."""
+    """Measure room after room, and yield each finding as soon as it is made; those in `done` are not made again."""
     found = {_name(each) for each in done}
     for preset in presets:
         room = generate(get_preset(preset), 0)
         if (preset, "", 0, 0, 0) not in found:
             yield _solve_room(preset, room)
-        for agent in PLAYERS[:-1] if room.dynamics.kind == "physics" else PLAYERS:  # whose runs would take most of it
+        for agent in PLAYERS[:-1] if room.dynamics.kind == "physics" else PLAYERS:  # learning would take minutes
             for seed in range(settings.runs if agent == LEARNER else 1):
                 budget = settings.primitives if agent == LEARNER else 0
                 if (preset, agent, seed, budget, settings.episodes) not in found:
