@@ -281,7 +281,13 @@ def test_a_door_stops_the_robot_until_it_is_open_and_lets_it_out():
     assert inside.x == door.x
     assert rules.step(inside._replace(puzzle=before.puzzle), forward).state.x == door.x + 2.0
     beside = inside._replace(x=door.x + 0.25, puzzle=before.puzzle)  # off its middle, where contact has a direction
-    assert rules.step(beside, back).state.x == door.x - 1.75
+    out = rules.step(beside, back).state
+    assert out.x == door.x - 1.75
+    batch = TensorRoom([room], 1, autoreset="disabled")
+    batch.reset(torch.tensor([0]))
+    batch.set_room_state(0, beside)
+    batch.step(torch.tensor([back]))
+    assert batch.get_room_state(0) == out
 
 
 def test_routes_are_remembered_by_the_doors_that_are_shut():
