@@ -113,7 +113,7 @@ def unstack_decisions(fields: Mapping[str, Any]) -> list[tuple]:
 
 
 def draw_minibatches(rng: np.random.Generator, units: int, size: int, epochs: int) -> Iterator[Tensor]:
-    """Shuffle the numbers of the units anew in each epoch and cut them into minibatches, int64 (at most `size`,) each."""
+    """Shuffle the units' numbers anew in each epoch and cut them into minibatches, int64 (at most `size`,) each."""
     for _ in range(epochs):
         yield from torch.from_numpy(rng.permutation(units)).split(size)
 

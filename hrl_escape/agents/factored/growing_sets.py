@@ -54,7 +54,7 @@ class GrowingSets(StructureLearner):
         return [np.array(each, np.int64) for each in larger], [np.array(each, np.int64) for each in smaller]
 
     def compute_likelihoods(self, action: int, outcome: int, hypotheses: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Maximum log likelihood of some hypotheses about an outcome of an action that was seen, nats, (hypotheses,)."""
+        """Maximum log likelihood of hypotheses about an outcome of an action that was seen, nats, (hypotheses,)."""
         counts = self.get_samples(action, hypotheses, outcome).astype(np.float64)  # (hypotheses, contexts, own, values)
         totals = counts.sum(axis=3, keepdims=True)
         shares = np.divide(counts, totals, out=np.ones_like(counts), where=counts > 0)

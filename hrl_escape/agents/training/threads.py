@@ -1,4 +1,4 @@
-"""Threads of torch while a run lasts: sums split over threads differ in the last bit, so their number is part of a run."""
+"""Threads of torch while a run lasts: sums over several differ in the last bit, so their number is part of a run."""
 
 from __future__ import annotations
 
