@@ -11,7 +11,7 @@ from .config import (
     Wall,
 )
 from .escape_room import EscapeRoomEnv
-from .instance import Rectangle, RoomInstance, Start, Target
+from .instance import PlacedProp, Rectangle, RoomInstance, Start, Target
 from .kinematics import Kinematics, RoomState, Rules
 from .observations import Observer, make_observer
 from .presets import PRESETS, get_preset
@@ -56,6 +56,7 @@ __all__ = [
     "Pads",
     "Panels",
     "Place",
+    "PlacedProp",
     "Primitive",
     "Prop",
     "PushBlockConfig",

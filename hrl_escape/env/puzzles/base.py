@@ -19,7 +19,7 @@ from typing_extensions import Self
 
 from hrl_escape.env.puzzles.places import Capsule, Pads, Panels, Place, Prop
 from hrl_escape.env.puzzles.symbolic import SOLVED, Operator, SymbolicModel, derive_model, name_state
-from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.plugins import load_entry_points
 from hrl_escape.settings import Range, Settings
 
@@ -168,6 +168,15 @@ class Puzzle(_OfKind):
     def props(self) -> tuple[Prop, ...]:
         """Things on the floor that the room must place."""
         return ()
+
+    def with_props(self, props: tuple[Prop, ...]) -> Puzzle:
+        """The same puzzle with other things on the floor; for those that have any.
+
+        Raises:
+            ConfigError: the puzzle cannot be one with these.
+            UnsupportedError: nothing stands on this puzzle's floor.
+        """
+        raise UnsupportedError(f"the puzzle {self.kind!r} has no blocks or plates; push-block has")
 
     @property
     def puddles(self) -> tuple[Capsule, ...]:

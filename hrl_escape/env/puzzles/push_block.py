@@ -2,13 +2,15 @@
 
 Each block has a plate of its own on the floor; while every block's centre is over its plate the
 exit is open. Pushing it off again shuts the exit. The state is where each block is, seen from its
-plate. Nothing hangs on the walls.
+plate. Loose blocks, which belong to no plate, are movable obstacles; an edited room may have some.
+Nothing hangs on the walls.
 """
 
 from __future__ import annotations
 
 import dataclasses
 import math
+from functools import cached_property
 from typing import Annotated, NamedTuple
 
 import numpy as np
@@ -67,17 +69,30 @@ class PushBlockConfig(PuzzleConfig):
 
 @dataclasses.dataclass(frozen=True)
 class PushBlockPuzzle(Puzzle):
-    """A concrete pushing puzzle: `block-<i>` belongs onto `plate-<i>`."""
+    """A concrete pushing puzzle: each block belongs onto the plate that follows it."""
 
     kind = "push-block"
     things: tuple[Prop, ...] = (Prop(), Prop("plate", "plate"))
-    """A block, its plate, the next block, and so on."""
+    """A block, its plate, the next block, and so on; loose blocks come last."""
 
     def check(self) -> None:
-        """Check that blocks and plates come in pairs."""
-        kinds = tuple(prop.kind for prop in self.things)
-        if not kinds or kinds != ("block", "plate") * (len(kinds) // 2):
-            raise ConfigError("puzzle.things", kinds, "block, plate, block, plate, ...")
+        """Check that blocks and plates come in pairs, with loose blocks after them."""
+        kinds, names = tuple(prop.kind for prop in self.things), [prop.name for prop in self.things]
+        pairs = kinds.count("plate")
+        if not pairs or kinds != (*("block", "plate") * pairs, *("block",) * (len(kinds) - 2 * pairs)):
+            raise ConfigError("puzzle.things", kinds, "block, plate, block, plate, ..., and then loose blocks")
+        if len(set(names)) < len(names):
+            raise ConfigError("puzzle.things", names, "names that are all different")
+
+    @cached_property
+    def pairs(self) -> tuple[tuple[Prop, Prop], ...]:
+        """Blocks with their plates."""
+        count = sum(prop.kind == "plate" for prop in self.things)
+        return tuple(zip(self.things[: 2 * count : 2], self.things[1 : 2 * count : 2], strict=True))
+
+    def with_props(self, props: tuple[Prop, ...]) -> PushBlockPuzzle:
+        """The same puzzle with other blocks and plates."""
+        return dataclasses.replace(self, things=props)
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -92,22 +107,22 @@ class PushBlockPuzzle(Puzzle):
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
         """Of offset x and y, yaw, and whether it is on the plate."""
-        return (_OFFSETS, _OFFSETS, (-math.pi / 4, math.pi / 4), (0.0, 1.0)) * (len(self.things) // 2)
+        return (_OFFSETS, _OFFSETS, (-math.pi / 4, math.pi / 4), (0.0, 1.0)) * len(self.pairs)
 
     def make_state(self) -> tuple[BlockPose, ...]:
         """Out of sight, until the room says where the blocks stand."""
-        return (BlockPose(LARGEST_OFFSET, LARGEST_OFFSET, 0.0),) * (len(self.things) // 2)
+        return (BlockPose(LARGEST_OFFSET, LARGEST_OFFSET, 0.0),) * len(self.pairs)
 
     def update(self, state: tuple[BlockPose, ...], contacts: Contacts) -> tuple[BlockPose, ...]:
         """Look where the blocks are now."""
-        poses = contacts.prop_poses
+        poses = contacts.prop_poses[: 2 * len(self.pairs)]
         if not poses:
             return state
         return tuple(_see_from(plate, block) for block, plate in zip(poses[::2], poses[1::2], strict=True))
 
     def _list_on_plate(self, state: tuple[BlockPose, ...]) -> tuple[bool, ...]:
         return tuple(max(abs(block.x), abs(block.y)) <= plate.half_size
-                     for block, plate in zip(state, self.things[1::2], strict=True))
+                     for block, (_, plate) in zip(state, self.pairs, strict=True))
 
     def is_solved(self, state: tuple[BlockPose, ...]) -> bool:
         """Every block's centre is over its plate, edges included."""
@@ -128,16 +143,16 @@ class PushBlockPuzzle(Puzzle):
     def get_facts(self, state: tuple[BlockPose, ...]) -> frozenset[str]:
         """`on-plate(block-i)` for every block on its plate."""
         return frozenset(f"on-plate({block.name})"
-                         for block, is_on in zip(self.things[::2], self._list_on_plate(state), strict=True) if is_on)
+                         for (block, _), is_on in zip(self.pairs, self._list_on_plate(state), strict=True) if is_on)
 
     def make_symbolic_model(self) -> SymbolicModel:
         """One operator a block: push it onto its plate."""
         operators = []
-        for block, plate in zip(self.things[::2], self.things[1::2], strict=True):
+        for block, plate in self.pairs:
             fact = frozenset({f"on-plate({block.name})"})
             operators.append(Operator(f"push-{block.name}-onto-{plate.name}", block.name, "push", frozenset(), fact,
                                       fact, frozenset(), plate.name))
-        facts = tuple(f"on-plate({block.name})" for block in self.things[::2])
+        facts = tuple(f"on-plate({block.name})" for block, _ in self.pairs)
         return SymbolicModel(facts, tuple(operators), frozenset(facts))
 
 

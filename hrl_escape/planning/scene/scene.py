@@ -10,19 +10,24 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections import Counter
+from collections.abc import Sequence
 from functools import cached_property
 
 from typing_extensions import Self
 
-from hrl_escape.env.geometry import Solid
+from hrl_escape.env.geometry import Solid, compute_distance, make_footprint
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.room_checks import check_room
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
+from hrl_escape.planning.props import get_prop_poses
 from hrl_escape.planning.room_planner import RoomPlanner
 from hrl_escape.planning.scene.held_object import HeldObject, give_to_hand, grip
 
 __all__ = ["Scene"]
+
+_SINK = 0.02
+"""Depth in a block at which a base that pushes it may stand, m."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -30,7 +35,7 @@ class Scene:
     """One version of a room.
 
     Walls, obstacles and the door are solids, named by their role: `obstacle-1`, `wall-3`, `door`. Targets and the
-    puzzle's props keep their own names; they can be moved, but the puzzle's rules say how many there are.
+    puzzle's props keep their own names. Targets can be moved, but the puzzle's rules say how many there are.
 
     Attributes:
         instance: the room as it stands.
@@ -49,8 +54,8 @@ class Scene:
 
         Args:
             instance: the room.
-            state: episodes of `Scene.instance` begin where the base stands in this state; None for the room's own
-                starts, which no edit may then cover.
+            state: episodes of `Scene.instance` begin where the base and the props stand in this state; None for the
+                room's own starts, which no edit may then cover.
         """
         counts: Counter[str] = Counter()
         names = []
@@ -59,7 +64,10 @@ class Scene:
             names.append(f"{solid.role}-{counts[solid.role]}")
         if state is not None:
             start = Start(state.x, state.y, state.heading_steps, state.heading_offset)
-            instance = dataclasses.replace(instance, starts=(start,))
+            poses = get_prop_poses(state, instance)
+            props = tuple(dataclasses.replace(placed, x=x, y=y, yaw=yaw)
+                          for placed, (x, y, yaw) in zip(instance.props, poses, strict=True))
+            instance = dataclasses.replace(instance, starts=(start,), props=props)
         return cls(instance, tuple(names))
 
     # --- looking -------------------------------------------------------------------------
@@ -79,24 +87,49 @@ class Scene:
 
     # --- editing -------------------------------------------------------------------------
 
-    def add(self, name: str, solid: Solid) -> Scene:
-        """Add a box or cylinder that stands on the floor.
+    def add(self, name: str, thing: Solid | PlacedProp) -> Scene:
+        """Add a box or cylinder that stands on the floor, or a block or plate of the puzzle.
+
+        A block that is added is loose: a movable obstacle. A plate is the place where the oldest loose block belongs.
+
+        Args:
+            name: its name.
+            thing: where it stands, and its size.
 
         Raises:
-            ConfigError: the name is taken, or the solid covers a start.
+            ConfigError: the name is taken, it covers a start, a block stands in a solid, or a plate has no block.
+            UnsupportedError: the puzzle knows no blocks and plates.
         """
         if name in self.things or (self.held is not None and name == self.held.name):
             raise ConfigError("name", name, "a name that nothing else in the scene has")
-        return self._edit((*self.instance.solids, solid), (*self.names, name))
+        if isinstance(thing, Solid):
+            return self._edit((*self.instance.solids, thing), (*self.names, name))
+        pairs, loose = _split_props(self.instance.props)
+        thing = dataclasses.replace(thing, prop=dataclasses.replace(thing.prop, name=name))
+        if thing.prop.kind == "block":
+            return self._place_props(pairs, [*loose, thing])
+        if not loose:
+            raise ConfigError("name", name, "a plate for a loose block: add the block first")
+        return self._place_props([*pairs, loose[0], thing], loose[1:])
 
     def remove(self, name: str) -> Scene:
-        """Remove an obstacle or an interior wall.
+        """Remove an obstacle, an interior wall, a loose block, or a plate, whose block is then loose.
 
         Raises:
             UnknownNameError: nothing has this name.
-            UnsupportedError: it is a target, a prop or the door, which belong to the puzzle.
-            ConfigError: without it the floor would not be walled in.
+            UnsupportedError: it is a target or the door, which belong to the puzzle.
+            ConfigError: without it the floor would not be walled in, a plate would have no block, or the puzzle no
+                plate.
         """
+        thing = self._get(name)
+        if isinstance(thing, PlacedProp):
+            pairs, loose = _split_props(self.instance.props)
+            if thing in loose:
+                return self._place_props(pairs, [other for other in loose if other is not thing])
+            at = pairs.index(thing)
+            if thing.prop.kind == "block":
+                raise ConfigError("name", name, f"a loose block: remove its plate {pairs[at + 1].prop.name!r} first")
+            return self._place_props(pairs[: at - 1] + pairs[at + 1 :], [*loose, pairs[at - 1]])
         number = self._find_solid(name, "removed")
         solids = self.instance.solids
         return self._edit(solids[:number] + solids[number + 1 :], self.names[:number] + self.names[number + 1 :])
@@ -113,16 +146,16 @@ class Scene:
         Raises:
             UnknownNameError: nothing has this name.
             UnsupportedError: it is the door.
-            ConfigError: a start would be covered, or the floor would not be walled in.
+            ConfigError: a start would be covered, a block would stand in a solid, or the floor would not be walled in.
         """
         room, thing = self.instance, self._get(name)
         new = {key: value for key, value in (("x", x), ("y", y), ("yaw", yaw)) if value is not None}
         if isinstance(thing, Target):
             targets = tuple(dataclasses.replace(t, **new) if t is thing else t for t in room.targets)
-            return self._make(dataclasses.replace(room, targets=targets), self.names)
+            return self._make(dataclasses.replace(room, targets=targets), self.names, self.held)
         if isinstance(thing, PlacedProp):
             props = tuple(dataclasses.replace(p, **new) if p is thing else p for p in room.props)
-            return self._make(dataclasses.replace(room, props=props), self.names)
+            return self._make(dataclasses.replace(room, props=props), self.names, self.held)
         number = self._find_solid(name, "moved")
         moved = dataclasses.replace(room.solids[number], **new)
         return self._edit((*room.solids[:number], moved, *room.solids[number + 1 :]), self.names)
@@ -167,8 +200,18 @@ class Scene:
         room = dataclasses.replace(self.instance, solids=solids)
         return self._make(room, names, self.held)
 
-    def _make(self, room: RoomInstance, names: tuple[str, ...], held: HeldObject | None = None) -> Scene:
+    def _place_props(self, pairs: Sequence[PlacedProp], loose: Sequence[PlacedProp]) -> Scene:
+        """Other props, and the puzzle that is about them."""
+        room, props = self.instance, (*pairs, *loose)
+        puzzle = room.puzzle.with_props(tuple(placed.prop for placed in props))
+        shared = room.shared
+        if shared is not None and len(shared.bounds) < len(puzzle.bounds):
+            shared = dataclasses.replace(shared, bounds=puzzle.bounds)
+        return self._make(dataclasses.replace(room, props=props, puzzle=puzzle, shared=shared), self.names, self.held)
+
+    def _make(self, room: RoomInstance, names: tuple[str, ...], held: HeldObject | None) -> Scene:
         check_room(room)
+        _check_blocks(room)
         return type(self)(room, names, held, self.__dict__.get("planner", self._before))
 
     def _get(self, name: str) -> Solid | Target | PlacedProp:
@@ -180,7 +223,7 @@ class Scene:
     def _find_solid(self, name: str, done: str) -> int:
         self._get(name)
         if name not in self.names:
-            raise UnsupportedError(f"{name!r} cannot be {done}: targets, props and the door belong to the room's "
+            raise UnsupportedError(f"{name!r} cannot be {done}: targets and the door belong to the room's "
                                    f"puzzle ({self.instance.puzzle.kind}). Solids can: {', '.join(self.names)}")
         return self.names.index(name)
 
@@ -189,3 +232,27 @@ class Scene:
         reach = self.instance
         inside = math.fabs(x) <= reach.reach_x and math.fabs(y) <= reach.reach_y
         return inside and self.planner.get_field_maker(True).collision.is_free(x, y)
+
+
+def _split_props(props: Sequence[PlacedProp]) -> tuple[list[PlacedProp], list[PlacedProp]]:
+    """Blocks with their plates, one after the other, and loose blocks."""
+    paired = 2 * sum(placed.prop.kind == "plate" for placed in props)
+    return list(props[:paired]), list(props[paired:])
+
+
+def _check_blocks(room: RoomInstance) -> None:
+    """Check that no block stands in a solid or on a start.
+
+    Raises:
+        ConfigError: one does.
+    """
+    for placed in room.props:
+        if placed.prop.kind != "block":
+            continue
+        half = placed.prop.half_size
+        block = make_footprint(placed.x, placed.y, half, half, placed.yaw)
+        covered = any(compute_distance(start.x, start.y, block) < room.robot.body_radius - _SINK
+                      for start in room.starts)
+        if covered or any(compute_distance(placed.x, placed.y, solid.footprint) < half for solid in room.solids):
+            raise ConfigError(f"props.{placed.prop.name}", (placed.x, placed.y),
+                              "a place off the starts" if covered else "a place clear of walls and obstacles")

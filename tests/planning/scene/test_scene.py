@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from typing import Literal
 
 import numpy as np
 import pytest
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.geometry import Solid
-from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.instance import PlacedProp, RoomInstance
+from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.base import Prop
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, PlanningFailed, UnknownNameError, UnsupportedError
+from hrl_escape.options.closed_loop import pursue
 from hrl_escape.planning.arm.model import ArmKinematics
 from hrl_escape.planning.arm.reacher import Reacher
 from hrl_escape.planning.goals import PressGoal
@@ -118,6 +123,60 @@ def test_props_and_targets_move_and_the_room_follows():
     assert near.planner.plan(state, "button-1").cost < scene.planner.plan(state, "button-1").cost
 
 
+def make_block(x: float, y: float, kind: Literal["block", "plate"] = "block") -> PlacedProp:
+    return PlacedProp(Prop(kind=kind, half_size=0.3 if kind == "block" else 0.75), x, y)
+
+
+def test_blocks_and_plates_are_added_and_removed_and_the_puzzle_follows():
+    scene = Scene.of(generate(get_preset("push-block"), 0))
+    first = scene.instance.puzzle.props
+    loose = scene.add("crate", make_block(2.0, 2.0))
+    assert loose.instance.puzzle.make_symbolic_model() == scene.instance.puzzle.make_symbolic_model()
+    assert loose.instance.puzzle.target_names == () and [p.name for p in loose.instance.puzzle.props][-1] == "crate"
+    two = loose.add("goal", make_block(3.0, -2.0, "plate"))
+    model = two.instance.puzzle.make_symbolic_model()
+    assert [op.name for op in model.operators] == ["push-block-1-onto-plate-1", "push-crate-onto-goal"]
+    env = EscapeRoomEnv(instance=RoomInstance.from_dict(two.instance.to_dict()))
+    env.reset(seed=0)
+    seen = env.instance.puzzle.observe(env.get_state().puzzle)
+    assert seen[4:6] == (-1.0, 4.0), "the crate as seen from its plate"
+    env.close()
+    again = two.remove("plate-1").remove("block-1")
+    assert [p.name for p in again.instance.puzzle.props] == ["crate", "goal"]
+    assert two.remove("goal").remove("crate").instance.id == scene.instance.id
+    assert scene.instance.puzzle.props == first
+    with pytest.raises(ConfigError, match="remove its plate 'goal' first"):
+        two.remove("crate")
+    with pytest.raises(ConfigError, match="add the block first"):
+        scene.add("goal", make_block(3.0, -2.0, "plate"))
+    with pytest.raises(ConfigError, match=r"puzzle\.things"):
+        scene.remove("plate-1")
+    wall = next(solid for solid in scene.instance.solids if solid.role == "wall")
+    with pytest.raises(ConfigError, match="clear of walls"):
+        scene.add("crate", make_block(wall.x, wall.y))
+    with pytest.raises(ConfigError, match="off the starts"):
+        scene.add("crate", make_block(scene.instance.starts[0].x, scene.instance.starts[0].y))
+    with pytest.raises(UnsupportedError, match="no blocks or plates"):
+        Scene.of(generate(get_preset("clutter"), 3)).add("crate", make_block(0.0, 0.0))
+
+
+def test_a_room_with_an_added_block_and_plate_is_escaped_by_pushing_both():
+    scene = Scene.of(generate(get_preset("push-block"), 14))
+    room = scene.instance
+    things = (*room.props, *room.starts)
+    x, y = next(place for place in itertools.product((-2.0, 2.0), repeat=2)
+                if all(math.hypot(thing.x - place[0], thing.y - place[1]) > 2.5 for thing in things))
+    scene = scene.add("crate", make_block(x, y)).add("goal", make_block(x + 1.0, y, "plate"))
+    scene = scene.add("loose", make_block(x - 1.5, y))
+    env = EscapeRoomEnv(instance=scene.instance)
+    env.reset(seed=14)
+    run = pursue(env)
+    assert run.terminated and env.instance.puzzle.is_solved(run.states[-1].puzzle)
+    later = Scene.of(scene.instance, run.states[-1]).instance.props
+    assert math.hypot(later[2].x - x, later[2].y - y) > 0.1, "the scene of a state has its blocks where they are"
+    env.close()
+
+
 def test_edits_that_no_room_allows_are_refused_by_name():
     instance = generate(get_preset("clutter"), 3)
     scene, start = Scene.of(instance), instance.starts[0]
@@ -180,6 +239,14 @@ def test_a_held_object_is_a_link_in_every_library_and_goes_where_the_hand_goes()
     assert run.as_predicted
     assert held.planner.plan(state, "button-1").primitives == scene.planner.plan(state, "button-1").primitives
     env.close()
+
+
+def test_an_object_stays_in_the_hand_when_a_button_moves():
+    instance = generate(get_preset("arm-two-button"), 0)
+    state = Scene.of(instance).planner.rules.make_state(instance.starts[0])
+    x, y, _ = Kinematics(instance).get_hand(state)
+    held = Scene.of(instance).add("crate", Solid("box", x, y, 0.1, 0.1)).attach("crate", state)
+    assert held.move("button-1", y=0.8).held is held.held is not None
 
 
 def test_a_held_object_collides_where_the_empty_hand_does_not():
