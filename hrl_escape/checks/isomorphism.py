@@ -17,6 +17,7 @@ import numpy as np
 from hrl_escape.checks.claims import Claims
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import compute_noise, draw_chance
+from hrl_escape.planning.goals import parse_goal
 from hrl_escape.planning.room_planner import RoomPlanner
 
 __all__ = ["GridOutcome", "ReferenceDomain", "ReferenceGrid", "check_isomorphism"]
@@ -30,7 +31,7 @@ class ReferenceDomain(Protocol):
         ...
 
     def step(self, state: Any, action: int, uniform: float = 0.0, /) -> Hashable:
-        """The state after an action; action i presses target i of the room.
+        """The state after an action; action i presses target i of the room, or reaches goal i of those that are given.
 
         A random domain turns the uniform number, which is the room's own, into the outcome; others need not take it.
         """
@@ -86,11 +87,12 @@ class ReferenceGrid(Protocol):
 
 
 def check_isomorphism(env: gymnasium.Env, reference: ReferenceDomain | ReferenceGrid, pairs: int = 10_000,
-                      seed: int = 0) -> int:
+                      seed: int = 0, goals: Sequence[str] | None = None) -> int:
     """Check that pressing in a room, or its primitives, do what the actions of a domain do.
 
     Each pair of state and press is tried from the start and from the target's own panel, to which the robot must then
-    come back; of a grid world, each primitive is tried at the heading of the start, or of the state where that tells
+    come back, and so is each goal that is given; where an option to a goal may not begin, the domain's action must do
+    nothing. of a grid world, each primitive is tried at the heading of the start, or of the state where that tells
     one, and rewards are compared too. In a random room, both take the same uniform numbers.
 
     Args:
@@ -98,6 +100,8 @@ def check_isomorphism(env: gymnasium.Env, reference: ReferenceDomain | Reference
         reference: the domain.
         pairs: largest number of pairs that are tried; of more, so many are drawn.
         seed: of that draw.
+        goals: texts of the goals that a domain's actions are, such as `grip place-a`; None where action i presses
+            target i.
 
     Returns:
         Number of pairs tried.
@@ -109,7 +113,7 @@ def check_isomorphism(env: gymnasium.Env, reference: ReferenceDomain | Reference
     rng = np.random.default_rng(seed)
     if isinstance(reference, ReferenceGrid):
         return _GridCheck(env, reference).run(pairs, rng)
-    return _IsomorphismCheck(env, reference).run(pairs, rng)
+    return _IsomorphismCheck(env, reference, goals).run(pairs, rng)
 
 
 class _GridCheck(Claims):
@@ -160,10 +164,12 @@ class _GridCheck(Claims):
 class _IsomorphismCheck(Claims):
     """The transitions of one room beside those of one domain."""
 
-    def __init__(self, env: gymnasium.Env, reference: ReferenceDomain) -> None:
+    def __init__(self, env: gymnasium.Env, reference: ReferenceDomain, goals: Sequence[str] | None) -> None:
         self.env, self.reference = env, reference
         self.room: Any = env.unwrapped
         self.puzzle = self.room.instance.puzzle
+        texts = self.puzzle.target_names if goals is None else goals
+        self.goals = [parse_goal(text, self.room.instance) for text in texts]
         super().__init__(f"puzzle {self.puzzle.kind!r}")
         self.planner = RoomPlanner(self.room.instance)
 
@@ -171,18 +177,21 @@ class _IsomorphismCheck(Claims):
         states = list(self.reference.list_states())
         codes = [self.reference.encode(state) for state in states]
         self.require(len(set(codes)) == len(states), "different states have different codes", len(set(codes)))
-        targets = len(self.puzzle.target_names)
-        tried = rng.permutation(len(states) * targets)[:most].tolist()
+        tried = rng.permutation(len(states) * len(self.goals))[:most].tolist()
         self.env.reset(seed=0)
         start = self.room.get_state()
         for number in sorted(tried):
-            place, action = divmod(number, targets)
+            place, action = divmod(number, len(self.goals))
             self.try_pair(states[place], action, start._replace(puzzle=codes[place]))
         return len(tried)
 
     def try_pair(self, state: Any, action: int, start: RoomState) -> None:
         """Press once from the start, and once more from where that ended, in the same state of the puzzle."""
         self.require(self.is_over(start) == self.reference.is_over(state), "both are over, or neither", state)
+        if not self.planner.can_start(start, self.goals[action]):
+            self.require(self.reference.step(state, action) == state, "an action that cannot begin does nothing",
+                         (state, action))
+            return
         ended = self.press(action, start)
         after = self.follow(state, action, ended)
         self.require(ended.puzzle == self.reference.encode(after), "a press does what the action does",
@@ -204,7 +213,7 @@ class _IsomorphismCheck(Claims):
 
     def press(self, action: int, start: RoomState) -> RoomState:
         """State of the room after the plan to press a target was carried out."""
-        plan = self.planner.plan(start, self.puzzle.target_names[action])
+        plan = self.planner.plan(start, self.goals[action])
         self.room.set_state(start)
         for primitive in plan.primitives:
             self.env.step(primitive)

@@ -171,4 +171,25 @@ MUTATIONS = [
         "grip, has_moved, before.x, before.y,\n",
         "env/test_grid_worlds.py::test_both_engines_agree_on_the_grid",
     ),
+    Mutation(
+        "a block is put down on any empty place",
+        "env/puzzles/towers.py",
+        "elif held is not None and (top is not None or base == held):",
+        "elif held is not None:",
+        "env/puzzles/test_blocks_world.py",
+    ),
+    Mutation(
+        "in the batch the held block goes under the tower",
+        "env/batched/puzzles/blocks_world.py",
+        "torch.where(stands, top, base) << 4 * block, taken)",
+        "base << 4 * block, taken)",
+        "env/puzzles/test_blocks_world.py",
+    ),
+    Mutation(
+        "towers are drawn without their weights",
+        "env/puzzles/towers.py",
+        "        number //= _count_towers(len(loose), len(placed))",
+        "        number = number % (len(loose) + len(placed)) if loose or placed else 0",
+        "env/puzzles/test_blocks_world.py",
+    ),
 ]

@@ -24,7 +24,7 @@ from hrl_escape.planning.room_planner import get_planner
 from tests.env.rooms import make_ordered_chain
 
 KINEMATIC = [name for name in PRESETS if name != "push-block"]
-GRIPPED = ("taxi", "foraging", "door-key", "key-corridor", "multi-room")
+GRIPPED = ("taxi", "blocks-world", "foraging", "door-key", "key-corridor", "multi-room")
 
 
 def make_noisy(name: str, **dynamics) -> RoomConfig:

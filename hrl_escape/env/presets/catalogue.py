@@ -6,6 +6,7 @@ registered with Gymnasium under its name in CamelCase, `hrl_escape/PaperTwoButto
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any
 
@@ -32,6 +33,7 @@ from hrl_escape.env.presets.grid_worlds import (
 )
 from hrl_escape.env.puzzles.base import Panels, Place, PuzzleConfig
 from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
+from hrl_escape.env.puzzles.blocks_world import BlocksWorldConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.code_lock import CodeLockConfig
 from hrl_escape.env.puzzles.deep_sea import DeepSeaConfig
@@ -153,6 +155,22 @@ def bit_flip() -> RoomConfig:
                       room=ShapeConfig(width=12, depth=12))
 
 
+def blocks_world(count: int = 4, hand: bool = False, problem: str | None = None) -> RoomConfig:
+    """Blocks World: towers are taken apart and built with a gripper.
+
+    Args:
+        count: number of blocks, 2 to 12; larger rooms hold more.
+        hand: the hand of a 3-joint arm grips, instead of the body.
+        problem: a PDDL problem of the domain with four operators, instead of drawn towers.
+    """
+    if not hand:
+        return RoomConfig(name="blocks-world", puzzle=BlocksWorldConfig(count, problem),
+                          robot=RobotConfig(body_radius=0.4, gripper=True), room=ShapeConfig(width=12, depth=12))
+    arm, places = arm_two_button(), Panels(width=0.4, height=0.4, centre_height=1.2, height_spread=0.5)
+    return dataclasses.replace(arm, name="blocks-world", robot=dataclasses.replace(arm.robot, gripper=True),
+                               puzzle=BlocksWorldConfig(count, problem, places))
+
+
 def push_block() -> RoomConfig:
     """Push a block onto a plate: continuous puzzle state that only physics dynamics can change."""
     return RoomConfig(name="push-block", puzzle=PushBlockConfig(), robot=RobotConfig(body_radius=0.4, move_step=0.5),
@@ -201,6 +219,7 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "door-key": door_key,
     "key-corridor": key_corridor,
     "multi-room": multi_room,
+    "blocks-world": blocks_world,
     "pin-pad": lambda: _panel_puzzle("pin-pad", PinPadConfig()),
     "push-block": push_block,
 }

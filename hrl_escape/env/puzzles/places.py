@@ -36,6 +36,7 @@ class Panels(Settings):
 
     _section = "panels"
     _takes_ranges = True
+    _left_out = frozenset({"gap"})
     width: Annotated[float, Range(0.02, 200, "m")] = 1.0
     """Size along the wall."""
     height: Annotated[float, Range(0.02, 50, "m")] = 1.0
@@ -50,6 +51,8 @@ class Panels(Settings):
     """Distance of the centre from its wall (None: flush)."""
     places: Literal["random", "paper"] | tuple[Place, ...] = "random"
     """Anywhere on the walls, the paper's four places, or explicit ones."""
+    gap: Annotated[float, Range(0, 50, "m")] = 0.0
+    """Least distance between two random ones; twice the robot's reach where only one may be touched at a time."""
 
     def check_places(self, count: int) -> None:
         """Check that there are places for a number of panels.

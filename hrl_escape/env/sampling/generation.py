@@ -177,7 +177,7 @@ def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorpla
         target = _make_target(name, panels, face.x + cos * along - sin * inset, face.y + sin * along + cos * inset,
                               max(z, panels.height / 2), face.yaw)
         radius = math.hypot(target.half_x, target.half_y)
-        crowded = any(math.hypot(target.x - o.x, target.y - o.y) < radius + math.hypot(o.half_x, o.half_y)
+        crowded = any(math.hypot(target.x - o.x, target.y - o.y) < radius + math.hypot(o.half_x, o.half_y) + panels.gap
                       for o in others)
         exit_x, exit_y = plan.exit.centre
         area = make_footprint(exit_x, exit_y, plan.exit.x_max - exit_x, plan.exit.y_max - exit_y)

@@ -1,0 +1,252 @@
+"""Blocks World with a gripper: towers are taken apart and built, block by block, until the goal's facts hold.
+
+Each block has a place of its own, a panel: on it stands the tower whose lowest block it is, if that is on the table.
+`grip` while touching a place takes the top block of its tower; `release` puts the held block on the tower, and on an
+empty place only where it is the block's own. That is the domain with four operators (pick-up, put-down, stack,
+unstack) exactly, for every block has one place on the table. The state is a word of four bits a block: what it stands
+on, see `towers.py`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from functools import cached_property
+from typing import Annotated, Any
+
+import numpy as np
+
+from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.towers import (
+    IN_HAND,
+    MOST_BLOCKS,
+    Towers,
+    TowersGoal,
+    find_fewest_moves,
+    list_moves,
+    meets_goal,
+    read_towers,
+    sample_towers,
+)
+from hrl_escape.errors import ConfigError
+from hrl_escape.settings import Range
+
+__all__ = ["BlocksWorldConfig", "BlocksWorldPuzzle"]
+
+Block = Annotated[int, Range(0, MOST_BLOCKS - 1)]
+_LETTERS = "abcdefghijkl"
+
+
+@dataclasses.dataclass(frozen=True)
+class BlocksWorldConfig(PuzzleConfig):
+    """Schematic of Blocks World; the instance seed draws the towers at first and those of the goal, each alike."""
+
+    kind = "blocks-world"
+    count: Annotated[int, Range(2, MOST_BLOCKS)] = 4
+    """Number of blocks, unless `problem` says which there are."""
+    problem: str | None = None
+    """A PDDL problem of the domain with four operators, instead of drawn towers."""
+    places: Panels = Panels(gap=1.0)
+    """Sizes and places of the blocks' places."""
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        self.places.check_places(self.count if self.problem is None else len(read_towers(self.problem).names))
+
+    @property
+    def panels(self) -> Panels:
+        """Sizes and places of the blocks' places."""
+        return self.places
+
+    def make_puzzle(self, rng: np.random.Generator) -> BlocksWorldPuzzle:
+        """Read the problem, or draw one that is not solved yet."""
+        if self.problem is not None:
+            names, start, goal = read_towers(self.problem)
+            return BlocksWorldPuzzle(names, start, goal.on, goal.clear, goal.is_free)
+        start = wanted = sample_towers(self.count, rng)
+        while wanted == start:
+            wanted = sample_towers(self.count, rng)
+        return BlocksWorldPuzzle(tuple(_LETTERS[: self.count]), start, tuple(enumerate(wanted)))
+
+
+@dataclasses.dataclass(frozen=True)
+class BlocksWorldPuzzle(Puzzle):
+    """A concrete problem. The place of block `a` is called `place-a`."""
+
+    kind = "blocks-world"
+    names: tuple[str, ...] = ("a", "b")
+    """Names of the blocks."""
+    start: tuple[Block, ...] = (0, 1)
+    """For each block, the number of the one that it stands on at first; its own for the table."""
+    goal: tuple[tuple[Block, Block], ...] = ((0, 1),)
+    """Pairs of a block and what it must stand on."""
+    clear: tuple[Block, ...] = ()
+    """Blocks on which nothing may stand in the end."""
+    free_hand: bool = False
+    """Nothing may be held in the end."""
+
+    def check(self) -> None:
+        """Check that the towers stand, and that the goal can be reached."""
+        count = len(self.names)
+        if not 1 <= count <= MOST_BLOCKS or len(set(self.names)) < count:
+            raise ConfigError("puzzle.names", self.names, f"1 to {MOST_BLOCKS} different names")
+        self._check_towers("puzzle.start", self.start)
+        wanted = dict(self.goal)
+        if len(wanted) < len(self.goal) or not {*wanted, *wanted.values(), *self.clear} <= set(range(count)):
+            raise ConfigError("puzzle.goal", self.goal, f"for each of {count} blocks one place at most")
+        self._check_towers("puzzle.goal", tuple(wanted.get(block, block) for block in range(count)))
+        if any(below in self.clear and below != block for block, below in self.goal):
+            raise ConfigError("puzzle.clear", self.clear, "blocks on which the goal puts nothing")
+
+    def _check_towers(self, field: str, towers: Towers) -> None:
+        reached = set[int]()
+        for base in range(len(towers)):
+            top = base if towers[base] == base else None
+            while top is not None and top not in reached:
+                reached.add(top)
+                above = [block for block, below in enumerate(towers) if below == top != block]
+                top = above[0] if len(above) == 1 else None
+        if len(towers) != len(self.names) or len(reached) < len(towers):
+            raise ConfigError(field, towers, f"towers of {len(self.names)} blocks, one on another from the table up")
+
+    @cached_property
+    def wanted(self) -> TowersGoal:
+        """The goal."""
+        return TowersGoal(self.goal, self.clear, self.free_hand)
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """The places of the blocks."""
+        return tuple(f"place-{name}" for name in self.names)
+
+    @property
+    def goal_targets(self) -> tuple[int, ...]:
+        """Places on which a tower stands in the end, as far as the goal says."""
+        return tuple(block for block, below in self.goal if block == below)
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Every number is 0 or 1."""
+        return ((0.0, 1.0),) * (2 * len(self.names) * (len(self.names) + 1))
+
+    # --- states ------------------------------------------------------------------------
+
+    def encode(self, towers: Towers) -> int:
+        """State of towers."""
+        return sum(below << 4 * block for block, below in enumerate(towers))
+
+    def decode(self, state: int) -> Towers:
+        """Towers of a state."""
+        return tuple(state >> 4 * block & 15 for block in range(len(self.names)))
+
+    def make_state(self) -> int:
+        """The towers at first."""
+        return self.encode(self.start)
+
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside is a state: towers that stand, and at most one block in the hand."""
+        if type(state) is not int or not 0 <= state < 1 << 4 * len(self.names):
+            return False
+        towers = self.decode(state)
+        standing = tuple(block if below == IN_HAND else below for block, below in enumerate(towers))
+        try:
+            self._check_towers("puzzle.state", standing)
+        except ConfigError:
+            return False
+        held = [block for block, below in enumerate(towers) if below == IN_HAND]
+        return not held or len(held) == 1 and towers.count(held[0]) == 0
+
+    def update(self, state: int, contacts: Contacts) -> int:
+        """Take the top block of the touched place's tower, or put the held one there; of several, the first counts."""
+        if not contacts.grip or not contacts.touching:
+            return state
+        towers = self.decode(state)
+        wanted = contacts.grip, contacts.touching[0]
+        return next((self.encode(then) for grip, base, then in list_moves(towers) if (grip, base) == wanted), state)
+
+    def is_solved(self, state: int) -> bool:
+        """The goal's facts hold."""
+        return meets_goal(self.decode(state), self.wanted)
+
+    def observe(self, state: int) -> tuple[float, ...]:
+        """For each block n + 1 numbers, 1 for what it stands on (itself: the table), the last for the hand.
+
+        Then as many for what the goal wants it to stand on; all are 0 where it does not care, and the last is 1 where
+        nothing may stand on it.
+        """
+        count, numbers, wanted = len(self.names), list[float](), dict(self.goal)
+        for below in self.decode(state):
+            numbers += [float(below == other) for other in (*range(count), IN_HAND)]
+        for block in range(count):
+            numbers += [*(float(wanted.get(block) == other) for other in range(count)), float(block in self.clear)]
+        return tuple(numbers)
+
+    def get_lit(self, state: int) -> tuple[bool, ...]:
+        """Places on which a tower stands."""
+        return tuple(below == block for block, below in enumerate(self.decode(state)))
+
+    # --- for planners ------------------------------------------------------------------
+
+    def get_facts(self, state: int) -> frozenset[str]:
+        """Facts of PDDL (`on(a,b)`, `ontable(a)`, `clear(a)`, `holding(a)`, `handempty`), and `at(a,place)`."""
+        towers, names, facts = self.decode(state), self.names, set[str]()
+        for block, below in enumerate(towers):
+            name = names[block]
+            if below == IN_HAND:
+                facts.add(f"holding({name})")
+                continue
+            facts.add(f"ontable({name})" if below == block else f"on({name},{names[below]})")
+            if all(other == block or under != block for other, under in enumerate(towers)):
+                facts.add(f"clear({name})")
+            while towers[below] != below:
+                below = towers[below]
+            facts.add(f"at({name},{names[below]})")
+        return frozenset(facts if IN_HAND in towers else facts | {"handempty"})
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """The four operators of PDDL, those on towers once for each place on which they can stand."""
+        return self._model
+
+    @cached_property
+    def _model(self) -> SymbolicModel:
+        none, hand, names = frozenset[str](), frozenset({"handempty"}), self.names
+        operators = list[Operator]()
+        for name in names:
+            held, lies = frozenset({f"holding({name})"}), {f"clear({name})", f"ontable({name})"}
+            lies_here = hand | lies | {f"at({name},{name})"}
+            operators.append(Operator(f"pick-up-{name}", f"place-{name}", "grip", hand | lies, none, held, lies_here))
+            operators.append(Operator(f"put-down-{name}", f"place-{name}", "release", held, none, lies_here, held))
+        for (name, other), base in itertools.product(itertools.permutations(names, 2), names):
+            if name == base:
+                continue
+            held, under = frozenset({f"holding({name})"}), frozenset({f"clear({other})"})
+            stands = hand | {f"clear({name})", f"on({name},{other})"}
+            here, place = frozenset({f"at({name},{base})"}), frozenset({f"at({other},{base})"})
+            operators.append(Operator(f"unstack-{name}-from-{other}-at-{base}", f"place-{base}", "grip",
+                                      stands | place, none, held | under, stands | here))
+            operators.append(Operator(f"stack-{name}-on-{other}-at-{base}", f"place-{base}", "release",
+                                      held | under | place, none, stands | here, held | under))
+        pairs = [f"{word}({name},{other})" for word in ("on", "at") for name in names for other in names
+                 if word == "at" or name != other]
+        singles = [f"{word}({name})" for word in ("ontable", "clear", "holding") for name in names]
+        goal = {f"ontable({names[block]})" if block == below else f"on({names[block]},{names[below]})"
+                for block, below in self.goal} | {f"clear({names[block]})" for block in self.clear}
+        return SymbolicModel((*pairs, *singles, "handempty"), tuple(operators),
+                             frozenset(goal) | (hand if self.free_hand else none))
+
+    def plan(self, state: int) -> tuple[Operator, ...] | None:
+        """The fewest operators, by search over towers."""
+        moves = find_fewest_moves(self.decode(state), self.wanted)
+        if moves is None:
+            return None
+        found = list[Operator]()
+        for grip, base in moves:
+            facts, wanted = self.get_facts(state), (f"place-{self.names[base]}", "grip" if grip == 1 else "release")
+            found.append(next(op for op in self._model.operators
+                              if (op.target, op.action) == wanted and op.is_applicable(facts)))
+            state = self.update(state, self.make_contacts(found[-1]))
+        return tuple(found)
+
+
+register_puzzle(BlocksWorldConfig, BlocksWorldPuzzle)
