@@ -99,8 +99,8 @@ class TrainArgs(RoomChoice):
             UnsupportedError: the agent needs something that copies do not have.
         """
         assert self.batch is not None
-        if self.leaves is not None or self.flavour != "press":
-            raise UnsupportedError("--batch has neither --leaves nor another --flavour than press: leave one out")
+        if self.leaves is not None:
+            raise UnsupportedError("--batch has no --leaves: leave one of them out")
         if not spec.chooses_options:
             from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 
@@ -110,7 +110,7 @@ class TrainArgs(RoomChoice):
 
         gamma = spec.resolve_settings()["gamma"]
         return BatchedOptionsEnv(self.batch, instance=instance, observation=self.observation, discount=gamma,
-                                 include_primitives=not self.options_only, device=self.device)
+                                 include_primitives=not self.options_only, flavour=self.flavour, device=self.device)
 
 
 def run(args: TrainArgs) -> None:

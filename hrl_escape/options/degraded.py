@@ -22,9 +22,10 @@ from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.options.option import Option, OptionAction
 from hrl_escape.settings import Range, Settings
 
-__all__ = ["DegradedOption", "OptionDegradation"]
+__all__ = ["FAILURE", "STOP", "DegradedOption", "OptionDegradation"]
 
-_FAILURE, _STOP, _MISSING = range(3)
+FAILURE, STOP, _MISSING = range(3)
+"""Purposes of draws, a word of their counter: failing at the start, and stopping after a primitive."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,6 +58,20 @@ class OptionDegradation(Settings):
         """Degrade one option of any kind."""
         return DegradedOption(option, self)
 
+    def make_key(self, name: str) -> tuple[int, int]:
+        """Key of an option's draws, two 32-bit words."""
+        return self.seed, zlib.crc32(name.encode())
+
+    def draw(self, name: str, purpose: int, episode: int, primitive: int) -> float:
+        """Uniform number in (0, 1) for an option and a purpose at a primitive of an episode."""
+        mask = 0xFFFFFFFF
+        word, *_ = philox((primitive & mask, purpose, episode & mask, episode >> 32 & mask), self.make_key(name))
+        return (word + 0.5) / 2**32
+
+    def lacks(self, name: str) -> bool:
+        """Return whether an option is missing."""
+        return self.draw(name, _MISSING, 0, 0) < self.missing
+
 
 class DegradedOption(Option):
     """Another option, degraded."""
@@ -66,15 +81,11 @@ class DegradedOption(Option):
         self.inner, self.degradation = inner, degradation
         self.instance, self.targets, self.about = inner.instance, inner.targets, inner.about
         self.is_markov = inner.is_markov and not (degradation.failure or degradation.detour)
-        self._key = (degradation.seed, zlib.crc32(inner.name.encode()))
-        self._is_missing = self._draw(_MISSING, 0, 0) < degradation.missing
+        self._is_missing = degradation.lacks(inner.name)
         self._wasted, self._inner_runs = 0, False
 
-    def _draw(self, purpose: int, episode: int, primitive: int) -> float:
-        """Uniform number in (0, 1) for a purpose at a primitive of an episode."""
-        mask = 0xFFFFFFFF
-        word, *_ = philox((primitive & mask, purpose, episode & mask, episode >> 32 & mask), self._key)
-        return (word + 0.5) / 2**32
+    def _draw(self, purpose: int, state: RoomState) -> float:
+        return self.degradation.draw(self.name, purpose, state.noise_key, state.primitives)
 
     def initiation(self, state: RoomState) -> bool:
         """Possible wherever the other option may start; nowhere if it is missing."""
@@ -87,7 +98,7 @@ class DegradedOption(Option):
             time.sleep(self.degradation.latency)
         self.report.planner_seconds += self.degradation.latency
         self._wasted, self._inner_runs = 0, False
-        if self._draw(_FAILURE, state.noise_key, state.primitives) < self.degradation.failure:
+        if self._draw(FAILURE, state) < self.degradation.failure:
             pose = (state.x, state.y, 0.0)
             raise PlanningFailed(PlanningReason.TIMEOUT, self.name, pose, advice="The degradation made it fail")
         if not self.degradation.detour:
@@ -118,6 +129,6 @@ class DegradedOption(Option):
 
     def termination(self, state: RoomState) -> float:
         """1 if it stops early, else the other option's probability."""
-        if self._draw(_STOP, state.noise_key, state.primitives) < self.degradation.early_stop:
+        if self._draw(STOP, state) < self.degradation.early_stop:
             return 1.0
         return self.inner.termination(state) if self._inner_runs or self.is_markov else 0.0

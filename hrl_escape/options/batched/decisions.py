@@ -11,13 +11,17 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-__all__ = ["ENDINGS", "PLAN_LENGTH", "Transitions", "OpenDecisions"]
+__all__ = ["ENDINGS", "NOT_ASKED", "ORDER_LENGTH", "PLAN_LENGTH", "Transitions", "OpenDecisions"]
 
-ENDINGS = ("reached", "timeout", "episode-over", "planning-failed")
+ENDINGS = ("reached", "timeout", "episode-over", "planning-failed", "interrupted")
 """Endings of decisions, in the words of `info["option"]["ended"]`; `Transitions.ended` is an index into it."""
 
 PLAN_LENGTH = 64
 """Longest plan that a room keeps, primitives."""
+ORDER_LENGTH = 16
+"""Most goals of one option that a room keeps; of a longer order it asks for the rest when these are reached."""
+NOT_ASKED = -1
+"""Stands for a goal that the planner has to choose: the next one of an option that presses ancestors first."""
 
 
 class Transitions(NamedTuple):
@@ -67,6 +71,12 @@ class OpenDecisions(NamedTuple):
         discount: gamma to the power of the duration so far, float32.
         duration: primitives so far, int32.
         pressed: bits of the targets pressed so far, int64.
+        option: action of the option that runs, or was interrupted and may be continued, int64; -1 for none.
+        run: primitives of its run so far, interruptions included, int32.
+        goal: target that it is after, the number of targets for the exit, or `NOT_ASKED`, int64.
+        age: primitives since it is after this goal, int32.
+        order: goals to follow, or `NOT_ASKED` to ask again, aligned to the end, int8 (`ORDER_LENGTH`, rooms).
+        order_left: how many, int32.
         least: lowest cost-to-go that the option has met, float32.
         stalled: primitives since then, int32.
         cells: cells of the last choices, int64 (memory, rooms).
@@ -82,6 +92,12 @@ class OpenDecisions(NamedTuple):
     discount: Tensor
     duration: Tensor
     pressed: Tensor
+    option: Tensor
+    run: Tensor
+    goal: Tensor
+    age: Tensor
+    order: Tensor
+    order_left: Tensor
     least: Tensor
     stalled: Tensor
     cells: Tensor

@@ -7,6 +7,7 @@ the others do. The rules are the batched engine's; one step is `stepping.py`.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Callable
 from functools import lru_cache
@@ -25,9 +26,10 @@ from hrl_escape.env.batched.tables import InstanceSource, Layout, Tables, collec
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.observations import OBJECT_WORDS
-from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError
+from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError, UnsupportedError, show_value
 from hrl_escape.options.batched.cost_to_go import CostFields, stack_fields
-from hrl_escape.options.batched.decisions import ENDINGS, OpenDecisions, Transitions
+from hrl_escape.options.batched.decisions import ENDINGS, NOT_ASKED, OpenDecisions, Transitions
+from hrl_escape.options.batched.degraded import name_options
 from hrl_escape.options.batched.host_planner import HostPlanner
 from hrl_escape.options.batched.stepping import (
     FAIL_AFTER,
@@ -35,14 +37,17 @@ from hrl_escape.options.batched.stepping import (
     AgentView,
     StepSettings,
     begin_decisions,
+    find_startable,
     make_decisions,
     make_view,
     step_decisions,
 )
+from hrl_escape.options.degraded import OptionDegradation
+from hrl_escape.options.flavours import FLAVOURS
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.spaces import PointingDiscrete, make_vector_space
 
-_SHARED = ("include_primitives", "discount", "max_duration")  # arguments that `OptionsEnv` has too
+_SHARED = ("options", "include_primitives", "discount", "flavour", "interruptible", "max_duration")  # by OptionsEnv too
 
 __all__ = ["ENDINGS", "BatchedOptionsEnv", "Transitions"]
 
@@ -81,9 +86,15 @@ class BatchedOptionsEnv:
         num_instances: number of instances of the schematic; room i is in instance i modulo this number.
         observation: name of a vector observation.
         resample_instance: every episode draws one of the instances.
+        options: an `OptionDegradation`, whose options fail, stop early, waste time or are missing as they would in
+            `OptionsEnv`; None for whole ones.
         include_primitives: whether primitives are actions too.
         discount: gamma per primitive, in [0, 1]; readable as `gamma`.
-        max_duration: primitives after which an option is ended (`timeout`); None for no limit.
+        flavour: with `options=None`: `press`, or `press-with-ancestors`, for which the planner is asked for the order
+            of the presses as such a decision begins.
+        interruptible: return to the agent after every primitive of an option, `interrupted`; choosing the same option
+            again continues it, choosing another drops it.
+        max_duration: primitives after which an option is ended (`timeout`), interruptions included; None for no limit.
         autoreset: begin the next episode of a room as soon as one ends; else it stands still until `reset`.
         device: device of the rooms.
         compile: fuse a step into compiled kernels; takes some 20 s once for each shape of batch.
@@ -99,7 +110,7 @@ class BatchedOptionsEnv:
         action_space: of one room.
 
     Raises:
-        UnsupportedError: the batched engine cannot step these rooms.
+        UnsupportedError: the batched engine cannot step these rooms, or has no such options.
         ConfigError: an argument is impossible.
     """
 
@@ -113,8 +124,11 @@ class BatchedOptionsEnv:
         num_instances: int = 1,
         observation: str = "features",
         resample_instance: bool = False,
+        options: OptionDegradation | None = None,
         include_primitives: bool = True,
         discount: float = 0.99,
+        flavour: str = "press",
+        interruptible: bool = False,
         max_duration: int | None = None,
         autoreset: bool = True,
         device: str | torch.device = "cpu",
@@ -124,15 +138,18 @@ class BatchedOptionsEnv:
             raise ConfigError("BatchedOptionsEnv.discount", discount, "a number from 0 to 1")
         if max_duration is not None and max_duration < 1:
             raise ConfigError("BatchedOptionsEnv.max_duration", max_duration, "at least 1, or None for no limit")
+        degradation = _read_options(options, flavour)
         self.room = TensorRoom(collect_instances(config, instance, instance_seed, num_instances), num_envs,
                                observation=observation, autoreset="disabled", resample=resample_instance, device=device)
         self.count, self.device, self.gamma = num_envs, self.room.device, float(discount)
+        if degradation != OptionDegradation(flavour=degradation.flavour):  # its draws go by each episode's key
+            self.room.layout = dataclasses.replace(self.room.layout, draws=True)
         layout = self.room.layout
         self._by_hand = layout.dynamics.press_with == "hand"
         self._fields = None if self._by_hand else stack_fields(self.room.instances, self.device)
         self._host_planner = HostPlanner(self.room)
         names = layout.actions.names if include_primitives else ()
-        self.action_names = (*names, *(f"meta-{n + 1:02d}" for n in range(layout.targets)), "meta-exit")
+        self.action_names = (*names, *name_options(layout.targets))
         self.actions = len(self.action_names)
         targets = self.room.instances[0].frame.target_names
         self.action_space = PointingDiscrete(self.actions, (*(None for _ in names), *targets, "exit"))
@@ -140,11 +157,13 @@ class BatchedOptionsEnv:
         fail_after = math.ceil(FAIL_AFTER / (1.0 - layout.dynamics.slip)) if layout.dynamics.slip < 1.0 else FAIL_AFTER
         if self._by_hand:
             fail_after = 2**31 - 1  # planned options have a limit of their own
-        self._arguments = {"observation": observation, "resample_instance": resample_instance,
-                           "include_primitives": include_primitives, "discount": self.gamma,
-                           "max_duration": max_duration, "autoreset": autoreset, "compile": compile}
+        self._arguments = {"observation": observation, "resample_instance": resample_instance, "options": options,
+                           "include_primitives": include_primitives, "discount": self.gamma, "flavour": flavour,
+                           "interruptible": interruptible, "max_duration": max_duration, "autoreset": autoreset,
+                           "compile": compile}
         self._settings = StepSettings(load_observation(observation), len(names), self.gamma, fail_after,
-                                      max_duration or 2**31 - 1, autoreset)
+                                      max_duration or 2**31 - 1, autoreset, interruptible,
+                                      degradation.flavour == "press-with-ancestors", degradation)
         self._view: AgentView | None = None
         self._running: OpenDecisions | None = None
         self._kernel: DecisionKernel | None = None
@@ -205,7 +224,8 @@ class BatchedOptionsEnv:
             self._view = make_view(self.room.layout, self.room.tables, self.room.state, self._settings)
             fresh = make_decisions(self._view.observation)
             if where is not None and self._running is not None:
-                fresh = self._running._replace(action=torch.where(where, -1, self._running.action))
+                fresh = self._running._replace(action=torch.where(where, -1, self._running.action),
+                                               option=torch.where(where, -1, self._running.option))
             # each tensor gets its own memory, as after a step: shared memory would make a compiled step recompile
             self._running, self.room.state = map_tensors(_own, fresh), map_tensors(_own, self.room.state)
         return self._view.observation
@@ -250,8 +270,9 @@ class BatchedOptionsEnv:
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments that decide the numbers, as JSON values; rooms go by their ids."""
-        return {**self._arguments, "num_envs": self.count, "device": str(self.device),
-                "instances": [str(room.id) for room in self.room.instances]}
+        options = self._arguments["options"]
+        return {**self._arguments, "options": options and options.to_dict(), "num_envs": self.count,
+                "device": str(self.device), "instances": [str(room.id) for room in self.room.instances]}
 
     def state_dict(self) -> dict[str, Any] | None:
         """Return episodes and decisions in progress, as arrays; None in rooms whose options the host plans."""
@@ -270,18 +291,25 @@ class BatchedOptionsEnv:
         self._view, self._running = AgentView(**take(state["view"])), OpenDecisions(**take(state["running"]))
 
     def _plan(self, view: AgentView, running: OpenDecisions, action: Tensor) -> OpenDecisions:
-        """Plan for all rooms pressed by hand, else for those where the greedy policy has made no progress."""
-        primitives = self._settings.primitives
+        """Ask for orders, and plan for all rooms pressed by hand, else for those whose greed has made no progress."""
+        settings, layout = self._settings, self.room.layout
+        if self._by_hand or settings.interruptible or settings.has_ancestors:
+            running = begin_decisions(layout, settings, running, self.is_waiting & (action >= 0), action,
+                                      view.observation)
+        where = (running.action >= settings.primitives) & (running.plan_left == 0) & ~self.is_over
+        where = where & (running.run >= settings.degradation.detour)
+        option = (running.action - settings.primitives).clamp(min=0)
+        if self._by_hand or settings.has_ancestors:
+            can = find_startable(layout, self.room.tables, self.room.state, settings)
+            where = where & ((running.run > 0) | torch.gather(can, 1, option.unsqueeze(1)).squeeze(1))
+        if settings.has_ancestors:
+            running = self._host_planner.order(running, where & (running.goal == NOT_ASKED), option)
+            where = where & (running.goal != NOT_ASKED)
         if self._by_hand:
-            running = begin_decisions(running, self.is_waiting & (action >= 0), action, view.observation)
-        where = (running.action >= primitives) & (running.plan_left == 0) & ~self.is_over
-        goals = running.action - primitives
-        if self._by_hand:
-            legal = torch.gather(view.mask, 1, running.action.clamp(min=0).unsqueeze(1)).squeeze(1)
-            return self._host_planner.follow(running, where & legal, goals)[0]
-        running, has_failed = self._host_planner.plan(running, where & (running.stalled >= PLAN_AFTER), goals)
+            return self._host_planner.follow(running, where)[0]
+        running, has_failed = self._host_planner.plan(running, where & (running.stalled >= PLAN_AFTER))
         # a room whose planning failed gives up after one more primitive without progress
-        return running._replace(stalled=torch.where(has_failed, self._settings.fail_after, running.stalled))
+        return running._replace(stalled=torch.where(has_failed, settings.fail_after, running.stalled))
 
     def _check_action(self, action: Tensor) -> Tensor:
         if not isinstance(action, Tensor) or action.shape != (self.count,) or action.dtype != torch.int64 \
@@ -295,6 +323,28 @@ class BatchedOptionsEnv:
         if not self._settings.autoreset and bool(self.is_over.all()):
             raise ResetNeededError("every room's episode has ended and autoreset is false: reset some first")
         return action
+
+
+def _read_options(options: OptionDegradation | None, flavour: str) -> OptionDegradation:
+    """Degradation of the options that are asked for, with their flavour.
+
+    Raises:
+        ConfigError: no such flavour.
+        UnsupportedError: only `OptionsEnv` has such options.
+    """
+    if options is not None and not isinstance(options, OptionDegradation):
+        raise UnsupportedError(f"options = {show_value(options)}: a batch has meta-actions only, whole or worse by an "
+                               "OptionDegradation; OptionsEnv runs any options, in one room")
+    chosen = flavour if options is None else options.flavour
+    if chosen not in FLAVOURS:
+        raise ConfigError("BatchedOptionsEnv.flavour", chosen, " or ".join(map(repr, FLAVOURS)))
+    if chosen == "press-markov":
+        raise UnsupportedError("flavour = 'press-markov': batched options remember the cells they were in, so they are "
+                               "no functions of the state; OptionsEnv has such options, in one room")
+    if options is not None and options.latency:
+        raise UnsupportedError(f"options.latency = {options.latency}: a batch does not wait for one room; OptionsEnv "
+                               "sleeps")
+    return OptionDegradation(flavour=chosen) if options is None else options
 
 
 def _own(field: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.errors import PlanningFailed
-from hrl_escape.options.batched.decisions import PLAN_LENGTH, OpenDecisions
+from hrl_escape.options.batched.decisions import NOT_ASKED, ORDER_LENGTH, PLAN_LENGTH, OpenDecisions
 from hrl_escape.options.meta_actions import PlannedOption
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
@@ -32,29 +32,57 @@ class HostPlanner:
         self._options: dict[int, PlannedOption] = {}
         self._remaining: dict[int, tuple[int, ...]] = {}
 
-    def plan(self, running: OpenDecisions, where: Tensor, goals: Tensor) -> tuple[OpenDecisions, Tensor]:
-        """Plan from the present state of some rooms; each keeps the beginning of its plan.
+    def order(self, running: OpenDecisions, where: Tensor, targets: Tensor) -> OpenDecisions:
+        """List what presses require and the presses themselves, as options with ancestors do.
+
+        Args:
+            running: the decisions.
+            where: the rooms that ask, bool (rooms,).
+            targets: the targets to press in the end, int64 (rooms,).
+
+        Returns:
+            The decisions with their next goals; still `NOT_ASKED` where the preconditions cannot be met.
+        """
+        rooms = where.nonzero().squeeze(1).tolist()
+        if not rooms:
+            return running
+        order = torch.full((len(rooms), ORDER_LENGTH), NOT_ASKED, dtype=running.order.dtype)
+        first, left = [NOT_ASKED] * len(rooms), [0] * len(rooms)
+        for row, room in enumerate(rooms):
+            found = self._find_order(room, int(targets[room]))
+            if len(found) > ORDER_LENGTH:
+                found = [*found[:ORDER_LENGTH], NOT_ASKED]
+            if found:
+                first[row], left[row] = found[0], len(found) - 1
+                order[row, ORDER_LENGTH - left[row] :] = torch.tensor(found[1:], dtype=order.dtype)
+        at, device = torch.tensor(rooms, device=where.device), where.device
+        orders, goal, order_left = running.order.clone(), running.goal.clone(), running.order_left.clone()
+        orders[:, at], goal[at] = order.T.contiguous().to(device), torch.tensor(first, device=device)
+        order_left[at] = torch.tensor(left, dtype=order_left.dtype, device=device)
+        return running._replace(order=orders, goal=goal, order_left=order_left)
+
+    def plan(self, running: OpenDecisions, where: Tensor) -> tuple[OpenDecisions, Tensor]:
+        """Plan from the present state of some rooms to their goals; each keeps the beginning of its plan.
 
         Args:
             running: their decisions.
             where: the rooms to plan in, bool (rooms,).
-            goals: target, or the number of targets for the exit, int64 (rooms,).
 
         Returns:
             The decisions with plans, and the rooms in which planning failed, bool (rooms,).
         """
         rooms = where.nonzero().squeeze(1).tolist()
         return self._store_plans(running, rooms,
-                                 [self._find_plan(room, int(goals[room]))[:PLAN_LENGTH] for room in rooms])
+                                 [self._find_plan(room, int(running.goal[room]))[:PLAN_LENGTH] for room in rooms])
 
-    def follow(self, running: OpenDecisions, where: Tensor, goals: Tensor) -> tuple[OpenDecisions, Tensor]:
-        """Continue the plans that began with the rooms' decisions; arguments and results are those of `plan`.
+    def follow(self, running: OpenDecisions, where: Tensor) -> tuple[OpenDecisions, Tensor]:
+        """Continue the plans that began with the rooms' goals; arguments and results are those of `plan`.
 
         Under noise or slip the continuation is one primitive, chosen by the closed loop of `PlannedOption`.
         """
         rooms = where.nonzero().squeeze(1).tolist()
         find = self._choose_primitive if self._room.layout.is_random else self._continue_plan
-        return self._store_plans(running, rooms, [find(room, int(goals[room]), int(running.duration[room]) == 0)
+        return self._store_plans(running, rooms, [find(room, int(running.goal[room]), int(running.age[room]) == 0)
                                                   for room in rooms])
 
     def _get_planner(self, room: int) -> RoomPlanner:
@@ -65,6 +93,13 @@ class HostPlanner:
 
     def _make_goal(self, number: int) -> Goal:
         return PressGoal(number) if number < self._room.layout.targets else ExitGoal()
+
+    def _find_order(self, room: int, target: int) -> list[int]:
+        try:
+            goals = self._get_planner(room).find_ancestors(self._room.get_room_state(room), PressGoal(target))
+        except PlanningFailed:
+            return []
+        return [goal.target for goal in goals if isinstance(goal, PressGoal)]
 
     def _find_plan(self, room: int, goal: int) -> tuple[int, ...]:
         try:

@@ -17,22 +17,45 @@ from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rules import is_in_exit, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables
 from hrl_escape.options.batched.cost_to_go import CostFields
-from hrl_escape.options.batched.decisions import ENDINGS, PLAN_LENGTH, OpenDecisions, Transitions
+from hrl_escape.options.batched.decisions import (
+    ENDINGS,
+    NOT_ASKED,
+    ORDER_LENGTH,
+    PLAN_LENGTH,
+    OpenDecisions,
+    Transitions,
+)
+from hrl_escape.options.batched.degraded import draw_uniform, name_options
 from hrl_escape.options.batched.policy import MEMORY, Choice, can_start, choose_primitive
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
+from hrl_escape.options.degraded import FAILURE, STOP, OptionDegradation
 
-__all__ = ["FAIL_AFTER", "PLAN_AFTER", "AgentView", "StepSettings", "begin_decisions", "make_decisions", "make_view",
-           "step_decisions"]
+__all__ = ["FAIL_AFTER", "PLAN_AFTER", "AgentView", "StepSettings", "begin_decisions", "find_startable",
+           "make_decisions", "make_view", "step_decisions"]
 
 PLAN_AFTER = 4
 """Primitives without progress after which an option follows a plan instead of its field."""
 FAIL_AFTER = 120
 """Primitives without progress after which it fails; more where primitives slip."""
-REACHED, TIMEOUT, EPISODE_OVER, FAILED = range(len(ENDINGS))
+_OF_GOAL = ("age", "least", "stalled", "cells", "costs", "plan", "plan_left")
+_OF_RUN = (*_OF_GOAL, "option", "run", "goal", "order", "order_left")
+REACHED, TIMEOUT, EPISODE_OVER, FAILED, INTERRUPTED = range(len(ENDINGS))
 
 
 class StepSettings(NamedTuple):
-    """Constants of a compiled kernel besides the layout."""
+    """Constants of a compiled kernel besides the layout.
+
+    Attributes:
+        observation: what agents see.
+        primitives: primitives that are actions.
+        gamma: discount per primitive.
+        fail_after: primitives without progress after which an option fails.
+        max_duration: primitives after which it is ended.
+        autoreset: begin the next episode as one ends.
+        interruptible: ask the agent again after every primitive of an option.
+        has_ancestors: presses first carry out what they require.
+        degradation: known amounts by which options are worse.
+    """
 
     observation: TensorObservation
     primitives: int
@@ -40,6 +63,9 @@ class StepSettings(NamedTuple):
     fail_after: int
     max_duration: int
     autoreset: bool
+    interruptible: bool
+    has_ancestors: bool
+    degradation: OptionDegradation
 
 
 class AgentView(NamedTuple):
@@ -49,10 +75,22 @@ class AgentView(NamedTuple):
     mask: Tensor
 
 
-def make_view(layout: Layout, tables: Tables, state: TensorState, settings: StepSettings) -> AgentView:
-    """Observe every room and list its legal actions."""
-    options = can_start(layout, tables, state)
+def find_startable(layout: Layout, tables: Tables, state: TensorState, settings: StepSettings) -> Tensor:
+    """Find the options that may start, bool (rooms, targets + 1)."""
+    can = can_start(layout, tables, state)
+    if not settings.degradation.missing:
+        return can
+    names = name_options(layout.targets)
+    return can & torch.tensor([not settings.degradation.lacks(name) for name in names], device=can.device)
+
+
+def make_view(layout: Layout, tables: Tables, state: TensorState, settings: StepSettings,
+              option: Tensor | None = None) -> AgentView:
+    """Observe every room and list its legal actions; an interrupted `option`, int64 (rooms,), may be continued."""
+    options = find_startable(layout, tables, state, settings)
     mask = torch.cat([torch.ones_like(options[:, :1]).expand(-1, settings.primitives), options], dim=1)
+    if option is not None and settings.interruptible:
+        mask = mask | (torch.arange(mask.shape[1], device=mask.device) == option.unsqueeze(1))
     mask = mask | ~mask.any(dim=1, keepdim=True)  # nothing can start: any choice then waits one primitive
     return AgentView(observe(layout, tables, state, settings.observation), mask)
 
@@ -62,49 +100,66 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
                    ) -> tuple[TensorState, OpenDecisions, AgentView, Transitions]:
     """Run one primitive in every room, and begin and end decisions; the function that is compiled."""
     is_over = state.has_ended != 0
-    running = begin_decisions(running, (running.action < 0) & ~is_over & (action >= 0), action, view.observation)
+    running = begin_decisions(layout, settings, running, (running.action < 0) & ~is_over & (action >= 0), action,
+                              view.observation)
     is_over = is_over | (running.action < 0)  # rooms that wait and are given no action stand still as well
-    is_new = running.duration == 0
     is_option = running.action >= settings.primitives
-    goal = (running.action - settings.primitives).clamp(min=0)
-    is_legal = torch.gather(view.mask, 1, running.action.clamp(min=0).unsqueeze(1)).squeeze(1)
+    option = (running.action - settings.primitives).clamp(min=0)
+    goal = running.goal.clamp(min=0)
+    is_wasting = is_option & (running.run < settings.degradation.detour)
+    is_new = running.run == 0
+    fails = is_new & ~torch.gather(find_startable(layout, tables, state, settings), 1, option.unsqueeze(1)).squeeze(1)
+    if settings.degradation.failure:
+        drawn = draw_uniform(settings.degradation, name_options(layout.targets), option, FAILURE, state)
+        fails = fails | (is_new & (drawn < settings.degradation.failure))
 
-    planned = _read_plan(running)
-    if fields is None:  # all options are planned; a room without a plan found none, or its option was masked
+    planned = _read_aligned(running.plan, running.plan_left)
+    if fields is None:  # all options are planned; a room without a plan found none
         choice = Choice(planned, running.plan_left.to(torch.float32), torch.zeros_like(planned))
-        has_failed = is_option & (running.plan_left == 0)
+        is_lost = running.plan_left == 0
     else:
         choice = choose_primitive(layout, tables, fields, state, goal, running.cells, running.costs)
-        has_failed = is_new & is_option & (~is_legal | (choice.cost >= UNREACHABLE))
-    chosen = torch.where(running.plan_left > 0, planned, choice.primitive)
-    primitive = torch.where(has_failed, layout.actions.wait, torch.where(is_option, chosen, running.action))
-    is_nearer = choice.cost < running.least - 0.5
-    stalled = torch.where(is_nearer, 0, running.stalled + 1)
-    slot = torch.arange(MEMORY, device=action.device).unsqueeze(1) == running.duration % MEMORY
-    running = running._replace(
-        least=torch.minimum(running.least, choice.cost), stalled=stalled,
-        plan_left=(running.plan_left - 1).clamp(min=0),
-        cells=torch.where(slot, choice.cell, running.cells), costs=torch.where(slot, choice.cost, running.costs),
-    )
+        is_lost = (running.age == 0) & (choice.cost >= UNREACHABLE)
+    has_failed = is_option & (fails | (~is_wasting & (is_lost | (running.goal == NOT_ASKED))))
+    primitive = torch.where(is_option, torch.where(running.plan_left > 0, planned, choice.primitive), running.action)
+    if settings.degradation.detour:
+        to, fro = layout.actions.turns
+        primitive = torch.where(is_wasting, torch.where(running.run % 2 == 0, to, fro), primitive)
+    primitive = torch.where(has_failed, layout.actions.wait, primitive)
+    running = _watch_progress(running, choice, is_wasting)
 
     after, reward, terminated, truncated, pressed = step(layout, tables, state, primitive)
     after = TensorState(*(torch.where(is_over, old, new) for old, new in zip(state, after, strict=True)))
     running = running._replace(
         reward=running.reward + reward, discounted_reward=running.discounted_reward + running.discount * reward,
         discount=running.discount * settings.gamma, duration=running.duration + 1, pressed=running.pressed | pressed,
+        run=running.run + 1,
     )
     is_press = goal < layout.targets
     has_pressed = (pressed >> goal.clamp(max=max(layout.targets - 1, 0))) & 1 != 0
     is_there = torch.where(is_press, has_pressed, is_in_exit(layout, tables, after.instance, after.x, after.y))
+    is_there = is_there & ~is_wasting
+    is_done = is_there & (running.order_left == 0)
+    if settings.degradation.early_stop:
+        # an option asks after each primitive of its own; one of several parts, after each part
+        drawn = draw_uniform(settings.degradation, name_options(layout.targets), option, STOP, after)
+        has_parts = settings.has_ancestors & (option < layout.targets)
+        is_done = is_done | ((drawn < settings.degradation.early_stop) & (is_wasting | is_there | ~has_parts))
+
     has_ended = (terminated | truncated) & ~is_over
-    ended = torch.where(stalled > settings.fail_after, FAILED, -1)
-    ended = torch.where(running.duration >= settings.max_duration, TIMEOUT, ended)
+    ended = torch.where(is_option, INTERRUPTED if settings.interruptible else -1, REACHED)
+    ended = torch.where(is_option & (running.stalled > settings.fail_after), FAILED, ended)
+    ended = torch.where(running.run >= settings.max_duration, TIMEOUT, ended)
     ended = torch.where(has_ended, EPISODE_OVER, ended)
-    ended = torch.where(is_there | ~is_option, REACHED, ended)
+    ended = torch.where(is_done | ~is_option, REACHED, ended)
     ended = torch.where(has_failed, FAILED, ended)
     where = (ended >= 0) & ~is_over
+    is_left = where & (ended != INTERRUPTED)
+    running = running._replace(option=torch.where(is_left, -1, running.option))
+    if settings.has_ancestors:
+        running = _take_next_goal(running, is_there & ~is_left & ~is_over)
 
-    final = make_view(layout, tables, after, settings)
+    final = make_view(layout, tables, after, settings, running.option)
     decisions = Transitions(
         where, running.observation, running.action, running.reward, running.discounted_reward, running.duration,
         running.discount, final.observation, final.mask, terminated & ~is_over, truncated & ~is_over,
@@ -112,21 +167,51 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     )
     if settings.autoreset:
         after = restart(layout, tables, after, has_ended)
-        final = make_view(layout, tables, after, settings)
+        final = make_view(layout, tables, after, settings, running.option)
     return after, running._replace(action=torch.where(where, -1, running.action)), final, decisions
 
 
-def _read_plan(running: OpenDecisions) -> Tensor:
-    """Next primitive of each room's plan, int64 (rooms,); arbitrary where it has none."""
-    at = (PLAN_LENGTH - running.plan_left).clamp(max=PLAN_LENGTH - 1).to(torch.int64)
-    return torch.gather(running.plan, 0, at.unsqueeze(0))[0].to(torch.int64)
+def _watch_progress(running: OpenDecisions, choice: Choice, is_wasting: Tensor) -> OpenDecisions:
+    """Remember the choice's cell and cost, and count primitives without progress."""
+    is_nearer = choice.cost < running.least - 0.5
+    slot = torch.arange(MEMORY, device=is_nearer.device).unsqueeze(1) == running.age % MEMORY
+    slot = slot & ~is_wasting
+    return running._replace(
+        least=torch.where(is_wasting, running.least, torch.minimum(running.least, choice.cost)),
+        stalled=torch.where(is_nearer | is_wasting, 0, running.stalled + 1),
+        age=torch.where(is_wasting, running.age, running.age + 1),
+        plan_left=(running.plan_left - 1).clamp(min=0),
+        cells=torch.where(slot, choice.cell, running.cells), costs=torch.where(slot, choice.cost, running.costs),
+    )
 
 
-def begin_decisions(running: OpenDecisions, where: Tensor, action: Tensor, observation: Tensor) -> OpenDecisions:
-    """Begin decisions in the rooms of `where`, bool (rooms,), for the actions given."""
-    fresh = make_decisions(observation)._replace(action=action)
-    return OpenDecisions(*(torch.where(where.unsqueeze(1) if new is observation else where, new, old)
-                     for new, old in zip(fresh, running, strict=True)))
+def _take_next_goal(running: OpenDecisions, where: Tensor) -> OpenDecisions:
+    """Turn to the next goal of their orders in some rooms, bool (rooms,), with nothing remembered of the last."""
+    fresh = make_decisions(running.observation)
+    changes = {name: torch.where(where, getattr(fresh, name), getattr(running, name)) for name in _OF_GOAL}
+    following = _read_aligned(running.order, running.order_left)
+    return running._replace(goal=torch.where(where, following, running.goal),
+                            order_left=running.order_left - where.to(torch.int32), **changes)
+
+
+def _read_aligned(rows: Tensor, left: Tensor) -> Tensor:
+    """Entry that comes next of lists aligned to the end, int64 (rooms,); arbitrary where nothing is left."""
+    at = (len(rows) - left).clamp(max=len(rows) - 1).to(torch.int64)
+    return torch.gather(rows, 0, at.unsqueeze(0))[0].to(torch.int64)
+
+
+def begin_decisions(layout: Layout, settings: StepSettings, running: OpenDecisions, where: Tensor, action: Tensor,
+                    observation: Tensor) -> OpenDecisions:
+    """Begin decisions in the rooms of `where`, bool (rooms,), for the actions given; an interrupted option goes on."""
+    option = torch.where(action >= settings.primitives, action, -1)
+    goal = action - settings.primitives
+    if settings.has_ancestors:
+        goal = torch.where(goal < layout.targets, NOT_ASKED, goal)
+    fresh = make_decisions(observation)._replace(action=action, option=option, goal=goal)
+    is_new_run = where & ((option < 0) | (option != running.option))
+    return OpenDecisions(*(
+        torch.where(is_new_run if name in _OF_RUN else where.unsqueeze(1) if new is observation else where, new, old)
+        for name, new, old in zip(OpenDecisions._fields, fresh, running, strict=True)))
 
 
 def make_decisions(observation: Tensor) -> OpenDecisions:
@@ -135,7 +220,9 @@ def make_decisions(observation: Tensor) -> OpenDecisions:
     count, word = number.to(torch.int32), number.to(torch.int64)
     return OpenDecisions(
         action=word - 1, observation=observation, reward=number, discounted_reward=number, discount=number + 1.0,
-        duration=count, pressed=word, least=number + math.inf, stalled=count,
+        duration=count, pressed=word, option=word - 1, run=count, goal=word, age=count,
+        order=count.to(torch.int8).expand(ORDER_LENGTH, -1).clone(), order_left=count,
+        least=number + math.inf, stalled=count,
         cells=word.expand(MEMORY, -1) - 1, costs=number.expand(MEMORY, -1).clone(),
         plan=count.to(torch.int8).expand(PLAN_LENGTH, -1).clone(), plan_left=count,
     )

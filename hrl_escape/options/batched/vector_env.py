@@ -23,6 +23,12 @@ from hrl_escape.options.batched.env import BatchedOptionsEnv
 
 __all__ = ["OptionsVectorEnv"]
 
+_ELSEWHERE = {
+    "trace": "rooms keep no list of primitives",
+    "discounted_reward": "infos['discounted_reward'] holds it beside the reward",
+    "option_features": "infos['action_mask'] tells what is legal",
+    "planner": "options follow cost-to-go fields",
+}
 _TOLD = ("duration", "discount", "discounted_reward", "ended", "pressed", "primitives")
 
 
@@ -40,6 +46,9 @@ class OptionsVectorEnv(VectorEnv):
         autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
         output: `numpy` arrays, or `torch` tensors on the device.
         arguments: all other arguments of `BatchedOptionsEnv`.
+
+    Raises:
+        UnsupportedError: `render_mode`, or an argument that only `OptionsEnv` has.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}
@@ -51,6 +60,9 @@ class OptionsVectorEnv(VectorEnv):
         if render_mode is not None:
             raise UnsupportedError(f"render_mode = {render_mode!r}: the batched engine draws nothing; gymnasium.make "
                                    "makes a room that does")
+        for name in _ELSEWHERE.keys() & arguments.keys():
+            raise UnsupportedError(f"{name} = {arguments[name]!r}: in a batch {_ELSEWHERE[name]}; gymnasium.make makes "
+                                   "a room that has it")
         if output not in ("numpy", "torch"):
             raise ConfigError("output", output, "'numpy' or 'torch'")
         self._arguments = {"num_envs": num_envs, "config": config, **arguments}
