@@ -86,6 +86,10 @@ class _PuzzleCheck(Claims):
                 self.require(op.action == "push" and op.target in self.props and op.destination in self.props,
                              f"operator {op.name!r} presses, grips or releases at a target, or pushes a prop to a prop",
                              (op.action, op.target, op.destination))
+        for fact in self.puzzle.door_facts:
+            closes = [op.name for op in model.operators if fact in op.may_change - op.may_add]
+            self.require(fact in known and not closes, "facts that open doors are propositions that nothing deletes",
+                         (fact, closes))
         again = self.puzzle.make_symbolic_model()
         self.require(again == model, "make_symbolic_model gives the same model each time", again)
 
@@ -109,6 +113,9 @@ class _PuzzleCheck(Claims):
         facts = puzzle.get_facts(state)
         unknown = facts - frozenset(self.model.propositions)
         self.require(not unknown, "facts are propositions of the symbolic model", unknown)
+        shut = sum(1 << door for door, fact in enumerate(puzzle.door_facts) if fact not in facts)
+        self.require(not puzzle.door_facts or puzzle.get_shut(state) == shut,
+                     "get_shut gives the doors whose fact does not hold", puzzle.get_shut(state))
         progress = puzzle.compute_progress(state)
         self.require(isinstance(progress, float) and 0.0 <= progress <= 1.0, "progress is a share", progress)
         solved = puzzle.is_solved(state)

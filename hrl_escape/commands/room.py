@@ -65,7 +65,7 @@ def run(args: RoomArgs) -> int:
     report = _describe(instance)
     problem = None
     if args.check:
-        problem = find_unmet_constraint(instance) or _find_dead_end(instance.puzzle.make_symbolic_model())
+        problem = find_unmet_constraint(instance) or _find_dead_end(instance.symbolic_model)
         report["check"] = problem or "solvable"
     drive = drive_room(instance, parse_primitives(args.drive, instance, args.episode_seed), args.episode_seed)
     if args.drive:

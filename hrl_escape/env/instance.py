@@ -21,6 +21,7 @@ from hrl_escape.env.config import DynamicsConfig, RewardConfig, RobotConfig
 from hrl_escape.env.geometry import LARGEST_LENGTH, Footprint, Solid, make_footprint
 from hrl_escape.env.puzzles.base import Prop, Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.room_checks import check_room
 from hrl_escape.errors import ConfigError, EscapeError, InstanceFileError, show_value
 from hrl_escape.files import read_json, write_json
@@ -152,7 +153,7 @@ class RoomInstance(Settings):
     """
 
     _section = "instance"
-    _left_out = frozenset({"shared", "inner_doors"})
+    _left_out = frozenset({"shared", "inner_doors", "ways"})
     name: str = "custom"
     """Name of the schematic."""
     seed: Annotated[int, Range(0, 2**63 - 1)] | None = None
@@ -169,6 +170,8 @@ class RoomInstance(Settings):
     """Stands in the exit's doorway until the puzzle is solved."""
     inner_doors: tuple[Solid, ...] = ()
     """Stand in their places while the puzzle says that they are shut: doors, and things that block a cell."""
+    ways: tuple[tuple[Annotated[int, Range(0, 63)], ...], ...] = ()
+    """Inner doors on the way from the starts to each target, and last to the exit, in a puzzle without a map."""
     targets: tuple[Target, ...] = ()
     """Things to press, in the puzzle's order."""
     props: tuple[PlacedProp, ...] = ()
@@ -199,8 +202,11 @@ class RoomInstance(Settings):
             raise ConfigError("instance.targets", names, f"the puzzle's targets {self.puzzle.target_names}")
         if tuple(placed.prop for placed in self.props) != self.puzzle.props:
             raise ConfigError("instance.props", len(self.props), "the puzzle's props, in its order")
-        if len(self.inner_doors) != len(self.puzzle.blockable_cells):
-            raise ConfigError("instance.inner_doors", len(self.inner_doors), "one for each cell that can be blocked")
+        doors = len(self.puzzle.blockable_cells) or len(self.puzzle.door_facts)
+        if len(self.inner_doors) != doors:
+            raise ConfigError("instance.inner_doors", len(self.inner_doors), f"{doors}, as many as the puzzle has")
+        if self.puzzle.door_facts:
+            self._check_ways()
         if self.inner_doors and self.dynamics.kind != "kinematic":
             raise ConfigError("dynamics.kind", self.dynamics.kind, "'kinematic' where the puzzle opens inner doors")
         if not self.starts:
@@ -216,6 +222,13 @@ class RoomInstance(Settings):
             if (target.kind == "pad") != (target.name in self.puzzle.pad_names):
                 raise ConfigError("target.kind", target.kind, "'pad' exactly for the puzzle's pads")
 
+    def _check_ways(self) -> None:
+        if len(self.ways) != len(self.targets) + 1 or any(door >= len(self.inner_doors)
+                                                          for way in self.ways for door in way):
+            raise ConfigError("instance.ways", self.ways, "numbers of inner doors, for each target and the exit")
+        if self.dynamics.press_with == "hand":
+            raise ConfigError("dynamics.press_with", "hand", "'body' in a room with inner doors: arms reach past them")
+
     def _check_frame(self, frame: SpaceLayout) -> None:
         names = self.puzzle.target_names
         own, most = (self.reach_x, self.reach_y, self.wall_height), (frame.reach_x, frame.reach_y, frame.wall_height)
@@ -229,6 +242,18 @@ class RoomInstance(Settings):
         """Layout and scale of what is observed here."""
         return self.shared or SpaceLayout(self.reach_x, self.reach_y, self.wall_height, self.puzzle.target_names,
                                           self.puzzle.bounds)
+
+    @cached_property
+    def symbolic_model(self) -> SymbolicModel:
+        """The puzzle's model, in which doors on the way to a target or the exit must be open, too."""
+        model, facts = self.puzzle.make_symbolic_model(), self.puzzle.door_facts
+        if not facts:
+            return model
+        *ways, last = (frozenset(facts[door] for door in way) for way in self.ways)
+        way_to = dict(zip(self.puzzle.target_names, ways, strict=True))
+        operators = tuple(dataclasses.replace(op, preconditions=op.preconditions | way_to.get(op.target, frozenset()))
+                          for op in model.operators)
+        return dataclasses.replace(model, operators=operators, goal=model.goal | last)
 
     @cached_property
     def digest(self) -> str:

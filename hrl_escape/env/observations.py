@@ -154,7 +154,7 @@ class EgocentricObserver(Observer):
         self._diagonal = 2 * math.hypot(frame.reach_x, frame.reach_y)
         self._fixed = [(t.x, t.y) for t in instance.targets]
         self._standing = [(placed.x, placed.y) for placed in instance.props]
-        half = [math.hypot(t.half_x, t.half_y) if instance.inner_doors else t.half_y for t in instance.targets]
+        half = [math.hypot(t.half_x, t.half_y) if instance.puzzle.target_cells else t.half_y for t in instance.targets]
         self._slack = SIGHT_SLACK + np.array([
             *half, *(placed.prop.half_size for placed in instance.props), 0.0])
         self._absent = [0.0] * (4 * (len(frame.target_names) - len(instance.targets)))

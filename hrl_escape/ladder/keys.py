@@ -59,11 +59,14 @@ def compute_task_key(puzzle: Puzzle) -> str:
     rules = puzzle.to_dict()
     if isinstance(puzzle, ButtonsPuzzle):
         colours = [int(button == puzzle.goal) for button in range(puzzle.count)] + [2] * len(puzzle.locks)
+        colours += [3] * len(puzzle.doors)
         links = [link for node, (a, b) in enumerate(puzzle.locks, puzzle.count) for link in ((a, node), (node, b))]
+        links += [(button, node) for node, button in enumerate(puzzle.doors, puzzle.count + len(puzzle.locks))]
         goals, edges = compute_canonical_form(colours, (*puzzle.edges, *links))
         rules |= {"goal": goals.index(1), "edge_list": edges}
-        if puzzle.locks:  # nodes of a colour of their own
-            rules["locks"] = [node for node, colour in enumerate(goals) if colour == 2]
+        for name, colour in (("locks", 2), ("doors", 3)):  # nodes of colours of their own
+            if name in rules:
+                rules[name] = [node for node, own in enumerate(goals) if own == colour]
     return _hash(rules)
 
 

@@ -16,6 +16,7 @@ from hrl_escape.errors import OptionError, PlanningFailed, PlanningReason, Unkno
 from hrl_escape.options.flavours import FLAVOURS
 from hrl_escape.options.option import Option, OptionAction
 from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PressGoal, PushGoal, is_reached, make_goal
+from hrl_escape.planning.inner_doors import is_way_open
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route, get_pose
 
@@ -198,8 +199,8 @@ class AncestorsOption(Option):
         self._part = parts[goal]
 
     def initiation(self, state: RoomState) -> bool:
-        """Possible wherever the goal's own option may start; its preconditions are worked out at the start."""
-        return self._parts[self.goal].initiation(state)
+        """Possible wherever the goal's own option may start, or doors shut the way; the order is found at the start."""
+        return self._parts[self.goal].initiation(state) or not is_way_open(self._planner.rules, state, self.goal)
 
     def start(self, state: RoomState) -> None:
         """Find the cheapest order of the remaining operators. Raises `PlanningFailed`."""
@@ -237,7 +238,7 @@ def list_goals(instance: RoomInstance) -> list[Goal]:
     """Goals of a room: presses of the targets of its frame, unless they are cells of a map; then the model's others."""
     pressed = () if instance.puzzle.target_cells else range(len(instance.frame.target_names))
     goals: list[Goal] = [PressGoal(i) for i in pressed]
-    for op in instance.puzzle.make_symbolic_model().operators:
+    for op in instance.symbolic_model.operators:
         goal = make_goal(op, instance)
         if goal not in goals:
             goals.append(goal)

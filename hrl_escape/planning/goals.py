@@ -269,7 +269,7 @@ def find_grips(goal: GripGoal, instance: RoomInstance) -> tuple[Operator, ...]:
         GoalError: the puzzle has no such operator.
     """
     name = instance.targets[goal.target].name
-    found = tuple(operator for operator in instance.puzzle.make_symbolic_model().operators
+    found = tuple(operator for operator in instance.symbolic_model.operators
                   if (operator.target, operator.action) == (name, goal.action))
     if not found:
         raise GoalError(f"the puzzle {instance.puzzle.kind!r} does not ask to {goal.action} at {name!r}")
@@ -283,7 +283,7 @@ def find_push(goal: PushGoal, instance: RoomInstance) -> Operator:
         GoalError: the puzzle has no such push.
     """
     prop, destination = (instance.props[i].prop.name for i in (goal.prop, goal.destination))
-    for operator in instance.puzzle.make_symbolic_model().operators:
+    for operator in instance.symbolic_model.operators:
         if operator.action == "push" and (operator.target, operator.destination) == (prop, destination):
             return operator
     raise GoalError(f"the puzzle {instance.puzzle.kind!r} does not ask to push {prop!r} onto {destination!r}")

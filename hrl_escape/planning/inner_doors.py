@@ -14,10 +14,10 @@ from collections.abc import Iterator
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.planning.goals import GripGoal, PoseGoal
+from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PoseGoal, PressGoal
 from hrl_escape.planning.primitive_search import PrimitiveSearch
 
-__all__ = ["DoorSearches", "list_places"]
+__all__ = ["DoorSearches", "is_way_open", "list_places"]
 
 MOST_SEARCHES = 16
 """Sets of shut doors whose searches are kept."""
@@ -54,6 +54,16 @@ class DoorSearches:
         """Bits of the inner doors that are shut, but for those in which the body stands."""
         doors = self._rules.inner_doors
         return 0 if doors is None else doors.find_blocking(state.x, state.y, state.puzzle)
+
+
+def is_way_open(rules: Kinematics, state: RoomState, goal: Goal) -> bool:
+    """Return whether the inner doors on the way to a target or the exit are open; true where nothing is known of it."""
+    ways, doors = rules.instance.ways, rules.inner_doors
+    number = goal.target if isinstance(goal, (PressGoal, GripGoal)) else len(rules.instance.targets)
+    if doors is None or number >= len(ways) or not isinstance(goal, (PressGoal, GripGoal, ExitGoal)):
+        return True
+    shut = doors.get_shut(state.puzzle)
+    return not any(shut >> door & 1 for door in ways[number])
 
 
 def list_places(goal: GripGoal, state: RoomState, rules: Kinematics) -> Iterator[list[PoseGoal]]:

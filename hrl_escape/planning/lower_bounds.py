@@ -30,7 +30,7 @@ BOUND_LEGS = 20_000
 def bound_escape(instance: RoomInstance, state: RoomState) -> float:
     """Fewest primitives of an escape that straight lines allow, over all orders; infinity if no order escapes."""
     bounds = LegBounds(instance)
-    search = TaskSearch(instance.puzzle.make_symbolic_model(), lower_bound=bounds.bound_leg)
+    search = TaskSearch(instance.symbolic_model, lower_bound=bounds.bound_leg)
 
     def extend(last: Operator | None, then: Operator | None) -> Leg:
         cost = bounds.bound_start(state, then) if last is None else bounds.bound_leg(last, then)

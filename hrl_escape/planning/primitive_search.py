@@ -92,7 +92,7 @@ class PrimitiveSearch:
         """
         self.instance = instance
         self.kinematics = kinematics or Kinematics(instance, is_still=True)
-        operators = instance.puzzle.make_symbolic_model().operators
+        operators = instance.symbolic_model.operators
         names = {operator.target for operator in operators if operator.action == "press"}
         self._pressed = {i for i, target in enumerate(instance.targets) if target.name in names}
         self._makers: dict[tuple[bool, int], FieldMaker] = {}

@@ -35,7 +35,7 @@ from hrl_escape.planning.goals import (
     find_grips,
     is_reached,
 )
-from hrl_escape.planning.inner_doors import DoorSearches, list_places
+from hrl_escape.planning.inner_doors import DoorSearches, is_way_open, list_places
 from hrl_escape.planning.lattice.cost_to_go import FieldMaker
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.primitive_search import METHODS, PrimitiveSearch
@@ -170,6 +170,8 @@ class RouteFinder:
         """Return cheaply whether planning to a goal makes sense: it is not reached yet, and no shut door blocks it."""
         with self._explaining(state, goal):
             if isinstance(goal, ExitGoal) and self.instance.door and not self.is_solved(state):
+                return False
+            if not is_way_open(self.rules, state, goal):
                 return False
             if isinstance(goal, GripGoal):
                 facts = self.instance.puzzle.get_facts(state.puzzle)

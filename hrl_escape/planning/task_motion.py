@@ -42,7 +42,7 @@ class TaskMotionPlanner:
     def __init__(self, planner: RoomPlanner) -> None:
         self.planner = planner
         room = planner.instance
-        self._model = room.puzzle.make_symbolic_model()
+        self._model = room.symbolic_model
         if any(isinstance(make_goal(op, room), PushGoal) for op in self._model.operators):
             raise UnsupportedError(f"a {room.puzzle.kind} task cannot be planned ahead: pushing takes physics. "
                                    "Use pursue(env), which runs in closed loop")

@@ -35,7 +35,7 @@ class TaskPlanner(RouteFinder):
     def __init__(self, instance: RoomInstance, method: str, budget: int, time_limit: float | None) -> None:
         super().__init__(instance, method, budget, time_limit)
         self._bounds = LegBounds(instance)
-        self._model = instance.puzzle.make_symbolic_model()
+        self._model = instance.symbolic_model
 
     def order_goals(self, state: RoomState) -> tuple[Goal, ...]:
         """List the goals of an escape from here in the cheapest order; the last one is the exit.
@@ -96,7 +96,9 @@ class TaskPlanner(RouteFinder):
             name = op.name if op else ""
             if (before, name) not in costs:
                 begin = ends.get(before, state)
-                leg = extend(begin._replace(puzzle=self.solved_puzzle) if op is None and last is None else begin, op)
+                if self.instance.ways or (op is None and last is None):
+                    begin = begin._replace(puzzle=self._opened_puzzle if self.instance.ways else self.solved_puzzle)
+                leg = extend(begin, op)
                 costs[before, name] = leg and leg.cost
                 if leg is not None and not before:
                     ends[name] = leg.place._replace(puzzle=state.puzzle)
@@ -148,6 +150,15 @@ class TaskPlanner(RouteFinder):
         for op in tasks.operators if tasks else ():
             puzzle = self.instance.puzzle.update(puzzle, self.instance.puzzle.make_contacts(op))
         return puzzle
+
+    @cached_property
+    def _opened_puzzle(self) -> Any:
+        """State of the puzzle after every operator that can be carried out: all doors between rooms are open."""
+        puzzle, state = self.instance.puzzle, self.instance.puzzle.make_state()
+        for op in list(self._model.operators) * len(self._model.operators):
+            if op.is_applicable(puzzle.get_facts(state)):
+                state = puzzle.update(state, puzzle.make_contacts(op))
+        return state
 
     def _find_exit(self, here: RoomState, has_moved: bool, clock: Clock, settings: SearchSettings) -> Route:
         """Last leg; empty if the primitive that solved the puzzle has already ended the episode."""

@@ -64,9 +64,12 @@ class Situations:
     """
 
     def __init__(self, instance: RoomInstance, cell: float | None = None) -> None:
-        self.model = model = instance.puzzle.make_symbolic_model()
+        self.model = model = instance.symbolic_model
         self.instance = instance
         self.operators: tuple[Operator, ...] = find_relevant_operators(model)
+        if instance.inner_doors:
+            raise UnsupportedError(f"no hierarchy is synthesised for the room {instance.name!r}: it has inner doors, "
+                                   "and what tasks see does not say which of them are open")
         others = {operator.action for operator in self.operators} - {"press"}
         if others:
             asked = "its props must be pushed" if "push" in others else "its targets must be gripped"

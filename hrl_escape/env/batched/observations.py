@@ -106,7 +106,7 @@ def observe_egocentric(layout: Layout, tables: Tables, state: TensorState) -> li
     lit = unpack_bits(form.get_lit(puzzle, state.puzzle), layout.targets, torch.float32)
     numbers = torch.arange(layout.targets, device=lit.device).unsqueeze(1)
     is_present = numbers < pick(layout, tables.target_counts, state.instance)
-    half = torch.hypot(targets.half_x, targets.half_y) if layout.inner_doors else targets.half_y
+    half = torch.hypot(targets.half_x, targets.half_y) if layout.has_cells else targets.half_y
     looks, in_sight = look_at(targets.x[: layout.targets], targets.y[: layout.targets],
                               SIGHT_SLACK + half[: layout.targets])
     seen = torch.where((is_present & in_sight).unsqueeze(1), torch.cat([looks, lit.unsqueeze(1)], dim=1), 0.0)

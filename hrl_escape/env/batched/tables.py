@@ -54,6 +54,7 @@ class Layout:
         targets: number of targets, that of the instance with most.
         has_door: True if any exit has a door.
         inner_doors: number of inner doors, that of the instance with most.
+        has_cells: True if targets are cells of a map.
         has_offsets: True if headings can leave the lattice of turn steps (noise, or a start off it).
         is_shared: True for a single instance, so that tables need no look-up.
         is_watching: True if puzzles are told of every primitive.
@@ -70,6 +71,7 @@ class Layout:
     targets: int
     has_door: bool
     inner_doors: int
+    has_cells: bool
     has_offsets: bool
     is_shared: bool
     is_watching: bool
@@ -211,6 +213,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
         targets=len(first.frame.target_names),
         has_door=any(instance.door for instance in instances),
         inner_doors=max(len(instance.inner_doors) for instance in instances),
+        has_cells=bool(first.puzzle.target_cells),
         has_offsets=bool(noise) or any(start.heading_offset for instance in instances for start in instance.starts),
         is_shared=len(instances) == 1,
         is_watching=first.puzzle.is_watching,

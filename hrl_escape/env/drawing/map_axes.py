@@ -145,7 +145,11 @@ def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
     if instance.door is not None:
         style: dict[str, Any] = {"fill": False, "linestyle": ":"} if is_open else {"facecolor": palette.DOOR}
         axes.add_patch(_make_outline(instance.door, edgecolor=palette.DOOR, linewidth=1.2, zorder=4, **style))
-    shut = instance.puzzle.get_shut(state.puzzle)
+    _draw_inner_doors(axes, instance, instance.puzzle.get_shut(state.puzzle))
+
+
+def _draw_inner_doors(axes: Axes, instance: RoomInstance, shut: int) -> None:
+    """Doors and things in cells, and beside doors between rooms the names of what opens them."""
     for number, door in enumerate(instance.inner_doors):
         colour, share = palette.get_inner_colour(door), 0.9 if door.role == "door" else 0.4
         shape = dataclasses.replace(door, half_x=share * door.half_x, half_y=share * door.half_y)
@@ -153,6 +157,12 @@ def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
             axes.add_patch(_make_outline(shape, facecolor=colour, edgecolor=colour, zorder=5))
         elif door.role == "door":
             axes.add_patch(_make_outline(shape, fill=False, edgecolor=colour, linestyle=":", linewidth=1.2, zorder=5))
+    facts = instance.puzzle.door_facts
+    operators = instance.symbolic_model.operators if facts else ()
+    for door, fact in zip(instance.inner_doors, facts, strict=bool(facts)):
+        openers = " or ".join(dict.fromkeys(op.target for op in operators if fact in op.may_add))
+        axes.annotate(openers, (door.x, door.y), fontsize=6.5, color=palette.DOOR, ha="center", va="center",
+                      rotation=math.degrees(door.yaw), zorder=6, path_effects=_HALO)
 
 
 def _make_capsule(capsule: Capsule, **style: Any) -> Patch:

@@ -129,6 +129,12 @@ def ladder_room(name: str, count: int, graph: GraphConfig, size: float = 20.0, d
     return RoomConfig(name=name, **(settings | parts))
 
 
+def inner_doors() -> RoomConfig:
+    """Four rooms, the doors between which buttons open, one each."""
+    puzzle = ButtonsConfig(count=5, graph=GraphConfig(kind="tree"), buttons=Panels(width=1.5), doors=3)
+    return ladder_room("inner-doors", 5, puzzle.graph, room=ShapeConfig(width=20, depth=20, rooms=4), puzzle=puzzle)
+
+
 def clutter() -> RoomConfig:
     """Obstacles and two interior walls: four buttons in three rooms, a door at the exit."""
     return ladder_room(
@@ -202,6 +208,7 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "ten-button": lambda: ladder_room("ten-button", 10, GraphConfig(kind="layered", max_parents=2)),
     "twenty-button": lambda: ladder_room("twenty-button", 20, GraphConfig(kind="layered", max_parents=2), 30.0),
     "dead-ends": lambda: ladder_room("dead-ends", 6, GraphConfig(kind="layered", max_parents=2), dead_ends=4),
+    "inner-doors": inner_doors,
     "bit-flip": bit_flip,
     "lights-out": lambda: _panel_puzzle("lights-out", LightsOutConfig(scramble=4)),
     "hanoi": lambda: _panel_puzzle("hanoi", HanoiConfig()),

@@ -198,9 +198,15 @@ class Puzzle(_OfKind):
         """Cells of that map that can be blocked, by doors or things: the room's inner doors, in order."""
         return ()
 
+    @property
+    def door_facts(self) -> tuple[str, ...]:
+        """Fact of the model from which each door between two rooms, in a puzzle without a map, is open, for good."""
+        return ()
+
     def get_shut(self, state: PuzzleState) -> int:
         """Bits of the inner doors that are shut."""
-        return 0
+        facts = self.get_facts(state) if self.door_facts else frozenset[str]()
+        return sum(1 << door for door, fact in enumerate(self.door_facts) if fact not in facts)
 
     @property
     def is_watching(self) -> bool:

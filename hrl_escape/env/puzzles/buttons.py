@@ -2,7 +2,7 @@
 
 A press turns a button on only if all its parents are on. One button is the goal: while
 it is on, the exit is open. The state is an integer whose bit i is button i. A lock (a, b) is a dead end:
-once a is on, b cannot be turned on any more.
+once a is on, b cannot be turned on any more. A button may open a door between two rooms.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class ButtonsConfig(PuzzleConfig):
 
     kind = "buttons"
     _takes_ranges = True
-    _left_out = frozenset({"dead_ends"})
+    _left_out = frozenset({"dead_ends", "doors"})
     count: Annotated[int, Range(1, 64)] = 2
     """Number of buttons."""
     graph: GraphConfig = GraphConfig()
@@ -56,6 +56,8 @@ class ButtonsConfig(PuzzleConfig):
     """Sizes and places."""
     dead_ends: Annotated[int, Range(0, 64)] = 0
     """Locks: pairs of buttons. Once the first is on, the second, which the goal needs, cannot be turned on any more."""
+    doors: Annotated[int, Range(0, 15)] = 0
+    """Doorways between rooms that a door shuts until a button, one for each door, is on."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -66,6 +68,11 @@ class ButtonsConfig(PuzzleConfig):
         self.buttons.check_places(self.count)
         if self.dead_ends and (self.allow_off or self.on_violation == "reset"):
             raise ConfigError("puzzle.dead_ends", self.dead_ends, "0 where buttons can be turned off again")
+        if self.doors > self.count:
+            raise ConfigError("puzzle.doors", self.doors, f"at most puzzle.count = {self.count}, a button for each")
+        if self.doors and (self.allow_off or self.on_violation == "reset" or self.dead_ends):
+            raise ConfigError("puzzle.doors", self.doors,
+                              "0 where buttons can be turned off again or locked, for a door might never open again")
 
     @property
     def panels(self) -> Panels:
@@ -73,7 +80,7 @@ class ButtonsConfig(PuzzleConfig):
         return self.buttons
 
     def make_puzzle(self, rng: np.random.Generator) -> ButtonsPuzzle:
-        """Sample the dependency graph, then shuffle the buttons' numbers if the graph is to be relabelled.
+        """Sample the dependency graph, shuffle the buttons' numbers if it is to be relabelled, and choose openers.
 
         Raises:
             ConfigError: graphs like that have no place for so many dead ends.
@@ -82,7 +89,8 @@ class ButtonsConfig(PuzzleConfig):
             edges, goal = sample_relabelled(self.graph, self.count, rng, self.goal)
             locks = sample_locks(self.count, edges, goal, self.dead_ends, rng) if self.dead_ends else ()
             if len(locks) == self.dead_ends:
-                return ButtonsPuzzle(self.count, edges, goal, self.on_violation, self.allow_off, locks)
+                doors = tuple(rng.choice(self.count, self.doors, replace=False).tolist()) if self.doors else ()
+                return ButtonsPuzzle(self.count, edges, goal, self.on_violation, self.allow_off, locks, doors)
         raise ConfigError("puzzle.dead_ends", self.dead_ends,
                           "as many as such graphs have pairs of buttons of which neither needs the other")
 
@@ -92,13 +100,15 @@ class ButtonsPuzzle(GraphPuzzle):
     """A concrete button puzzle. Button i is called `button-<i+1>`."""
 
     kind = "buttons"
-    _left_out = frozenset({"locks"})
+    _left_out = frozenset({"locks", "doors"})
     on_violation: ViolationRule = "ignore"
     """Answer to a press with unmet parents, or of a locked button."""
     allow_off: bool = False
     """Pressing a button that is on turns it off."""
     locks: tuple[tuple[ButtonNumber, ButtonNumber], ...] = ()
     """Pairs (a, b): while button a is on, b cannot be turned on."""
+    doors: tuple[ButtonNumber, ...] = ()
+    """Button that opens each inner door."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -109,6 +119,10 @@ class ButtonsPuzzle(GraphPuzzle):
             needed = find_ancestors(self.edge_list, (self.goal,))
             # in some order nothing that is needed is locked before it is on
             compute_order(self.count, (*self.edge_list, *((b, a) for a, b in self.locks if b in needed)))
+        if any(button >= self.count for button in self.doors):
+            raise ConfigError("puzzle.doors", self.doors, f"numbers from 0 to {self.count - 1}")
+        if self.doors and (self.allow_off or self.on_violation == "reset"):
+            raise ConfigError("puzzle.doors", self.doors, "none where buttons can be turned off again")
 
     @cached_property
     def lock_masks(self) -> tuple[int, ...]:
@@ -122,6 +136,15 @@ class ButtonsPuzzle(GraphPuzzle):
     def locks_between(self) -> tuple[tuple[int, int], ...]:
         """The locks."""
         return self.locks
+
+    @property
+    def door_facts(self) -> tuple[str, ...]:
+        """Each door is open from when its button is on."""
+        return tuple(f"on({self.target_names[button]})" for button in self.doors)
+
+    def get_shut(self, state: int) -> int:
+        """Bits of the doors whose button is off."""
+        return sum(1 << door for door, button in enumerate(self.doors) if not state >> button & 1)
 
     @property
     def has_dead_ends(self) -> bool:

@@ -17,7 +17,7 @@ from hrl_escape.env.instance import Rectangle
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.maps import GridMap
 
-__all__ = ["Face", "Floorplan", "Rejected", "compute_cell", "sample_floorplan"]
+__all__ = ["Doorway", "Face", "Floorplan", "Rejected", "compute_cell", "sample_floorplan"]
 
 
 class Rejected(Exception):
@@ -36,13 +36,22 @@ class Face(NamedTuple):
     length: float
 
 
+class Doorway(NamedTuple):
+    """Gap in an interior wall: the door that would fill it, and the numbers of the two rooms that it joins."""
+
+    door: Solid
+    rooms: tuple[int, int]
+
+
 class Floorplan(NamedTuple):
-    """Sampled walls."""
+    """Sampled walls, and the rooms between them."""
 
     solids: tuple[Solid, ...]
     door: Solid | None
     faces: tuple[Face, ...]
     exit: Rectangle
+    rooms: tuple[Rectangle, ...]
+    doorways: tuple[Doorway, ...]
 
 
 class _Side(NamedTuple):
@@ -95,9 +104,19 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzl
         for low, high in pieces:
             solids.append(_wall_piece(config, side, low, high, corner=True))
             faces.append(Face(*_along(side, low), side.yaw, high - low))
-    inner, inner_faces = _sample_interior(config, gates, sides, rng)
+    inner, inner_faces, rooms, doors = _sample_interior(config, gates, sides, rng)
     given = (*_build_map(config, puzzle.map_rows or config.room.map), *_build_walls(config))
-    return Floorplan((*solids, *alcove, *inner, *given), door, (*faces, *inner_faces), exit_area)
+    doorways = tuple(Doorway(gap, _find_joined(gap, rooms)) for gap in doors)
+    return Floorplan((*solids, *alcove, *inner, *given), door, (*faces, *inner_faces), exit_area, rooms, doorways)
+
+
+def _find_joined(door: Solid, rooms: tuple[Rectangle, ...]) -> tuple[int, int]:
+    """Numbers of the rooms on both sides of a doorway."""
+    beyond = door.half_y + 0.05
+    x, y = -math.sin(door.yaw) * beyond, math.cos(door.yaw) * beyond
+    one, other = (next(n for n, room in enumerate(rooms) if room.contains(door.x + sign * x, door.y + sign * y))
+                  for sign in (-1, 1))
+    return one, other
 
 
 def _build_map(config: RoomConfig, rows: tuple[str, ...]) -> list[Solid]:
@@ -209,8 +228,13 @@ def _place_exit(config: RoomConfig, rng: np.random.Generator) -> Rectangle:
 
 
 def _sample_interior(config: RoomConfig, gates: dict[int, tuple[float, float]], sides: tuple[_Side, ...],
-                     rng: np.random.Generator) -> tuple[list[Solid], list[Face]]:
-    """Split the floor again and again, the largest room first, each time with one doorway."""
+                     rng: np.random.Generator
+                     ) -> tuple[list[Solid], list[Face], tuple[Rectangle, ...], list[Solid]]:
+    """Split the floor again and again, the largest room first, each time with one doorway.
+
+    Returns:
+        Walls, their faces, the rooms, and a door for each doorway.
+    """
     half_x, half_y = config.room.width / 2, config.room.depth / 2
     thick, gap = config.room.wall_thickness, config.room.doorway_width
     smallest = gap + 2 * thick + 0.2
@@ -222,6 +246,7 @@ def _sample_interior(config: RoomConfig, gates: dict[int, tuple[float, float]], 
         openings.append((*sorted(c[0] for c in corners), *sorted(c[1] for c in corners)))
     solids: list[Solid] = []
     faces: list[Face] = []
+    doors: list[Solid] = []
     while len(rooms) < config.room.rooms:
         rooms.sort(key=lambda r: (r[1] - r[0]) * (r[3] - r[2]))
         for number in range(len(rooms) - 1, -1, -1):
@@ -240,6 +265,8 @@ def _sample_interior(config: RoomConfig, gates: dict[int, tuple[float, float]], 
             rooms += [(x_min, x_max, y_min, at - thick / 2), (x_min, x_max, at + thick / 2, y_max)]
             openings.append((door - gap / 2, door + gap / 2, at - thick / 2 - 2 * clear, at + thick / 2 + 2 * clear))
             span, yaw = (x_min, x_max), 0.0
+        x, y = (at, door) if along_y else (door, at)
+        doors.append(Solid("box", x, y, gap / 2, thick / 2, yaw, config.room.wall_height, "door"))
         for low, high in _cut(*span, (door - gap / 2, door + gap / 2)):
             middle = (low + high) / 2
             x, y = (at, middle) if along_y else (middle, at)
@@ -250,7 +277,7 @@ def _sample_interior(config: RoomConfig, gates: dict[int, tuple[float, float]], 
             else:
                 faces.append(Face(low, at + thick / 2, 0.0, high - low))
                 faces.append(Face(high, at - thick / 2, math.pi, high - low))
-    return solids, faces
+    return solids, faces, tuple(Rectangle(*room) for room in rooms), doors
 
 
 def _find_cut(room: tuple[float, float, float, float], smallest: float, thick: float, gap: float, clear: float,

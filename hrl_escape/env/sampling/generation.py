@@ -19,6 +19,7 @@ from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target
 from hrl_escape.env.puzzles.base import Pads, Panels, Place, Puzzle
 from hrl_escape.env.puzzles.maps import GridMap
 from hrl_escape.env.sampling.certificate import find_unmet, has_arm_free, make_floors
+from hrl_escape.env.sampling.doors import DoorPlan, sample_doors
 from hrl_escape.env.sampling.floorplan import Face, Floorplan, Rejected, compute_cell, sample_floorplan
 from hrl_escape.env.sampling.free_space import FreeSpace
 from hrl_escape.env.sampling.obstacles import place_obstacles
@@ -71,16 +72,18 @@ def generate(config: RoomConfig, seed: int) -> RoomInstance:
 
 def _sample(config: RoomConfig, seed: int, puzzle: Puzzle, rng: np.random.Generator, work: Work) -> RoomInstance:
     plan = sample_floorplan(config, rng, puzzle)
-    targets = _place_targets(config, puzzle, plan, rng)
+    doors = sample_doors(config, puzzle, plan, rng)
+    targets = _place_targets(config, puzzle, plan, doors, rng)
     instance = RoomInstance(
         name=config.name, seed=seed, half_width=config.room.width / 2, half_depth=config.room.depth / 2,
         wall_height=config.room.wall_height, solids=plan.solids, door=plan.door,
-        inner_doors=_list_inner_doors(config, puzzle), targets=targets,
+        inner_doors=_list_inner_doors(config, puzzle) or doors.solids,
+        ways=doors.list_ways(targets, plan.exit, config.robot.body_radius), targets=targets,
         props=tuple(PlacedProp(prop) for prop in puzzle.props), exit=plan.exit, starts=(_fixed_start(config, puzzle),),
         robot=config.robot, puzzle=puzzle, reward=config.reward, dynamics=config.dynamics, horizon=config.horizon,
     )
     floors = make_floors(instance, work)
-    instance = _place_start(config, instance, floors.shut, rng)
+    instance = _place_start(config, instance, floors.shut, doors, rng)
     instance = _place_props(instance, rng)
     unmet = find_unmet(instance, floors)
     if unmet:
@@ -117,21 +120,22 @@ def _fixed_start(config: RoomConfig, puzzle: Puzzle) -> Start:
     return Start(config.start.x, config.start.y, round(heading) % turns, offset if abs(offset) > 1e-12 else 0.0)
 
 
-def _place_targets(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, rng: np.random.Generator) -> tuple[Target, ...]:
+def _place_targets(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, doors: DoorPlan, rng: np.random.Generator
+                   ) -> tuple[Target, ...]:
     if puzzle.target_cells:
         pads = Pads(config.room.cell, config.room.cell)
         return tuple(_make_pad(pads, name, *compute_cell(config, cell), 0.0)
                      for name, cell in zip(puzzle.target_names, puzzle.target_cells, strict=True))
     names = tuple(name for name in puzzle.target_names if name not in puzzle.pad_names)
-    hung = _hang_panels(config, names, plan, rng)
+    hung = _hang_panels(config, names, plan, doors, rng)
     if not puzzle.pad_names:
         return hung
-    placed = {target.name: target for target in (*hung, *_lay_pads(config, puzzle.pad_names, plan, hung, rng))}
+    placed = {target.name: target for target in (*hung, *_lay_pads(config, puzzle.pad_names, plan, doors, hung, rng))}
     return tuple(placed[name] for name in puzzle.target_names)
 
 
-def _hang_panels(config: RoomConfig, names: tuple[str, ...], plan: Floorplan, rng: np.random.Generator
-                 ) -> tuple[Target, ...]:
+def _hang_panels(config: RoomConfig, names: tuple[str, ...], plan: Floorplan, doors: DoorPlan,
+                 rng: np.random.Generator) -> tuple[Target, ...]:
     panels = config.puzzle.panels
     if panels is None:
         return ()
@@ -142,7 +146,7 @@ def _hang_panels(config: RoomConfig, names: tuple[str, ...], plan: Floorplan, rn
     else:
         targets: list[Target] = []
         for name in names:
-            targets.append(_hang_anywhere(config, panels, name, plan, targets, rng))
+            targets.append(_hang_anywhere(config, panels, name, plan, doors, targets, rng))
         return tuple(targets)
     return tuple(_make_target(name, panels, p.x, p.y, p.z if p.z is not None else panels.centre_height,
                               math.radians(p.yaw_deg)) for name, p in zip(names, places, strict=False))
@@ -159,9 +163,9 @@ def _paper_places(config: RoomConfig, panels: Panels) -> tuple[Place, ...]:
     return (Place(0.0, y, 0.0), Place(-x, 0.0, 90.0), Place(x, -config.room.depth / 4, 90.0), Place(0.0, -y, 0.0))
 
 
-def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorplan, others: list[Target],
-                   rng: np.random.Generator) -> Target:
-    """Hang a panel on a random wall: no overlap with others, not in the exit unless that is everywhere."""
+def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorplan, doors: DoorPlan,
+                   others: list[Target], rng: np.random.Generator) -> Target:
+    """Hang a panel on a random wall: no overlap with others, in time's reach, not in the exit unless everywhere."""
     faces = [f for f in plan.faces if f.length >= panels.width]
     if not faces:
         raise Rejected(f"{name} must fit onto a wall")
@@ -181,13 +185,14 @@ def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorpla
                       for o in others)
         exit_x, exit_y = plan.exit.centre
         area = make_footprint(exit_x, exit_y, plan.exit.x_max - exit_x, plan.exit.y_max - exit_y)
-        if not crowded and (is_everywhere or compute_distance(target.x, target.y, area) > radius):
+        is_outside = is_everywhere or compute_distance(target.x, target.y, area) > radius
+        if not crowded and is_outside and doors.allows(target):
             return target
     raise Rejected(f"{len(others) + 1} buttons must fit onto the walls without overlap, outside the exit")
 
 
-def _lay_pads(config: RoomConfig, names: tuple[str, ...], plan: Floorplan, panels: tuple[Target, ...],
-              rng: np.random.Generator) -> list[Target]:
+def _lay_pads(config: RoomConfig, names: tuple[str, ...], plan: Floorplan, doors: DoorPlan,
+              panels: tuple[Target, ...], rng: np.random.Generator) -> list[Target]:
     """Lay pads where the body fits all over them, off other targets, and off the exit unless that is everywhere."""
     pads = config.puzzle.pads
     if pads is None:
@@ -207,8 +212,9 @@ def _lay_pads(config: RoomConfig, names: tuple[str, ...], plan: Floorplan, panel
             exit_x, exit_y = max(area.x_min - x, x - area.x_max), max(area.y_min - y, y - area.y_max)
             if (compute_distance_many(np.array([[x, y]]), walls)[0] >= radius + body
                     and all(compute_distance(x, y, other.footprint) >= radius + body for other in (*panels, *laid))
-                    and (is_everywhere or max(exit_x, exit_y) >= radius)):
-                laid.append(_make_pad(pads, name, x, y, 0.0))
+                    and (is_everywhere or max(exit_x, exit_y) >= radius)
+                    and doors.allows(pad := _make_pad(pads, name, x, y, 0.0))):
+                laid.append(pad)
                 break
         else:
             raise Rejected(f"{name} must fit onto the floor")
@@ -219,16 +225,19 @@ def _make_pad(pads: Pads, name: str, x: float, y: float, yaw: float) -> Target:
     return Target(name, x, y, _PAD_HEIGHT, pads.width / 2, pads.depth / 2, _PAD_HEIGHT, yaw, "pad")
 
 
-def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace,
+def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace, doors: DoorPlan,
                  rng: np.random.Generator) -> RoomInstance:
     if config.start.place == "fixed" or instance.puzzle.map_rows:
         return instance
     if config.start.place == "cells":
-        return dataclasses.replace(instance, starts=_list_cell_starts(config, instance, space))
+        return dataclasses.replace(instance, starts=_list_cell_starts(config, instance, space, doors))
     labels, counts = np.unique(space.labels[space.labels > 0], return_counts=True)
     if not len(labels):
         raise Rejected("the body must fit somewhere")
     centres = space.get_centres(space.get_cells(int(labels[counts.argmax()])))
+    centres = centres[doors.is_at_start(centres)]
+    if not len(centres):
+        raise Rejected("the body must fit into the room of the starts")
     area = instance.exit
     outside = ~((centres[:, 0] >= area.x_min) & (centres[:, 0] <= area.x_max)
                 & (centres[:, 1] >= area.y_min) & (centres[:, 1] <= area.y_max))
@@ -257,12 +266,13 @@ def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace,
     return dataclasses.replace(instance, starts=tuple(starts))
 
 
-def _list_cell_starts(config: RoomConfig, instance: RoomInstance, space: FreeSpace) -> tuple[Start, ...]:
+def _list_cell_starts(config: RoomConfig, instance: RoomInstance, space: FreeSpace, doors: DoorPlan
+                      ) -> tuple[Start, ...]:
     """Starts in the middle of every free cell, row by row from the top, outside the exit unless that is everywhere."""
     cell, area = config.room.cell, instance.exit
     columns, rows = round(config.room.width / cell), round(config.room.depth / cell)
     centres = np.array([compute_cell(config, number) for number in range(rows * columns)])
-    free = centres[space.is_clear(centres)].tolist()
+    free = centres[space.is_clear(centres) & doors.is_at_start(centres)].tolist()
     outside = [place for place in free if not area.contains(*place)]
     heading = _fixed_start(config, instance.puzzle)
     starts = tuple(dataclasses.replace(heading, x=x, y=y) for x, y in outside or free)

@@ -164,7 +164,7 @@ class _Search:
         for start in self._instance.starts:
             state = self._rules.make_state(start)
             for _ in range(_MOST_PRESSES * len(self._instance.targets) + 1):
-                if self._instance.puzzle.is_solved(state.puzzle):
+                if self._is_way_out_open(state.puzzle):
                     break
                 wanted = self._choose_target(state.puzzle)
                 if wanted is None:
@@ -177,10 +177,16 @@ class _Search:
                 return "the exit must be reached by a sequence of primitives"
         return None
 
+    def _is_way_out_open(self, puzzle_state: Hashable) -> bool:
+        puzzle, doors = self._instance.puzzle, self._rules.inner_doors
+        if not puzzle.is_solved(puzzle_state) or doors is None or not self._instance.ways:
+            return puzzle.is_solved(puzzle_state)
+        return not any(doors.get_shut(puzzle_state) >> door & 1 for door in self._instance.ways[-1])
+
     def _choose_target(self, puzzle_state: Hashable) -> int | None:
         """Next target to press on the way to the puzzle's goal, deletions left out of account."""
         puzzle = self._instance.puzzle
-        model, names = puzzle.make_symbolic_model(), puzzle.target_names
+        model, names = self._instance.symbolic_model, puzzle.target_names
         if any(operator.when for operator in model.operators):
             path = puzzle.plan(puzzle_state) or model.find_fewest(puzzle.get_facts(puzzle_state)) or tuple[Operator]()
             is_short = 0 < len(path) <= _MOST_PRESSES * len(names)

@@ -108,7 +108,7 @@ def _solve_room(preset: str, room: RoomInstance) -> SolvedRoom:
 def count_fewest(room: RoomInstance) -> int:
     """Count the fewest operators that solve the room's puzzle from its start, breadth first or by its own solver."""
     state = Kinematics(room).make_state(room.starts[0]).puzzle
-    model = room.puzzle.make_symbolic_model()
+    model = room.symbolic_model
     relevant = SymbolicModel(model.propositions, find_relevant_operators(model), model.goal)
     return len(room.puzzle.plan(state) or relevant.find_fewest(room.puzzle.get_facts(state)) or ())
 

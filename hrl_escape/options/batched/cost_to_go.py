@@ -100,11 +100,13 @@ def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
     """Compute the fields of an instance, some tenths of a second, once; later calls find them by its id.
 
     Raises:
-        UnsupportedError: targets of this room are pressed by hand, or asked to be gripped.
+        UnsupportedError: targets of this room are pressed by hand, asked to be gripped, or behind inner doors.
     """
     if instance.dynamics.press_with == "hand":
         raise UnsupportedError("there are no cost-to-go fields for presses by hand: ask the room's planner")
-    if any(operator.action != "press" for operator in instance.puzzle.make_symbolic_model().operators):
+    if instance.inner_doors:
+        raise UnsupportedError("batched options know no inner doors: use OptionsEnv over one room")
+    if any(operator.action != "press" for operator in instance.symbolic_model.operators):
         raise UnsupportedError("batched options press and leave, they do not grip: use OptionsEnv over one room")
     with _LOCK:
         found = _CACHE.get(instance.id)

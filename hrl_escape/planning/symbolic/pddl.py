@@ -103,7 +103,7 @@ def export_pddl(instance: RoomInstance, state: RoomState | None = None) -> tuple
         state: where the problem begins; None for the start of an episode.
     """
     puzzle = instance.puzzle
-    model = puzzle.make_symbolic_model()
+    model = instance.symbolic_model
     facts = puzzle.get_facts(puzzle.make_state() if state is None else state.puzzle)
     domain = f"escape-{puzzle.kind}"
     return make_domain(model, domain), make_problem(model, facts, f"room-{instance.id}", domain)
@@ -134,7 +134,7 @@ def solve_pddl(instance: RoomInstance, state: RoomState | None = None, engine: s
         MissingExtraError: unified-planning is not installed.
         PlanningFailed: the planner found none.
     """
-    model = instance.puzzle.make_symbolic_model()
+    model = instance.symbolic_model
     if state is not None and model.goal <= instance.puzzle.get_facts(state.puzzle):
         read_problem(*export_pddl(instance, state))  # says if the extra is missing
         return ()

@@ -26,7 +26,11 @@ class ButtonsTensorPuzzle(TensorPuzzle):
     """`env.puzzles.buttons.ButtonsPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[ButtonsPuzzle], targets: int) -> dict[str, NDArray[Any]]:
-        """Bits of each button's parents and, if any, its locks (buttons, instances); goals and rules (instances,)."""
+        """Tables by instance.
+
+        Bits of each button's parents and, if any, its locks (buttons, instances); goals and rules (instances,); with
+        doors, the button that opens each, -1 where there are fewer (doors, instances).
+        """
         parents, locks = np.zeros((2, len(puzzles), targets), dtype=np.uint64)
         for number, puzzle in enumerate(puzzles):
             parents[number, : puzzle.count], locks[number, : puzzle.count] = puzzle.parent_masks, puzzle.lock_masks
@@ -38,6 +42,9 @@ class ButtonsTensorPuzzle(TensorPuzzle):
         }
         if locks.any():
             tables["locks"] = np.ascontiguousarray(locks.T).view(np.int64)
+        if doors := max(len(puzzle.doors) for puzzle in puzzles):
+            openers = [(*puzzle.doors, *[-1] * (doors - len(puzzle.doors))) for puzzle in puzzles]
+            tables["openers"] = np.array(openers, dtype=np.int64).T
         return tables
 
     def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
@@ -52,6 +59,11 @@ class ButtonsTensorPuzzle(TensorPuzzle):
             after = torch.where((state & bit) != 0, when_on, when_off)
             state = torch.where((contacts.pressed & bit) != 0, after, state)
         return state
+
+    def find_shut(self, tables: PuzzleTables, state: Tensor, doors: int) -> Tensor:
+        """Return true where the button that opens a door is off, bool (doors, rooms)."""
+        openers = tables["openers"]
+        return (openers >= 0) & (state >> openers.clamp(min=0) & 1 == 0)
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
         """The goal button is on."""
