@@ -44,7 +44,7 @@ OTHER_PRESS_COST = 100.0
 """Cost of touching another target: an option does so only where nothing else leads to its goal."""
 MOST_BYTES = 512_000_000
 _FINE_STATES = 600_000  # cells are halved, at most twice, up to this many (cell, heading) states
-_TOLERANCE, _SWEEPS, _BETWEEN = 0.02, 80, 4  # most sweeps, and sweeps between two sorts of the states
+_TOLERANCE, _SWEEPS = 0.02, 80
 _NONE = -1  # stored where the body does not fit or the goal cannot be reached
 
 
@@ -126,7 +126,10 @@ def _compute(instance: RoomInstance) -> InstanceFields:
     grids = shut, shut if instance.door is None else _FieldGrid(instance, rules, offset, door_shut=False)
     maker = shut.maker
     goals: list[Goal] = [PressGoal(i) for i in range(len(instance.targets))]
-    costs = [grids[is_solved].compute_costs(goal, is_solved) for goal in goals for is_solved in (False, True)]
+    costs: list[NDArray[np.float32]] = []
+    for goal in goals:
+        unsolved = shut.compute_costs(goal, is_solved=False)
+        costs += unsolved, grids[True].compute_costs(goal, True, unsolved if instance.door is None else None)
     costs.append(grids[True].compute_costs(ExitGoal(), is_solved=True))
     largest = [max(float(field[field < UNREACHABLE].max(initial=1.0)), 1.0) for field in costs]
     scales = np.array([value / 32_000 for value in largest], np.float32)
@@ -150,29 +153,45 @@ class _FieldGrid:
                                   moves, maker.targets, reaches,
                                   np.array([exit_.x_min, exit_.x_max, exit_.y_min, exit_.y_max]))
         self._touched = self._links[-1]
+        self._states = np.flatnonzero(np.repeat(maker.standing, maker.classes))
         x, y = maker.points.T
         self._is_outside = (x < exit_.x_min) | (x > exit_.x_max) | (y < exit_.y_min) | (y > exit_.y_max)
 
-    def compute_costs(self, goal: Goal, is_solved: bool) -> NDArray[np.float32]:
-        """Compute the cost-to-go of a goal, float32 (cells, classes); `UNREACHABLE` where there is no way."""
+    def compute_costs(self, goal: Goal, is_solved: bool, unsolved: NDArray[np.float32] | None = None
+                      ) -> NDArray[np.float32]:
+        """Compute the cost-to-go of a goal, float32 (cells, classes); `UNREACHABLE` where there is no way.
+
+        Args:
+            goal: a press, or the exit.
+            is_solved: the exit is open, and entering it for a press ends the episode.
+            unsolved: costs of the same press on this grid where it is not: most of them are right.
+        """
         maker = self.maker
         area = compute_goal_area(goal, self.instance)
         target = goal.target if isinstance(goal, PressGoal) else -1
         leaves = is_solved and target >= 0
+        if unsolved is not None:
+            values = np.where(self._is_outside[:, None], unsolved, np.float32(UNREACHABLE))  # nobody stays in the exit
+            if self._iterate(values, target, leaves, is_near=True):
+                return values
         others = self._touched & ~_make_bit(target) != 0
         stays = self._is_outside if leaves else maker.everywhere
-        direct, any_way = (maker.make_field(maker.find_seeds(*area), allowed).astype(np.float32)
-                           for allowed in (stays & ~others, stays))
-        detour = np.where(any_way >= 0, any_way + OTHER_PRESS_COST, UNREACHABLE)
-        values = np.where(direct >= 0, direct, detour).astype(np.float32).reshape(-1, maker.classes)
+        seeds = maker.find_seeds(*area)
+        costs = maker.make_field(seeds, stays & ~others)
+        if (costs.reshape(-1, maker.classes)[maker.standing & stays & ~others] < 0).any():
+            # some places can be left only past another target
+            any_way = maker.make_field(seeds, stays)
+            costs = np.where((costs < 0) & (any_way >= 0), any_way + np.int16(OTHER_PRESS_COST), costs)
+        values = np.where(costs >= 0, costs, np.float32(UNREACHABLE)).reshape(-1, maker.classes)
         values[~maker.standing] = UNREACHABLE
-        states = np.flatnonzero(np.repeat(maker.standing, maker.classes))
-        for _ in range(_SWEEPS // _BETWEEN):
-            order = states[np.argsort(values.ravel()[states], kind="stable")]
-            if iterate_values(values, order, *self._links, maker.shape[1], target, leaves, OTHER_PRESS_COST,
-                              _TOLERANCE, _BETWEEN):
-                break
+        self._iterate(values, target, leaves, is_near=False)
         return values
+
+    def _iterate(self, values: NDArray[np.float32], target: int, leaves: bool, is_near: bool) -> bool:
+        """Run value iteration in place; returns True if it has come to an end."""
+        order = self._states[np.argsort(values.ravel()[self._states].astype(np.int16), kind="stable")]
+        return iterate_values(values, order, *self._links, self.maker.shape[1], target, leaves, OTHER_PRESS_COST,
+                              _TOLERANCE, _SWEEPS, is_near)
 
 
 def _make_bit(target: int) -> np.uint64:

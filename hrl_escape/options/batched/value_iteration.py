@@ -95,8 +95,10 @@ def trace_moves(scene, points, standing, rows, low, size, moves, targets, reache
 
 @kernel
 def iterate_values(values, order, corners, weights, touched, outside, here, rows, target, leaves, penalty, tolerance,
-                   most):
+                   most, is_near):
     """Gauss-Seidel value iteration from the goal outwards, in place, until no value changes.
+
+    After the first sweep only states are backed up from which one primitive leads to a state that has changed since.
 
     Args:
         values: cost-to-go, shape (cells, classes), float32; `UNREACHABLE` where unknown.
@@ -111,7 +113,9 @@ def iterate_values(values, order, corners, weights, touched, outside, here, rows
         leaves: True if entering the exit ends the episode without the goal.
         penalty: cost of touching another target.
         tolerance: largest change that counts as none.
-        most: most sweeps.
+        most: most sweeps, at most 250.
+        is_near: the values are those of the same goal with the exit free to enter; then the first sweep backs up only
+            the states from which one primitive leads into it.
 
     Returns:
         True if no value changes any more.
@@ -119,15 +123,26 @@ def iterate_values(values, order, corners, weights, touched, outside, here, rows
     classes = values.shape[1]
     translations = corners.shape[0] // values.size
     own = np.uint64(1) << np.uint64(max(target, 0)) if target >= 0 else np.uint64(0)
-    for _ in range(most):
-        change = 0.0
+    # number of the last sweep in which a state changed, and in which one of the four cells from a corner on did
+    changed = np.zeros(values.shape, dtype=np.uint8)
+    changed_near = np.zeros(values.shape, dtype=np.uint8)
+    for number in range(1, most + 1):
+        is_done = True
         for n in range(order.shape[0]):
             cell = order[n] // classes
             c = order[n] - cell * classes
             left, right = c + 1 if c + 1 < classes else 0, c - 1 if c > 0 else classes - 1
+            first = order[n] * translations
+            if number > 1 or is_near:
+                last = number - 1
+                is_stale = last > 0 and (changed[cell, left] >= last or changed[cell, right] >= last)
+                for link in range(first, first + translations):
+                    if corners[link] >= 0:
+                        is_stale |= changed_near[corners[link], c] >= last if last else not outside[link]
+                if not is_stale:
+                    continue
             best = 1.0 + min(values[cell, left], values[cell, right])
-            for m in range(translations):
-                link = order[n] * translations + m
+            for link in range(first, first + translations):
                 corner = corners[link]
                 if corner < 0:
                     continue
@@ -145,8 +160,12 @@ def iterate_values(values, order, corners, weights, touched, outside, here, rows
                     cost += penalty
                 best = min(best, cost)
             best = min(best, UNREACHABLE)
-            change = max(change, abs(best - values[cell, c]))
+            if abs(best - values[cell, c]) >= tolerance:
+                is_done = False
+                changed[cell, c] = number
+                for near in (cell, cell - 1, cell - rows, cell - rows - 1):
+                    changed_near[max(near, 0), c] = number
             values[cell, c] = best
-        if change < tolerance:
+        if is_done:
             return True
     return False
