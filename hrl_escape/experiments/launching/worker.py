@@ -1,7 +1,8 @@
 """Process of one run: one torch thread, its own output file, and no life beyond its parent's.
 
 Everything heavy is imported here, so that a fork server that preloads this module starts each process in milliseconds;
-Numba's tables of types and functions, which the first kernel would build in every process, are built here too.
+so are the 800 modules that torch imports with its first optimiser. Numba's tables of types and functions, which the
+first kernel would build in every process, are built here too.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+import torch._dynamo
 from numba.core.registry import cpu_target
 
 import hrl_escape.agents.training.train
