@@ -1,6 +1,7 @@
 """Calibration of all verdicts on simulated runs: how often they are wrong, and intervals miss.
 
     python benchmarks/calibration.py            # the tables of docs/metrics.md; some minutes
+    python benchmarks/calibration.py --pages    # the second alone
 
 Agents are identical, so any agent called better than another is an error, whatever sentence says so; the best of
 several is picked by the same data. In the second table no claim has anything to it, and a page is wrong if it answers
@@ -106,11 +107,18 @@ PAGES: dict[str, Callable[[Draw, np.random.Generator], bool]] = {
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print the table as Markdown."""
+    """Print the tables as Markdown."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--trials", type=int, default=2_000)
-    trials = parser.parse_args(arguments).trials
-    rng = np.random.default_rng(15)
+    parser.add_argument("--pages", action="store_true", help="print the table of pages alone")
+    chosen = parser.parse_args(arguments)
+    if not chosen.pages:
+        print_comparisons(chosen.trials, np.random.default_rng(15))
+    print_pages(chosen.trials // 4)
+
+
+def print_comparisons(trials: int, rng: np.random.Generator) -> None:
+    """Print wrong verdicts and coverage."""
     print("| scores | wrong verdicts, 5 agents, 5, 8 and 10 runs | 7 agents, 2 rooms of 8 | IQM interval holds, 8 runs "
           "| in 3 rooms | mean's, 8 runs |\n|---|---|---|---|---|---|")
     for name, draw in SHAPES.items():
@@ -119,9 +127,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
         one, mean = measure_coverage(draw, 1, 8, trials // 4, rng)
         three, _ = measure_coverage(draw, 3, 8, trials // 4, rng)
         print(f"| {name} | {wrong} | {more:.1%} | {one:.1%} | {three:.1%} | {mean:.1%} |", flush=True)
-    print(f"\n| scores | {' | '.join(PAGES)} |\n|---{'|---' * len(PAGES)}|")
-    for name, draw in SHAPES.items():
-        shares = [np.mean([is_wrong(draw, rng) for _ in range(trials // 4)]) for is_wrong in PAGES.values()]
+    print()
+
+
+def print_pages(trials: int) -> None:
+    """Print the share of wrong pages; every number has draws of its own."""
+    print(f"| scores | {' | '.join(PAGES)} |\n|---{'|---' * len(PAGES)}|")
+    for row, (name, draw) in enumerate(SHAPES.items()):
+        rngs = [np.random.default_rng([16, row, column]) for column in range(len(PAGES))]
+        shares = [np.mean([is_wrong(draw, rng) for _ in range(trials)])
+                  for is_wrong, rng in zip(PAGES.values(), rngs, strict=True)]
         print(f"| {name} | {' | '.join(f'{share:.1%}' for share in shares)} |", flush=True)
 
 

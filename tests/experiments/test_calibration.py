@@ -12,7 +12,7 @@ TRIALS, MOST = 40, 5
 
 
 @pytest.mark.parametrize("page", PAGES)
-@pytest.mark.parametrize("shape", ["bimodal, 1 in 2", "skewed"])
+@pytest.mark.parametrize("shape", ["all or nothing, 1 in 2", "bimodal, 1 in 2", "skewed"])
 def test_pages_are_rarely_wrong_where_there_is_nothing(page: str, shape: str):
     rng = np.random.default_rng(6)
     assert sum(PAGES[page](SHAPES[shape], rng) for _ in range(TRIALS)) <= MOST

@@ -1,20 +1,30 @@
 """Measures of the runs of a study: shares, trends and gains, each with a 95 % interval over runs.
 
 Scores and shares, which are bounded, have intervals that hold where all runs agree (`inference.compute_interval`);
-slopes and differences have Student's.
+slopes and differences have Student's. Differences between two agents are tested by their signs, which holds where
+runs do all or nothing.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from typing import Literal, TypeAlias
 
 import numpy as np
 
 from hrl_escape.errors import ComparisonError
-from hrl_escape.experiments.inference import Estimate, Statistic, compare_pairs, compute_interval, draw_ends
-from hrl_escape.experiments.statistics import LATE, compute_final, compute_iqm, compute_mean, compute_slope
+from hrl_escape.experiments.inference import (
+    Estimate,
+    Statistic,
+    compare_pairs,
+    compute_ends,
+    compute_sign_flip_p,
+    cut_interval,
+    draw_weights,
+)
+from hrl_escape.experiments.statistics import LATE, Floats, compute_final, compute_iqm, compute_mean, compute_slope
 from hrl_escape.experiments.studies.raw import BINS, OPTIMAL_SCORE, RawRun
 
 __all__ = [
@@ -59,36 +69,46 @@ class Measurement:
     Attributes:
         values: one a run.
         statistic: of them.
-        is_bounded: from 0 to 1, with an interval that holds for any such numbers; otherwise Student's for their mean.
+        kind: `bounded` from 0 to 1, with an interval and a test that hold for any such numbers; `slope`, with Student's
+            for the mean; `difference` of two paired runs, with Student's interval and the test of signs.
     """
 
     values: tuple[float, ...]
     statistic: Statistic = compute_mean
-    is_bounded: bool = True
+    kind: Literal["bounded", "slope", "difference"] = "bounded"
 
     def estimate(self) -> Estimate:
         """Statistic with its 95 % interval; the same every time."""
         array = np.array(self.values, dtype=np.float64)
-        if not self.is_bounded:
+        if self.kind != "bounded":
             test = compare_pairs([array])
             return Estimate(test.difference, test.low, test.high)
-        low, high = compute_interval(self.statistic, [array], self._bounds, np.random.default_rng(2019), DRAWS)
+        low, high = cut_interval(*self._ends)
         return Estimate(float(self.statistic([array])), float(low), float(high))
 
     def compute_p(self, level: float, side: Side) -> float:
         """One-sided p-value: chance of runs as far above (below) the level where the statistic is not so."""
         array = np.array(self.values, dtype=np.float64)
         sign = 1.0 if side == "above" else -1.0
-        if not self.is_bounded:
+        if self.kind == "difference":
+            return compute_sign_flip_p(array - level, side)
+        if self.kind == "slope":
             test = compare_pairs([sign * (array - level)])
             return test.p / 2 if test.difference > 0 else 1 - test.p / 2
-        ends = draw_ends(self.statistic, [array], self._bounds, np.random.default_rng(2019), DRAWS)
-        drawn = ends[0] if side == "above" else ends[1]
+        drawn = self._ends[0 if side == "above" else 1]
         return float((1 + np.sum(sign * (drawn - level) <= 1e-12)) / (1 + DRAWS))
 
-    @property
-    def _bounds(self) -> tuple[float, float]:
-        return min(0.0, *self.values), max(1.0, *self.values)
+    @cached_property
+    def _ends(self) -> tuple[Floats, Floats]:
+        bounds = min(0.0, *self.values), max(1.0, *self.values)
+        return compute_ends(self.statistic, [np.array(self.values, dtype=np.float64)], bounds,
+                            [_draw_weights(len(self.values))])
+
+
+@lru_cache(maxsize=4)
+def _draw_weights(count: int) -> Floats:
+    """Weights of so many runs, the same every time."""
+    return draw_weights(count, DRAWS, np.random.default_rng(2019))
 
 
 def measure_share_of_runs(hits: Sequence[bool]) -> Measurement:
@@ -114,7 +134,7 @@ def measure_slope(runs: Sequence[RawRun], training: bool, since: float) -> Measu
         x, y = (run.training_at, run.training_scores) if training else (run.at, run.scores)
         return run.budget * compute_slope(x, y, since * run.budget, np.inf)
 
-    return Measurement(tuple(map(compute, runs)), is_bounded=False)
+    return Measurement(tuple(map(compute, runs)), kind="slope")
 
 
 def measure_gain(first: Sequence[RawRun], second: Sequence[RawRun], read: Callable[[RawRun], float] | None = None
@@ -128,7 +148,7 @@ def measure_gain(first: Sequence[RawRun], second: Sequence[RawRun], read: Callab
     """
     others = {run.seed: run for run in second}
     return Measurement(tuple((read or _get_training_score)(run) - _get_training_score(others[run.seed])
-                             for run in first if run.seed in others), is_bounded=False)
+                             for run in first if run.seed in others), kind="difference")
 
 
 def _get_training_score(run: RawRun) -> float:

@@ -66,7 +66,8 @@ def _write_lines(results: Results, findings: Sequence[Finding]) -> list[str]:
         "Section 6 of Menashe and Stone (2019) compares DQN, Deep SARSA and DDPG in three figures. Here they are made "
         "anew with two recipes: `paper` is what keras-rl 0.4.2 and the published program did, `corrected` is what "
         "this package recommends. Of "
-        f"{len(findings)} claims, tested on the recipe `paper`, {counts['yes']} are borne out, {counts['no']} are not, "
+        f"{len(findings)} claims, tested on the recipe `paper`, {counts['yes']} come out as the paper has them, "
+        f"{counts['no']} the other way, "
         f"{mixed} hold for some of the algorithms, and {counts['open']} stay open.", "",
         "Full lines are frozen weights (interquartile mean and 95 % interval over runs), dots are training episodes, "
         "exploration included. Returns are in per cent of the way from -1,000 (never escaping) to the best known "
@@ -104,7 +105,7 @@ def _write_lines(results: Results, findings: Sequence[Finding]) -> list[str]:
             "One command writes this page, its figures and the raw results in `raw/`; finished runs are kept, and with "
             "`--from-raw` nothing is trained. Each figure alone is one command too, given under it.", "",
             "```console", _COMMAND, "```", "",
-            "Why two of the algorithms get worse is settled in [why it worsens](why-it-worsens.md); whether two "
+            "Why two of the algorithms get worse is asked in [why it worsens](why-it-worsens.md); whether two "
             "buttons are out of reach without options, in [flat learners](flat.md).", ""]
 
 

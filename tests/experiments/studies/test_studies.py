@@ -37,6 +37,8 @@ from hrl_escape.experiments.studies.flat import (
     write_flat_page,
 )
 from hrl_escape.experiments.studies.measures import (
+    Measurement,
+    Side,
     has_escaped_by,
     has_settled,
     measure_final,
@@ -121,6 +123,21 @@ def test_tests_of_a_share_are_exact(hits: int):
     found = measure_share_of_runs([True] * hits + [False] * (10 - hits))
     assert found.compute_p(0.5, "above") == pytest.approx(stats.binomtest(hits, 10, 0.5, "greater").pvalue, abs=0.01)
     assert found.compute_p(1 / 3, "below") == pytest.approx(stats.binomtest(hits, 10, 1 / 3, "less").pvalue, abs=0.01)
+
+
+@pytest.mark.parametrize("side", ["above", "below"])
+@pytest.mark.parametrize("values", [[1.0] * 6 + [0.0] * 4, [0.3, -0.1, 0.2, 0.7, 0.0], [0.0] * 5])
+def test_tests_of_a_gain_try_all_signs(values: list[float], side: Side):
+    found = Measurement(tuple(values), kind="difference").compute_p(0.0, side)
+    exact = stats.permutation_test((values,), np.mean, permutation_type="samples", n_resamples=2**12,
+                                   alternative="greater" if side == "above" else "less")
+    assert found == pytest.approx(exact.pvalue)
+
+
+def test_the_signs_of_many_gains_are_drawn():
+    values = np.random.default_rng(0).normal(0.3, 1, 40)
+    found = Measurement(tuple(values), kind="difference").compute_p(0.0, "above")
+    assert found == pytest.approx(stats.ttest_1samp(values, 0, alternative="greater").pvalue, abs=0.01)
 
 
 def test_tests_of_a_slope_are_students():
