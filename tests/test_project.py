@@ -151,7 +151,7 @@ def test_import_contracts_find_a_planted_violation(
 
 # --- shelves and words -----------------------------------------------------------------
 
-CATALOGUES = {"env/puzzles", "agents/algorithms"}  # one file a puzzle, one file an algorithm
+CATALOGUES = {"env/puzzles", "env/batched/puzzles", "agents/algorithms"}  # one file a puzzle, or an algorithm
 MODULES = sorted(path.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py"))
 QUESTION = re.compile(r"(What|Who|Where|How|Whether|Whose|Which|When|Why)\b")
 

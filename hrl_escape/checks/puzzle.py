@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Hashable
+from typing import get_args
 
 import numpy as np
 
 from hrl_escape.checks.claims import Claims
 from hrl_escape.env.puzzles.base import Contacts, Puzzle
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.planning.goals import GripAction
 
 __all__ = ["check_puzzle"]
 
@@ -79,9 +81,9 @@ class _PuzzleCheck(Claims):
         for op in model.operators:
             used = op.reads | op.may_change
             self.require(used <= known, f"operator {op.name!r} is made of propositions", used - known)
-            if op.action in ("press", "grip", "release", "use"):
-                self.require(op.target in self.targets, f"operator {op.name!r} presses, grips or uses a target",
-                             op.target)
+            if op.action in ("press", *get_args(GripAction)):
+                self.require(op.target in self.targets,
+                             f"operator {op.name!r} presses, grips or uses a target, or pushes it", op.target)
             else:
                 self.require(op.action == "push" and op.target in self.props and op.destination in self.props,
                              f"operator {op.name!r} presses, grips or releases at a target, or pushes a prop to a prop",

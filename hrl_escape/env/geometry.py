@@ -237,12 +237,14 @@ class InnerDoors:
         get_shut: (state of the puzzle) -> bits of those that are shut.
         radius: of the body, clearance included, m.
         step: length of a move, m.
+        push: (state of the puzzle, number of a door, number of the one beyond it or -1) -> the state after a move that
+            pushes; None where nothing can be pushed.
     """
 
-    def __init__(self, footprints: Sequence[Footprint], get_shut: Callable[[Any], int], radius: float, step: float
-                 ) -> None:
+    def __init__(self, footprints: Sequence[Footprint], get_shut: Callable[[Any], int], radius: float, step: float,
+                 push: Callable[[Any, int, int], Hashable] | None = None) -> None:
         self.footprints = tuple(footprints)
-        self._ask, self._radius, self._step = get_shut, radius, step
+        self._ask, self._radius, self._step, self._push = get_shut, radius, step, push
         self._shut: dict[Hashable, int] = {}
         self._cells: dict[tuple[int, int], tuple[tuple[int, Footprint], ...]] = {}
 
@@ -277,7 +279,17 @@ class InnerDoors:
             if shut >> number & 1 and compute_distance(x, y, door) >= self._radius - 1e-6:
                 yield door
 
+    def push(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable) -> Hashable:
+        """State of the puzzle once a move from a place has pushed what it would meet, if that can be pushed."""
+        ahead = -1 if self._push is None else self.find_at(x + dx, y + dy)
+        if self._push is None or ahead < 0 or not self.get_shut(puzzle) >> ahead & 1:
+            return puzzle
+        return self._push(puzzle, ahead, self.find_at(x + 2.0 * dx, y + 2.0 * dy))
+
     def find_ahead(self, x: float, y: float, cos: float, sin: float) -> int:
         """Number of the door one move ahead of the body's axis, along a heading; -1 where there is none."""
-        x, y = x + self._step * cos, y + self._step * sin
+        return self.find_at(x + self._step * cos, y + self._step * sin)
+
+    def find_at(self, x: float, y: float) -> int:
+        """Number of the door at a place; -1 where there is none."""
         return next((n for n, door in enumerate(self.footprints) if compute_distance(x, y, door) == 0.0), -1)

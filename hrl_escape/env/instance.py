@@ -209,6 +209,9 @@ class RoomInstance(Settings):
             self._check_ways()
         if self.inner_doors and self.dynamics.kind != "kinematic":
             raise ConfigError("dynamics.kind", self.dynamics.kind, "'kinematic' where the puzzle opens inner doors")
+        if self.puzzle.can_push and (self.dynamics.blocked != "stay" or self.dynamics.noise):
+            raise ConfigError("dynamics", (self.dynamics.blocked, self.dynamics.noise),
+                              "blocked 'stay' and no noise where things are pushed from cell to cell")
         if not self.starts:
             raise ConfigError("instance.starts", self.starts, "at least one start")
         headings = round(360 / self.robot.turn_step_deg)

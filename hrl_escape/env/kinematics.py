@@ -123,8 +123,9 @@ class Rules:
         self._reaches = tuple((i, t.footprint, reach(t), t) for i, t in enumerate(instance.targets))
         self._target_cells: dict[tuple[int, int], tuple] = {}
         self.inner_doors = None if not instance.inner_doors else InnerDoors(
-            [door.footprint for door in instance.inner_doors], instance.puzzle.get_shut,
-            instance.robot.body_radius + CONTACT_SKIN, instance.robot.move_step)
+            [door.footprint for door in instance.inner_doors], self._puzzle.get_shut,
+            instance.robot.body_radius + CONTACT_SKIN, instance.robot.move_step,
+            self._puzzle.push if self._puzzle.can_push else None)
 
     # --- poses -----------------------------------------------------------------------
 
@@ -223,18 +224,17 @@ class Rules:
 
         Args:
             before: state before the primitive.
-            moved: state after its motion, with what is touched now; its puzzle state and
-                primitive count are still those of `before`.
+            moved: state after its motion and what it pushed, with what is touched now, but the old primitive count.
             prop_poses: where the props are now (physics).
             grip: 1 if the primitive grips, -1 if it releases, 2 if it uses.
         """
         pressed: tuple[int, ...] = ()
-        puzzle = before.puzzle
+        puzzle = moved.puzzle
         begun = moved.touching & ~before.touching
         if begun:
             pressed = tuple(i for i in range(begun.bit_length()) if begun >> i & 1)
         more, failed = 0.0, False
-        if begun or prop_poses or grip or self._is_watching:
+        if begun or prop_poses or grip or self._is_watching or puzzle != before.puzzle:
             chance = draw_chance(before.noise_key, before.primitives) if self._is_random else 0.0
             touching = tuple(i for i in range(moved.touching.bit_length()) if moved.touching >> i & 1)
             has_moved = moved.x != before.x or moved.y != before.y
@@ -281,8 +281,7 @@ class Kinematics(Rules):
 
     def step(self, state: RoomState, action: int) -> Transition:
         """Apply one primitive. Pure: the same state and action give the same transition."""
-        primitive = self._primitives[action]
-        scale = 1.0
+        primitive, scale = self._primitives[action], 1.0
         if self._noise or self._slip:
             normal, uniform = compute_noise(state.noise_key, state.primitives)
             scale += self._noise * normal
@@ -327,14 +326,15 @@ class Kinematics(Rules):
     def _translate(self, state: RoomState, action: int, scale: float) -> RoomState:
         steps, offset = state.heading_steps, state.heading_offset
         dx, dy = self._compute_displacement(state, action, scale)
-        fraction = self.compute_free_fraction(state.x, state.y, dx, dy, state.puzzle)
+        puzzle = self.inner_doors.push(state.x, state.y, dx, dy, state.puzzle) if self.inner_doors else state.puzzle
+        fraction = self.compute_free_fraction(state.x, state.y, dx, dy, puzzle)
         if fraction < 1.0:
             if self._stays:
                 return state
             dx, dy = fraction * dx, fraction * dy
         x, y = state.x + dx, state.y + dy
         touching = self.compute_touching(x, y, steps, offset, state.joint_steps, state.joint_offsets)
-        return RoomState(x, y, steps, offset, state.joint_steps, state.joint_offsets, state.puzzle, touching,
+        return RoomState(x, y, steps, offset, state.joint_steps, state.joint_offsets, puzzle, touching,
                          state.primitives, state.noise_key, state.z, state.pitch, state.roll, state.physics)
 
     def compute_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable) -> float:

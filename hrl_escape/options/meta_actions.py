@@ -136,7 +136,7 @@ class MarkovOption(Option):
     Args:
         name: stable name.
         planner: the room's planner.
-        goal: goal of the option; not a push.
+        goal: goal of the option; not a push, which a state does not tell from the one before it.
     """
 
     is_markov = True
@@ -163,9 +163,11 @@ class MarkovOption(Option):
         return route.primitives[0]
 
     def termination(self, state: RoomState) -> float:
-        """1 where the target is touched, or the goal's region is reached."""
+        """1 where the target is touched, a grip, release or use has been done, or the goal's region is reached."""
         if isinstance(self.goal, PressGoal):
             return float(state.touching >> self.goal.target & 1)
+        if isinstance(self.goal, GripGoal):
+            return float(not self._planner.can_start(state, self.goal))
         return float(is_reached(self.goal, state, state, self._planner.rules))
 
 
@@ -266,7 +268,7 @@ def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: R
         instance: the room.
         flavour: `press` reaches that goal only; `press-with-ancestors` first carries out what the puzzle's
             symbolic model requires before it; `press-markov` reaches it by a policy that is a function of the state,
-            where the goal is a press or the exit.
+            where the goal is no push.
         planner: the room's planner; None for the one that this process shares.
 
     Raises:
@@ -281,13 +283,18 @@ def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: R
     if flavour == "press-with-ancestors":
         options = [AncestorsOption(option.name, planner, goal, parts) for goal, option in parts.items()]
     elif flavour == "press-markov":
-        options = [MarkovOption(option.name, planner, goal) if isinstance(option, PlannedOption) else option
+        options = [MarkovOption(option.name, planner, goal)
+                   if isinstance(option, PlannedOption) and not _is_lattice_push(goal) else option
                    for goal, option in parts.items()]
     leave = MarkovOption if flavour == "press-markov" else PlannedOption
     options.append(leave("meta-exit", planner, ExitGoal()))
     for option, goal in zip(options, [*goals, ExitGoal()], strict=True):
         option.about = name_object(goal, instance)
     return tuple(options)
+
+
+def _is_lattice_push(goal: Goal) -> bool:
+    return isinstance(goal, GripGoal) and goal.action.startswith("push-")
 
 
 def name_object(goal: Goal, instance: RoomInstance) -> str | None:

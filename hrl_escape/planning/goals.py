@@ -94,18 +94,18 @@ class PushGoal:
     destination: int
 
 
-GripAction = Literal["grip", "release", "use"]
+GripAction = Literal["grip", "release", "use", "push-east", "push-north", "push-west", "push-south"]
 
 
 @dataclasses.dataclass(frozen=True)
 class GripGoal:
-    """Grip, release or use at a target, with the effect that the puzzle's symbolic model says.
+    """Grip, release or use at a target, or push it on a map, with the effect that the puzzle's symbolic model says.
 
     It is done while touching the target; in a puzzle with a map, from the cell before it.
 
     Attributes:
         target: index of the target.
-        action: name of the primitive.
+        action: name of the primitive, or the side to which a move pushes the target.
     """
 
     target: int
@@ -162,7 +162,8 @@ def parse_goal(text: str, instance: RoomInstance) -> Goal:
 
     Args:
         text: a target's name (`button-2`), `exit`, a place `x,y`, a pose `x,y,heading_deg`,
-            `block->plate` to push one prop onto another, `grip red`, `release red` or `use red` to do so at a target.
+            `block->plate` to push one prop onto another, `grip red`, `release red` or `use red` to do so at a target,
+            `push-east box-1` to push it one cell.
         instance: the room with the targets and props.
 
     Raises:
@@ -263,7 +264,7 @@ def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
 
 
 def find_grips(goal: GripGoal, instance: RoomInstance) -> tuple[Operator, ...]:
-    """Operators of the puzzle that grip, release or use at this target.
+    """Operators of the puzzle that grip, release or use at this target, or push it to this side.
 
     Raises:
         GoalError: the puzzle has no such operator.

@@ -35,7 +35,7 @@ from hrl_escape.planning.goals import (
     find_grips,
     is_reached,
 )
-from hrl_escape.planning.inner_doors import DoorSearches, is_way_open, list_places
+from hrl_escape.planning.inner_doors import DoorKey, DoorSearches, find_move, is_way_open, list_places
 from hrl_escape.planning.lattice.cost_to_go import FieldMaker
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.primitive_search import METHODS, PrimitiveSearch
@@ -54,7 +54,7 @@ MOST_ROUTES = 10_000
 CAREFUL = 20_000
 """Search nodes of a route that keeps away from all blocks, before one that may move some."""
 
-RouteKey: TypeAlias = tuple[Goal, SearchSettings, tuple[bool, int], Pose]  # exit open, inner doors shut
+RouteKey: TypeAlias = tuple[Goal, SearchSettings, tuple[bool, DoorKey], Pose]  # is the exit open?
 
 
 class RouteFinder:
@@ -174,8 +174,8 @@ class RouteFinder:
             if not is_way_open(self.rules, state, goal):
                 return False
             if isinstance(goal, GripGoal):
-                facts = self.instance.puzzle.get_facts(state.puzzle)
-                return any(operator.is_applicable(facts) for operator in find_grips(goal, self.instance))
+                facts, ways = self.instance.puzzle.get_facts(state.puzzle), find_grips(goal, self.instance)
+                return any(op.is_applicable(facts) for op in ways) and self._doors.can_walk(state, goal)
             return isinstance(goal, PressGoal) or not is_reached(goal, state, state, self.rules)
 
     def find_route(self, state: RoomState, goal: Goal, report: PlanningReport | None = None,
@@ -265,7 +265,7 @@ class RouteFinder:
     def _make_key(self, state: RoomState, goal: Goal, settings: SearchSettings) -> RouteKey:
         """All that a route depends on."""
         props = tuple(get_prop_poses(state, self.instance)) if self.instance.props else ()
-        return goal, settings, (self.is_solved(state), self._doors.find_walls(state)), (*get_pose(state), props)
+        return goal, settings, (self.is_solved(state), self._doors.make_key(state, goal)), (*get_pose(state), props)
 
     def replay(self, state: RoomState, primitives: Sequence[int], goal: Goal,
                keep_out: Sequence[Footprint] | None = None) -> Route | None:
@@ -323,8 +323,11 @@ class RouteFinder:
             route = self._search_round_props(state, PressGoal(goal.target), clock, settings)
         if isinstance(route, PlanningFailed):
             return route
-        primitives = (*route.primitives, self.rules.actions.find(goal.action))
-        return route._replace(primitives=primitives, poses=(*route.poses, route.poses[-1]))
+        end = self.follow(state, route)
+        if (move := find_move(goal, end, self.rules)) is None:
+            return self.make_failure(PlanningReason.PRECONDITION_UNMET, state, goal)
+        poses = (*route.poses, get_pose(self.rules.step(end, move).state))
+        return route._replace(primitives=(*route.primitives, move), poses=poses)
 
     def _search_place(self, state: RoomState, goal: GripGoal, clock: Clock, settings: SearchSettings
                       ) -> Route | PlanningFailed:
@@ -342,13 +345,14 @@ class RouteFinder:
         way, planner = (method, DEFAULT_PLANNER) if method in METHODS else ("corridor", method)
         way = self._search.choose_method(goal, keep_out) if way == "auto" else way
         result = self._doors.choose(state).search(
-            begin, goal, method=way, planner=planner, refine=refine, keep_out=keep_out,
-            budget_expansions=settings.budget, clock=clock, seed=settings.seed, effort=settings.effort)
+            begin, goal, method=way, planner=planner, avoid=not self.instance.puzzle.target_cells, refine=refine,
+            keep_out=keep_out, budget_expansions=settings.budget, clock=clock, seed=settings.seed,
+            effort=settings.effort)
         if not result.is_reached:
             return self.make_failure(
                 PlanningReason(result.status), state, goal, seconds=read_clock() - began,
                 planners=(planner, "fields") if way == "corridor" else (way,),
-                nearest=_describe_place(result.nearest),
+                nearest="" if result.nearest is None else "({:.2f}, {:.2f})".format(*result.nearest),
                 advice="" if clock.has_stopped else self._explain(goal),
             )
         if not result.primitives:  # already at the goal
@@ -394,7 +398,3 @@ def check_method(method: str) -> None:
 
     if not isinstance(method, str) or method not in list_planners():
         raise UnknownNameError("planner", method, (*METHODS, *list_planners()))
-
-
-def _describe_place(place: tuple[float, float] | None) -> str:
-    return "" if place is None else f"({place[0]:.2f}, {place[1]:.2f})"

@@ -48,7 +48,8 @@ class TaskPlanner(RouteFinder):
 
     def _order_goals(self, state: RoomState, clock: Clock, settings: SearchSettings) -> tuple[Goal, ...]:
         began = read_clock()
-        known = self.instance.puzzle.plan(state.puzzle)
+        doors = self.rules.inner_doors
+        known = self.instance.puzzle.plan(state.puzzle, -1 if doors is None else doors.find_at(state.x, state.y))
         if known is not None:
             return (*(make_goal(op, self.instance) for op in known), ExitGoal())
         tasks = self._find_order(state, TaskSearch(self._model, lower_bound=self._bounds.bound_leg), clock, settings)

@@ -146,8 +146,8 @@ MUTATIONS = [
     Mutation(
         "routes of other doors are taken",
         "planning/route_finder.py",
-        "(self.is_solved(state), self._doors.find_walls(state))",
-        "(self.is_solved(state), 0)",
+        "(self.is_solved(state), self._doors.make_key(state, goal))",
+        "(self.is_solved(state), (0, ()))",
         "env/test_mini_grid.py",
     ),
     Mutation(
@@ -191,5 +191,33 @@ MUTATIONS = [
         "        number //= _count_towers(len(loose), len(placed))",
         "        number = number % (len(loose) + len(placed)) if loose or placed else 0",
         "env/puzzles/test_blocks_world.py",
+    ),
+    Mutation(
+        "a box is pushed into another",
+        "env/puzzles/sokoban.py",
+        "if box not in cells or to in cells:",
+        "if box not in cells:",
+        "env/test_pushed_grids.py",
+    ),
+    Mutation(
+        "in the batch a box is pushed into another",
+        "env/batched/puzzles/sokoban.py",
+        "is_there = is_there & ~(boxes == to).any(0)",
+        "is_there = is_there & (box >= 0)",
+        "env/test_pushed_grids.py",
+    ),
+    Mutation(
+        "levels without a solution are certified",
+        "env/sampling/primitive_proof.py",
+        "if not puzzle.can_push or cells is None or puzzle.plan(",
+        "if cells is not None or puzzle.plan(",
+        "env/test_pushed_grids.py",
+    ),
+    Mutation(
+        "the key can be taken twice",
+        "env/puzzles/key_chest.py",
+        "return float(before == 0 < after)",
+        "return float(before <= after > 0)",
+        "env/test_pushed_grids.py",
     ),
 ]

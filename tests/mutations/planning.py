@@ -27,8 +27,8 @@ MUTATIONS = [
     Mutation(
         "routes with the exit shut are taken for those with it open",
         "planning/route_finder.py",
-        "return goal, settings, (self.is_solved(state), self._doors.find_walls(state)), (*get_pose(state), props)",
-        "return goal, settings, (False, self._doors.find_walls(state)), (*get_pose(state), props)",
+        "return goal, settings, (self.is_solved(state), self._doors.make_key(state, goal)), (*get_pose(state), props)",
+        "return goal, settings, (False, self._doors.make_key(state, goal)), (*get_pose(state), props)",
         "planning/test_room_planner.py",
     ),
     Mutation(

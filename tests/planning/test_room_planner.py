@@ -48,7 +48,7 @@ from hrl_escape.planning.room_planner import RoomPlanner, get_planner
 from tests.command_line import run_here
 from tests.env.rooms import EXTREMES, make_ordered_chain
 
-BY_CHANCE = ("light-box", "random-lights", "factored", "four-rooms", "foraging")
+BY_CHANCE = ("light-box", "random-lights", "factored", "four-rooms", "key-chest", "foraging")
 KINEMATIC = [name for name in PRESETS if name != "push-block" and name not in BY_CHANCE]
 
 

@@ -19,6 +19,7 @@ from hrl_escape.env.batched.puzzles.base import TensorContacts, get_tensor_puzzl
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.primitives import list_slips
+from hrl_escape.env.puzzles.base import PUSH
 
 __all__ = ["TensorTransition", "begin", "find_shut", "is_in_exit", "restart", "step"]
 
@@ -109,10 +110,25 @@ def _sum_effects(layout: Layout, action: Tensor, name: str) -> Tensor:
 def _translate(layout: Layout, tables: Tables, state: TensorState, action: Tensor,
                scale: Tensor | None) -> TensorState:
     dx, dy = _compute_displacement(layout, tables, state, action, scale)
-    free = _find_free_fraction(layout, tables, state, dx, dy)
+    pushed = _push(layout, tables, state, dx, dy) if layout.can_push else state
+    free = _find_free_fraction(layout, tables, pushed, dx, dy)
     if layout.dynamics.blocked == "stay":
         free = (free >= 1.0).to(torch.float64)
-    return state._replace(x=state.x + free * dx, y=state.y + free * dy)
+    puzzle = torch.where(free > 0.0, pushed.puzzle, state.puzzle) if layout.can_push else state.puzzle
+    return state._replace(x=state.x + free * dx, y=state.y + free * dy, puzzle=puzzle)
+
+
+def _push(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> TensorState:
+    """States once moves have pushed what they would meet, where that can be pushed."""
+    ahead, beyond = (_find_at(layout, tables, state, state.x + n * dx, state.y + n * dy) for n in (1.0, 2.0))
+    is_shut = find_shut(layout, tables, state).gather(0, ahead.clamp(min=0).unsqueeze(0)).squeeze(0)
+    pushes = ((dx != 0.0) | (dy != 0.0)) & (ahead >= 0) & is_shut
+    none = torch.zeros_like(state.touching)
+    contacts = TensorContacts(none, torch.zeros_like(state.x), none, PUSH * pushes.to(none.dtype), pushes, state.x,
+                              state.y, ahead, beyond)
+    columns = pick(layout, tables.puzzle, state.instance)
+    return state._replace(puzzle=get_tensor_puzzle(layout.puzzle).update(columns, state.puzzle, contacts,
+                                                                         layout.targets))
 
 
 def _compute_displacement(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor | None
@@ -204,12 +220,13 @@ def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorSta
     chance = draw_chance(before.noise_key, before.primitives) if layout.is_puzzle_random else torch.zeros_like(before.x)
     has_moved = (moved.x != before.x) | (moved.y != before.y)
     contacts = TensorContacts(pressed, chance, touching, grip, has_moved, moved.x, moved.y,
-                              _find_ahead(layout, tables, moved))
-    puzzle = form.update(columns, before.puzzle, contacts, layout.targets)
+                              _find_ahead(layout, tables, moved), torch.full_like(touching, -1))
+    puzzle = form.update(columns, moved.puzzle, contacts, layout.targets)
     primitives = before.primitives + 1
     escaped = is_in_exit(layout, tables, moved.instance, moved.x, moved.y) & form.is_solved(columns, puzzle)
     failed, more = form.is_failed(columns, puzzle), form.compute_reward(columns, before.puzzle, puzzle, contacts)
     is_told = torch.ones_like(escaped) if layout.is_watching else (pressed != 0) | (grip != 0)
+    is_told = is_told | (moved.puzzle != before.puzzle) if layout.can_push else is_told
     terminated = escaped if failed is None else escaped | (failed & is_told)
     truncated = ~terminated & (primitives >= pick(layout, tables.horizons, before.instance)[0])
     each, final = pick(layout, tables.rewards, before.instance)
@@ -230,11 +247,16 @@ def _find_ahead(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
     """Numbers of the inner doors one move ahead, -1 for none, int64 (rooms,)."""
     if not layout.inner_doors:
         return torch.full_like(state.touching, -1)
-    inner: Shapes = pick(layout, tables.inner_doors, state.instance)
     cos, sin = compute_rotation(layout, tables, state)
     step = layout.robot.move_step
-    is_ahead = compute_distance(state.x + step * cos, state.y + step * sin, inner) == 0.0
-    return torch.where(is_ahead.any(0), is_ahead.to(torch.int8).argmax(0), -1)
+    return _find_at(layout, tables, state, state.x + step * cos, state.y + step * sin)
+
+
+def _find_at(layout: Layout, tables: Tables, state: TensorState, x: Tensor, y: Tensor) -> Tensor:
+    """Numbers of the inner doors at places, -1 for none, int64 (rooms,)."""
+    inner: Shapes = pick(layout, tables.inner_doors, state.instance)
+    is_there = compute_distance(x, y, inner) == 0.0
+    return torch.where(is_there.any(0), is_there.to(torch.int8).argmax(0), -1)
 
 
 def is_in_exit(layout: Layout, tables: Tables, instance: Tensor, x: Tensor, y: Tensor) -> Tensor:

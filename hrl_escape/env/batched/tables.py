@@ -58,6 +58,7 @@ class Layout:
         has_offsets: True if headings can leave the lattice of turn steps (noise, or a start off it).
         is_shared: True for a single instance, so that tables need no look-up.
         is_watching: True if puzzles are told of every primitive.
+        can_push: True if moves push things.
         is_puzzle_random: True if something is random in the puzzle of any room.
         draws: True if anything is random in an episode.
         resample: True if a new episode draws another instance.
@@ -75,6 +76,7 @@ class Layout:
     has_offsets: bool
     is_shared: bool
     is_watching: bool
+    can_push: bool
     is_puzzle_random: bool
     draws: bool
     resample: bool
@@ -217,6 +219,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
         has_offsets=bool(noise) or any(start.heading_offset for instance in instances for start in instance.starts),
         is_shared=len(instances) == 1,
         is_watching=first.puzzle.is_watching,
+        can_push=first.puzzle.can_push,
         is_puzzle_random=is_puzzle_random,
         draws=(resample or is_puzzle_random or bool(noise or first.dynamics.slip)
                or any(len(i.starts) > 1 or len(i.puzzle.list_starts()) > 1 for i in instances)),

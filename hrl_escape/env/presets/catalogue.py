@@ -26,9 +26,11 @@ from hrl_escape.env.presets.grid_worlds import (
     door_key,
     foraging,
     four_rooms,
+    key_chest,
     key_corridor,
     multi_room,
     puddle_world,
+    sokoban,
     taxi,
 )
 from hrl_escape.env.puzzles.base import Panels, Place, PuzzleConfig
@@ -227,6 +229,8 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
     "key-corridor": key_corridor,
     "multi-room": multi_room,
     "blocks-world": blocks_world,
+    "key-chest": key_chest,
+    "sokoban": sokoban,
     "pin-pad": lambda: _panel_puzzle("pin-pad", PinPadConfig()),
     "push-block": push_block,
 }

@@ -14,13 +14,16 @@ from hrl_escape.env.config import (
 )
 from hrl_escape.env.puzzles.base import Pads, Place
 from hrl_escape.env.puzzles.foraging import ForagingConfig
+from hrl_escape.env.puzzles.key_chest import KeyChestConfig
 from hrl_escape.env.puzzles.mini_grid import DrawnLevel, MiniGridConfig
 from hrl_escape.env.puzzles.pin_pad import PinPadConfig
 from hrl_escape.env.puzzles.puddle_world import PuddleWorldConfig
+from hrl_escape.env.puzzles.pushing import tidy_level
+from hrl_escape.env.puzzles.sokoban import SokobanConfig
 from hrl_escape.env.puzzles.taxi import TaxiConfig
 
-__all__ = ["EVERYWHERE", "FOUR_ROOMS", "door_key", "foraging", "four_rooms", "key_corridor", "multi_room",
-           "puddle_world", "taxi"]
+__all__ = ["EVERYWHERE", "FOUR_ROOMS", "KEY_CHEST", "door_key", "foraging", "four_rooms", "key_chest", "key_corridor",
+           "multi_room", "puddle_world", "sokoban", "taxi"]
 
 EVERYWHERE = ExitConfig(place="fixed", width=200, depth=200)
 """An exit on the whole floor: the primitive that solves the puzzle ends the episode."""
@@ -73,6 +76,31 @@ def four_rooms(slip: str = "any", row: int = 6, column: int = 8) -> RoomConfig:
         reward=RewardConfig(step=0.0, exit=1.0, exit_replaces_step=True),
         dynamics=DynamicsConfig(blocked="stay", slip=0.0 if slip == "none" else 1 / 3,
                                 slip_kind="stay" if slip == "none" else slip),  # type: ignore[arg-type]  # checked there
+    )
+
+
+KEY_CHEST = (" " * 15, " " * 15, "#############  ", " " * 15, " " * 15, "  ###########  ", " " * 15, " " * 15,
+             "#############  ", " " * 15, " " * 15)
+"""Map of HRAC's Key-Chest (Zhang et al. 2020), without its outer walls."""
+
+
+def key_chest(random_start: bool = False) -> RoomConfig:
+    """Key-Chest of HRAC (Zhang et al. 2020), cell by cell: 1 for the key, 5 for the chest, 0 for all else.
+
+    One move in four is drawn from all four, so that one in 16 goes to each other side.
+
+    Args:
+        random_start: episodes begin in any cell, as the option of that name in HRAC's program.
+    """
+    return RoomConfig(
+        name="key-chest",
+        room=ShapeConfig(width=15, depth=11, map=KEY_CHEST),
+        robot=RobotConfig(body_radius=0.2, move_step=1, turn_step_deg=90),
+        puzzle=KeyChestConfig(Pads(0.6, 0.6, (Place(-7, 0), Place(-7, 4)))),
+        start=StartConfig(place="cells") if random_start else StartConfig(place="fixed", x=-1, y=-5),
+        exit=EVERYWHERE,
+        reward=RewardConfig(step=0.0, exit=5.0, exit_replaces_step=True),
+        dynamics=DynamicsConfig(blocked="stay", slip=3 / 16, slip_kind="any"), horizon=500,
     )
 
 
@@ -158,3 +186,23 @@ def multi_room(rooms: int = 4, largest: int = 5, size: int = 15) -> RoomConfig:
         size: side of the map, which is 25 in MiniGrid.
     """
     return mini_grid("multi-room", size, rooms, largest)
+
+
+def sokoban(size: int = 6, boxes: int = 2, rows: tuple[str, ...] = ()) -> RoomConfig:
+    """Sokoban, cell by cell, with the rewards of gym-sokoban; the instance seed draws the level, unless it is given.
+
+    Args:
+        size: side of drawn levels, without the outer walls.
+        boxes: boxes of drawn levels, 1 to 7.
+        rows: a level, such as one of Boxoban's.
+    """
+    level = tidy_level(rows) if rows else (" " * size,) * size
+    wide, high = len(level[0]), len(level)
+    side = 2 if min(wide, high) > 2 else 5  # rooms are 5 m wide at the least
+    return RoomConfig(
+        name="sokoban", puzzle=SokobanConfig(size, boxes, level if rows else ()),
+        room=ShapeConfig(width=side * wide, depth=side * high, cell=side),
+        robot=RobotConfig(body_radius=0.4, move_step=side, turn_step_deg=90),
+        exit=EVERYWHERE, reward=RewardConfig(step=-0.1, exit=10.0),
+        dynamics=DynamicsConfig(blocked="stay"), horizon=120,
+    )

@@ -12,11 +12,12 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, NamedTuple, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias
 
 import numpy as np
 from typing_extensions import Self
 
+from hrl_escape.env.puzzles.contacts import PUSH, USE, Contacts
 from hrl_escape.env.puzzles.places import Capsule, Pads, Panels, Place, Prop
 from hrl_escape.env.puzzles.symbolic import SOLVED, Operator, SymbolicModel, derive_model, name_state
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
@@ -24,6 +25,7 @@ from hrl_escape.plugins import load_entry_points
 from hrl_escape.settings import Range, Settings
 
 __all__ = [
+    "PUSH",
     "USE",
     "Contacts",
     "Pads",
@@ -39,44 +41,10 @@ __all__ = [
     "register_puzzle",
 ]
 
-USE = 2
-"""`Contacts.grip` of the primitive `use`."""
-
 PuzzleState: TypeAlias = Any
 """A hashable value of each puzzle's own type; its rules name that type."""
 Success = Annotated[float, Range(0, 1, open_low=True)]
 """Type of a field: the probability that a press has its effect."""
-
-
-class Contacts(NamedTuple):
-    """Contacts of one primitive with the puzzle's targets and props.
-
-    Attributes:
-        pressed: indices of targets whose touching began at this primitive's end, ascending.
-        prop_poses: (x, y, yaw) of each prop in the room frame, metres and radians; they
-            move under physics dynamics only. A puzzle with props is told where they stand
-            once before the first primitive, with nothing pressed.
-        uniform: number between 0 and 1 drawn for this primitive, if the puzzle is random. 0, which is never drawn,
-            stands for the most likely outcome: planners press with it, so an outcome of probability p should be that
-            of numbers below p.
-        touching: indices of all targets touched at its end, ascending: panels in reach, and pads stood on.
-        grip: 1 if the primitive was `grip`, -1 if it was `release`, `USE` if it was `use`, else 0.
-        has_moved: the body's axis has moved.
-        x: place of the body's axis in the room frame, m.
-        y: place of the body's axis in the room frame, m.
-        ahead: number of the inner door (a cell that can be blocked) one move ahead of a primitive that grips, releases
-            or uses; -1 where there is none.
-    """
-
-    pressed: tuple[int, ...]
-    prop_poses: tuple[tuple[float, float, float], ...] = ()
-    uniform: float = 0.0
-    touching: tuple[int, ...] = ()
-    grip: int = 0
-    has_moved: bool = False
-    x: float = 0.0
-    y: float = 0.0
-    ahead: int = -1
 
 
 @dataclasses.dataclass(frozen=True)
@@ -209,6 +177,11 @@ class Puzzle(_OfKind):
         return sum(1 << door for door, fact in enumerate(self.door_facts) if fact not in facts)
 
     @property
+    def can_push(self) -> bool:
+        """A move into a cell that is blocked calls `update` with `PUSH`, and goes ahead if that frees the cell."""
+        return False
+
+    @property
     def is_watching(self) -> bool:
         """`update` is called after every primitive; else only after those that press or grip."""
         return False
@@ -311,8 +284,12 @@ class Puzzle(_OfKind):
         """
         return self._derived[0]
 
-    def list_rests(self, state: PuzzleState) -> tuple[int, ...]:
-        """Numbers of the inner doors whose cells are free, and where a thing that is put down bars no way."""
+    def push(self, state: PuzzleState, ahead: int, beyond: int) -> PuzzleState:
+        """State after a move that would push what is in one inner door's cell into another's, -1 for no cell."""
+        return self.update(state, Contacts((), grip=PUSH, ahead=ahead, beyond=beyond))
+
+    def list_cells(self, state: PuzzleState, action: str, target: int) -> tuple[int, ...]:
+        """Numbers of the inner doors' cells in which an action at a target can be carried out now, on a map."""
         return ()
 
     def make_contacts(self, operator: Operator) -> Contacts:
@@ -322,8 +299,11 @@ class Puzzle(_OfKind):
             return Contacts((target,), touching=(target,))
         return Contacts((), touching=(target,), grip=1 if operator.action == "grip" else -1)
 
-    def plan(self, state: PuzzleState) -> tuple[Operator, ...] | None:
-        """Return the operators that solve the puzzle from here, if it knows better than a search; else None."""
+    def plan(self, state: PuzzleState, place: int = -1) -> tuple[Operator, ...] | None:
+        """Return the operators that solve the puzzle from here, if it knows better than a search; else None.
+
+        `place` is the number of the inner door in whose cell the robot stands, on a map; -1 where there is none.
+        """
         return None
 
     @cached_property

@@ -235,7 +235,7 @@ class BlocksWorldPuzzle(Puzzle):
         return SymbolicModel((*pairs, *singles, "handempty"), tuple(operators),
                              frozenset(goal) | (hand if self.free_hand else none))
 
-    def plan(self, state: int) -> tuple[Operator, ...] | None:
+    def plan(self, state: int, place: int = -1) -> tuple[Operator, ...] | None:
         """The fewest operators, by search over towers."""
         moves = find_fewest_moves(self.decode(state), self.wanted)
         if moves is None:

@@ -250,14 +250,18 @@ class MiniGridPuzzle(Puzzle):
         goal = balls or frozenset(f"opened({name})" for name in names[:doors])
         return SymbolicModel(facts, tuple(operators), goal)
 
-    def list_rests(self, state: int) -> tuple[int, ...]:
-        """Numbers of the free cells in which a thing bars no way."""
-        grid = self.grid
-        taken = {*grid.doors, grid.goal, *(self.get_place(state, thing) for thing in range(len(grid.things)))}
+    def list_cells(self, state: int, action: str, target: int) -> tuple[int, ...]:
+        """The cell of a door or a thing; to put a thing down, free cells in which it bars no way."""
+        grid, doors = self.grid, len(self.grid.doors)
+        places = [self.get_place(state, thing) for thing in range(len(grid.things))]
+        if action != "release":
+            cell = grid.doors[target] if target < doors else places[target - doors]
+            return () if cell == HELD else (grid.blockable.index(cell),)
+        taken = {*grid.doors, grid.goal, *places}
         return tuple(number for number, cell in enumerate(grid.blockable)
                      if cell not in taken and not grid.is_bottleneck(cell))
 
-    def plan(self, state: int) -> tuple[Operator, ...] | None:
+    def plan(self, state: int, place: int = -1) -> tuple[Operator, ...] | None:
         """The fewest operators: doors leave little choice of order."""
         return self.make_symbolic_model().find_fewest(self.get_facts(state))
 

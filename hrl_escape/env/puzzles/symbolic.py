@@ -46,7 +46,8 @@ class Operator:
         name: verb phrase, such as `press-button-2`.
         target: name of the target or prop it acts on.
         action: what to do with it: `press` a target, `grip` or `release` while touching it (in a puzzle with a map,
-            from the cell before it, and `use`), or `push` a prop to `destination`.
+            from the cell before it, and `use`, or `push-east` and so on for one cell), or `push` a prop to
+            `destination`.
         preconditions: propositions that must hold.
         forbidden: propositions that must not hold.
         add: propositions made true.

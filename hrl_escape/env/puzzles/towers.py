@@ -22,8 +22,8 @@ __all__ = ["IN_HAND", "MOST_BLOCKS", "TowersGoal", "Problem", "Towers", "find_fe
 IN_HAND = 15
 """Stands for the hand: a block in it stands on this."""
 MOST_BLOCKS = 12
-_MOST_SEARCHED = 20_000
-"""States of the search for the fewest moves; beyond, plans need not be shortest."""
+_MOST_EXACT = 10_000
+"""States of the search for the fewest moves, beyond which it goes on greedily."""
 
 Towers: TypeAlias = tuple[int, ...]
 """For each block what it stands on; blocks are numbers from 0."""
@@ -98,24 +98,31 @@ def _count_least(towers: Towers, goal: TowersGoal) -> int:
 def find_fewest_moves(towers: Towers, goal: TowersGoal) -> tuple[tuple[int, int], ...] | None:
     """The fewest moves that lead to a goal, as (1 to grip or -1 to release, lowest block of the tower); None for none.
 
-    A* with the number of blocks that must be moved. Beyond 20,000 states it goes on greedily.
+    A* with the number of blocks that must be moved. Beyond 10,000 states it goes on greedily.
     """
-    tie = itertools.count()
+    tie, weight = itertools.count(), 1
     came: dict[Towers, tuple[Towers, tuple[int, int]] | None] = {towers: None}
-    cost, queue = {towers: 0}, [(_count_least(towers, goal), next(tie), towers)]
+    cost, least = {towers: 0}, _count_least(towers, goal)
+    queue, done = [(least, least, next(tie), towers)], set[Towers]()
     while queue:
-        _, _, here = heapq.heappop(queue)
+        *_, here = heapq.heappop(queue)
         if meets_goal(here, goal):
             moves: list[tuple[int, int]] = []
             while (step := came[here]) is not None:
                 here, move = step
                 moves.append(move)
             return tuple(reversed(moves))
-        weight = 1 if len(cost) < _MOST_SEARCHED else 100
+        if here in done:
+            continue
+        done.add(here)
+        if len(done) == _MOST_EXACT:
+            weight = 5
+            queue = [(cost[then] + weight * least, least, number, then) for _, least, number, then in queue]
+            heapq.heapify(queue)
         for grip, base, then in list_moves(here):
-            if cost[here] + 1 < cost.get(then, len(cost) + 2):
-                cost[then], came[then] = cost[here] + 1, (here, (grip, base))
-                heapq.heappush(queue, (cost[then] + weight * _count_least(then, goal), next(tie), then))
+            if then not in cost or cost[here] + 1 < cost[then]:
+                cost[then], came[then], least = cost[here] + 1, (here, (grip, base)), _count_least(then, goal)
+                heapq.heappush(queue, (cost[then] + weight * least, least, next(tie), then))
     return None
 
 

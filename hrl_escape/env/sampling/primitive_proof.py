@@ -168,7 +168,7 @@ class _Search:
                     break
                 wanted = self._choose_target(state.puzzle)
                 if wanted is None:
-                    return None  # a puzzle that is not solved by presses: its geometry is all that is certified
+                    return self._find_unsolvable(state)
                 found = self._reach(state, self._make_press(wanted, state))
                 if found is None:
                     return f"{self._instance.targets[wanted].name} must be pressed by a sequence of primitives"
@@ -182,6 +182,13 @@ class _Search:
         if not puzzle.is_solved(puzzle_state) or doors is None or not self._instance.ways:
             return puzzle.is_solved(puzzle_state)
         return not any(doors.get_shut(puzzle_state) >> door & 1 for door in self._instance.ways[-1])
+
+    def _find_unsolvable(self, state: RoomState) -> str | None:
+        """Say that things cannot be pushed as they must; of what is gripped, the geometry is all that is certified."""
+        puzzle, cells = self._instance.puzzle, self._rules.inner_doors
+        if not puzzle.can_push or cells is None or puzzle.plan(state.puzzle, cells.find_at(state.x, state.y)):
+            return None
+        return "the puzzle must be solvable by pushes from the start"
 
     def _choose_target(self, puzzle_state: Hashable) -> int | None:
         """Next target to press on the way to the puzzle's goal, deletions left out of account."""

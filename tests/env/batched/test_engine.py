@@ -192,7 +192,8 @@ def test_puzzles_follow_their_scalar_rules_up_to_64_bits(count):
                        for _ in group]
             bits = torch.tensor([as_signed(sum(1 << i for i in pressed)) for pressed in presses])
             none = torch.zeros(len(bits))
-            touched = TensorContacts(bits, none, bits, 0 * bits, bits != 0, none, none, 0 * bits - 1)
+            touched = TensorContacts(bits, none, bits, 0 * bits, bits != 0, none, none, 0 * bits - 1,
+                                     0 * bits - 1)
             words = form.update(tables, words, touched, count)
             states = [puzzle.update(state, base.Contacts(pressed))
                       for puzzle, state, pressed in zip(group, states, presses, strict=True)]

@@ -55,7 +55,8 @@ def test_a_tensor_form_does_what_the_puzzle_does(name):
         states = [puzzle.update(*pair) for puzzle, *pair in zip(puzzles, states, contacts, strict=True)]
         bits = torch.tensor([sum(1 << target for target in press) for press in pressed])
         here = torch.zeros(len(puzzles), dtype=torch.float64)
-        touched = TensorContacts(bits, torch.from_numpy(chances), bits, 0 * bits, bits != 0, here, here, 0 * bits - 1)
+        touched = TensorContacts(bits, torch.from_numpy(chances), bits, 0 * bits, bits != 0, here, here, 0 * bits - 1,
+                                 0 * bits - 1)
         words = form.update(tables, words, touched, targets)
         assert words.tolist() == [as_signed(form.encode(state)) for state in states]
         both = list(zip(puzzles, states, strict=True))

@@ -33,11 +33,13 @@ class TensorContacts(NamedTuple):
         pressed: bits of the newly touched targets, int64 (rooms,).
         uniform: numbers in (0, 1) drawn for this primitive, float64 (rooms,); 0 where no puzzle is random.
         touching: bits of all targets touched at its end, int64 (rooms,).
-        grip: 1 where the primitive was `grip`, -1 where it was `release`, 2 where it was `use`, else 0, int64 (rooms,).
+        grip: 1 where the primitive was `grip`, -1 where it was `release`, 2 where it was `use`, 3 where a move pushes,
+            else 0, int64 (rooms,).
         has_moved: true where the body's axis has moved, bool (rooms,).
         x: places of the bodies' axes, m, float64 (rooms,).
         y: places of the bodies' axes, m, float64 (rooms,).
         ahead: numbers of the inner doors one move ahead, -1 for none, int64 (rooms,).
+        beyond: numbers of those one more move ahead, where something is pushed, int64 (rooms,).
     """
 
     pressed: Tensor
@@ -48,6 +50,7 @@ class TensorContacts(NamedTuple):
     x: Tensor
     y: Tensor
     ahead: Tensor
+    beyond: Tensor
 
 
 class TensorPuzzle(ABC):

@@ -1,0 +1,79 @@
+"""Key-Chest (Zhang et al. 2020, HRAC): walk over the key, which earns 1, then to the chest, which opens the exit.
+
+Both are pads on the floor. The chest without the key is a place like any other. The state is how far one has come.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from hrl_escape.env.puzzles.base import Contacts, Pads, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.codes import CodePuzzle
+
+__all__ = ["KeyChestConfig", "KeyChestPuzzle"]
+
+THINGS = ("key", "chest")
+"""Names of the pads, in their order."""
+
+
+@dataclasses.dataclass(frozen=True)
+class KeyChestConfig(PuzzleConfig):
+    """Schematic of Key-Chest."""
+
+    kind = "key-chest"
+    floor: Pads = Pads()
+    """Size and places of key and chest."""
+
+    def check(self) -> None:
+        """Check what spans several fields."""
+        self.floor.check_places(len(THINGS))
+
+    @property
+    def pads(self) -> Pads:
+        """Size and places of key and chest."""
+        return self.floor
+
+    def make_puzzle(self, rng: np.random.Generator) -> KeyChestPuzzle:
+        """Nothing is random."""
+        return KeyChestPuzzle()
+
+
+@dataclasses.dataclass(frozen=True)
+class KeyChestPuzzle(CodePuzzle):
+    """The rules. The pads are called `key` and `chest`."""
+
+    kind = "key-chest"
+    code = tuple(range(len(THINGS)))
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Key and chest."""
+        return THINGS
+
+    @property
+    def pad_names(self) -> tuple[str, ...]:
+        """All targets are pads."""
+        return THINGS
+
+    def update(self, state: int, contacts: Contacts) -> int:
+        """Take the key; open the chest with it."""
+        for pad in contacts.pressed:
+            state += pad == state
+        return state
+
+    def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
+        """1 for the key."""
+        return float(before == 0 < after)
+
+    def observe(self, state: int) -> tuple[float, ...]:
+        """Two numbers: 1 with the key, 1 with the chest open."""
+        return tuple(float(state > pad) for pad in self.code)
+
+    def get_lit(self, state: int) -> tuple[bool, ...]:
+        """The key once it is taken, the chest once it is open."""
+        return tuple(state > pad for pad in self.code)
+
+
+register_puzzle(KeyChestConfig, KeyChestPuzzle)
