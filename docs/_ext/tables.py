@@ -21,8 +21,16 @@ from docutils.parsers.rst import directives
 from sphinx.application import Sphinx
 from sphinx.util.docutils import SphinxDirective
 
-from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe, list_recipes
+from hrl_escape.agents.registry import (
+    SMDP_PREFIX,
+    get_agent_class,
+    get_recipe,
+    list_agents,
+    list_given_agents,
+    list_recipes,
+)
 from hrl_escape.agents.training.results import METRICS
+from hrl_escape.agents.tuning import load_tuning
 from hrl_escape.cli import main
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.observations import list_observations, make_observer
@@ -114,6 +122,26 @@ class Metrics(Table):
         return make_table(("name", "what it is"), ((f"`{name}`", text) for name, text in METRICS.items()))
 
 
+class TunedSettings(Table):
+    """`{tuning}`: defaults that were chosen by trying them, then the agents without such a record."""
+
+    def write(self) -> str:
+        """One row an entry of the record."""
+        record = load_tuning()
+        rows = [(", ".join(f"`{agent}`" for agent in entry.agents),
+                 ", ".join(f"`{name}={value}`" + (f" (was {entry.before[name]})" if name in entry.before else "")
+                           for name, value in entry.settings.items()),
+                 ", ".join(f"`{place}`" + (" (reported)" if place in entry.reported_in else "")
+                           for place in entry.tried_in),
+                 str(entry.trials or "not written down"), entry.seeds or "not written down",
+                 " ".join(filter(None, (entry.note, f"({entry.source})"))))
+                for entry in record]
+        tuned = {agent for entry in record for agent in entry.agents}
+        others = ", ".join(f"`{agent}`" for agent in (*list_agents(), *list_given_agents()) if agent not in tuned)
+        head = ("agent", "defaults", "tried in", "settings tried", "training seeds", "note and source")
+        return f"{make_table(head, rows)}\n\nNo trial is on record for {others}."
+
+
 class Names(Table):
     """`{names} observations`: what `hrl-escape list` lists."""
 
@@ -192,7 +220,7 @@ class Usage(Table):
 def setup(app: Sphinx) -> dict[str, bool]:
     """Register the directives."""
     for name, directive in {"knobs": Knobs, "settings": AgentSettings, "metrics": Metrics, "names": Names,
-                            "ladder": Ladder, "rungs": Rungs, "layouts": Layouts, "prices": Prices,
-                            "usage": Usage}.items():
+                            "tuning": TunedSettings, "ladder": Ladder, "rungs": Rungs, "layouts": Layouts,
+                            "prices": Prices, "usage": Usage}.items():
         app.add_directive(name, directive)
     return {"parallel_read_safe": True, "parallel_write_safe": True}

@@ -1,0 +1,51 @@
+"""Record of how default settings came about: which were chosen by trying them, where, and whether that is reported in.
+
+The record is `tuning.toml`. It holds what the project's history tells and no more: where nobody wrote down how many
+trials were made, it gives no number. A default that was chosen where results are reported flatters them there.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+from hrl_escape.files import read_toml
+
+__all__ = ["Tuning", "load_tuning"]
+
+_FILE = Path(__file__).with_name("tuning.toml")
+
+
+@dataclasses.dataclass(frozen=True)
+class Tuning:
+    """Defaults that were chosen together.
+
+    Attributes:
+        agents: names; each also over options, with `smdp-` in front.
+        settings: their defaults today.
+        tried_in: rooms and environments in which they were chosen.
+        before: defaults that they replaced, as far as there were any.
+        reported_in: those of `tried_in` whose results this project reports.
+        source: where the project's history tells of it.
+        trials: number of settings that were tried; None where it was not written down.
+        seeds: training seeds of these trials, in words; empty where they were not written down.
+        note: anything else.
+    """
+
+    agents: tuple[str, ...]
+    settings: dict[str, Any]
+    tried_in: tuple[str, ...]
+    before: dict[str, Any]
+    reported_in: tuple[str, ...]
+    source: str
+    trials: int | None = None
+    seeds: str = ""
+    note: str = ""
+
+
+def load_tuning() -> list[Tuning]:
+    """Read the whole record."""
+    entries: list[dict[str, Any]] = read_toml(_FILE, "record of tuning")["tuned"]
+    lists = ("agents", "tried_in", "reported_in")
+    return [Tuning(**entry | {name: tuple(entry[name]) for name in lists}) for entry in entries]
