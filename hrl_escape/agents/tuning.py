@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from hrl_escape.files import read_toml
+from hrl_escape.settings import read_record
 
 __all__ = ["Tuning", "load_tuning"]
 
@@ -46,6 +47,4 @@ class Tuning:
 
 def load_tuning() -> list[Tuning]:
     """Read the whole record."""
-    entries: list[dict[str, Any]] = read_toml(_FILE, "record of tuning")["tuned"]
-    lists = ("agents", "tried_in", "reported_in")
-    return [Tuning(**entry | {name: tuple(entry[name]) for name in lists}) for entry in entries]
+    return [read_record(Tuning, entry) for entry in read_toml(_FILE, "record of tuning")["tuned"]]
