@@ -33,6 +33,7 @@ __all__ = [
     "OTHER_PRESS_COST",
     "GridPlace",
     "CostFields",
+    "check_presses",
     "classify_headings",
     "compute_instance_fields",
     "locate",
@@ -96,6 +97,18 @@ _CACHE: OrderedDict[str, InstanceFields] = OrderedDict()
 _LOCK = threading.Lock()
 
 
+def check_presses(instance: RoomInstance) -> None:
+    """Check that presses and the exit are all that there is to do in a room.
+
+    Raises:
+        UnsupportedError: things are gripped or pushed, or stand behind inner doors.
+    """
+    if instance.inner_doors:
+        raise UnsupportedError("batched options know no inner doors: use OptionsEnv over one room")
+    if any(operator.action != "press" for operator in instance.symbolic_model.operators):
+        raise UnsupportedError("batched options press and leave, they do not grip: use OptionsEnv over one room")
+
+
 def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
     """Compute the fields of an instance, some tenths of a second, once; later calls find them by its id.
 
@@ -104,10 +117,7 @@ def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
     """
     if instance.dynamics.press_with == "hand":
         raise UnsupportedError("there are no cost-to-go fields for presses by hand: ask the room's planner")
-    if instance.inner_doors:
-        raise UnsupportedError("batched options know no inner doors: use OptionsEnv over one room")
-    if any(operator.action != "press" for operator in instance.symbolic_model.operators):
-        raise UnsupportedError("batched options press and leave, they do not grip: use OptionsEnv over one room")
+    check_presses(instance)
     with _LOCK:
         found = _CACHE.get(instance.id)
         if found is None:

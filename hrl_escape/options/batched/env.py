@@ -27,7 +27,7 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.observations import OBJECT_WORDS
 from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError, UnsupportedError, show_value
-from hrl_escape.options.batched.cost_to_go import CostFields, stack_fields
+from hrl_escape.options.batched.cost_to_go import CostFields, check_presses, stack_fields
 from hrl_escape.options.batched.decisions import ENDINGS, NOT_ASKED, OpenDecisions, Transitions
 from hrl_escape.options.batched.degraded import name_options
 from hrl_escape.options.batched.host_planner import HostPlanner
@@ -145,6 +145,8 @@ class BatchedOptionsEnv:
         if degradation != OptionDegradation(flavour=degradation.flavour):  # its draws go by each episode's key
             self.room.layout = dataclasses.replace(self.room.layout, draws=True)
         layout = self.room.layout
+        for room in self.room.instances:
+            check_presses(room)
         self._by_hand = layout.dynamics.press_with == "hand"
         self._fields = None if self._by_hand else stack_fields(self.room.instances, self.device)
         self._host_planner = HostPlanner(self.room)

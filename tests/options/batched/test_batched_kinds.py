@@ -213,3 +213,13 @@ def test_what_only_one_room_has_is_refused_by_name(argument, value):
 def test_other_kinds_are_refused(arguments, error, words):
     with pytest.raises(error, match=words):
         BatchedOptionsEnv(2, CHAIN, **arguments)
+
+
+@pytest.mark.parametrize(("room", "message"), [
+    ({"config": get_preset("blocks-world")}, "do not grip"),
+    ({"config": get_preset("blocks-world", hand=True)}, "do not grip"),
+    ({"config": "sokoban"}, "inner doors"),
+])
+def test_rooms_with_more_to_do_than_presses_are_refused(room, message):
+    with pytest.raises(UnsupportedError, match=f"{message}.*OptionsEnv"):
+        BatchedOptionsEnv(2, **room)
