@@ -161,7 +161,7 @@ class PrimitiveSearch:
         """Compute the fields of all targets and the exit now, so that the first searches are as quick as later ones."""
         state = self.kinematics.make_state(self.instance.starts[0])
         for goal in (*(PressGoal(i) for i in range(len(self.instance.targets))), ExitGoal()):
-            self._get_field(self._make_problem(state, goal), self.get_maker(not isinstance(goal, ExitGoal)))
+            self._get_field(self.make_problem(state, goal), self.get_maker(not isinstance(goal, ExitGoal)))
 
     # --- one search ----------------------------------------------------------------------
 
@@ -200,7 +200,7 @@ class PrimitiveSearch:
         result = SearchResult(PlanningReason.TIMEOUT, (), (state,), nearest=(state.x, state.y))
         try:
             for thorough in (False, True):
-                problem = self._make_problem(state, goal, tuple(keep_out), clock, thorough)
+                problem = self.make_problem(state, goal, tuple(keep_out), clock, thorough)
                 problem = problem._replace(seed=seed, effort=effort)
                 result = self._solve(problem, method, planner, avoid, refine, budget_expansions)
                 if result.is_reached or problem.table is None or problem.table.complete_to == NEVER:
@@ -225,8 +225,9 @@ class PrimitiveSearch:
         variants = self._iterate_variants(problem, method, planner, avoid, refine)
         return self._check_trivial(problem) or self._search_variants(problem, variants, budget)
 
-    def _make_problem(self, state: RoomState, goal: Goal, keep_out: tuple[Footprint, ...] = (),
-                      clock: Clock = NO_LIMIT, thorough: bool = False) -> SearchProblem:
+    def make_problem(self, state: RoomState, goal: Goal, keep_out: tuple[Footprint, ...] = (),
+                     clock: Clock = NO_LIMIT, thorough: bool = False) -> SearchProblem:
+        """State the problem of a search; `thorough` tables every posture of an arm with many joints."""
         area = compute_goal_area(goal, self.instance)
         table = None
         if isinstance(goal, PressGoal) and self.instance.dynamics.press_with == "hand":
@@ -269,7 +270,7 @@ class PrimitiveSearch:
                     break
                 continue
             run = SearchRun(problem, self.kinematics, maker, field, avoiding=avoiding,
-                            headings=self._headings if offset == 0.0 else HeadingTable.make(self.kinematics, offset),
+                            headings=self.headings if offset == 0.0 else HeadingTable.make(self.kinematics, offset),
                             reacher=None if problem.table is None else self.reacher)
             limit = (budget - spent) // 2 if avoiding else budget - spent  # leave some for a search without avoiding
             ended, nodes = self._run_schedule(run, limit)
@@ -283,7 +284,8 @@ class PrimitiveSearch:
         return SearchResult(reason, (), (problem.state,), expansions=spent, nearest=nearest)
 
     @cached_property
-    def _headings(self) -> HeadingTable:
+    def headings(self) -> HeadingTable:
+        """Directions and moves at the headings of the lattice."""
         return HeadingTable.make(self.kinematics, 0.0)
 
     def _run_schedule(self, run: SearchRun, budget: int) -> tuple[SearchResult | PlanningReason, int]:
@@ -332,7 +334,7 @@ class PrimitiveSearch:
         goal = problem.goal
         if problem.table is not None:
             maker = self.get_maker(door_shut, 0, problem.clock)
-            states, costs = self._find_postures(problem, maker)
+            states, costs = self.find_postures(problem, maker)
             goal = maker.points[states[np.argsort(costs, kind="stable")[:64]] // maker.headings]
         found = self.navigator.plan((problem.state.x, problem.state.y), goal, planner, door_shut=door_shut,
                                     seed=problem.seed, clock=problem.clock)
@@ -365,9 +367,9 @@ class PrimitiveSearch:
     def _find_seeds(self, problem: SearchProblem, maker: FieldMaker) -> Seeds:
         if problem.table is None:
             return maker.find_seeds(*problem.area, problem.facing)
-        return Seeds(*self._find_postures(problem, maker), maker.headings)
+        return Seeds(*self.find_postures(problem, maker), maker.headings)
 
-    def _find_postures(self, problem: SearchProblem, maker: FieldMaker) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def find_postures(self, problem: SearchProblem, maker: FieldMaker) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """States (cell * headings + heading) from which the arm completes the press, and its joint steps."""
         assert problem.table is not None
         table, far = problem.table, np.iinfo(np.int16).max

@@ -18,8 +18,8 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnsupportedError
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.clock import Clock, OutOfTime
+from hrl_escape.planning.escapes.joint_search import JointSearch
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, PushGoal, describe_goal, make_goal, parse_goal
-from hrl_escape.planning.lattice.joint_search import HEURISTIC_OFFSETS, NODES_A_SEARCH, JointSearch
 from hrl_escape.planning.lower_bounds import bound_escape
 from hrl_escape.planning.plan import Plan, PlanPart, join_parts
 from hrl_escape.planning.requests.improvement import iterate_routes
@@ -32,8 +32,10 @@ from hrl_escape.planning.task_planner import REAL_LEGS, TaskPlanner
 
 __all__ = ["RoomPlanner", "get_planner"]
 
-EFFORT_OFFSETS = (*HEURISTIC_OFFSETS, 3, 5)
-"""Heuristic offsets of the joint searches for an escape; the last two where more effort is asked for."""
+MOST_JOINTS = 4
+"""Joints of a hand that presses up to which whole escapes are searched: its tables take a millisecond."""
+MOST_FLOOR = 1_000.0
+"""Floor up to which they are, m^2: each posture has a field of its own, which takes 0.1 s there."""
 ESCAPES = 8
 """Orders of the puzzle's operators that are planned in detail for a request that asks for better plans."""
 
@@ -161,8 +163,9 @@ class RoomPlanner(TaskPlanner):
     def solve(self, state: RoomState, method: str | None = None) -> Plan:
         """Plan the whole escape: the puzzle's operators, then the exit, with few primitives in all.
 
-        Legs are first planned one by one, in the cheapest order. Where the body presses, one search over all orders
-        then looks for a shorter escape, whose legs end where the rest is short.
+        Legs are first planned one by one, in the cheapest order. One search over all orders then looks for a shorter
+        escape, whose legs end where the rest is short; not where a hand with five joints or more presses, or under
+        physics.
 
         Args:
             state: first state.
@@ -188,15 +191,15 @@ class RoomPlanner(TaskPlanner):
         return self.follow_goals(state, self._order_goals(state, clock, settings), clock, settings)
 
     def _shorten_escape(self, state: RoomState, plan: Plan, settings: SearchSettings, clock: Clock) -> Plan:
-        """The escape, or a shorter one found jointly; presses by hand, props and odd headings stay as they are."""
+        """The escape, or a shorter one found jointly; props, and headings and joints off their lattices, stay out."""
         order = [part.goal for part in plan.parts]
-        if state.heading_offset or not order or not self._can_join(order):
+        if state.heading_offset or any(state.joint_offsets) or not order or not self._can_join(order):
             return plan
         with self._lock:
-            joint, offsets = self._get_joint_search(), EFFORT_OFFSETS[: 2 + settings.effort]
-            nodes = min(settings.budget, NODES_A_SEARCH * 4**settings.effort)
+            joint = self._get_joint_search()
             try:
-                found, spent = joint.find_plan(state, [order], plan.cost, clock=clock, offsets=offsets, nodes=nodes)
+                found, spent = joint.find_escape(state, order, plan.cost, clock=clock, effort=settings.effort,
+                                                 budget=settings.budget)
             except OutOfTime:
                 return plan
             if found is None:
@@ -206,14 +209,25 @@ class RoomPlanner(TaskPlanner):
                                    expansions=plan.expansions + spent)
 
     def _can_join(self, order: Sequence[Goal]) -> bool:
-        """Return whether legs to these goals can be planned jointly: the body presses, and only primitives count."""
+        """Return whether legs to these goals can be planned jointly: nothing but primitives to presses counts."""
         room = self.instance
-        is_plain = not (room.dynamics.press_with == "hand" or room.props or room.inner_doors or room.puzzle.has_reward)
+        is_plain = not (room.props or room.inner_doors or room.puzzle.has_reward)
+        if self._presses_by_hand:  # arms that collide, or with many joints, take long
+            is_plain &= room.dynamics.kind == "kinematic" and room.robot.joints <= MOST_JOINTS
+            is_plain &= 4 * room.reach_x * room.reach_y <= MOST_FLOOR
         return is_plain and all(isinstance(goal, (PressGoal, ExitGoal)) for goal in order)
+
+    @property
+    def _presses_by_hand(self) -> bool:
+        return self.instance.dynamics.press_with == "hand"
 
     def _get_joint_search(self) -> JointSearch:
         """Fields of the puzzle's states, made on first use; to be held under the lock."""
-        if self._joint is None:
+        if self._joint is None and self._presses_by_hand:
+            from hrl_escape.planning.escapes.hand_search import HandSearch  # loads Pinocchio
+
+            self._joint = HandSearch(self._search)
+        elif self._joint is None:
             self._joint = JointSearch(self.rules, self.get_field_maker(True), self.get_field_maker(False))
         return self._joint
 
@@ -232,7 +246,8 @@ class RoomPlanner(TaskPlanner):
         """
         began = read_clock()
         self.check_query(state, *order)
-        if self.method in ("auto", "fields") and self._can_join(order) and not self.has_escaped(state):
+        is_joint = self.method in ("auto", "fields") and self._can_join(order) and not self._presses_by_hand
+        if is_joint and not self.has_escaped(state):
             with self._lock:
                 joint = self._get_joint_search()
                 found = joint.find_leg(state, order)

@@ -79,6 +79,8 @@ class SearchProblem(NamedTuple):
         clock: time limit.
         seed: of the path planner.
         effort: further searches for a shorter plan.
+        onward: cost-to-go after a press by hand, shape (cells * headings,), int16, -1 where there is none; the table
+            holds it, too.
     """
 
     state: RoomState
@@ -90,6 +92,7 @@ class SearchProblem(NamedTuple):
     clock: Clock
     seed: int = 0
     effort: int = 0
+    onward: NDArray[np.int16] | None = None
 
 
 class HeadingTable(NamedTuple):
@@ -229,12 +232,23 @@ class SearchRun:
             primitives = self._complete(node)
             if primitives is None:
                 return None
-            extra = len(primitives) - int(self._frontier.facts[node, 1])
-            if extra > 0:
+            onward = self.get_onward(node)
+            if onward < 0:
+                return None
+            cost = len(primitives) + onward
+            if cost > int(self._frontier.facts[node, 1]):
                 self._completed[node] = primitives
-                a_star.put_back(self._frontier, node, len(primitives))
+                a_star.put_back(self._frontier, node, cost)
                 return None
         return self._replay(primitives)
+
+    def get_onward(self, node: int) -> int:
+        """Cost-to-go after the press at a goal node; 0 where only the press counts."""
+        if self.problem.onward is None:
+            return 0
+        i, j = np.floor((self._frontier.places[node] - self._maker.low) / self._maker.size).astype(int)
+        cell = int(i) * self._maker.shape[1] + int(j)
+        return int(self.problem.onward[cell * self._maker.headings + int(self._frontier.facts[node, 0])])
 
     def _complete(self, node: int) -> tuple[int, ...] | None:
         """Primitives to a goal node, with the joint steps of a press by hand."""

@@ -5,14 +5,14 @@ leg is longer, or press in an order whose legs do not fit together. Here every s
 cost-to-go field of its own: its seeds are the poses from which one primitive presses a target, at the
 cost-to-go that the puzzle's next state has where the primitive ends. A* over the room's own
 kinematics follows these fields through all orders at once. It is for presses by the body: after a press by
-hand the arm's posture would count, too.
+hand the arm's posture counts, too (`hand_search.py`).
 """
 
 from __future__ import annotations
 
 import heapq
 import itertools
-from collections.abc import Hashable, Iterable, Sequence
+from collections.abc import Hashable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -27,33 +27,36 @@ from hrl_escape.planning.lattice import a_star
 from hrl_escape.planning.lattice.areas import compute_goal_area
 from hrl_escape.planning.lattice.cost_to_go import FieldMaker, Seeds
 
-__all__ = ["JointSearch"]
+__all__ = ["Fields", "JointSearch", "Presses"]
 
 MOST_PUZZLE_STATES = 64
 """Puzzle states that get fields: all subsets of six buttons. A puzzle with more gets those along given orders."""
-HEURISTIC_OFFSETS = (0, 2)
-"""Primitives subtracted from the cost-to-go in each search: none for a quick plan, then some for a shorter one."""
+HEURISTIC_OFFSETS = (0, 2, 3, 5)
+"""Primitives subtracted from the cost-to-go in each search: none for a quick plan, then some for shorter ones; the last
+two only where more effort is asked for."""
 NODES_A_SEARCH = 20_000
 """Nodes that each search may expand."""
 NODES_A_LEG = 2_000
 """Nodes that the search for one leg may expand."""
 
 
-_Fields: TypeAlias = dict[Hashable, NDArray[np.int16]]
+Fields: TypeAlias = dict[Hashable, NDArray[np.int16]]
 _Ways: TypeAlias = tuple[tuple[int, int], ...]
 """Key of a field: (target, number of the field after its press) for each press that leads on; () at the exit."""
 
 
-class _Presses(NamedTuple):
-    """Poses of the grid from which one primitive presses a target.
+class Presses(NamedTuple):
+    """Poses of the grid from which a target is pressed.
 
     Attributes:
-        states: cell * classes + heading, shape (n,).
-        places: where the primitives lead, as (cell, class) of the grid, shape (n,).
+        states: cell * layers + heading, shape (n,).
+        places: where the press leads, as (cell, layer) of the grid, shape (n,).
+        costs: primitives that it takes, shape (n,).
     """
 
     states: NDArray[np.int64]
     places: NDArray[np.int64]
+    costs: NDArray[np.int64]
 
 
 class JointSearch:
@@ -71,31 +74,31 @@ class JointSearch:
             shut: field maker of the room with its door shut.
             opened: the same with the door open.
         """
-        self.rules, self._shut, self._opened = rules, shut, opened
-        self._presses: dict[int, _Presses] = {}
+        self.rules, self._shut, self._opened, self._layers = rules, shut, opened, shut.classes
+        self._presses: dict[int, Presses] = {}
         self._fields: list[NDArray[np.int16]] = []
         self._numbers: dict[_Ways, int] = {}
-        self._recent: tuple[tuple, _Fields] | None = None
+        self._recent: tuple[tuple, Fields] | None = None
 
-    def find_plan(self, state: RoomState, orders: Iterable[Sequence[Goal]], most: int, *, clock: Clock = NO_LIMIT,
-                  offsets: Sequence[int] = HEURISTIC_OFFSETS, nodes: int = NODES_A_SEARCH
-                  ) -> tuple[tuple[int, ...] | None, int]:
+    def find_escape(self, state: RoomState, order: Sequence[Goal], most: int, *, clock: Clock = NO_LIMIT,
+                    effort: int = 0, budget: int = NODES_A_SEARCH) -> tuple[tuple[int, ...] | None, int]:
         """Search for the fewest primitives that escape.
 
         Args:
-            state: first state; its heading is on the lattice.
-            orders: orders of goals, whose puzzle states are looked at if the puzzle has more than fit.
+            state: first state; heading and joints are on their lattices.
+            order: an order of goals, whose puzzle states are looked at if the puzzle has more than fit.
             most: plans of this many primitives or more are discarded.
             clock: time limit.
-            offsets: primitives subtracted from the cost-to-go, one search each.
-            nodes: nodes that each search may expand.
+            effort: 0, 1 or 2, to look further.
+            budget: search nodes that may be expanded.
 
         Returns:
             Fewer than `most` primitives that end the episode by escaping, or None; and the nodes expanded.
         """
-        fields = self._get_fields(state, orders, clock)
+        fields = self.get_fields(state, order, clock)
         best, spent = None, 0
-        for offset in offsets:
+        nodes = min(budget, NODES_A_SEARCH * 4**effort)
+        for offset in HEURISTIC_OFFSETS[: 2 + effort]:
             if clock.is_up() or state.puzzle not in fields:
                 break
             found, used = self._search(state, fields, offset, most if best is None else len(best), nodes, clock)
@@ -114,7 +117,7 @@ class JointSearch:
         Returns:
             The primitives; None if the fields lead nowhere from here.
         """
-        fields = self._get_fields(state, [order], NO_LIMIT)
+        fields = self.get_fields(state, order, NO_LIMIT)
         if state.puzzle not in fields:
             return None
         return self._search(state, fields, 0, a_star.MOST_PRIMITIVES, NODES_A_LEG, NO_LIMIT, one_leg=True)[0]
@@ -131,51 +134,52 @@ class JointSearch:
 
     # --- puzzle states -------------------------------------------------------------------
 
-    def _press(self, puzzle: Hashable, target: int) -> Hashable:
+    def press(self, puzzle: Hashable, target: int) -> Hashable:
+        """State of the puzzle after a press."""
         return self.rules.instance.puzzle.update(puzzle, Contacts((target,)))
 
-    def _list_puzzle_states(self, begin: Hashable, orders: Iterable[Sequence[Goal]]) -> list[Hashable]:
-        """All puzzle states that presses lead to, or those along orders if there are too many."""
+    def _list_puzzle_states(self, begin: Hashable, order: Sequence[Goal]) -> list[Hashable]:
+        """All puzzle states that presses lead to, or those along an order if there are too many."""
         targets = range(len(self.rules.instance.targets))
         known, queue = {begin: None}, [begin]
         while queue and len(known) <= MOST_PUZZLE_STATES:
             puzzle = queue.pop(0)
-            for then in (self._press(puzzle, target) for target in targets):
+            for then in (self.press(puzzle, target) for target in targets):
                 if then not in known:
                     known[then] = None
                     queue.append(then)
         if len(known) <= MOST_PUZZLE_STATES:
             return list(known)
-        known = {begin: None}
-        for goals in orders:
-            puzzle = begin
-            for goal in goals:
-                if isinstance(goal, PressGoal):
-                    puzzle = self._press(puzzle, goal.target)
-                    known[puzzle] = None
+        known, puzzle = {begin: None}, begin
+        for goal in order:
+            if isinstance(goal, PressGoal):
+                puzzle = self.press(puzzle, goal.target)
+                known[puzzle] = None
         return list(known)
 
-    def _get_fields(self, state: RoomState, orders: Iterable[Sequence[Goal]], clock: Clock) -> _Fields:
+    def get_fields(self, state: RoomState, order: Sequence[Goal], clock: Clock) -> Fields:
         """Fields of the puzzle states ahead; those of the call before if it asked for the same."""
-        key = (state.puzzle, tuple(map(tuple, orders)))
+        key = (state.puzzle, tuple(order))
         if self._recent is None or self._recent[0] != key:
             fields = self._make_fields(state, self._list_puzzle_states(state.puzzle, key[1]), clock)
             self._recent = key, fields
         return self._recent[1]
 
-    def _make_fields(self, state: RoomState, puzzles: list[Hashable], clock: Clock) -> _Fields:
+    def _make_fields(self, state: RoomState, puzzles: list[Hashable], clock: Clock) -> Fields:
         """Fields of puzzle states, from the solved ones backwards; states with the same prospects share one."""
         targets = range(len(self.rules.instance.targets))
         is_solved = self.rules.instance.puzzle.is_solved
         if not self._fields:
             area = compute_goal_area(ExitGoal(), self.rules.instance)
-            self._fields.append(self._opened.make_field(self._opened.find_seeds(*area), clock=clock))
+            exits = self._opened.make_field(self._opened.find_seeds(*area), clock=clock)
+            layers = np.arange(self._layers) % self._opened.classes
+            self._fields.append(exits.reshape(-1, self._opened.classes)[:, layers].ravel())
         numbers = {puzzle: 0 for puzzle in puzzles if is_solved(puzzle)}
         left = [puzzle for puzzle in puzzles if puzzle not in numbers]
         while left:
             ready: dict[Hashable, _Ways] = {}
             for puzzle in left:
-                ways = tuple((t, numbers[then]) for t in targets if (then := self._press(puzzle, t)) in numbers)
+                ways = tuple((t, numbers[then]) for t in targets if (then := self.press(puzzle, t)) in numbers)
                 if ways:
                     ready[puzzle] = ways
             if not ready:
@@ -192,14 +196,14 @@ class JointSearch:
         """Field of a puzzle state."""
         states, costs = [np.zeros(0, dtype=np.int64)], [np.zeros(0, dtype=np.int64)]
         for target, after in ways:
-            presses = self._find_presses(state, target)
+            presses = self.find_presses(state, target)
             cost = self._fields[after][presses.places].astype(np.int64)
             states.append(presses.states[cost >= 0])
-            costs.append(1 + cost[cost >= 0])
-        return self._shut.make_field(Seeds(np.concatenate(states), np.concatenate(costs), self._shut.classes),
-                                     clock=clock)
+            costs.append(presses.costs[cost >= 0] + cost[cost >= 0])
+        return self._shut.make_field(Seeds(np.concatenate(states), np.concatenate(costs), self._layers), clock=clock)
 
-    def _find_presses(self, state: RoomState, target: int) -> _Presses:
+    def find_presses(self, state: RoomState, target: int) -> Presses:
+        """Poses from which one primitive presses a target; of the state only what no pose says is read."""
         if target not in self._presses:
             maker, rules = self._shut, self.rules
             area = compute_goal_area(PressGoal(target), rules.instance)
@@ -216,7 +220,7 @@ class JointSearch:
                     if reached.pressed == (target,):
                         found.append((cell * maker.classes + heading, self._find_place(reached.state)))
             table = np.array(found, dtype=np.int64).reshape(-1, 2)
-            self._presses[target] = _Presses(table[:, 0], table[:, 1])
+            self._presses[target] = Presses(table[:, 0], table[:, 1], np.ones(len(table), dtype=np.int64))
         return self._presses[target]
 
     def _find_place(self, state: RoomState) -> int:
@@ -228,7 +232,7 @@ class JointSearch:
 
     # --- the search ----------------------------------------------------------------------
 
-    def _search(self, state: RoomState, fields: _Fields, offset: int, most: int, nodes: int, clock: Clock,
+    def _search(self, state: RoomState, fields: Fields, offset: int, most: int, nodes: int, clock: Clock,
                 one_leg: bool = False) -> tuple[tuple[int, ...] | None, int]:
         """A* over primitives; poses in one cell of the grid, with the same puzzle state, count as one."""
         rules, (low_x, low_y), size = self.rules, self._shut.low.tolist(), self._shut.size
