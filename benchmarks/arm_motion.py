@@ -2,8 +2,9 @@
 
 Run: `python benchmarks/arm_motion.py` (six minutes on an idle core; `--poses 20 --motions 4` a few seconds); exits
 with 1 if a target is missed. A thousand reachable poses a robot are solved by `ArmPlanner.solve_ik` from
-eight starts, by the loop that Pinocchio's own example shows, and, every n-th, by scipy's bounded least
-squares from eight starts. Then motions between random postures are planned among posts and boxes, and
+eight starts, by the loop that Pinocchio's own example shows, by pink (`pip install pin-pink daqp`; left out
+where it is not installed) from eight starts, and, every n-th, by scipy's bounded least squares from eight
+starts. Then motions between random postures are planned among posts and boxes, and
 every one is walked at ten times the planner's resolution with Bullet's distances, which the planner does
 not use: links against solids, and links against links.
 """
@@ -37,6 +38,11 @@ from hrl_escape.planning.arm.model import ArmKinematics
 from hrl_escape.planning.motion.arm_planner import ArmPlanner
 from hrl_escape.planning.scene.scene import Scene
 from hrl_escape.planning.trajectories.path import MotionPath
+
+try:
+    import pink
+except ImportError:  # no dependency of this project
+    pink = None
 
 
 def make_room(kind: Any, joints: int) -> RoomInstance:
@@ -93,12 +99,47 @@ def solve_as_scipy_does(arm: ArmKinematics, target: NDArray[np.float64], starts:
                              ftol=1e-12, gtol=1e-12, max_nfev=100).cost < 0.5e-8 for start in starts)
 
 
-def compare_solvers(kind: str, count: int, scipy_every: int) -> tuple[float, float, float]:
-    """Shares of reachable poses that are solved: ours, Pinocchio's example's, scipy's (of every n-th)."""
+class PinkSolver:
+    """A frame task of pink with its defaults, stepped until the hand is there or comes no nearer."""
+
+    def __init__(self, arm: ArmKinematics) -> None:
+        self.arm, self.model = arm, arm.model.copy()
+        self.low, self.high = self.model.lowerPositionLimit.copy(), self.model.upperPositionLimit.copy()
+        self.used = [self.model.joints[j].idx_q for j in arm._used]
+        self.low[self.used], self.high[self.used] = np.array(arm.robot.limits).T
+        self.model.lowerPositionLimit, self.model.upperPositionLimit = self.low, self.high
+        self.task = pink.FrameTask(self.model.frames[arm._frame].name, position_cost=1.0, orientation_cost=1.0)
+
+    def solve(self, target: NDArray[np.float64], start: NDArray[np.float64]) -> bool:
+        """Whether the hand comes within 1e-4 (m, rad) of a placement, the joints within their limits."""
+        self.task.set_target(pinocchio.SE3(target))
+        first = np.clip(self.arm._make_q(tuple(start.tolist())), self.low, self.high)
+        configuration = pink.Configuration(self.model, self.model.createData(), first)
+        before = math.inf
+        for count in range(100):
+            error = float(np.linalg.norm(self.task.compute_error(configuration)))
+            if error < 1e-4:
+                q = configuration.q[self.used]
+                return bool((q >= self.low[self.used] - 1e-6).all() and (q <= self.high[self.used] + 1e-6).all())
+            if count % 20 == 19:
+                if error > 0.9 * before:
+                    return False
+                before = error
+            try:
+                velocity = pink.solve_ik(configuration, [self.task], 1.0, "daqp", damping=1e-9, safety_break=False)
+            except pink.exceptions.NoSolutionFound:
+                return False
+            configuration.integrate_inplace(velocity, 1.0)
+        return False
+
+
+def compare_solvers(kind: str, count: int, scipy_every: int) -> tuple[float, float, float, float]:
+    """Shares of reachable poses that are solved: ours, Pinocchio's example's, pink's, scipy's (of every n-th)."""
     planner, state = make_planner(kind, 7)
     rng, arm, base = np.random.default_rng(0), planner.kinematics, place_base(planner, state)
     low, high = planner._limits
-    ours = example = scipys = 0
+    ours = example = pinks = scipys = 0
+    others, pink_solver = np.random.default_rng(1), PinkSolver(arm) if pink else None
     for number in range(count):
         target = arm.compute_placement(rng.uniform(low, high).tolist())
         found = planner.solve_ik(base @ target, state, seeds=8, only_free=False)
@@ -109,9 +150,12 @@ def compare_solvers(kind: str, count: int, scipy_every: int) -> tuple[float, flo
             assert posture.margin >= 0.0 and posture.manipulability >= 0.0
         ours += bool(found)
         example += solve_as_pinocchio_shows(arm, target, planner.rules.robot.home)
+        if pink_solver:
+            starts = np.vstack([planner.rules.robot.home, others.uniform(low, high, size=(7, 7))])
+            pinks += any(pink_solver.solve(target, start) for start in starts)
         if number % scipy_every == 0:
             scipys += solve_as_scipy_does(arm, target, rng.uniform(low, high, size=(8, 7)))
-    return ours / count, example / count, scipys / math.ceil(count / scipy_every)
+    return ours / count, example / count, pinks / count, scipys / math.ceil(count / scipy_every)
 
 
 class BulletCheck:
@@ -244,9 +288,10 @@ def main() -> int:
     met = []
     for kind in ("franka-panda", "kuka-iiwa") if args.poses else ():
         begin = time.thread_time()
-        ours, example, scipys = compare_solvers(kind, args.poses, 20)
-        print(f"{kind}: {ours:.1%} of {args.poses} poses solved, by Pinocchio's example {example:.1%}, by scipy "
-              f"{scipys:.1%} of every 20th; {time.thread_time() - begin:.0f} s CPU", flush=True)
+        ours, example, pinks, scipys = compare_solvers(kind, args.poses, 20)
+        by_pink = f"by pink {pinks:.1%}, " if pink else ""
+        print(f"{kind}: {ours:.1%} of {args.poses} poses solved, by Pinocchio's example {example:.1%}, {by_pink}by "
+              f"scipy {scipys:.1%} of every 20th; {time.thread_time() - begin:.0f} s CPU", flush=True)
         met.append(ours >= 0.95 and ours >= example and ours >= scipys - 0.05)
     for kind, joints, count in (("arm", 4, args.motions), ("franka-panda", 7, args.motions // 20)):
         begin = time.thread_time()
