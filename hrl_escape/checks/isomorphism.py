@@ -92,7 +92,7 @@ def check_isomorphism(env: gymnasium.Env, reference: ReferenceDomain | Reference
 
     Each pair of state and press is tried from the start and from the target's own panel, to which the robot must then
     come back, and so is each goal that is given; where an option to a goal may not begin, the domain's action must do
-    nothing. of a grid world, each primitive is tried at the heading of the start, or of the state where that tells
+    nothing. Of a grid world, each primitive is tried at the heading of the start, or of the state where that tells
     one, and rewards are compared too. In a random room, both take the same uniform numbers.
 
     Args:
