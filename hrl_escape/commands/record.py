@@ -19,7 +19,8 @@ import tyro
 from rich.console import Console
 
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.drawing.video import VIDEO_FORMATS, save_video
+from hrl_escape.env.drawing.formats import VIDEO_FORMATS
+from hrl_escape.env.drawing.video import save_video
 from hrl_escape.env.engine import check_camera, film
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text

@@ -22,13 +22,12 @@ from rich.text import Text
 
 from hrl_escape.commands.driving import Drive, drive_room, parse_primitives
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.drawing.maps import FORMATS, Trajectory, save_map
-from hrl_escape.env.drawing.video import VIDEO_FORMATS, save_picture, save_video
+from hrl_escape.env.drawing.formats import VIDEO_FORMATS, check_picture_name
+from hrl_escape.env.drawing.video import save_picture, save_video
 from hrl_escape.env.engine import check_camera, film
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
-from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text
 
 
@@ -56,9 +55,7 @@ class RoomArgs(RoomChoice):
 def run(args: RoomArgs) -> int:
     """Make, check, drive, draw and save as the options say; exit code 1 if a check fails."""
     for path in args.draw:
-        if path.suffix.lower().lstrip(".") not in (*FORMATS, *VIDEO_FORMATS):
-            known = ", ".join(f".{ending}" for ending in (*FORMATS, *VIDEO_FORMATS))
-            raise UnsupportedError(f"{path}: a picture's name must end in {known}")
+        check_picture_name(path)
     if args.camera is not None:
         check_camera(args.camera)
     instance = args.make_instance()
@@ -123,6 +120,8 @@ def _draw(path: Path, instance: RoomInstance, drive: Drive, camera: str | None) 
         (frame,) = film(instance, drive.states[-1:], camera, 960, 720)
         save_picture(path, frame)
     else:
+        from hrl_escape.env.drawing.maps import Trajectory, save_map  # loads matplotlib
+
         paths = [Trajectory(drive.path, f"{len(drive.primitives)} primitives")] if drive.primitives else []
         save_map(path, instance, drive.states[-1], paths)
 

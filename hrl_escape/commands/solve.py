@@ -20,13 +20,12 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.commands.room_choice import RoomChoice
-from hrl_escape.env.drawing.maps import FORMATS, Trajectory, save_map
-from hrl_escape.env.drawing.video import VIDEO_FORMATS, make_filmstrip, save_picture, save_video
+from hrl_escape.env.drawing.formats import VIDEO_FORMATS, check_picture_name
+from hrl_escape.env.drawing.video import make_filmstrip, save_picture, save_video
 from hrl_escape.env.engine import check_camera, film
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
-from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text
 from hrl_escape.options.closed_loop import ClosedLoopExecution, pursue
 from hrl_escape.planning.plan import Execution, Plan
@@ -76,9 +75,7 @@ class _Outcome:
 def run(args: SolveArgs) -> int:
     """Plan, run and show; exit code 1 if the goal was not reached."""
     for path in args.draw:
-        if path.suffix.lower().lstrip(".") not in (*FORMATS, *VIDEO_FORMATS):
-            known = ", ".join(f".{ending}" for ending in (*FORMATS, *VIDEO_FORMATS))
-            raise UnsupportedError(f"{path}: a picture's name must end in {known}")
+        check_picture_name(path)
     check_camera(args.camera)
     instance = args.make_instance()
     files = list(save_pddl(instance, args.pddl)) if args.pddl else []
@@ -170,6 +167,8 @@ def _draw(path: Path, instance: RoomInstance, outcome: _Outcome, args: SolveArgs
     elif outcome.plan is not None:
         outcome.plan.draw(path)
     else:
+        from hrl_escape.env.drawing.maps import Trajectory, save_map  # loads matplotlib
+
         way = Trajectory([(state.x, state.y) for state in states], f"{len(states) - 1} primitives")
         save_map(path, instance, states[0], [way])
 

@@ -13,6 +13,7 @@ import importlib.util
 import math
 from functools import cached_property, lru_cache
 from pathlib import Path
+from typing import Any, TypeAlias
 from xml.etree import ElementTree
 
 import numpy as np
@@ -35,6 +36,9 @@ _SHIPPED = {  # kind: (file in pybullet_data, hand link)
 }
 _ARM_AXES = ("0 0 1", "0 -1 0", "0 -1 0", "1 0 0", "0 -1 0", "0 0 1", "0 -1 0")
 
+Numbers: TypeAlias = Any
+"""A number, or an array of them."""
+
 
 @dataclasses.dataclass(frozen=True)
 class _Joint:
@@ -56,6 +60,17 @@ class _Joint:
     def direction(self) -> tuple[float, ...]:
         """The axis as numbers."""
         return tuple(self.axis.tolist())
+
+    def move(self, x: Numbers, y: Numbers, z: Numbers, value: Numbers) -> tuple[Numbers, Numbers, Numbers]:
+        """A point beyond the joint, moved by its angle in rad (or m), in the joint's own frame."""
+        a, b, c = self.direction
+        if self.kind == "prismatic":
+            return x + a * value, y + b * value, z + c * value
+        cos, sin = np.cos(value), np.sin(value)  # Rodrigues
+        along = (a * x + b * y + c * z) * (1.0 - cos)
+        return (x * cos + (b * z - c * y) * sin + a * along,
+                y * cos + (c * x - a * z) * sin + b * along,
+                z * cos + (a * y - b * x) * sin + c * along)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -103,20 +118,14 @@ class Robot:
             Shape (..., 3), float64, metres.
         """
         q = np.asarray(angles, dtype=np.float64)
-        x, y, z = 0.0, 0.0, 0.0
+        x: Numbers = 0.0
+        y: Numbers = 0.0
+        z: Numbers = 0.0
         for joint in reversed(self.chain):  # the hand in the frame before each joint
             if joint.kind != "fixed":
                 used = joint.name in self.joint_names
                 value = q[..., self.joint_names.index(joint.name)] if used else self.rest[joint.name]
-                a, b, c = joint.direction
-                if joint.kind == "prismatic":
-                    x, y, z = x + a * value, y + b * value, z + c * value
-                else:  # Rodrigues
-                    cos, sin = np.cos(value), np.sin(value)
-                    along = (a * x + b * y + c * z) * (1.0 - cos)
-                    x, y, z = (x * cos + (b * z - c * y) * sin + a * along,
-                               y * cos + (c * x - a * z) * sin + b * along,
-                               z * cos + (a * y - b * x) * sin + c * along)
+                x, y, z = joint.move(x, y, z, value)
             (r00, r01, r02, px), (r10, r11, r12, py), (r20, r21, r22, pz) = joint.rows
             x, y, z = (r00 * x + r01 * y + r02 * z + px, r10 * x + r11 * y + r12 * z + py,
                        r20 * x + r21 * y + r22 * z + pz)

@@ -12,7 +12,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 __all__ = [
     "LATE",
@@ -79,6 +78,8 @@ def compute_iqm(scores: Scores, weights: Scores | None = None) -> Floats:
     """
     pooled = np.concatenate(scores, axis=-1)
     if weights is None:
+        from scipy import stats  # pyright: ignore[reportMissingTypeStubs]  # half a second that no training needs
+
         return np.asarray(stats.trim_mean(pooled, 0.25, axis=-1), dtype=np.float64)  # pyright: ignore[reportUnknownMemberType]
     shares = np.array([room.shape[-1] for room in scores]) / pooled.shape[-1]
     joint = np.concatenate([weight * share for weight, share in zip(weights, shares, strict=True)], axis=-1)

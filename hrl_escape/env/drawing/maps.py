@@ -21,6 +21,7 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.formats import FORMATS
 from hrl_escape.env.drawing.graph_inset import draw_graph
 from hrl_escape.env.drawing.map_axes import Trajectory, compute_extent, draw_room, get_colour
 from hrl_escape.env.instance import RoomInstance
@@ -28,9 +29,7 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.files import write_bytes
 
-__all__ = ["FORMATS", "Trajectory", "make_map", "make_map_image", "save_figure", "save_map"]
-
-FORMATS = ("png", "svg", "pdf")
+__all__ = ["Trajectory", "make_map", "make_map_image", "save_figure", "save_map"]
 
 _STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "svg.hashsalt": "hrl-escape", "svg.fonttype": "path",
                           "text.parse_math": False}  # a name may hold a dollar

@@ -17,14 +17,13 @@ from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.formats import VIDEO_FORMATS
 from hrl_escape.errors import FileWriteError, MissingExtraError, UnsupportedError
 from hrl_escape.files import temporary_folder, write_bytes
 
-__all__ = ["VIDEO_FORMATS", "Picture", "make_filmstrip", "save_picture", "save_video"]
+__all__ = ["Picture", "make_filmstrip", "save_picture", "save_video"]
 
 Picture = NDArray[np.uint8]
-
-VIDEO_FORMATS = ("gif", "mp4")
 
 
 def save_picture(path: str | Path, frame: Picture) -> None:
