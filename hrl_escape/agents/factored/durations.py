@@ -7,26 +7,33 @@ a pose every action has its mean duration.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["DurationSample", "DurationModel", "fit_durations"]
+__all__ = ["DurationHistory", "DurationModel", "fit_durations"]
 
 NEAR = 0.15
 """A pose belongs to a place within this share of the distance that poses are apart on average."""
 
 
-class DurationSample(NamedTuple):
-    """One decision: pose before, action, pose after, primitives, and the action before or -1."""
+class DurationHistory(NamedTuple):
+    """Decisions in the order they were made, none cut inside.
 
-    start: NDArray[np.float64]
-    action: int
-    end: NDArray[np.float64]
-    duration: int
-    previous: int
+    Attributes:
+        starts: (decisions, pose) before each.
+        actions: (decisions,).
+        ends: (decisions, pose) after each.
+        durations: (decisions,), primitives.
+        previous: (decisions,), the action before in the same episode, or -1.
+    """
+
+    starts: NDArray[np.float64]
+    actions: NDArray[np.int64]
+    ends: NDArray[np.float64]
+    durations: NDArray[np.float64]
+    previous: NDArray[np.int64]
 
 
 class DurationModel:
@@ -71,22 +78,18 @@ def _predict(line: tuple[float, float], distance: NDArray[np.float64]) -> NDArra
     return np.maximum(line[0] + line[1] * distance, 1.0)
 
 
-def fit_durations(samples: Iterable[DurationSample], actions: int) -> DurationModel:
+def fit_durations(history: DurationHistory, actions: int) -> DurationModel:
     """Fit durations to a history.
 
     Args:
-        samples: in the order they were run, none cut inside.
+        history: decisions; may be empty.
         actions: how many there are.
     """
-    rows = list(samples)
-    if not rows:
+    starts, chosen, ends, duration, previous = history
+    if not len(chosen):
         return DurationModel(
             np.ones((actions + 1, actions)), np.full(actions, actions), np.zeros((actions, 0)), np.zeros(0), (1, 0), 0
         )
-    starts, ends = np.array([sample.start for sample in rows]), np.array([sample.end for sample in rows])
-    chosen = np.array([sample.action for sample in rows])
-    previous = np.array([sample.previous for sample in rows])
-    duration = np.array([sample.duration for sample in rows], dtype=np.float64)
     counts = np.bincount(chosen, minlength=actions)
     means = np.full(actions, duration.mean())
     means[counts > 0] = (np.bincount(chosen, duration, actions) / np.maximum(counts, 1))[counts > 0]
@@ -96,7 +99,7 @@ def fit_durations(samples: Iterable[DurationSample], actions: int) -> DurationMo
     homes /= np.maximum(counts, 1)[:, None]
     spread, scatter = ends.std(axis=0), np.sqrt(((ends - homes[chosen]) ** 2).mean(axis=0))
     weights = (scatter < 0.5 * spread).astype(np.float64)  # numbers in which actions end alike: not the heading
-    if len(rows) < 3 or not weights.any():
+    if len(chosen) < 3 or not weights.any():
         return DurationModel(table, np.full(actions, actions), homes, weights, (float(duration.mean()), 0.0), 0.0)
     scatters = np.linalg.norm((ends - homes[chosen]) * weights, axis=1)
     width = np.linalg.norm((ends - ends.mean(axis=0)) * weights, axis=1).mean()

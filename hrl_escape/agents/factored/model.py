@@ -23,7 +23,7 @@ from hrl_escape.agents.factored.compiled_model import (
     compile_action,
     find_relevant,
 )
-from hrl_escape.agents.factored.durations import DurationModel, DurationSample, fit_durations
+from hrl_escape.agents.factored.durations import DurationHistory, DurationModel, fit_durations
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.factored.search import MOST_ACTIONS, ModelPlan, find_plan, make_tables
 from hrl_escape.agents.factored.structure import LEVELS, StructureLearner
@@ -242,8 +242,7 @@ class FactoredModel:
         """Plan from an observation; see `find_plan`."""
         belief.update(self)
         if self._durations is None:
-            remembered = range(len(self._rows))[-REMEMBERED_DECISIONS:]
-            self._durations = fit_durations(map(self._make_sample, remembered), self._actions)
+            self._durations = fit_durations(self._make_history(), self._actions)
         pose = self._reader.read_pose(self._reader.flatten(observation))
         relevant = belief.relevant_with_gaps if seek_gaps else belief.relevant
         return find_plan(
@@ -252,11 +251,13 @@ class FactoredModel:
             seek_gaps, most_nodes,
         )  # fmt: skip
 
-    def _make_sample(self, number: int) -> DurationSample:
-        action, duration, _, _, previous, _ = self._rows[number]
-        poses = (self._reader.read_pose(flat) for flat in (self._before[number], self._after[number]))
-        start, end = poses
-        return DurationSample(start, action, end, duration, previous)
+    def _make_history(self) -> DurationHistory:
+        """The last decisions, as far as durations are concerned."""
+        rows = self._rows[-REMEMBERED_DECISIONS:]
+        actions, durations, previous = (np.array([row[column] for row in rows]) for column in (0, 1, 4))
+        starts, ends = (np.ascontiguousarray(self._reader.read_pose(np.array(flat[-REMEMBERED_DECISIONS:])))
+                        for flat in (self._before, self._after))
+        return DurationHistory(starts, actions, ends, durations.astype(np.float64), previous)
 
     def find_graph(self, choose: ChooseHypotheses) -> frozenset[tuple[int, int]]:
         """Edges (parent, child): some action puts the child up, and the parent is one of those that decide it.

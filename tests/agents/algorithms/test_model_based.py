@@ -10,7 +10,7 @@ from gymnasium import spaces
 from hrl_escape.agents.agent import SMDPTransition, make_transition
 from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRMaxSettings
 from hrl_escape.agents.algorithms.r_max import RMax, RMaxSettings
-from hrl_escape.agents.factored.durations import DurationSample, fit_durations
+from hrl_escape.agents.factored.durations import DurationHistory, fit_durations
 from hrl_escape.agents.factored.model import FactoredModel
 from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.agents.registry import make_agent
@@ -213,14 +213,15 @@ def test_durations_follow_distance_until_a_leg_was_run():
     pose = np.array([3.0, 4.0])
     for action in (0, 1, 2, 0, 2, 1):
         duration = round(2 + np.linalg.norm(homes[action] - pose))
-        samples.append(DurationSample(pose, action, homes[action], duration, previous))
+        samples.append((pose, action, homes[action], duration, previous))
         pose, previous = homes[action], action
-    travel = fit_durations(samples, 3)
+    travel = fit_durations(DurationHistory(*map(np.array, zip(*samples, strict=True))), 3)
     assert travel.places.tolist() == [0, 1, 2]
     table = travel.compute_durations(np.array([8.0, 6.0]))
     assert table[-1] == pytest.approx([12, 12, 12], abs=0.05), "10 m to each, and 2 more"
     assert table[0, 1] == pytest.approx(14, abs=0.05)
-    slow = fit_durations([*samples, DurationSample(homes[0], 1, homes[1], 40, 0)], 3)
+    samples.append((homes[0], 1, homes[1], 40, 0))
+    slow = fit_durations(DurationHistory(*map(np.array, zip(*samples, strict=True))), 3)
     assert slow.compute_durations(homes[0])[-1, 1] == pytest.approx(27), "the mean of 14 and 40, for it is at a place"
 
 
