@@ -27,13 +27,14 @@ def make_finals(values: np.ndarray) -> Finals:
 @pytest.mark.parametrize("shape", SHAPES)
 def test_identical_agents_are_told_apart_in_one_comparison_of_twenty_at_most(shape: str, agents: int, rooms: int,
                                                                              runs: int):
-    """200 comparisons: at a rate of 5 %, 17 or more come by chance in 2 % of tests."""
+    """300 comparisons: at a rate of 5 %, 23 or more come by chance in 2 % of tests. No interval is drawn, as verdicts
+    look at none."""
     rng, wrong = np.random.default_rng(3), 0
-    for _ in range(200):
+    for _ in range(300):
         finals = [make_finals(SHAPES[shape](rng, rooms * runs).reshape(rooms, runs)) for _ in range(agents)]
-        pairs = compare_agents(finals, [True] * agents, rng)
+        pairs = compare_agents(finals, [True] * agents, rng, resamples=1)
         wrong += any(is_better(pair) for row in pairs for pair in row)
-    assert wrong <= 16
+    assert wrong <= 22
 
 
 def test_a_clear_difference_is_seen_among_seven_agents():
