@@ -16,6 +16,7 @@ from typing import Any, ClassVar, NamedTuple
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import Self
 
 from hrl_escape.agents.option_policy import OptionPolicy, make_whole_policy
 from hrl_escape.agents.settings import LearningSettings
@@ -26,6 +27,7 @@ __all__ = [
     "RunningCall",
     "SMDPTransition",
     "StateTree",
+    "check_actions",
     "check_observation",
     "compute_backup",
     "count_actions",
@@ -114,6 +116,16 @@ class Agent(ABC):
     origin: Mapping[str, Any] = MappingProxyType({})
     """Training that made it what it is, filled in by `train` and `load_agent`: `agent`, `run` (key of the run's
     folder, empty without one), `seed` and `primitives`; empty where there was none."""
+    made_for: int | None = None
+    """Number of actions of the space it was made with; None where its class is constructed in another way."""
+
+    def __new__(cls, *arguments: Any, **named: Any) -> Self:
+        """Note the number of actions."""
+        made = super().__new__(cls)
+        space = named.get("action_space", arguments[1] if len(arguments) > 1 else None)
+        if isinstance(space, gymnasium.spaces.Discrete):
+            made.made_for = int(space.n)
+        return made
 
     @property
     def gamma(self) -> float:
@@ -354,6 +366,20 @@ def count_actions(action_space: gymnasium.Space, agent: str) -> int:
     if not isinstance(action_space, gymnasium.spaces.Discrete) or action_space.start != 0:
         raise UnsupportedSpaceError(f"{agent} chooses among Discrete(n) actions from 0, not {action_space}")
     return int(action_space.n)
+
+
+def check_actions(agent: Agent, action_space: gymnasium.Space) -> int:
+    """Number of actions of an environment, in which an agent is to run.
+
+    Raises:
+        UnsupportedSpaceError: the space is not Discrete(n) from 0, or the agent was made for another number.
+    """
+    name = type(agent).__name__
+    actions = count_actions(action_space, name)
+    if agent.made_for not in (None, actions):
+        raise UnsupportedSpaceError(f"this {name} was made for {agent.made_for} actions, and the environment has "
+                                    f"{actions}: give the environment of its training, with options where it had them")
+    return actions
 
 
 def count_steps(transition: SMDPTransition, settings: LearningSettings) -> int:

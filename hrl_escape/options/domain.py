@@ -177,12 +177,12 @@ class OptionDomain:
             except (TypeError, ValueError):
                 number = None
             if number is None or not 0 <= number - int(self._discrete.start) < self._discrete.n:
-                raise OptionError(f"an option chose {action!r}, which is no action of {space}")
+                raise OptionError(f"no action of {space}: {action!r}")
             return number
         if isinstance(space, (spaces.Box, spaces.MultiDiscrete, spaces.MultiBinary)):
             array = np.asarray(action, space.dtype)
             if array.shape != space.shape:
-                raise OptionError(f"an option chose {action!r} of shape {array.shape}; {space} has {space.shape}")
+                raise OptionError(f"no action of {space}, whose shape is {space.shape}: {action!r} of {array.shape}")
             return array
         return action
 
@@ -234,6 +234,7 @@ class RoomDomain(OptionDomain):
         if not isinstance(env.action_space, spaces.Discrete):
             raise UnsupportedError(f"options choose primitives by number, but a wrapper below changed the action "
                                    f"space to {env.action_space}. Apply that wrapper after OptionsEnv")
+        self._count = int(env.action_space.n)
 
     @property
     def subject(self) -> RoomInstance:
@@ -274,8 +275,8 @@ class RoomDomain(OptionDomain):
         return self.room.instance.robot.actions.wait if turns else super().get_idle_action(mask)
 
     def check_action(self, action: Any) -> int:
-        """Bring an option's primitive into the form that the room takes; the room itself refuses others."""
-        return int(action)
+        """Bring an option's primitive into the form that the room takes."""
+        return action if type(action) is int and 0 <= action < self._count else super().check_action(action)
 
     def make_key(self, seed: int | None) -> list[int]:
         """Key by the state: the episode's noise key and its primitives, so that a taken-over episode has its own."""

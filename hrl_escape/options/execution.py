@@ -56,6 +56,18 @@ class _Frame(NamedTuple):
     begin: int
 
 
+def check_choice(option: Option, action: Any, domain: OptionDomain) -> Any:
+    """Bring a primitive that an option chose into the form that the environment takes.
+
+    Raises:
+        OptionError: it is none; the message names the option.
+    """
+    try:
+        return domain.check_action(action)
+    except OptionError as error:
+        raise OptionError(f"option {option.name!r} chose {error}") from None
+
+
 class OptionExecution:
     """One option from its start on: the stack of nested options and the rewards so far.
 
@@ -75,12 +87,21 @@ class OptionExecution:
         self._finished, self._told = PlanningReport(), PlanningReport()
         option.start(state)
 
-    def choose(self, state: Any) -> Any:
-        """Next primitive; lower options are entered as the policies ask."""
+    def choose(self, state: Any, domain: OptionDomain | None = None) -> Any:
+        """Next primitive; lower options are entered as the policies ask.
+
+        Args:
+            state: present state.
+            domain: of the environment that is to take the primitive; None leaves it as the policy gave it.
+
+        Raises:
+            OptionError: options nest too deep, or the primitive is none of that environment.
+        """
         while True:
-            action = self._stack[-1].option.sample_action(state, self._rng)
+            option = self._stack[-1].option
+            action = option.sample_action(state, self._rng)
             if not isinstance(action, Option):
-                return action
+                return action if domain is None else check_choice(option, action, domain)
             if len(self._stack) == DEEPEST_NESTING:
                 raise OptionError(f"option {self.option.name!r} nests deeper than {DEEPEST_NESTING} options")
             self._stack.append(_Frame(action, state, len(self.rewards)))

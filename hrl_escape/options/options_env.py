@@ -30,7 +30,7 @@ from hrl_escape.errors import (
     UnsupportedError,
 )
 from hrl_escape.options.domain import DomainStep, OptionDomain, make_option_domain
-from hrl_escape.options.execution import DecisionOutcome, OptionExecution, RunningDecision
+from hrl_escape.options.execution import DecisionOutcome, OptionExecution, RunningDecision, check_choice
 from hrl_escape.options.option import Option
 from hrl_escape.options.sources import OptionsSource, make_options
 from hrl_escape.options.trace import TraceStep
@@ -262,7 +262,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         try:
             run = run or OptionExecution(index, option, decision.state, self._rng)
             while not ended:
-                run.rewards += decision.do(self._domain.check_action(run.choose(decision.state)))
+                run.rewards += decision.do(run.choose(decision.state, self._domain))
                 if run.ends_at(decision.state):
                     ended = "reached"
                 elif decision.is_over:
@@ -359,8 +359,8 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return tuple(found)
 
     def _agrees(self, option: Option, step: DomainStep) -> bool:
-        chosen = option.policy(step.state)
-        return not isinstance(chosen, Option) and np.array_equal(self._domain.check_action(chosen), step.action)
+        chosen, domain = option.policy(step.state), self._domain
+        return not isinstance(chosen, Option) and np.array_equal(check_choice(option, chosen, domain), step.action)
 
 
 def make_options_env(

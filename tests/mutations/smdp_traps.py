@@ -209,10 +209,10 @@ MUTATIONS = [
     Mutation(
         "12 termination is asked at the state left",
         "options/options_env.py",
-        "                run.rewards += decision.do(self._domain.check_action(run.choose(decision.state)))\n"
+        "                run.rewards += decision.do(run.choose(decision.state, self._domain))\n"
         "                if run.ends_at(decision.state",
         "                left = decision.state\n"
-        "                run.rewards += decision.do(self._domain.check_action(run.choose(left)))\n"
+        "                run.rewards += decision.do(run.choose(left, self._domain))\n"
         "                if run.ends_at(left",
         "options/test_options_env.py::test_trap_12_termination_is_asked_at_the_state_reached",
     ),

@@ -556,6 +556,22 @@ def test_an_action_outside_the_space_is_refused(action):
         env.step(action)
 
 
+@pytest.mark.parametrize("primitive", [7, -1, 2.5, "forward"])
+def test_an_option_that_chooses_no_primitive_of_the_room_is_named(primitive):
+    """The innermost one, which chose it."""
+    class Outer(Option):
+        def policy(self, state):
+            return ScriptedOption("inner", [TURN_LEFT, primitive])
+
+        def termination(self, state):
+            return 0.0
+
+    env = OptionsEnv(make_env(), [Outer("outer")])
+    begin(env)
+    with pytest.raises(OptionError, match=rf"^option 'inner' chose no action of Discrete\(6\): {primitive!r}$"):
+        env.step(6)
+
+
 def test_stepping_before_reset_is_refused():
     with pytest.raises(ResetNeededError):
         OptionsEnv(make_env(), [make_walk(1)]).step(0)

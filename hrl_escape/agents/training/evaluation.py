@@ -18,8 +18,8 @@ import numpy as np
 from hrl_escape.agents.agent import (
     Agent,
     SMDPTransition,
+    check_actions,
     check_observation,
-    count_actions,
     make_transition,
     read_action_mask,
     read_success,
@@ -89,7 +89,7 @@ def play_episode(
         seed: fixes the episode, and the draws of a policy that is random by nature.
         max_primitives: the episode stops here at the latest.
     """
-    actions = count_actions(env.action_space, "evaluation")
+    actions = check_actions(agent, env.action_space)
     rng = np.random.default_rng(seed)
     observation, info = env.reset(seed=seed)
     check_observation(observation, "at the episode's start")

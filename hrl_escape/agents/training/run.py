@@ -20,8 +20,8 @@ from hrl_escape.agents.agent import (
     Agent,
     SMDPTransition,
     StateTree,
+    check_actions,
     check_observation,
-    count_actions,
     make_transition,
     read_action_mask,
     read_success,
@@ -63,7 +63,8 @@ class Run:
         probe: Probe | None = None,
     ) -> None:
         self.agent, self.env, self.eval_env, self.arguments, self.probe = agent, env, eval_env, arguments, probe
-        self.actions = count_actions(env.action_space, arguments.name)
+        self.actions = check_actions(agent, env.action_space)
+        check_actions(agent, eval_env.action_space)
         self.episodes: list[EpisodeRecord] = []
         self.evaluations: list[Evaluation] = []
         self.primitives = self.decisions = self.planner_calls = 0

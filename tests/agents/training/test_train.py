@@ -20,7 +20,14 @@ from hrl_escape.agents.registry import get_agent_class
 from hrl_escape.agents.training.checkpoint import compute_state_digest
 from hrl_escape.agents.training.results import METRICS, load_episode_rows
 from hrl_escape.agents.training.train import TrainResult
-from hrl_escape.errors import AgentSettingsError, DivergenceError, FileWriteError, RunMismatchError, StepContractError
+from hrl_escape.errors import (
+    AgentSettingsError,
+    DivergenceError,
+    FileWriteError,
+    RunMismatchError,
+    StepContractError,
+    UnsupportedSpaceError,
+)
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.settings import read_record
 from tests.agents.small_envs import ButtonGrid, Outcome, SmdpEnv
@@ -469,6 +476,20 @@ def test_an_agent_object_can_be_trained():
     env = ButtonGrid()
     agent = make_agent("q-learning", env.observation_space, env.action_space, 5)
     assert train(agent, env, primitives=200, seed=1, eval_episodes=1).agent is agent
+
+
+def test_an_agent_made_for_another_number_of_actions_is_refused_at_the_start():
+    """Trained over options and run without them is the usual mistake."""
+    flat = gymnasium.make("hrl_escape/PaperTwoButton-v1", disable_env_checker=True)
+    for agent in (make_agent("smdp-q-learning", flat.observation_space, gymnasium.spaces.Discrete(9), 0),
+                  get_agent_class("q-learning")(flat.observation_space, action_space=gymnasium.spaces.Discrete(9),
+                                                seed=0)):
+        for start in (lambda agent=agent: train(agent, flat, primitives=10),
+                      lambda agent=agent: train(agent, ButtonGrid(), primitives=10, eval_env=flat),
+                      lambda agent=agent: evaluate(agent, flat, 1),
+                      lambda agent=agent: next(play_episode(agent, flat, 0))):
+            with pytest.raises(UnsupportedSpaceError, match="QLearning was made for 9 actions, and the environment"):
+                start()
 
 
 def test_a_hierarchical_agent_without_options_is_told_so():
