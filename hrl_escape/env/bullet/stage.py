@@ -26,6 +26,7 @@ from hrl_escape.env.drawing.meshes import (
     make_cylinder,
     make_flat,
     make_prism,
+    make_puddles,
     make_shadow,
     make_tiles,
     merge,
@@ -284,11 +285,13 @@ class Stage:
         return self._add(inside, _EXIT_LOCKED), self._add(edge, _EXIT_EDGE)
 
     def _add_floor(self) -> None:
-        """Chequered floor, with the shadows of fixed things."""
+        """Chequered floor, with puddles and the shadows of fixed things."""
         floors = palette.compute_floors(self._instance)
         shadows = [make_shadow(compute_outline(solid), solid.height, _LAYER, floor)
                    for solid in self._instance.solids for floor in floors]
         self._add(merge(shadows), _SHADE)
+        if self._instance.puzzle.puddles:
+            self._add(make_puddles(self._instance.puzzle.puddles, 1.5 * _LAYER), palette.PUDDLE)
         size = max(self._instance.half_width, self._instance.half_depth)
         side = 1.0 if size <= 15 else 2.0 if size <= 30 else 5.0
         for odd, colour in ((False, _TILE), (True, _OTHER_TILE)):

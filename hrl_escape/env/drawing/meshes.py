@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle
+from hrl_escape.env.puzzles.places import Capsule
 
 __all__ = [
     "Mesh",
@@ -23,6 +24,7 @@ __all__ = [
     "make_cylinder",
     "make_flat",
     "make_prism",
+    "make_puddles",
     "make_shadow",
     "make_tiles",
     "merge",
@@ -70,6 +72,18 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
         np.concatenate([mesh.normals for mesh in meshes]),
         np.concatenate([mesh.triangles + start for mesh, start in zip(meshes, starts, strict=True)]),
     )
+
+
+def make_puddles(puddles: Sequence[Capsule], z: float) -> Mesh:
+    """Stretches of floor, at a height."""
+    outlines = []
+    for puddle in puddles:
+        along = math.atan2(puddle.y2 - puddle.y1, puddle.x2 - puddle.x1)
+        outlines.append([(x + puddle.radius * math.cos(angle), y + puddle.radius * math.sin(angle))
+                         for x, y, first in ((puddle.x2, puddle.y2, along - math.pi / 2),
+                                             (puddle.x1, puddle.y1, along + math.pi / 2))
+                         for angle in np.linspace(first, first + math.pi, FACETS).tolist()])
+    return merge([make_flat(outline, z) for outline in outlines])
 
 
 def make_flat(outline: Sequence[Point], z: float, up: bool = True) -> Mesh:

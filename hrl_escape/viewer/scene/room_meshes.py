@@ -15,6 +15,7 @@ from hrl_escape.env.drawing.meshes import (
     make_cylinder,
     make_flat,
     make_prism,
+    make_puddles,
     make_shadow,
     make_tiles,
     merge,
@@ -46,7 +47,7 @@ class Painted(NamedTuple):
 
 
 def make_fixtures(instance: RoomInstance) -> list[Painted]:
-    """Parts that never change: floor with shadows, walls, obstacles."""
+    """Parts that never change: floor with shadows and puddles, walls, obstacles."""
     floors = palette.compute_floors(instance)
     size = max(instance.half_width, instance.half_depth)
     side = 1.0 if size <= 15 else 2.0 if size <= 30 else 5.0
@@ -62,6 +63,7 @@ def make_fixtures(instance: RoomInstance) -> list[Painted]:
         Painted("floor/even", make_tiles(floors, side, False), TILE),
         Painted("floor/odd", make_tiles(floors, side, True), OTHER_TILE),
         Painted("floor/shadows", merge(shadows), SHADE),
+        Painted("floor/puddles", make_puddles(instance.puzzle.puddles, 1.5 * LAYER), palette.PUDDLE),
         Painted("walls/inside", merge(faces["inside"]), WALL_FACE),
         Painted("walls/between", merge(faces["between"]), WALL_FACE, HAZY),
         Painted("walls/outside", merge(faces["outside"]), GLASS, CLEAR),

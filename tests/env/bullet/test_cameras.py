@@ -68,6 +68,15 @@ def test_every_camera_pictures_every_room(name):
     room.close()
 
 
+def test_puddles_lie_on_the_floor():
+    """They cover 71 of the 441 m^2 of floor; the picture shows walls besides."""
+    room = make_room("puddle-world")
+    picture = render_camera(room, "overhead", 300, 300)
+    floor = np.sum(np.abs(picture.astype(int) - picture[0, 0]).max(axis=2) > 3)
+    assert 0.09 < count_like(picture, palette.PUDDLE, 12) / floor < 0.16
+    room.close()
+
+
 def test_the_same_state_gives_the_same_picture_in_any_room_and_process():
     script = """
 import hashlib, sys
