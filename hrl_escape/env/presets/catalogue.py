@@ -47,6 +47,7 @@ from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 from hrl_escape.env.puzzles.pin_pad import PinPadConfig
 from hrl_escape.env.puzzles.potions import PotionsConfig
 from hrl_escape.env.puzzles.push_block import PushBlockConfig
+from hrl_escape.env.puzzles.recipes import Craft, RecipesConfig
 from hrl_escape.errors import ConfigError, UnknownNameError
 
 __all__ = ["PRESETS", "describe_schematic", "get_preset", "make_env_name"]
@@ -190,6 +191,15 @@ def _panel_puzzle(name: str, puzzle: PuzzleConfig, **parts: Any) -> RoomConfig:
                       room=ShapeConfig(width=12, depth=12), **parts)
 
 
+def recipes(goal: Craft = "diamond") -> RoomConfig:
+    """A recipe game after Crafter: materials, a table and a furnace, and tools.
+
+    Args:
+        goal: name of the material or thing that opens the exit.
+    """
+    return _panel_puzzle("recipes", RecipesConfig(goal))
+
+
 def deep_sea(size: int = 10) -> RoomConfig:
     """Deep Sea of bsuite on two panels; its rewards are the only ones.
 
@@ -220,6 +230,7 @@ PRESETS: dict[str, Callable[..., RoomConfig]] = {
         count=8, graph=GraphConfig(kind="random", max_parents=3))),
     "factored": lambda: _panel_puzzle("factored", FactoredConfig()),
     "potions": lambda: _panel_puzzle("potions", PotionsConfig()),
+    "recipes": recipes,
     "deep-sea": deep_sea,
     "four-rooms": four_rooms,
     "taxi": taxi,

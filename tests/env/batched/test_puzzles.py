@@ -17,6 +17,7 @@ from hrl_escape.env.puzzles.light_box import LightBoxConfig
 from hrl_escape.env.puzzles.lights_out import LightsOutConfig
 from hrl_escape.env.puzzles.pin_pad import PinPadConfig
 from hrl_escape.env.puzzles.potions import PotionsConfig
+from hrl_escape.env.puzzles.recipes import RecipesConfig
 
 KINDS = {
     "buttons": ButtonsConfig(count=7, graph=GraphConfig(kind="random"), on_violation="reset", allow_off=True),
@@ -25,6 +26,7 @@ KINDS = {
     "lights-out": LightsOutConfig(rows=3, columns=5, scramble=4),
     "lights-out 4 x 6": LightsOutConfig(rows=4, columns=6, task=4),
     "hanoi": HanoiConfig(discs=4),
+    "recipes": RecipesConfig("wood-pickaxe"),
     "code-lock": CodeLockConfig(digits=4, length=6, memory="slide"),
     "code-lock, hidden": CodeLockConfig(digits=3, length=4, shown=False),
     "light-box": LightBoxConfig(),

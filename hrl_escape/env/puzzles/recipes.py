@@ -1,0 +1,228 @@
+"""A recipe game after Crafter (Hafner 2022), on panels: collect five materials, place two things, make three tools.
+
+A press of a material's panel collects one, up to `MOST_KEPT`, once the tool that it takes is there. A press of a
+thing's panel places or makes it, once, for the materials of its recipe, where the things that it takes are there.
+Amounts and tools are those of Crafter (`data.yaml`, table 2 wood, furnace 4 stone); there is no map, no survival, and
+materials never run out. The exit opens once the goal is there. The state is a word: `COUNT_BITS` a material, then a bit
+a thing.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, Literal, NamedTuple, get_args
+
+import numpy as np
+
+from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
+
+__all__ = ["COUNT_BITS", "MATERIALS", "MOST_KEPT", "NAMES", "RECIPES", "Recipe", "RecipesConfig", "RecipesPuzzle"]
+
+Craft = Literal["wood", "stone", "coal", "iron", "diamond", "table", "furnace", "wood-pickaxe", "stone-pickaxe",
+               "iron-pickaxe"]
+MOST_KEPT = 9
+"""Most of a material that is kept."""
+COUNT_BITS = 4
+MATERIALS = 5
+"""Number of materials; they are the first names."""
+NAMES: tuple[str, ...] = get_args(Craft)
+"""Names of materials, then of things."""
+
+
+class Recipe(NamedTuple):
+    """Way to come by a material or thing.
+
+    Attributes:
+        takes: things that must be there, and stay.
+        uses: materials that it costs, and how many of each.
+    """
+
+    takes: tuple[str, ...] = ()
+    uses: tuple[tuple[str, int], ...] = ()
+
+
+RECIPES: dict[str, Recipe] = {
+    "wood": Recipe(),
+    "stone": Recipe(("wood-pickaxe",)),
+    "coal": Recipe(("wood-pickaxe",)),
+    "iron": Recipe(("stone-pickaxe",)),
+    "diamond": Recipe(("iron-pickaxe",)),
+    "table": Recipe((), (("wood", 2),)),
+    "furnace": Recipe(("table",), (("stone", 4),)),
+    "wood-pickaxe": Recipe(("table",), (("wood", 1),)),
+    "stone-pickaxe": Recipe(("table",), (("wood", 1), ("stone", 1))),
+    "iron-pickaxe": Recipe(("table", "furnace"), (("wood", 1), ("coal", 1), ("iron", 1))),
+}
+"""All recipes by name."""
+
+
+@dataclasses.dataclass(frozen=True)
+class RecipesConfig(PuzzleConfig):
+    """Schematic of the recipe game."""
+
+    kind = "recipes"
+    _takes_ranges = True
+    goal: Craft = "diamond"
+    """The material or thing that opens the exit."""
+    buttons: Panels = Panels(width=1.0, height=1.0)
+    """Sizes and places of the ten panels."""
+
+    def check(self) -> None:
+        """Check that there are places for all panels."""
+        self.buttons.check_places(len(NAMES))
+
+    @property
+    def panels(self) -> Panels:
+        """Sizes and places of the panels."""
+        return self.buttons
+
+    def make_puzzle(self, rng: np.random.Generator) -> RecipesPuzzle:
+        """Nothing is drawn."""
+        return RecipesPuzzle(self.goal)
+
+
+@dataclasses.dataclass(frozen=True)
+class RecipesPuzzle(Puzzle):
+    """The recipe game with one goal."""
+
+    kind = "recipes"
+    goal: Craft = "diamond"
+    """The material or thing that opens the exit."""
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Materials, then things."""
+        return NAMES
+
+    @property
+    def edges(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of a material or thing that is taken or used, and what for."""
+        return tuple((NAMES.index(needed), number) for number, name in enumerate(NAMES)
+                     for needed in (*RECIPES[name].takes, *(material for material, _ in RECIPES[name].uses)))
+
+    @property
+    def goal_targets(self) -> tuple[int, ...]:
+        """The goal."""
+        return (NAMES.index(self.goal),)
+
+    @property
+    def bounds(self) -> tuple[tuple[float, float], ...]:
+        """Every number is within 0 and 1."""
+        return ((0.0, 1.0),) * len(NAMES)
+
+    def count(self, state: int, name: str) -> int:
+        """Number of a material in store; 1 or 0 for a thing."""
+        number = NAMES.index(name)
+        return state >> _get_shift(number) & (2**COUNT_BITS - 1 if number < MATERIALS else 1)
+
+    def make_state(self) -> int:
+        """Nothing is there."""
+        return 0
+
+    def is_state(self, state: Any) -> bool:
+        """Say whether a value from outside keeps at most `MOST_KEPT` of each material."""
+        in_word = type(state) is int and 0 <= state < 1 << _get_shift(len(NAMES))
+        return in_word and all(self.count(state, name) <= MOST_KEPT for name in NAMES[:MATERIALS])
+
+    def update(self, state: int, contacts: Contacts) -> int:
+        """Collect, place or make what is pressed, one after the other."""
+        for target in contacts.pressed:
+            name = NAMES[target]
+            recipe = RECIPES[name]
+            most = MOST_KEPT if target < MATERIALS else 1
+            if (self.count(state, name) < most and all(self.count(state, thing) for thing in recipe.takes)
+                    and all(self.count(state, material) >= number for material, number in recipe.uses)):
+                for material, number in recipe.uses:
+                    state -= number << _get_shift(NAMES.index(material))
+                state += 1 << _get_shift(target)
+        return state
+
+    def is_solved(self, state: int) -> bool:
+        """The goal is there."""
+        return self.count(state, self.goal) > 0
+
+    def observe(self, state: int) -> tuple[float, ...]:
+        """The store, as shares of `MOST_KEPT`, and 1 for each thing that is there."""
+        return tuple(self.count(state, name) / (MOST_KEPT if number < MATERIALS else 1)
+                     for number, name in enumerate(NAMES))
+
+    def get_lit(self, state: int) -> tuple[bool, ...]:
+        """Materials in store and things that are there."""
+        return tuple(self.count(state, name) > 0 for name in NAMES)
+
+    # --- for planners ------------------------------------------------------------------
+
+    def list_presses(self, state: int) -> list[str]:
+        """The fewest presses that bring about the goal from here, by name.
+
+        Each thing on the way is made once, and each material is collected once for each use that the store does not
+        cover: no press does more than one of these, so fewer are not enough.
+        """
+        order: list[str] = []
+        _list_things(self.goal, order)
+        if self.count(state, self.goal):
+            return []
+        order = [name for name in order if name == self.goal or not self.count(state, name)]
+        uses = [use for name in order for use in RECIPES[name].uses]
+        presses: list[str] = []
+        for name in order:
+            for material, _ in RECIPES[name].uses:
+                if material not in presses:  # all at once, for the way is long
+                    needed = sum(number for used, number in uses if used == material)
+                    presses += [material] * max(needed - self.count(state, material), 0)
+            presses.append(name)
+        return presses
+
+    def plan(self, state: int, place: int = -1) -> tuple[Operator, ...]:
+        """The fewest presses, in an order in which each has its effect."""
+        operators = {operator.target: operator for operator in self.make_symbolic_model().operators}
+        return tuple(operators[name] for name in self.list_presses(state))
+
+    def compute_progress(self, state: int) -> float:
+        """Share of the presses of an optimal solution that are no longer needed."""
+        return 1.0 - len(self.list_presses(state)) / len(self.list_presses(self.make_state()))
+
+    def get_facts(self, state: int) -> frozenset[str]:
+        """`has(name,k)` where there are at least k of it."""
+        return frozenset(_name_fact(name, k) for name in NAMES for k in range(1, self.count(state, name) + 1))
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """One operator a press; conditional effects count materials up and down."""
+        operators = []
+        for number, name in enumerate(NAMES):
+            recipe, none = RECIPES[name], frozenset[str]()
+            needs = [*((thing, 1) for thing in recipe.takes), *recipe.uses]
+            most = MOST_KEPT if number < MATERIALS else 1
+            more = [Effect(frozenset({_name_fact(name, k - 1)}), none, frozenset({_name_fact(name, k)}), none)
+                    for k in range(2, most + 1)]
+            less = [Effect(frozenset({_name_fact(material, k)}), frozenset({_name_fact(material, k + used)})
+                           if k + used <= MOST_KEPT else none, none, frozenset({_name_fact(material, k)}))
+                    for material, used in recipe.uses for k in range(1, MOST_KEPT + 1)]
+            operators.append(Operator(
+                f"press-{name}", name, "press", frozenset(_name_fact(*need) for need in needs),
+                frozenset({_name_fact(name, most)}), frozenset({_name_fact(name, 1)}), none, when=(*more, *less)))
+        facts = tuple(_name_fact(name, k) for number, name in enumerate(NAMES)
+                      for k in range(1, (MOST_KEPT if number < MATERIALS else 1) + 1))
+        return SymbolicModel(facts, tuple(operators), frozenset({_name_fact(self.goal, 1)}))
+
+
+def _get_shift(number: int) -> int:
+    """First bit of a name's count."""
+    return COUNT_BITS * min(number, MATERIALS) + max(number - MATERIALS, 0)
+
+
+def _name_fact(name: str, count: int) -> str:
+    return f"has({name},{count})"
+
+
+def _list_things(name: str, order: list[str]) -> None:
+    """Append what a thing takes, and what its materials take, before the thing itself; materials only as the goal."""
+    recipe = RECIPES[name]
+    for thing in (*recipe.takes, *(thing for material, _ in recipe.uses for thing in RECIPES[material].takes)):
+        if thing not in order:
+            _list_things(thing, order)
+    order.append(name)
+
+
+register_puzzle(RecipesConfig, RecipesPuzzle)
