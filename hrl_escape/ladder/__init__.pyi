@@ -1,5 +1,6 @@
 from .benchmark import Benchmark, list_benchmarks, load_benchmark
 from .certificate import RungCertificate, certify_rung, find_overlaps
+from .goals import GoalsEnv
 from .hidden import compute_commitment, derive_hidden_seed
 from .instance_set import InstanceSet, InstanceSetEnv
 from .keys import RoomKeys, compute_keys
@@ -9,6 +10,7 @@ from .trials import TrialsEnv
 
 __all__ = [
     "Benchmark",
+    "GoalsEnv",
     "InstanceSet",
     "InstanceSetEnv",
     "Manifest",
