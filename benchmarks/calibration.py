@@ -4,8 +4,8 @@
     python benchmarks/calibration.py --pages    # the second alone
 
 Agents are identical, so any agent called better than another is an error, whatever sentence says so; the best of
-several is picked by the same data. In the second table no claim has anything to it, and a page is wrong if it answers
-one. An interval misses where the truth lies outside.
+several is picked by the same data. In the second table no claim and no factor has anything to it, and a page is wrong
+if it answers or shows one. An interval misses where the truth lies outside.
 """
 
 from __future__ import annotations
@@ -22,6 +22,9 @@ from hrl_escape.experiments.pairs import compare_agents, is_better
 from hrl_escape.experiments.presets import get_grid
 from hrl_escape.experiments.statistics import compute_iqm, compute_mean
 from hrl_escape.experiments.studies.claims import CLAIMS, FIGURES, judge_claims
+from hrl_escape.experiments.studies.contrasts import make_screening_design
+from hrl_escape.experiments.studies.factorial import get_factors, make_label
+from hrl_escape.experiments.studies.factorial_effects import Screening, compute_effects, measure_area
 from hrl_escape.experiments.studies.raw import BINS, OPTIMAL_SCORE, RawRun
 
 Draw = Callable[[np.random.Generator, int], NDArray[np.float64]]
@@ -100,8 +103,17 @@ def is_wrong_of_claims(draw: Draw, rng: np.random.Generator) -> bool:
                for verdict in finding.verdicts.values())
 
 
+def is_wrong_of_screening(draw: Draw, rng: np.random.Generator) -> bool:
+    """The page on why SARSA worsens shows an effect of a factor, where none has any; 5 rooms, 2 seeds."""
+    labels = [make_label("sarsa", row) for row in make_screening_design(len(get_factors("sarsa"))).tolist()]
+    runs = [make_run(label, room, seed, float(value)) for room in "abcde" for seed in range(2)
+            for label, value in zip(labels, draw(rng, len(labels)), strict=True)]
+    return any(effect.is_shown for effect in compute_effects(Screening.make("sarsa", runs), measure_area))
+
+
 PAGES: dict[str, Callable[[Draw, np.random.Generator], bool]] = {
     "claims of the paper": is_wrong_of_claims,
+    "why it worsens": is_wrong_of_screening,
 }
 """Verdict -> whether one simulated page is wrong."""
 

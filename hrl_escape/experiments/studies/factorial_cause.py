@@ -1,93 +1,128 @@
-"""Conclusions of a factorial in sentences, each chosen and filled by rule from the tables of its page."""
+"""Conclusions of a screening in sentences, each chosen and filled by rule from the tables of its page."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from hrl_escape.experiments.inference import correct_by_holm
-from hrl_escape.experiments.studies.contrasts import Analysis, Term
-from hrl_escape.experiments.studies.factorial import RESPONSES, compute_response, get_factors, read_levels
-from hrl_escape.experiments.studies.raw import RawRun
+from hrl_escape.experiments.studies.factorial_effects import (
+    MainEffect,
+    Screening,
+    compute_effects,
+    find_sufficient,
+    measure_area,
+    measure_change,
+)
+from hrl_escape.experiments.studies.mediation import Path, compute_paths
 from hrl_escape.names import join_words
 
-__all__ = ["HEALED", "SIGNIFICANT", "conclude", "correct_main_effects", "count_healed_rooms"]
+__all__ = ["FEWEST_ROOMS", "FEWEST_SEEDS", "Findings", "analyse", "conclude"]
 
-SIGNIFICANT = 0.05
-HEALED = 0.9
-"""Mean final score in a room from which on a correction is said to heal there."""
-
-
-def correct_main_effects(found: Mapping[tuple[str, str], Analysis]) -> dict[tuple[str, str, str], float]:
-    """P-values of all main effects, (algorithm, response, factor), corrected as one family (Holm)."""
-    keys = [(name, response, factor) for name, response in found for factor in get_factors(name)]
-    terms = [found[name, response].get_term(factor) for name, response, factor in keys]
-    return dict(zip(keys, correct_by_holm([term.p for term in terms]), strict=True))
+FEWEST_SEEDS = 5
+"""With fewer training seeds a cell nothing is concluded."""
+FEWEST_ROOMS = 3
 
 
-def count_healed_rooms(algorithm: str, runs: Sequence[RawRun]) -> dict[str, tuple[int, int]]:
-    """For each factor the rooms that it heals where it alone is corrected, and the rooms tried; none where not run."""
-    counts: dict[str, tuple[int, int]] = {}
-    names = get_factors(algorithm)
-    for number, name in enumerate(names):
-        levels = [1 if number == other else -1 for other in range(len(names))]
-        rooms: dict[str, list[float]] = {}
-        for run in runs:
-            if read_levels(run.agent) == levels:
-                rooms.setdefault(run.room, []).append(compute_response(run, RESPONSES[0]))
-        if rooms:
-            counts[name] = sum(float(np.mean(values)) >= HEALED for values in rooms.values()), len(rooms)
-    return counts
+@dataclass(frozen=True)
+class Findings:
+    """Everything that is read off one algorithm's runs.
+
+    Attributes:
+        screening: the runs.
+        effects: on the area under the efficiency curve of training.
+        changes: effects on the slope of that curve, which nothing is concluded from.
+        sufficient: see `find_sufficient`.
+        paths: of the factors whose effect is shown, through quantities of the logs.
+    """
+
+    screening: Screening
+    effects: Sequence[MainEffect]
+    changes: Sequence[MainEffect]
+    sufficient: Mapping[str, bool | None]
+    paths: Sequence[Path]
+
+    @property
+    def is_enough(self) -> bool:
+        """Seeds and rooms are as many as a conclusion takes."""
+        return len(self.screening.seeds) >= FEWEST_SEEDS and len(self.screening.rooms) >= FEWEST_ROOMS
+
+    @property
+    def shown(self) -> list[MainEffect]:
+        """Effects that are shown, largest first."""
+        shown = [effect for effect in self.effects if effect.is_shown]
+        return sorted(shown, key=lambda effect: -effect.test.difference)
 
 
-def conclude(algorithm: str, found: Mapping[tuple[str, str], Analysis], runs: Sequence[RawRun]) -> list[str]:
-    """Sentences on one algorithm: factors that move each response, and those that suffice alone."""
-    corrected = correct_main_effects(found)
-    sentences = [_tell_response(response, [found[algorithm, response].get_term(factor)
-                                           for factor in get_factors(algorithm)],
-                                {factor: corrected[algorithm, response, factor] for factor in get_factors(algorithm)})
-                 for response in RESPONSES]
-    return [*sentences, *_tell_sufficient(count_healed_rooms(algorithm, runs))]
+def analyse(screening: Screening) -> Findings:
+    """Compute effects, sufficient corrections and paths."""
+    effects = compute_effects(screening, measure_area)
+    shown = [effect.factor for effect in effects if effect.is_shown]
+    return Findings(screening, effects, compute_effects(screening, measure_change),
+                    find_sufficient(screening, effects, measure_area),
+                    compute_paths(screening, shown, measure_area, np.random.default_rng(0)))
 
 
-def _tell_response(response: str, terms: Sequence[Term], p: Mapping[str, float]) -> str:
-    shown = [term for term in terms if p[term.factors[0]] < SIGNIFICANT]
-    raising = sorted((term for term in shown if term.effect > 0), key=lambda term: -term.effect)
-    lowering = [term for term in shown if term.effect < 0]
-    idle = [term.factors[0] for term in terms if term not in shown]
-    if not shown:
-        return f"No correction is shown to move the {response}."
-    parts = [f"the {response} is raised by {_tell_raising(raising)}"] if raising else []
+def conclude(findings: Findings) -> list[str]:
+    """Sentences on one algorithm: what moves the area, whether one correction suffices, what carries it."""
+    if not findings.is_enough:
+        return [f"{len(findings.screening.seeds)} training seeds a cell in {len(findings.screening.rooms)} rooms: with "
+                f"fewer than {FEWEST_SEEDS} seeds or {FEWEST_ROOMS} rooms nothing is concluded."]
+    raising = [effect for effect in findings.shown if effect.test.difference > 0]
+    lowering = [effect for effect in findings.shown if effect.test.difference < 0]
+    idle = [effect.factor for effect in findings.effects if not effect.is_shown]
+    sentences = [_tell_raising(raising)]
     if lowering:
-        parts.append(f"{'it' if raising else f'the {response}'} is lowered by {join_words(map(_describe, lowering))}")
-    text = "; ".join(parts)
-    return f"{text[0].upper()}{text[1:]}" + (f". Nothing is shown of {join_words(idle)}." if idle else ".")
+        sentences.append(f"The area is lowered by {join_words(map(_describe, lowering))}.")
+    sentences += _tell_sufficient(findings.sufficient)
+    if idle and findings.shown:
+        sentences.append(f"Nothing is shown of {join_words(idle)}.")
+    return [*sentences, *(_tell_paths(effect, findings.paths) for effect in findings.shown)]
 
 
-def _tell_raising(terms: Sequence[Term]) -> str:
-    """Factors from the largest effect on, and whether that leads."""
-    first, *rest = terms
-    if not rest:
-        return f"{_describe(first)} alone"
-    if first.low > rest[0].high:
-        return f"{_describe(first)} more than any other, and by {join_words(map(_describe, rest))}"
-    return f"{join_words(map(_describe, terms))}, and the first is not shown to do more than the second"
+def _tell_raising(raising: Sequence[MainEffect]) -> str:
+    if not raising:
+        return "No correction is shown to raise the area."
+    if len(raising) == 1:
+        return f"One correction is shown to raise the area: {_describe(raising[0])}."
+    return f"The area is raised by {join_words(map(_describe, raising))}."
 
 
-def _tell_sufficient(counts: Mapping[str, tuple[int, int]]) -> list[str]:
-    """Corrections that heal alone in more than half of the rooms."""
-    if not counts:
+def _tell_sufficient(sufficient: Mapping[str, bool | None]) -> list[str]:
+    if not sufficient:
         return []
-    enough = [f"{name} (in {healed} of {rooms} rooms)" for name, (healed, rooms) in counts.items()
-              if 2 * healed > rooms]
-    if not enough:
-        return ["No correction alone suffices in more than half of the rooms."]
-    if len(enough) == 1:
-        return [f"One correction suffices alone in more than half of the rooms: {enough[0]}."]
-    return [f"Several corrections each suffice alone in more than half of the rooms, so that these runs name no single "
-            f"cause: {join_words(enough)}."]
+    enough = [factor for factor, verdict in sufficient.items() if verdict]
+    short = [factor for factor, verdict in sufficient.items() if verdict is False]
+    unclear = [factor for factor, verdict in sufficient.items() if verdict is None]
+    of_all = f"what {join_words(sufficient)} bring together"
+    sentences = []
+    if len(enough) > 1:
+        sentences.append(f"Each of {join_words(enough)} alone brings more than three quarters of {of_all}, so that "
+                         "these runs name no single cause.")
+    elif enough:
+        sentences.append(f"{_capitalise(enough[0])} alone brings more than three quarters of {of_all}.")
+    if short:
+        sentences.append(f"{_capitalise(join_words(short))} alone {'brings' if len(short) == 1 else 'bring'} less than "
+                         f"three quarters of {of_all}.")
+    if unclear:
+        sentences.append(f"Whether {join_words(unclear, 'or')} alone would do is not shown.")
+    return sentences
 
 
-def _describe(term: Term) -> str:
-    return f"{term.factors[0]} ({100 * term.effect:+.0f})"
+def _tell_paths(effect: MainEffect, paths: Sequence[Path]) -> str:
+    own = sorted((path for path in paths if path.factor == effect.factor and path.is_shown
+                  and path.carries * effect.test.difference > 0), key=lambda path: -abs(path.carries))
+    if not own:
+        return f"No quantity of the logs is shown to carry the effect of {effect.factor}."
+    words = join_words(f"{path.mediator} ({path.carries:+.3f}, {path.low:+.3f} to {path.high:+.3f})" for path in own)
+    return f"The effect of {effect.factor} goes, as far as the logs show, through {words}."
+
+
+def _describe(effect: MainEffect) -> str:
+    test = effect.test
+    return f"{effect.factor} ({test.difference:+.3f}, {test.low:+.3f} to {test.high:+.3f})"
+
+
+def _capitalise(text: str) -> str:
+    return text[0].upper() + text[1:]

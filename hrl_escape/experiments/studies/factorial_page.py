@@ -1,8 +1,8 @@
-"""The page docs/results/why-it-worsens.md: analyses of variance of the factorials, and the cause they show."""
+"""The page docs/results/why-it-worsens.md: main effects of the screening designs, their paths, and the conclusions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
@@ -11,209 +11,165 @@ from matplotlib.figure import Figure
 
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import save_figure
-from hrl_escape.experiments.studies.contrasts import Analysis, Term
-from hrl_escape.experiments.studies.factorial import (
-    CONTROLS,
-    FACTORS,
-    RESPONSES,
-    analyse_runs,
-    compute_response,
-    get_factors,
-    name_control,
-    read_levels,
-)
-from hrl_escape.experiments.studies.factorial_cause import HEALED, SIGNIFICANT, conclude
+from hrl_escape.experiments.studies.factorial import FACTORS
+from hrl_escape.experiments.studies.factorial_cause import FEWEST_ROOMS, FEWEST_SEEDS, Findings, analyse, conclude
+from hrl_escape.experiments.studies.factorial_effects import SIGNIFICANT, MainEffect, Screening, mark_gaps
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
 from hrl_escape.experiments.studies.raw import BINS, RawRun
 from hrl_escape.files import write_text
 from hrl_escape.names import join_words
 
-__all__ = ["compute_corners", "write_factorial_page"]
+__all__ = ["write_factorial_page"]
 
 _COMMAND = "hrl-escape experiment factorial"
-_COLOURS = (palette.LINES[0], palette.LINES[4])
-WORDS = {
-    "final score": "score of frozen weights in the last fifth of training",
-    "slope": "slope of the score of training episodes over a run, exploration included",
-}
-MOST_INTERACTIONS = 5
+FIFTHS = 5
 
 
-def write_factorial_page(results: dict[str, list[RawRun]], docs: Path) -> dict[tuple[str, str], Analysis]:
-    """Write the page and its figures; returns the analyses by (algorithm, response).
+def write_factorial_page(results: Mapping[str, Sequence[RawRun]], docs: Path) -> dict[str, Findings]:
+    """Write the page and its figures; returns the findings by algorithm.
 
     Args:
-        results: algorithm -> runs of its factorial.
+        results: algorithm -> runs of its screening.
         docs: folder of the page.
 
     Raises:
         ComparisonError: runs are missing.
         FileWriteError: a file cannot be written.
     """
-    found = {(name, response): analyse_runs(name, runs, response) for name, runs in results.items()
-             for response in RESPONSES}
-    for name in results:
-        analyses = [found[name, response] for response in RESPONSES]
-        save_figure(docs / "figures" / f"why-{name}.svg", draw_effects(get_factors(name), analyses))
-    write_text(docs / "why-it-worsens.md", "\n".join(_write_lines(results, found)))
+    found = {name: analyse(Screening.make(name, runs)) for name, runs in results.items()}
+    for name, findings in found.items():
+        save_figure(docs / "figures" / f"why-{name}.svg", draw_effects(findings.effects))
+    write_text(docs / "why-it-worsens.md", "\n".join(_write_lines(found)))
     return found
 
 
-def draw_effects(names: Sequence[str], analyses: Sequence[Analysis]) -> Figure:
-    """Main effects with their intervals, one panel a response."""
+def draw_effects(effects: Sequence[MainEffect]) -> Figure:
+    """Main effects on the area with their intervals over rooms; a dot a room."""
     with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(8.2, 2.6), facecolor=palette.BACKGROUND, layout="constrained")
-        panels = figure.subplots(1, len(analyses), sharey=True)
-        at = np.arange(len(names))[::-1]
-        for axes, analysis, response, colour in zip(panels, analyses, RESPONSES, _COLOURS, strict=True):
-            terms = [analysis.get_term(name) for name in names]
-            value = np.array([100 * term.effect for term in terms])
-            reach = np.array([[100 * (term.effect - term.low), 100 * (term.high - term.effect)] for term in terms]).T
-            axes.barh(at, value, xerr=reach, color=colour, height=0.6, ecolor=palette.INK, capsize=2)
-            axes.axvline(0, color=palette.MUTED, linewidth=0.8)
-            axes.set_yticks(at, names)
-            axes.set_xlabel(f"effect on the {response}, points", color=palette.INK)
-            finish_axes(axes)
-            axes.grid(visible=False, axis="y")
+        figure = Figure(figsize=(6.2, 3.2), facecolor=palette.BACKGROUND, layout="constrained")
+        axes = figure.subplots()
+        at = np.arange(len(effects))[::-1]
+        reach = np.array([[effect.test.difference - effect.test.low, effect.test.high - effect.test.difference]
+                          for effect in effects]).T
+        axes.errorbar([effect.test.difference for effect in effects], at, xerr=reach, fmt="o", markersize=5,
+                      color=palette.LINES[0], ecolor=palette.INK, capsize=2, label="mean over rooms, 95 % interval")
+        for number, (place, effect) in enumerate(zip(at, effects, strict=True)):
+            axes.plot(effect.rooms, [place - 0.25] * len(effect.rooms), ".", markersize=4, color=palette.LINES[4],
+                      label=None if number else "a room")
+        axes.axvline(0, color=palette.MUTED, linewidth=0.8)
+        axes.set_yticks(at, [effect.factor for effect in effects])
+        axes.set_xlabel("effect on the area under the efficiency curve", color=palette.INK)
+        finish_axes(axes)
+        axes.grid(visible=False, axis="y")
+        axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     return figure
-
-
-def compute_corners(algorithm: str, runs: Sequence[RawRun], response: str) -> list[tuple[str, float, float]]:
-    """For each factor the mean with it alone corrected, and with all but it corrected; NaN where not run.
-
-    The first row, without a name, is nothing and everything corrected.
-    """
-    names = get_factors(algorithm)
-    values = {run.agent: [] for run in runs}
-    for run in runs:
-        values[run.agent].append(compute_response(run, response))
-
-    def get_mean(levels: Sequence[int]) -> float:
-        return float(np.mean([np.mean(found) for agent, found in values.items() if read_levels(agent) == list(levels)]
-                             or [np.nan]))
-
-    rows = [("", get_mean([-1] * len(names)), get_mean([1] * len(names)))]
-    for number, name in enumerate(names):
-        alone = [1 if number == other else -1 for other in range(len(names))]
-        rows.append((name, get_mean(alone), get_mean([-level for level in alone])))
-    return rows
 
 
 # --- the page --------------------------------------------------------------------------------
 
 
-def _write_lines(results: dict[str, list[RawRun]], found: dict[tuple[str, str], Analysis]) -> list[str]:
-    rooms = {name: list(dict.fromkeys(run.room for run in runs)) for name, runs in results.items()}
-    everything = [run for runs in results.values() for run in runs]
-    budget, seeds = everything[0].budget, len({run.seed for run in everything})
-    lines = ["# Why SARSA and DDPG get worse with meta-actions", "", *_tell_cause(results, found), "",
-             "## What was run", "",
-             f"Two-level factorials, {budget:,} primitives a run, an evaluation each twentieth of that. Low is what "
-             "keras-rl 0.4.2 and the published program did, high what the recipe `corrected` does. The clock of "
-             "schedules is in primitives throughout, and keras-rl's late flag at the end of an episode "
-             "(`late_terminal`) is left out: the decay is there without it.", ""]
-    for name, runs in results.items():
-        lines += [f"**{name}**, in {join_words(rooms[name])}: a half fraction of the {2 ** len(FACTORS[name])} "
-                  f"combinations (resolution VI), {found[name, 'slope'].runs} runs, which is analysed"
-                  + ("" if np.isnan(compute_corners(name, runs, "slope")[1][1]) else
-                     ", and all combinations that differ from either recipe in one factor")
-                  + f"; {len(runs)} runs in all, {seeds} training seed{'s' if seeds > 1 else ''}.", "",
-                  "| factor | low: the published program | high: corrected |", "|---|---|---|"]
-        lines += [f"| {factor.name} | {factor.paper} | {factor.corrected} |" for factor in FACTORS[name]] + [""]
-    for name, runs in results.items():
-        lines += [f"## {name}", "", f"![Main effects on {name}](figures/why-{name}.svg)", ""]
-        for response in RESPONSES:
-            lines += _write_analysis(response, found[name, response])
-        lines += _write_corners(name, runs) + _write_rooms(name, runs)
-    return [*lines, "## Make it again", "",
-            "One command; finished runs are kept, and with `--from-raw` nothing is trained.", "",
-            "```console", f"{_COMMAND} --runs {seeds} --primitives {budget}", "```", ""]
-
-
-def _tell_cause(results: dict[str, list[RawRun]], found: dict[tuple[str, str], Analysis]) -> list[str]:
-    """Conclusions by rule, then what became of single corrections, as far as it was run."""
-    lines = [f"Main effects in points of 100, where p < {SIGNIFICANT:g} after correction for all main effects of this "
-             "page (Holm). The sentences are chosen by rule from the tables below; rooms are fixed, and with few "
-             "training seeds a cell nothing is claimed of other rooms.", ""]
-    for name, runs in results.items():
-        lines.append(f"- **{name}**. {' '.join(conclude(name, found, runs))}")
-    lines += ["", "What became of single corrections:", ""]
-    for name, runs in results.items():
-        ends, trends = (compute_corners(name, runs, response) for response in RESPONSES)
-        first, last = _compute_span(runs)
-        lines.append(f"- Training episodes of `{name}` as published go from {_points(first)} points in the first tenth "
-                     f"to {_points(last)} in the last fifth; frozen weights end at {_points(ends[0][1])} (slope "
-                     f"{_points(trends[0][1], '+')}), with all factors corrected at {_points(ends[0][2])} "
-                     f"({_points(trends[0][2], '+')}).")
-        if not np.isnan(ends[1][1]):
-            healing = [factor for factor, alone, _ in ends[1:] if alone >= HEALED]
-            others = [f"{factor} ({_points(alone)}, slope {_points(trend, '+')})"
-                      for (factor, alone, _), (_, trend, _) in zip(ends[1:], trends[1:], strict=True) if alone < HEALED]
-            lines.append(f"- Means over rooms, corrected alone: {join_words(healing) or 'no factor'} "
-                         f"{'ends' if len(healing) < 2 else 'end'} at {_points(HEALED)} points or more; "
-                         f"{join_words(others) or 'none'} {'does' if len(others) == 1 else 'do'} not.")
-        lines += [f"- Control: published but for {control}, `{name}` ends at {_points(float(np.mean(values)))} points "
-                  f"({len(values)} run{'s' if len(values) > 1 else ''})."
-                  for control, values in compute_controls(name, runs).items()]
+def _write_lines(found: Mapping[str, Findings]) -> list[str]:
+    names = join_words(name.upper() for name in found)
+    lines = [f"# Why {names} {'gets' if len(found) == 1 else 'get'} worse with meta-actions", "",
+             "The response is the area under the efficiency curve of training episodes, from 0 (never escaping) to 1 "
+             f"(always as fast as the best known). An effect is shown where p < {SIGNIFICANT:g} after correction for "
+             "all factors of an algorithm (Holm); it is tested over rooms, as a random factor, so that it is claimed "
+             "of rooms like these. The sentences are chosen by rule from the tables below.", ""]
+    lines += [f"- **{name}**. {' '.join(conclude(findings))}" for name, findings in found.items()]
+    lines += ["", "## What was run", "",
+              "A folded-over Plackett-Burman design of 24 agents: main effects are free of interactions of two "
+              "factors, which are mixed with each other and not told. Low is what keras-rl 0.4.2 and the published "
+              "program did, high what the recipe `corrected` does; the first agent is low in all, the last high in "
+              "all. The clock of schedules is in primitives throughout, epsilon falls over three quarters of the "
+              "budget, and keras-rl's late flag at the end of an episode (`late_terminal`) is left out, since replay "
+              "knows none. Rooms are instances of one schematic: three buttons in a chain, 12 x 12 m, at most 300 "
+              "primitives an episode; no setting was tuned in them.", ""]
+    for name, findings in found.items():
+        lines += _write_design(name, findings.screening)
+    for name, findings in found.items():
+        lines += [f"## {name}", "", f"![Main effects on {name}](figures/why-{name}.svg)", "",
+                  *_write_effects(findings), *_write_sufficient(findings), *_write_paths(findings),
+                  *_write_course(findings.screening)]
+    first = next(iter(found.values())).screening
+    budget = next(iter(first.runs.values()))[0].budget
+    missing = [name for name in FACTORS if name not in found]
+    lines += [*([f"{join_words(name.upper() for name in missing)} is not on this page; its design stands in the "
+                 f"command, `--algorithms {' '.join(FACTORS)}`, and was not run.", ""] if missing else []),
+              "## Make it again", "",
+              f"One command; finished runs are kept, and with `--from-raw` nothing is trained. With fewer than "
+              f"{FEWEST_SEEDS} training seeds a cell or {FEWEST_ROOMS} rooms the page concludes nothing.", "",
+              "```console",
+              f"{_COMMAND} --algorithms {' '.join(found)} --rooms {len(first.rooms)} --runs {len(first.seeds)} "
+              f"--primitives {budget}", "```", ""]
     return lines
 
 
-def _compute_span(runs: Sequence[RawRun]) -> tuple[float, float]:
-    """Mean score of the training episodes of the published program, in the first tenth and in the last fifth."""
-    scores = np.array([run.training_scores for run in runs if set(read_levels(run.agent)) == {-1}])
-    return float(np.nanmean(scores[:, : BINS // 10])), float(np.nanmean(scores[:, -(BINS // 5) :]))
+def _write_design(name: str, screening: Screening) -> list[str]:
+    total = sum(map(len, screening.runs.values()))
+    return [f"**{name}**: {len(screening.design)} agents in {len(screening.rooms)} rooms with {len(screening.seeds)} "
+            f"training seed{'' if len(screening.seeds) == 1 else 's'}, {total} runs of "
+            f"{next(iter(screening.runs.values()))[0].budget:,} primitives.", "",
+            "| factor | low: the published program | high: corrected |", "|---|---|---|",
+            *(f"| {factor.name} | {factor.paper} | {factor.corrected} |" for factor in FACTORS[name]), ""]
 
 
-def compute_controls(algorithm: str, runs: Sequence[RawRun]) -> dict[str, list[float]]:
-    """Final scores of each control that was run."""
-    values = {control: [compute_response(run, "final score") for run in runs
-                        if run.agent == name_control(algorithm, control)] for control in CONTROLS[algorithm]}
-    return {control: found for control, found in values.items() if found}
+def _write_effects(findings: Findings) -> list[str]:
+    rooms = findings.screening.rooms
+    lines = ["Main effects, low to high, with their 95 % intervals over rooms, which are not corrected; p is. The last "
+             "column is the effect on how much efficiency changes from the beginning of a run to its end, with an "
+             "interval and without a test.", "",
+             f"| factor | on the area | p | {' | '.join(rooms)} | on its change |", "|---" * (len(rooms) + 4) + "|"]
+    for effect, change in zip(findings.effects, findings.changes, strict=True):
+        p = "< 0.001" if effect.p < 0.001 else f"{effect.p:.3f}"
+        here = " | ".join(f"{value:+.2f}" for value in effect.rooms)
+        lines.append(f"| {effect.factor} | {_tell_interval(effect)} | {p} | {here} | {_tell_interval(change)} |")
+    return [*lines, ""]
 
 
-def _points(value: float, sign: str = "") -> str:
-    return f"{100 * value:{sign}.0f}"
+def _tell_interval(effect: MainEffect) -> str:
+    test = effect.test
+    return f"{test.difference:+.3f} ({test.low:+.3f} to {test.high:+.3f})"
 
 
-def _write_analysis(response: str, analysis: Analysis) -> list[str]:
-    mains = [term for term in analysis.terms if len(term.factors) == 1]
-    pairs = sorted((term for term in analysis.terms if len(term.factors) == 2), key=lambda term: -term.share)
-    lines = [f"Analysis of variance, {WORDS[response]} ({analysis.runs} runs, points of 100). Rooms take "
-             f"{analysis.block_share:.0%} of the sum of squares, the residual {analysis.residual_share:.0%} with "
-             f"{analysis.residual_freedom} degrees of freedom. Below the main effects stand the "
-             f"{MOST_INTERACTIONS} strongest interactions of two.", "",
-             "| term | effect, low to high (95 % interval) | share of variance | F | p |", "|---|---|---|---|---|"]
-    return [*lines, *map(_write_term, [*mains, *pairs[:MOST_INTERACTIONS]]), ""]
-
-
-def _write_term(term: Term) -> str:
-    p = "< 0.001" if term.p < 0.001 else f"{term.p:.3f}"
-    interval = f"{100 * term.low:+.1f} to {100 * term.high:+.1f}"
-    return (f"| {' x '.join(term.factors)} | {100 * term.effect:+.1f} ({interval}) | {term.share:.1%} | {term.f:.1f} "
-            f"| {p} |")
-
-
-def _write_corners(name: str, runs: Sequence[RawRun]) -> list[str]:
-    tables = [compute_corners(name, runs, response) for response in RESPONSES]
-    if any(np.isnan(value) for row in tables[0] for value in row[1:]):
+def _write_sufficient(findings: Findings) -> list[str]:
+    if not findings.sufficient:
         return []
-    lines = ["One at a time, means over rooms, in points: the published program with one factor corrected, and the "
-             "corrected recipe with one factor as it was.", "",
-             "| factor | final score, only it corrected | all but it corrected | slope, only it corrected "
-             "| all but it corrected |", "|---|---|---|---|---|"]
-    for final, slope in zip(*tables, strict=True):
-        lines.append(f"| {final[0] or '(none; all)'} | {100 * final[1]:.0f} | {100 * final[2]:.0f} "
-                     f"| {100 * slope[1]:+.0f} | {100 * slope[2]:+.0f} |")
+    words = {True: "yes", False: "no", None: "not shown"}
+    return ["Corrections alone, the others of these as published: do they bring more than three quarters of what all "
+            "of them bring together?", "", f"| {' | '.join(findings.sufficient)} |",
+            "|---" * len(findings.sufficient) + "|",
+            f"| {' | '.join(words[verdict] for verdict in findings.sufficient.values())} |", ""]
+
+
+def _write_paths(findings: Findings) -> list[str]:
+    if not findings.paths:
+        return []
+    lines = ["What the logs carry of these effects: the factor's effect on a quantity, the slope of the area on that "
+             "quantity with all factors held fixed, and their product, whose interval (bootstrap over rooms and "
+             "seeds) is corrected for all lines. The entropy of epsilon-greedy choices is set by its schedule, and "
+             "what moves quantity and area together would look like a path; a repeat is in doublings.", "",
+             "| factor | quantity | moves it by | slope of the area | product |", "|---|---|---|---|---|"]
+    lines += [f"| {path.factor} | {path.mediator} | {path.moves:+.3f} | {path.slope:+.3f} | {path.carries:+.3f} "
+              f"({path.low:+.3f} to {path.high:+.3f}) |" for path in findings.paths]
     return [*lines, ""]
 
 
-def _write_rooms(name: str, runs: Sequence[RawRun]) -> list[str]:
-    rooms = list(dict.fromkeys(run.room for run in runs))
-    lines = ["Main effects on the final score room by room, in points:", "",
-             "| room | " + " | ".join(get_factors(name)) + " |", "|---" * (len(FACTORS[name]) + 1) + "|"]
-    for room in rooms:
-        here = [run for run in runs if run.room == room]
-        analysis = analyse_runs(name, here, "final score")
-        effects = [f"{100 * analysis.get_term(factor).effect:+.0f}" for factor in get_factors(name)]
-        lines.append(f"| {room} | " + " | ".join(effects) + " |")
+def _write_course(screening: Screening) -> list[str]:
+    """Training of the two recipes, fifth by fifth."""
+    lines = ["The two recipes in training, means over rooms and seeds in each fifth of a run: as published, and with "
+             "every factor corrected.", "",
+             "| quantity | recipe | " + " | ".join(f"fifth {n + 1}" for n in range(FIFTHS)) + " |",
+             "|---" * (FIFTHS + 2) + "|"]
+    for title, key, digits in (("efficiency", "training_efficiencies", 2), ("entropy, nats", "entropy", 2),
+                               ("longest repeat, decisions", "longest_repeat", 0), ("greedy choices", "greedy", 2)):
+        for recipe, row in (("published", 0), ("corrected", -1)):
+            values = np.array([mark_gaps(getattr(block[row], key)) for block in screening.runs.values()])
+            fifths = values.reshape(len(values), FIFTHS, BINS // FIFTHS)
+            means = [_average(fifths[:, number].ravel()) for number in range(FIFTHS)]
+            lines.append(f"| {title} | {recipe} | " + " | ".join(f"{mean:.{digits}f}" for mean in means) + " |")
     return [*lines, ""]
+
+
+def _average(values: np.ndarray) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if len(known) else float("nan")

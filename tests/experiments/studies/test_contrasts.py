@@ -1,4 +1,4 @@
-"""Analysis of variance against published worked examples and scipy."""
+"""Screening designs: what of them is orthogonal."""
 
 from __future__ import annotations
 
@@ -6,64 +6,35 @@ import itertools
 
 import numpy as np
 import pytest
-from scipy import stats
 
-from hrl_escape.errors import ComparisonError
-from hrl_escape.experiments.studies.contrasts import analyse, make_half_fraction
-
-STANDARD_ORDER = np.array([levels[::-1] for levels in itertools.product((-1, 1), repeat=4)])
-FILTRATION = [45, 71, 48, 65, 68, 60, 80, 65, 43, 100, 45, 104, 75, 86, 70, 96]
-"""Filtration rate in a pilot plant: Montgomery, Design and Analysis of Experiments, example 6.2, table 6.10."""
+from hrl_escape.experiments.studies.contrasts import MOST_FACTORS, make_screening_design
 
 
-def test_the_pilot_plants_effects_and_sums_of_squares_are_the_published_ones():
-    analysis = analyse("ABCD", STANDARD_ORDER, ["plant"] * 16, FILTRATION)
-    effects = {"".join(term.factors): term.effect for term in analysis.terms}
-    published = {"A": 21.625, "B": 3.125, "C": 9.875, "D": 14.625, "AB": 0.125, "AC": -18.125, "AD": 16.625,
-                 "BC": 2.375, "BD": -0.375, "CD": -1.125}
-    assert effects == pytest.approx(published)
-    squares = {"".join(term.factors): round(5730.94 * term.share, 2) for term in analysis.terms}
-    assert squares["A"] == 1870.56 and squares["AC"] == 1314.06 and squares["AD"] == 1105.56
-    assert squares["D"] == 855.56 and squares["C"] == 390.06
-    assert analysis.residual_freedom == 5
+@pytest.mark.parametrize("factors", [1, 4, MOST_FACTORS])
+def test_main_effects_are_orthogonal_to_each_other_and_to_interactions_of_two(factors: int):
+    design = make_screening_design(factors)
+    pairs = [design[:, list(pair)].prod(axis=1) for pair in itertools.combinations(range(factors), 2)]
+    assert design.shape == (24, factors)
+    assert (design.T @ design == 24 * np.eye(factors)).all()
+    assert not np.any(design.sum(axis=0)) and not any(np.any(design.T @ pair) for pair in pairs)
+    assert (design[0] == -1).all() and (design[-1] == 1).all() and (design[::-1] == -design).all()
 
 
-def test_with_one_factor_f_and_p_are_those_of_a_t_test():
-    rng = np.random.default_rng(1)
-    low, high = rng.normal(0, 1, 9), rng.normal(0.8, 1, 9)
-    levels = [[-1]] * 9 + [[1]] * 9
-    term = analyse(["x"], levels, ["all"] * 18, [*low, *high]).terms[0]
-    reference = stats.ttest_ind(high, low)
-    interval = reference.confidence_interval()
-    assert term.effect == pytest.approx(high.mean() - low.mean())
-    assert (term.f, term.p) == pytest.approx((reference.statistic**2, reference.pvalue))
-    assert (term.low, term.high) == pytest.approx((interval.low, interval.high))
+def test_its_first_half_is_the_published_design():
+    """Rows of Plackett and Burman (1946) for 12 trials, as sets of the factors that are high."""
+    first = "++-+++---+-"
+    published = {"".join(first[(place - shift) % 11] for place in range(11)) for shift in range(11)} | {"-" * 11}
+    assert {"".join("+" if level > 0 else "-" for level in row) for row in make_screening_design(11)[:12]} == published
 
 
-def test_what_lies_between_blocks_is_taken_out_of_the_error():
-    levels = np.tile(STANDARD_ORDER, (2, 1))
-    shift = np.repeat([0.0, 1000.0], 16)
-    blocks = ["a"] * 16 + ["b"] * 16
-    response = np.tile(FILTRATION, 2) + shift + np.random.default_rng(0).normal(0, 1, 32)
-    analysis = analyse("ABCD", levels, blocks, response)
-    assert analysis.block_share > 0.99 and analysis.get_term("A").p < 1e-3
-    assert analysis.get_term("A").effect == pytest.approx(21.6, abs=1)
-    assert analyse("ABCD", levels, ["one"] * 32, response).get_term("A").p > 0.5
-    total = sum(term.share for term in analysis.terms) + analysis.block_share + analysis.residual_share
-    assert total == pytest.approx(1)
+def test_any_three_factors_take_all_their_combinations_equally_often():
+    design = make_screening_design(MOST_FACTORS)
+    for chosen in itertools.combinations(range(MOST_FACTORS), 3):
+        _, counts = np.unique(design[:, list(chosen)], axis=0, return_counts=True)
+        assert counts.tolist() == [3] * 8
 
 
-def test_the_half_fraction_is_orthogonal_in_all_effects_and_interactions_of_two():
-    design = make_half_fraction(6)
-    assert len({tuple(row) for row in design.tolist()}) == len(design) == 32
-    terms = [(i,) for i in range(6)] + list(itertools.combinations(range(6), 2))
-    columns = np.stack([design[:, list(term)].prod(axis=1) for term in terms])
-    assert (columns @ columns.T == len(design) * np.eye(len(terms))).all()
-    assert [-1] * 6 in design.tolist() and [1] * 6 in design.tolist()
-
-
-def test_a_missing_run_and_too_few_runs_are_refused():
-    with pytest.raises(ComparisonError, match="not balanced"):
-        analyse("ABCD", STANDARD_ORDER[1:], ["plant"] * 15, FILTRATION[1:])
-    with pytest.raises(ComparisonError, match="too few"):
-        analyse("AB", [[-1, -1], [-1, 1], [1, -1], [1, 1]], ["x"] * 4, [1, 2, 3, 4])
+@pytest.mark.parametrize("factors", [0, 12])
+def test_more_factors_than_rows_allow_are_refused(factors: int):
+    with pytest.raises(ValueError, match="1 to 11"):
+        make_screening_design(factors)

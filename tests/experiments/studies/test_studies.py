@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import json
-from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,20 +12,10 @@ import pytest
 from scipy import stats
 
 from hrl_escape.cli import main
-from hrl_escape.errors import ComparisonError, FileReadError
+from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.presets import get_grid
 from hrl_escape.experiments.studies.claims import CLAIMS, FIGURES, Criterion, judge_claims
-from hrl_escape.experiments.studies.contrasts import make_half_fraction
-from hrl_escape.experiments.studies.factorial import (
-    ALGORITHMS,
-    RESPONSES,
-    analyse_runs,
-    make_corners,
-    make_factorial_grid,
-)
-from hrl_escape.experiments.studies.factorial_cause import conclude
-from hrl_escape.experiments.studies.factorial_page import compute_corners, write_factorial_page
 from hrl_escape.experiments.studies.flat import (
     BUTTONS,
     CHAIN_AGENTS,
@@ -257,102 +245,6 @@ def test_a_page_that_cannot_be_written_is_noticed_before_anything_runs(
     (tmp_path / "docs").write_text("a file where the folder should be")
     assert main(["experiment", study, "--docs", str(tmp_path / "docs"), "--out", str(tmp_path / "runs")]) == 2
     assert "cannot write" in capsys.readouterr().err and not (tmp_path / "runs").exists()
-
-
-def test_a_factorial_wants_an_algorithm(tmp_path: Path, capsys: pytest.CaptureFixture[str]):
-    assert main(["experiment", "factorial", "--docs", str(tmp_path), "--algorithms"]) == 2
-    assert "name one or more of sarsa, ddpg" in capsys.readouterr().err
-
-
-# --- the factorial ---------------------------------------------------------------------
-
-
-def make_factorial_runs(algorithm: str, corners: bool = True, helpful: tuple[int, ...] = (2,)) -> list:
-    """The final score is 0.3, and 0.5 more with all helpful factors corrected; training falls unless the third is."""
-    noise = np.random.default_rng(0)
-    runs = []
-    rows = [*make_half_fraction(6), *(make_corners(6) if corners else ())]
-    for levels, room in itertools.product(rows, ("x", "y", "z")):
-        label = f"{algorithm}-" + "".join("1" if level > 0 else "0" for level in levels)
-        score = 0.3 + 0.5 * np.mean([levels[factor] > 0 for factor in helpful]) + noise.normal(0, 0.01)
-        training = [1.0] * BINS if levels[2] > 0 else np.linspace(1, 0, BINS)
-        runs.append(make_run(label, [score] * 11, training=list(training), room=room))
-    return runs
-
-
-def test_a_factorials_agents_differ_in_the_factors_their_labels_say_and_in_nothing_else():
-    for algorithm in ALGORITHMS:
-        grid = make_factorial_grid(algorithm)
-        by_label = {agent.label: agent for agent in grid.agents}
-        controls = [agent for label, agent in by_label.items() if "," in label]
-        assert len(by_label) - len(controls) == 44
-        paper, corrected = by_label[f"{algorithm}-000000"], by_label[f"{algorithm}-111111"]
-        settled = corrected.resolve_settings()
-        assert settled == dataclasses.replace(corrected, settings={}).resolve_settings()
-        assert not corrected.options.include_primitives and paper.options.include_primitives
-        published = dataclasses.replace(paper, settings={}, recipe="paper").resolve_settings()
-        kept = {"clock", "late_terminal", "warmup", "actor_warmup", "updates_per_step", "batch_size", "expected"}
-        differing = {name for name, value in paper.resolve_settings().items() if value != published[name]}
-        assert differing <= kept, differing - kept
-        assert make_factorial_grid(algorithm, corners=False).agents == grid.agents[:32]
-        for control in controls:
-            changed = {key for key, value in control.settings.items() if paper.settings.get(key) != value}
-            assert changed == {"temperature"}
-
-
-def test_the_factor_that_matters_is_found_with_its_size():
-    analysis = analyse_runs("sarsa", make_factorial_runs("sarsa"), "final score")
-    assert analysis.get_term("exploration").effect == pytest.approx(0.5, abs=0.01)
-    assert analysis.get_term("exploration").share > 0.95
-    assert all(term.share < 0.01 for term in analysis.terms if term.factors != ("exploration",))
-    slope = analyse_runs("ddpg", make_factorial_runs("ddpg", corners=False), "slope").get_term("exploration")
-    assert slope.effect == pytest.approx(1.05, abs=0.01)
-    rows = compute_corners("sarsa", make_factorial_runs("sarsa"), "final score")
-    assert dict((name, round(alone, 1)) for name, alone, _ in rows)["exploration"] == 0.8
-    assert dict((name, round(without, 1)) for name, _, without in rows)["exploration"] == 0.3
-    with pytest.raises(ComparisonError, match="all runs finished"):
-        analyse_runs("sarsa", make_factorial_runs("sarsa")[1:], "final score")
-
-
-def test_the_factorials_page_holds_both_analyses(tmp_path: Path):
-    write_factorial_page({name: make_factorial_runs(name, corners=name == "sarsa") for name in ALGORITHMS}, tmp_path)
-    page = (tmp_path / "why-it-worsens.md").read_text()
-    assert page.count("| exploration | +50.") == 2 and "96 runs, which is analysed" in page
-    assert page.count("One at a time") == 1, "a half fraction has no such corners"
-    assert (tmp_path / "figures" / "why-sarsa.svg").exists()
-
-
-TRUTHS: dict[str, tuple[Callable[[Sequence[int]], float], str, str]] = {
-    "exploration is the cause": (
-        lambda levels: 0.95 if levels[2] > 0 else 0.1, "The final score is raised by exploration (+85) alone.",
-        "One correction suffices alone in more than half of the rooms: exploration (in 3 of 3 rooms)."),
-    "replay and choices each suffice": (
-        lambda levels: 0.95 if levels[3] > 0 or levels[4] > 0 else 0.1,
-        "and the first is not shown to do more than the second.",
-        "Several corrections each suffice alone in more than half of the rooms, so that these runs name no single "
-        "cause: replay (in 3 of 3 rooms) and choices (in 3 of 3 rooms)."),
-    "replay helps, and heals nothing alone": (
-        lambda levels: 0.1 + 0.5 * (levels[3] > 0) + 0.1 * (levels[5] > 0),
-        "The final score is raised by replay (+50) more than any other, and by numerics (+10).",
-        "No correction alone suffices in more than half of the rooms."),
-    "nothing matters": (lambda levels: 0.5, "No correction is shown to move the final score.",
-                        "No correction alone suffices in more than half of the rooms."),
-}
-
-
-@pytest.mark.parametrize("truth", TRUTHS)
-def test_different_truths_get_different_conclusions(truth: str):
-    compute, moved, sufficient = TRUTHS[truth]
-    noise = np.random.default_rng(1)
-    runs = [make_run("sarsa-" + "".join("1" if level > 0 else "0" for level in levels),
-                     [compute(levels) + noise.normal(0, 0.01)] * 11, room=room)
-            for levels in [*make_half_fraction(6), *make_corners(6)] for room in ("x", "y", "z")]
-    found = {("sarsa", response): analyse_runs("sarsa", runs, response) for response in RESPONSES}
-    said = conclude("sarsa", found, runs)
-    assert moved in said[0] + "." or moved.rstrip(".") in said[0]
-    assert said[-1] == sufficient
-    others = [(first, last) for name, (_, first, last) in TRUTHS.items() if name != truth]
-    assert (moved, sufficient) not in others
 
 
 # --- flat learners ---------------------------------------------------------------------
