@@ -267,7 +267,7 @@ def _find_side(instance: RoomInstance, target: Target) -> str:
 def _draw_names(axes: Axes, instance: RoomInstance, state: RoomState, side: str, members: list[int]) -> None:
     scale = 72 * _get_scale(axes)  # points a metre
     line, x_min, x_max, y_min, y_max = 1.75 * _LABEL_POINTS / scale, *compute_extent(instance)
-    names = [_name_target(instance, index) for index in members]
+    names = [_name_target(instance, state, index) for index in members]
     along = [instance.targets[i].y if side in ("left", "right") else instance.targets[i].x for i in members]
     longest = 0.72 * _LABEL_POINTS * max(len(name) for name in names) / scale
     upright = side in ("top", "bottom") and min(np.diff(sorted(along)), default=math.inf) < longest
@@ -299,8 +299,10 @@ def _draw_names(axes: Axes, instance: RoomInstance, state: RoomState, side: str,
                       **anchor, **style)
 
 
-def _name_target(instance: RoomInstance, index: int) -> str:
-    return instance.targets[index].name + (" \N{BLACK STAR}" if index in instance.puzzle.goal_targets else "")
+def _name_target(instance: RoomInstance, state: RoomState, index: int) -> str:
+    sign, star = instance.puzzle.get_signs(state.puzzle)[index], " \N{BLACK STAR}"
+    return instance.targets[index].name + (f": {sign}" if sign else "") + (
+        star if index in instance.puzzle.goal_targets else "")
 
 
 def _spread(places: Sequence[float], gap: float) -> list[float]:

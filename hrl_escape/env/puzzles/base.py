@@ -261,6 +261,10 @@ class Puzzle(_OfKind):
     def get_lit(self, state: PuzzleState) -> tuple[bool, ...]:
         """Say for each target whether it is on."""
 
+    def get_signs(self, state: PuzzleState) -> tuple[str, ...]:
+        """Text that each target shows to people besides its name, such as what lies there; empty for none."""
+        return ("",) * len(self.target_names)
+
     # --- for planners --------------------------------------------------------------------
 
     def get_facts(self, state: PuzzleState) -> frozenset[str]:

@@ -186,6 +186,18 @@ class BlocksWorldPuzzle(Puzzle):
         """Places on which a tower stands."""
         return tuple(below == block for block, below in enumerate(self.decode(state)))
 
+    def get_signs(self, state: int) -> tuple[str, ...]:
+        """The tower on each place, from the table up."""
+        towers = self.decode(state)
+        above = {below: block for block, below in enumerate(towers) if below != block}
+        signs = list[str]()
+        for base, below in enumerate(towers):
+            tower = [base] if below == base else []
+            while tower and tower[-1] in above:
+                tower.append(above[tower[-1]])
+            signs.append(" ".join(self.names[block] for block in tower))
+        return tuple(signs)
+
     # --- for planners ------------------------------------------------------------------
 
     def get_facts(self, state: int) -> frozenset[str]:

@@ -14,6 +14,7 @@ import hrl_escape
 from benchmarks.conformance import compare
 from hrl_escape.checks import check_isomorphism, check_puzzle
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.drawing.maps import save_map
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels, Place
@@ -277,6 +278,19 @@ def test_meta_actions_pick_and_place_and_are_masked_where_they_cannot():
     can = {goal: bool(is_possible) for goal, is_possible in zip(goals, info["action_mask"], strict=False)}
     for block in range(4):
         assert can[GripGoal(block, "release")] == (now[block] in (block, IN_HAND)) and not can[GripGoal(block, "grip")]
+
+
+def test_maps_show_the_towers(tmp_path):
+    puzzle = BlocksWorldPuzzle(("a", "b", "c"), (0, 0, 1), ((0, 2),))
+    assert puzzle.get_signs(puzzle.make_state()) == ("a b c", "", "")
+    assert puzzle.get_signs(puzzle.encode((0, 1, IN_HAND))) == ("a", "b", "")
+    room = generate(get_preset("blocks-world"), 1)
+    save_map(tmp_path / "map.svg", room)
+    text = "".join((tmp_path / "map.svg").read_text().split())
+    towers = room.puzzle.get_signs(room.puzzle.make_state())
+    assert any(towers)
+    for name, tower in zip(room.puzzle.target_names, towers, strict=True):
+        assert (f"{name}:{tower.replace(' ', '')}" if tower else name) in text
 
 
 def test_places_hang_apart_so_that_one_is_touched_at_a_time():
