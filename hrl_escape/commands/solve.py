@@ -26,14 +26,17 @@ from hrl_escape.env.engine import check_camera, film
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text
 from hrl_escape.options.closed_loop import ClosedLoopExecution, pursue
 from hrl_escape.planning.plan import Execution, Plan
 from hrl_escape.planning.room_planner import RoomPlanner
 from hrl_escape.planning.symbolic.pddl import save_pddl
+from hrl_escape.planning.trajectories.trajectory import make_trajectory
 
 ESCAPE = "escape"
 MOST_FRAMES = 60
+MOTION_ENDING = "html"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -49,7 +52,8 @@ class SolveArgs(RoomChoice):
     episode_seed: int = 0
     """Episode seed: fixes the start and the noise."""
     draw: tuple[Path, ...] = ()
-    """Pictures to write: .svg, .pdf or .png for the map with the way, .gif or .mp4 for a video."""
+    """Pictures to write: .svg, .pdf or .png for the map with the way, .gif or .mp4 for a video, .html for the plan as
+    motion in 3D, under the default limits of speed and acceleration."""
     filmstrip: Path | None = None
     """File for six moments in one .png picture."""
     camera: str = "chase"
@@ -75,7 +79,7 @@ class _Outcome:
 def run(args: SolveArgs) -> int:
     """Plan, run and show; exit code 1 if the goal was not reached."""
     for path in args.draw:
-        check_picture_name(path)
+        check_picture_name(path, MOTION_ENDING)
     check_camera(args.camera)
     instance = args.make_instance()
     files = list(save_pddl(instance, args.pddl)) if args.pddl else []
@@ -162,7 +166,14 @@ def _make_decision_table(execution: ClosedLoopExecution) -> Table:
 
 def _draw(path: Path, instance: RoomInstance, outcome: _Outcome, args: SolveArgs) -> None:
     states = outcome.run.states
-    if path.suffix.lower().lstrip(".") in VIDEO_FORMATS:
+    if path.suffix.lower() == f".{MOTION_ENDING}":
+        from hrl_escape.viewer.pages.motion import save_motion  # needs the extra `viewer`
+
+        if outcome.plan is None:
+            raise UnsupportedError(f"{path}: there is no plan to be shown as motion where meta-actions replan on their "
+                                   "way; `hrl-escape record` makes a page of an episode")
+        save_motion(path, make_trajectory(outcome.plan), instance, states[0])
+    elif path.suffix.lower().lstrip(".") in VIDEO_FORMATS:
         save_video(path, film(instance, states, args.camera))
     elif outcome.plan is not None:
         outcome.plan.draw(path)

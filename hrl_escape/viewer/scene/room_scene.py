@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.drawing import palette
@@ -122,6 +123,10 @@ class RoomScene:
         """Draw a path planner's path for the body's axis."""
         self._draw_line("path", points, palette.MUTED, 6 * LAYER)
 
+    def draw_hand_path(self, points: Sequence[_Point]) -> None:
+        """Draw the way of the hand, in the air."""
+        self._draw_segments("hand-path", np.array(points, dtype=np.float32).reshape(-1, 3), PLAN)
+
     def draw_goals(self, goals: Sequence[tuple[str, float, float]]) -> None:
         """Label the places (name, x, y) of running calls' goals; calls with one place share a label."""
         height = self.instance.frame.wall_height / 2
@@ -150,7 +155,11 @@ class RoomScene:
             ghost.frame.visible = len(states) > 1
 
     def _draw_line(self, name: str, points: Sequence[tuple[float, float]], colour: str, height: float) -> None:
-        at = np.array([(x, y, height) for x, y in points], dtype=np.float32).reshape(-1, 3)
+        at = np.array([(x, y, height) for x, y in points], dtype=np.float32)
+        self._draw_segments(name, at.reshape(-1, 3), colour)
+
+    def _draw_segments(self, name: str, at: NDArray[np.float32], colour: str) -> None:
+        """Draw lines from point to point, shape (points, 3); none if they are all one."""
         moved = np.any(at[1:] != at[:-1], axis=1)
         segments = np.stack([at[:-1], at[1:]], axis=1)[moved]
         visible = len(segments) > 0
