@@ -161,8 +161,9 @@ def _draw_inner_doors(axes: Axes, instance: RoomInstance, shut: int) -> None:
     operators = instance.symbolic_model.operators if facts else ()
     for door, fact in zip(instance.inner_doors, facts, strict=bool(facts)):
         openers = " or ".join(dict.fromkeys(op.target for op in operators if fact in op.may_add))
-        axes.annotate(openers, (door.x, door.y), fontsize=6.5, color=palette.DOOR, ha="center", va="center",
-                      rotation=math.degrees(door.yaw), zorder=6, path_effects=_HALO)
+        beside = -8 * math.sin(door.yaw), 8 * math.cos(door.yaw)
+        axes.annotate(openers, (door.x, door.y), beside, textcoords="offset points", fontsize=6.5, color=palette.DOOR,
+                      ha="center", va="center", rotation=math.degrees(door.yaw), zorder=6, path_effects=_HALO)
 
 
 def _make_capsule(capsule: Capsule, **style: Any) -> Patch:
