@@ -79,8 +79,8 @@ MUTATIONS = [
     Mutation(
         "an early stop is drawn once an episode",
         "options/degraded.py",
-        "if self._draw(_STOP, state.noise_key, state.primitives) <",
-        "if self._draw(_STOP, state.noise_key, 0) <",
+        "if self._draw(STOP, state) <",
+        "if self.degradation.draw(self.name, STOP, state.noise_key, 0) <",
         "options/test_degraded.py",
     ),
     Mutation(
