@@ -137,6 +137,12 @@ class RoomSpec(Settings):
     seed: Annotated[int, Range(0, 2**63 - 1)] = 0
     """Instance seed."""
 
+    @property
+    def label(self) -> str:
+        """Name in short text: of the preset, schematic, file or set, and `#` with the number of a further instance."""
+        name = self.preset or (self.config or {}).get("name") or self.file or self.set or ""
+        return f"{name}#{self.seed}" if self.seed else name
+
     def check(self) -> None:
         """Require exactly one source."""
         if sum(source is not None for source in (self.preset, self.config, self.file, self.set)) != 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 from hrl_escape.env.config import RobotConfig, RoomConfig
@@ -14,11 +15,17 @@ from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.references import REFERENCES
 from hrl_escape.synthesis.kinds import LEAVES
 
-__all__ = ["GRIDS", "HIERARCHICAL", "get_grid"]
+__all__ = ["GRIDS", "HIERARCHICAL", "LEARNED", "get_grid"]
 
 
 def _parse_agents(*texts: str) -> tuple[AgentSpec, ...]:
     return tuple(AgentSpec.parse(text) for text in texts)
+
+
+def _name_options(*names: str) -> tuple[AgentSpec, ...]:
+    """Learners over options alone, with settings for runs of a few hundred decisions."""
+    return tuple(dataclasses.replace(AgentSpec.parse(f"smdp-{name}+no-primitives"),
+                                     settings=_FEW_DECISIONS.get(name, {})) for name in names)
 
 
 def _parse_rooms(*texts: str) -> tuple[RoomSpec, ...]:
@@ -26,11 +33,14 @@ def _parse_rooms(*texts: str) -> tuple[RoomSpec, ...]:
 
 
 def _make_layered_room(buttons: int, rule: ViolationRule) -> RoomSpec:
-    """A room of buttons anywhere on the walls, their numbers shuffled, each with at most two parents."""
+    """A room of buttons anywhere on the walls, their numbers shuffled, each with at most two parents.
+
+    It is the first instance in which some button needs another.
+    """
     graph = GraphConfig(kind="layered", max_parents=2)
     puzzle = ButtonsConfig(count=buttons, graph=graph, on_violation=rule, buttons=Panels(width=1.5))
     return RoomSpec(config=RoomConfig(name=f"layered-{buttons}-{rule}", robot=RobotConfig(body_radius=0.5),
-                                      puzzle=puzzle).to_dict())
+                                      puzzle=puzzle).to_dict(), seed=1 if buttons == 2 else 0)
 
 
 _FLAT = _parse_agents("random", "dqn@paper", "sarsa@paper", "ddpg@paper", "dqn", "sarsa", "ddpg")
@@ -38,6 +48,13 @@ _OPTIONS = _parse_agents("smdp-random", "smdp-dqn@paper", "smdp-sarsa@paper", "s
                          "smdp-sarsa", "smdp-ddpg", *REFERENCES)
 HIERARCHICAL = ("maxq-q", "hamq", "h-dqn@table", "feudal-rl")
 """A tabular agent for each kind of hierarchy that is synthesised."""
+LEARNED = ("q-learning", "option-critic", "eigenoptions", "covering-options", "skill-chaining", "ppo", "dac", "ppoc",
+           "a2oc", "diayn", "r-max", "factored-r-max", "met-r-max", "vigorito-barto", "monte-carlo-model", "hrc")
+"""Agents that learn options, skills or structure, each kind behind the flat agent that learns in the same way."""
+_SHORT = {"rollout": 32, "batch_size": 32}
+_FEW_DECISIONS = {"ppo": _SHORT, "dac": _SHORT, "ppoc": _SHORT | {"least_samples": 32}, "diayn": _SHORT,
+                  "eigenoptions": {"discover_every": 50}, "covering-options": {"discover_every": 50}}
+"""Settings of those that by default learn or search less often than there are decisions in 10,000 primitives."""
 # The paper's rooms have one start and no chance: every episode of one evaluation is the same, so one is enough.
 _PAPER: dict[str, Any] = {"runs": 10, "primitives": 20_000, "eval_every": 500, "eval_episodes": 1}
 
@@ -117,16 +134,14 @@ GRIDS: dict[str, Grid] = {
         ),
         Grid(
             name="learned-hierarchies",
-            description="Options and causal structure learned over meta-actions: do they help with two to eight "
-            "buttons whose numbers say nothing of their order?",
-            agents=_parse_agents(*(f"smdp-{name}+no-primitives" for name in (
-                "random", "q-learning", "option-critic", "skill-chaining", "hrc", "met-r-max", "vigorito-barto")),
-                *REFERENCES),
+            description="Options, skills and causal structure learned over meta-actions: do they help with two to "
+            "eight buttons whose numbers say nothing of their order?",
+            agents=(*_name_options("random", *LEARNED), *_parse_agents(*REFERENCES)),
             rooms=tuple(_make_layered_room(buttons, rule) for rule in ("ignore", "reset") for buttons in (2, 4, 8)),
             runs=10,
-            primitives=4_000,
-            eval_every=2_000,
-            eval_episodes=1,
+            primitives=10_000,
+            eval_every=5_000,
+            eval_episodes=1,  # as above
         ),
     )
 }

@@ -10,6 +10,7 @@ import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, ClassVar, Protocol, TypeVar
 
 import numpy as np
 
@@ -19,11 +20,25 @@ from hrl_escape.experiments.statistics import compute_iqm
 from hrl_escape.files import read_text, write_text
 from hrl_escape.settings import read_record
 
-__all__ = ["LEAST_RUNS", "BaselineRun", "collect_baselines", "compute_run_efficiency", "join_lines", "load_lines",
-           "save_lines"]
+__all__ = ["LEAST_RUNS", "BaselineRun", "collect_baselines", "compute_run_efficiency", "join_lines",
+           "load_data_lines", "load_lines", "save_lines"]
 
 LEAST_RUNS = 10
 """Fewer runs than these are shown as numbers, and no sentence concludes from them."""
+
+
+class DataLine(Protocol):
+    """Dataclass of which each instance is a line of a file."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def place(self) -> Any:
+        """Subject of the line, by which lines are sorted."""
+        ...
+
+
+DataLineT = TypeVar("DataLineT", bound=DataLine)
 
 
 @dataclass(frozen=True)
@@ -89,7 +104,7 @@ def join_lines(old: Iterable[BaselineRun], new: Iterable[BaselineRun]) -> list[B
     return list({line.place: line for line in (*old, *new)}.values())
 
 
-def save_lines(path: Path, lines: Iterable[BaselineRun]) -> None:
+def save_lines(path: Path, lines: Iterable[DataLine]) -> None:
     """Write lines, in an order that does not depend on who made which.
 
     Raises:
@@ -101,13 +116,22 @@ def save_lines(path: Path, lines: Iterable[BaselineRun]) -> None:
 
 
 def load_lines(path: Path) -> list[BaselineRun]:
-    """Read lines.
+    """Read lines about runs.
+
+    Raises:
+        FileReadError: the file is missing or damaged.
+    """
+    return load_data_lines(path, BaselineRun)
+
+
+def load_data_lines(path: Path, kind: type[DataLineT]) -> list[DataLineT]:
+    """Read lines of a kind.
 
     Raises:
         FileReadError: the file is missing or damaged.
     """
     try:
-        return [read_record(BaselineRun, json.loads(row)) for row in read_text(path).splitlines()]
+        return [read_record(kind, json.loads(row)) for row in read_text(path).splitlines()]
     except FileReadError:
         raise
     except (EscapeError, KeyError, TypeError, ValueError) as error:

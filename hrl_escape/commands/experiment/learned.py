@@ -1,0 +1,34 @@
+"""Measure what hierarchies gain that are learned: options, skills and causal structure, over planned presses.
+
+Places the options that were learned beside planned ones that fail with a known probability. Writes
+docs/results/learned.md with a line of JSON a run. Killed, the same command goes on.
+
+Examples:
+    hrl-escape experiment learned --workers 2
+    hrl-escape experiment learned --runs 20 --out /tmp/runs --docs /tmp/page
+    hrl-escape experiment learned --from-raw             # the page anew from the lines, nothing is trained
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+from hrl_escape.experiments.baselines.dial import DIAL, DialLine, make_dial_section, measure_dial
+from hrl_escape.experiments.baselines.lines import load_data_lines
+from hrl_escape.experiments.baselines.twin_studies import LEARNED
+from hrl_escape.experiments.baselines.twins_running import TwinArgs, load_twin_lines, write_page
+from hrl_escape.experiments.studies.running import get_raw_file
+
+
+@dataclasses.dataclass(frozen=True)
+class LearnedArgs(TwinArgs):
+    """Options of `hrl-escape experiment learned`."""
+
+
+def run(args: LearnedArgs) -> None:
+    """Run, write the page, and print its conclusions."""
+    lines, dial = load_twin_lines(LEARNED, args), get_raw_file(args.docs, "option-dial")
+    if not args.from_raw:
+        seeds = range(args.first_seed, args.first_seed + args.runs)
+        measure_dial(DIAL, dial, seeds, args.primitives)
+    write_page(LEARNED, lines, args, make_dial_section(DIAL, load_data_lines(dial, DialLine)))

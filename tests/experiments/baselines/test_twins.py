@@ -1,0 +1,182 @@
+"""Studies of twins, hierarchies given and learned: what their pages say follows from the lines, whatever they say."""
+
+from __future__ import annotations
+
+import dataclasses
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from hrl_escape.agents.registry import find_agent_module
+from hrl_escape.cli import main
+from hrl_escape.experiments.baselines.dial import DialStudy
+from hrl_escape.experiments.baselines.lines import BaselineRun, load_lines, save_lines
+from hrl_escape.experiments.baselines.twin_studies import GIVEN, LEARNED
+from hrl_escape.experiments.baselines.twins import compare_twins, conclude_contrasts
+from hrl_escape.experiments.baselines.twins_page import write_twins_page
+from hrl_escape.experiments.baselines.twins_running import TwinArgs
+from hrl_escape.experiments.presets import GRIDS, HIERARCHICAL, get_grid
+from hrl_escape.experiments.presets import LEARNED as LEARNERS
+
+ROOMS = ("near", "far")
+STUDIES = pytest.mark.parametrize("study", [GIVEN, LEARNED], ids=lambda study: study.name)
+LINE = BaselineRun("per-instance", "hierarchies", "near", "", 0, 1_000, 0.0, None, 0.0, 1, 0.0, None, "abc")
+
+
+def make_lines(better: dict[str, float], runs: int = 10, study=GIVEN) -> list[BaselineRun]:
+    """Efficiencies by a part of the label, and 0 for the rest; who escapes at all does so after 100 primitives."""
+    learners = [agent.label for agent in get_grid(study.name).agents if agent.learns]
+    found = {label: next((score for part, score in better.items() if part in label), 0.0) for label in learners}
+    return [dataclasses.replace(LINE, rooms=room, agent=label, seed=seed, efficiency=score * (1 + seed / 100),
+                                first_escape=100 if score else None)
+            for room in ROOMS for label, score in found.items() for seed in range(runs)]
+
+
+@STUDIES
+def test_every_learner_of_the_grid_is_asked_about_or_a_twin_and_nobody_else(study):
+    grid = get_grid(study.name)
+    asked = {label for question in study.questions for pair in question.pairs for label in pair}
+    assert asked == {agent.label for agent in grid.agents if agent.learns}
+    assert (TwinArgs.runs, TwinArgs.primitives) == (grid.runs, grid.primitives)
+
+
+def test_questions_ask_about_every_hierarchy():
+    assert [len(question.pairs) for question in GIVEN.questions] == [len(HIERARCHICAL)] * 3
+    assert sum(len(question.pairs) for question in LEARNED.questions[:3]) == len(LEARNERS) - 3, "all but three twins"
+
+
+@pytest.mark.parametrize(("better", "structure", "planned", "beside"), [
+    ({"+planned": 0.9, "smdp": 0.5}, "no gain is shown in any of 2 rooms", "some hierarchy gains in 2 of 2 rooms",
+     "some hierarchy gains in 2 of 2 rooms"),
+    ({"+learned": 0.5, "+planned": 0.5, "smdp": 0.9}, "some hierarchy gains in 2 of 2 rooms",
+     "no gain is shown in any of 2 rooms", "no gain is shown in any of 2 rooms, some loses in 2"),
+    ({"+learned": 0.9, "+planned": 0.2, "q-learning": 0.2}, "some hierarchy gains in 2 of 2 rooms",
+     "no gain is shown in any of 2 rooms, some loses in 2", "no gain is shown in any of 2 rooms"),
+])
+def test_another_truth_is_another_conclusion(better, structure, planned, beside):
+    lines = make_lines(better)
+    assert [sentence.split(": ")[1] for sentence in conclude(GIVEN, lines)] == [
+        f"{said}." for said in (structure, planned, beside)]
+
+
+@pytest.mark.parametrize(("better", "tables", "networks", "structure", "ways"), [
+    ({"r-max": 0.2, "option-critic": 0.5, "q-learning": 0.4}, "some learner of options gains in 2 of 2 rooms, some "
+     "loses in 2", "no gain is shown in any of 2 rooms", "no gain is shown in any of 2 rooms, some loses in 2",
+     "no gain is shown in any of 2 rooms, some loses in 2"),
+    ({"hrc": 0.9, "-r-max": 0.5, "ppo+": 0.5, "ppoc": 0.6, "dac": 0.5, "a2oc": 0.5, "diayn": 0.5},
+     "no gain is shown in any of 2 rooms", "some learner of options gains in 2 of 2 rooms",
+     "some learner of structure gains in 2 of 2 rooms, some loses in 2",
+     "some other way gains in 2 of 2 rooms, some loses in 2"),
+])
+def test_another_truth_about_learned_hierarchies_is_another_conclusion(better, tables, networks, structure, ways):
+    found = conclude(LEARNED, make_lines(better, study=LEARNED))
+    assert [sentence.split(": ")[1] for sentence in found] == [f"{said}." for said in
+                                                               (tables, networks, structure, ways)]
+
+
+def conclude(study, lines):
+    return conclude_contrasts(study, compare_twins(study, lines), lines)
+
+
+def test_nothing_is_concluded_from_nine_runs():
+    lines = make_lines({"+planned": 0.9, "smdp": 0.5}, runs=9)
+    assert not any(contrast.is_shown for contrast in compare_twins(GIVEN, lines))
+    assert all("nothing is concluded" in sentence for sentence in conclude(GIVEN, lines))
+    lines += [line for line in make_lines({"+planned": 0.9}) if (line.rooms, line.seed) == (ROOMS[0], 9)]
+    assert "gains in 1 of 1 room." in conclude(GIVEN, lines)[1]
+
+
+def test_findings_name_room_and_size(tmp_path: Path):
+    slow = [dataclasses.replace(line, first_escape=400) if line.agent == "maxq-q+planned" else line
+            for line in make_lines({"+planned": 0.5, "smdp": 0.5})]
+    write_twins_page(GIVEN, slow, tmp_path / "page.md")
+    page = (tmp_path / "page.md").read_text()
+    assert "**Structure alone: no gain is shown in any of 2 rooms." in page
+    assert page.count("| `maxq-q+planned` | 10 | 0.5") == 2
+    assert "- `maxq-q+planned`: escapes later in far (by 300 primitives), near (by 300 primitives)." in page
+    assert "- `hamq+planned`: no difference is shown." in page and "`hamq+planned` (program, state, planner)" in page
+    assert "then one episode of the frozen policy" in page and "Too few runs" not in page
+
+
+def test_another_truth_is_another_page(tmp_path: Path):
+    fast = [dataclasses.replace(line, episodes=3, first_escape=40) if line.agent == "hamq+planned" else line
+            for line in make_lines({"maxq-q+planned": 0.2, "+planned": 0.5, "smdp": 0.5})
+            if line.agent != "h-dqn@table+planned" or (line.rooms, line.seed) != ("far", 9)]
+    write_twins_page(GIVEN, fast, tmp_path / "page.md")
+    page = (tmp_path / "page.md").read_text()
+    beside = page.partition("## Structure where a planner walks anyway")[2]
+    assert "- `maxq-q+planned`: less efficient in far (-0.31), near (-0.31)." in beside
+    assert "- `hamq+planned`: escapes sooner in far (by 60 primitives), near (by 60 primitives)." in beside
+    assert "- `maxq-q+planned`: more efficient in far (+0.21), near (+0.21); escapes sooner in far (by 900" in page
+    assert page.count("Too few runs to conclude anything: far.") == 2, "of the questions that it is a part of"
+    assert "then three episodes of the frozen policy" in page
+    write_twins_page(GIVEN, [line for line in fast if "+" not in line.agent], tmp_path / "page.md")
+    assert "Privileged" not in (tmp_path / "page.md").read_text()
+
+
+def test_agents_on_given_hierarchies_learn_in_tables():
+    for agent in (agent for agent in get_grid("hierarchies").agents if agent.learns):
+        settings = agent.resolve_settings()
+        assert "hidden" not in settings or settings["values"] == "table", f"{agent.label} learns in a network"
+
+
+def test_settings_that_are_no_defaults_are_those_that_the_page_names():
+    assert not any(agent.settings for agent in get_grid("hierarchies").agents)
+    changed = {agent.algorithm: agent.settings for agent in get_grid("learned-hierarchies").agents if agent.settings}
+    found = {name for name, settings in changed.items() if settings.get("rollout") == 32}
+    search = {name for name, settings in changed.items() if settings == {"discover_every": 50}}
+    assert found | search == set(changed)
+    told = LEARNED.introduction
+    assert all(f"`{name}`" in told.partition("learn from 32")[0] for name in found)
+    assert all(f"`{name}`" in told.partition("learn from 32")[2].partition("every 50")[0] for name in search)
+
+
+@STUDIES
+def test_rooms_have_one_start_and_no_chance(study):
+    grid = get_grid(study.name)
+    for room in grid.rooms:
+        instance = room.make_instance()
+        assert len(instance.starts) == len(instance.puzzle.list_starts()) == 1 and not instance.dynamics.is_random
+
+
+def test_rooms_of_learned_hierarchies_are_what_the_page_says():
+    for room in get_grid("learned-hierarchies").rooms:
+        place, puzzle = room.make_place(), room.make_instance().puzzle
+        _, buttons, rule = place.name.partition("#")[0].split("-")
+        needy = [child for _, child in puzzle.edge_list]
+        assert place.name == room.label
+        assert (puzzle.count, puzzle.on_violation) == (int(buttons), rule)
+        assert 1 <= max(map(needy.count, needy)) <= 2, "some button needs another"
+
+
+def test_what_is_said_of_everybody_names_everybody():
+    sources = {name: Path(find_spec(find_agent_module(name)).origin).read_text() for name in LEARNERS}
+    readers = {name for name, source in sources.items() if "hrl_escape.agents.factored" in source}
+    assert {name for name in LEARNERS if f"`{name}`" in LEARNED.notes[1]} == readers
+
+
+@pytest.mark.parametrize(("study", "agent", "first"), [
+    (GIVEN, "hamq+planned", 36), (LEARNED, "smdp-hrc+no-primitives", 57)], ids=["given", "learned"])
+def test_the_command_runs_and_writes_the_page_again_from_its_lines(study, agent, first, tmp_path: Path, monkeypatch,
+                                                                   capsys):
+    from hrl_escape.commands.experiment import learned
+
+    grid = get_grid(study.name)
+    agents = tuple(spec for spec in grid.agents if spec.label in (agent, "planner"))
+    monkeypatch.setitem(GRIDS, study.name, dataclasses.replace(grid, agents=agents, rooms=grid.rooms[:1],
+                                                               eval_every=60))
+    monkeypatch.setattr(learned, "DIAL", DialStudy(room="layered-2-ignore#1", algorithms=("hrc",), shares=(1.0,),
+                                                   failures=(0.0, 1.0), draws=1, calls=1))
+    arguments = ["experiment", study.command, "--docs", str(tmp_path)]
+    assert main([*arguments, "--runs", "1", "--primitives", "60", "--workers", "1",
+                 "--out", str(tmp_path / "runs")]) == 0
+    assert "nothing is concluded" in capsys.readouterr().out
+    file, raw = tmp_path / f"{study.command}.md", tmp_path / "raw" / f"{study.name}.jsonl"
+    page, lines = file.read_text(), load_lines(raw)
+    assert {line.agent: line.first_escape for line in lines} == {agent: first, "planner": None}
+    assert ("Learned options on the dial" in page) == (study is LEARNED)
+    save_lines(raw, [dataclasses.replace(line, efficiency=0.5) for line in lines])
+    assert main([*arguments, "--from-raw"]) == 0
+    again = file.read_text()
+    assert again != page and "0.500" in again
