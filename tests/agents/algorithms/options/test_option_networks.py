@@ -1,14 +1,19 @@
 """DAC, PPOC and A2OC: PPO to the bit with one option, losses and gradients by hand, what each decision teaches."""
 
+from pathlib import Path
+
+import gymnasium
 import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
 
+from hrl_escape.agents import train
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.options.choices import NONE, OptionChoices, mix_values, mix_with_former
 from hrl_escape.agents.components.policy_gradient import Rollout
 from hrl_escape.agents.registry import make_agent
+from hrl_escape.errors import AgentSettingsError, UnknownNameError
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid
 
@@ -157,6 +162,17 @@ def test_a_minibatch_of_one_decision_is_left_out():
     assert [len(rows) for rows in make("dac", batch_size=8, epochs=2)._draw_batches(17)] == [8, 8, 8, 8]
 
 
+@pytest.mark.parametrize("name", ["dac", "ppoc", "a2oc"])
+def test_memory_objects_and_many_environments_are_refused_as_the_page_says(name):
+    page = (Path(__file__).parents[4] / "docs" / "agents" / f"{name}.md").read_text()
+    assert "no `memory`, no `network=objects`, and a vector environment is refused" in page
+    for setting in ("memory", "network"):
+        with pytest.raises(UnknownNameError, match=f"'{setting}'"):
+            make(name, **{setting: "objects"})
+    with pytest.raises(AgentSettingsError, match=f"'{name}' is not possible: one that learns from many environments"):
+        train(name, gymnasium.make_vec("CartPole-v1", num_envs=2, vectorization_mode="sync"), primitives=10)
+
+
 # --- DAC ----------------------------------------------------------------------------------
 
 
@@ -290,6 +306,15 @@ def test_ppocs_terminations_fall_where_the_option_that_ran_is_better_than_the_me
     loss.backward()
     moved = [name for name, network in agent.networks.items() if network.gradient.any()]
     assert moved == ["ending"]
+
+
+def test_ppocs_terminations_move_at_their_own_rate():
+    """Adam's first step is its rate, whatever the gradient."""
+    for rate in (0.0, 1e-4, 1e-2):
+        agent, (rollout, choices) = make("ppoc", termination_rate=rate, learning_rate=0.1), make_rollout(6)
+        before = agent.networks["ending"].weights.clone()
+        agent._learn(rollout, choices)
+        assert (agent.networks["ending"].weights - before).abs().max().item() == pytest.approx(rate, rel=0.01)
 
 
 def test_an_option_waits_for_its_samples_and_then_learns_from_its_own():
