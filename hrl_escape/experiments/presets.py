@@ -15,7 +15,7 @@ from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.references import REFERENCES
 from hrl_escape.synthesis.kinds import LEAVES
 
-__all__ = ["GRIDS", "HIERARCHICAL", "LEARNED", "get_grid"]
+__all__ = ["GRIDS", "HIERARCHICAL", "HIERARCHY_LEARNERS", "get_grid"]
 
 
 def _parse_agents(*texts: str) -> tuple[AgentSpec, ...]:
@@ -48,8 +48,9 @@ _OPTIONS = _parse_agents("smdp-random", "smdp-dqn@paper", "smdp-sarsa@paper", "s
                          "smdp-sarsa", "smdp-ddpg", *REFERENCES)
 HIERARCHICAL = ("maxq-q", "hamq", "h-dqn@table", "feudal-rl")
 """A tabular agent for each kind of hierarchy that is synthesised."""
-LEARNED = ("q-learning", "option-critic", "eigenoptions", "covering-options", "skill-chaining", "ppo", "dac", "ppoc",
-           "a2oc", "diayn", "r-max", "factored-r-max", "met-r-max", "vigorito-barto", "monte-carlo-model", "hrc")
+HIERARCHY_LEARNERS = (
+    "q-learning", "option-critic", "eigenoptions", "covering-options", "skill-chaining", "ppo", "dac", "ppoc", "a2oc",
+    "diayn", "r-max", "factored-r-max", "met-r-max", "vigorito-barto", "monte-carlo-model", "hrc")
 """Agents that learn options, skills or structure, each kind behind the flat agent that learns in the same way."""
 _SHORT = {"rollout": 32, "batch_size": 32}
 _FEW_DECISIONS = {"ppo": _SHORT, "dac": _SHORT, "ppoc": _SHORT | {"least_samples": 32}, "diayn": _SHORT,
@@ -136,7 +137,7 @@ GRIDS: dict[str, Grid] = {
             name="learned-hierarchies",
             description="Options, skills and causal structure learned over meta-actions: do they help with two to "
             "eight buttons whose numbers say nothing of their order?",
-            agents=(*_name_options("random", *LEARNED), *_parse_agents(*REFERENCES)),
+            agents=(*_name_options("random", *HIERARCHY_LEARNERS), *_parse_agents(*REFERENCES)),
             rooms=tuple(_make_layered_room(buttons, rule) for rule in ("ignore", "reset") for buttons in (2, 4, 8)),
             runs=10,
             primitives=10_000,

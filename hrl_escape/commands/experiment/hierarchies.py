@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from hrl_escape.experiments.baselines.twin_studies import GIVEN
+from hrl_escape.experiments.baselines.twin_studies import GIVEN_HIERARCHIES
 from hrl_escape.experiments.baselines.twins_running import TwinArgs, load_twin_lines, write_page
 
 
@@ -23,4 +23,4 @@ class HierarchiesArgs(TwinArgs):
 
 def run(args: HierarchiesArgs) -> None:
     """Run, write the page, and print its conclusions."""
-    write_page(GIVEN, load_twin_lines(GIVEN, args), args)
+    write_page(GIVEN_HIERARCHIES, load_twin_lines(GIVEN_HIERARCHIES, args), args)

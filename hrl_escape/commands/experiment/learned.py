@@ -15,7 +15,7 @@ import dataclasses
 
 from hrl_escape.experiments.baselines.dial import DIAL, DialLine, make_dial_section, measure_dial
 from hrl_escape.experiments.baselines.lines import load_data_lines
-from hrl_escape.experiments.baselines.twin_studies import LEARNED
+from hrl_escape.experiments.baselines.twin_studies import LEARNED_HIERARCHIES
 from hrl_escape.experiments.baselines.twins_running import TwinArgs, load_twin_lines, write_page
 from hrl_escape.experiments.studies.running import get_raw_file
 
@@ -27,8 +27,8 @@ class LearnedArgs(TwinArgs):
 
 def run(args: LearnedArgs) -> None:
     """Run, write the page, and print its conclusions."""
-    lines, dial = load_twin_lines(LEARNED, args), get_raw_file(args.docs, "option-dial")
+    lines, dial = load_twin_lines(LEARNED_HIERARCHIES, args), get_raw_file(args.docs, "option-dial")
     if not args.from_raw:
         seeds = range(args.first_seed, args.first_seed + args.runs)
         measure_dial(DIAL, dial, seeds, args.primitives)
-    write_page(LEARNED, lines, args, make_dial_section(DIAL, load_data_lines(dial, DialLine)))
+    write_page(LEARNED_HIERARCHIES, lines, args, make_dial_section(DIAL, load_data_lines(dial, DialLine)))

@@ -66,7 +66,7 @@ DIAL = DialStudy()
 
 @dataclasses.dataclass(frozen=True)
 class DialLine:
-    """What calls of one option were worth on average.
+    """Mean worth of calls of one option.
 
     Attributes:
         room: name.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from hrl_escape.experiments.baselines.twins import Question, TwinStudy
 from hrl_escape.experiments.presets import HIERARCHICAL
 
-__all__ = ["GIVEN", "LEARNED"]
+__all__ = ["GIVEN_HIERARCHIES", "LEARNED_HIERARCHIES"]
 
 
 def _name_options(*algorithms: str) -> tuple[str, ...]:
@@ -22,7 +22,7 @@ def _pair(twin: str, *algorithms: str) -> tuple[tuple[str, str], ...]:
 _LEAVES, _PLANNED = (tuple(f"{name}+{leaves}" for name in HIERARCHICAL) for leaves in ("learned", "planned"))
 _FLAT, (_OPTIONS,) = "q-learning", _name_options("q-learning")
 
-GIVEN = TwinStudy(
+GIVEN_HIERARCHIES = TwinStudy(
     name="hierarchies",
     command="hierarchies",
     title="Synthesised hierarchies: structure alone, and with planned leaves",
@@ -40,7 +40,7 @@ GIVEN = TwinStudy(
     ),
 )
 
-LEARNED = TwinStudy(
+LEARNED_HIERARCHIES = TwinStudy(
     name="learned-hierarchies",
     command="learned",
     title="Learned hierarchies: options, skills and causal structure",

@@ -66,7 +66,8 @@ class Contrast(NamedTuple):
         room: name.
         agent: label.
         twin: label.
-        measure: `efficiency`, or `first escape`: primitives by which it comes sooner, the whole budget without one.
+        measure: `efficiency`, or `first escape`: primitives by which it comes sooner, runs without one
+            counting with the whole budget.
         gain: mean difference; above 0 the agent is better.
         p: two-sided, corrected over the study; 1 where too few runs were made to conclude anything.
     """
@@ -117,9 +118,9 @@ def _conclude(study: TwinStudy, number: int, contrasts: Sequence[Contrast], line
         return f"{question.heading}: nothing is concluded, as no room has {LEAST_RUNS} runs of all agents."
     better, worse = ({contrast.room for contrast in contrasts if contrast.question == number and contrast.room in rooms
                       and contrast.is_shown and sign * contrast.gain > 0} for sign in (1, -1))
-    of_rooms = f"of {len(rooms)} room{'s' if len(rooms) > 1 else ''}"
+    of_rooms = f"of {len(rooms)} rooms" if len(rooms) > 1 else f"room, {rooms[0]}"
     words = [f"{question.who} gains in {len(better)} {of_rooms}" if better else
-             f"no gain is shown in any {of_rooms}"]
+             f"no gain is shown in {'any' if len(rooms) > 1 else 'the one'} {of_rooms}"]
     words += [f"some loses in {len(worse)}"] if worse else []
     return f"{question.heading}: {', '.join(words)}."
 

@@ -24,6 +24,7 @@ from hrl_escape.experiments.presets import get_grid
 from hrl_escape.experiments.statistics import compute_iqm
 from hrl_escape.experiments.verdict import count_things, tell_privileges
 from hrl_escape.files import write_text
+from hrl_escape.names import join_words
 
 __all__ = ["write_twins_page"]
 
@@ -57,6 +58,8 @@ def write_twins_page(study: TwinStudy, lines: Sequence[BaselineRun], path: Path,
     text += ["A difference is named where a paired t test over training seeds shows it, after Holm's correction for "
              f"all {len(contrasts)} comparisons of this page. Fewer than {LEAST_RUNS} runs: nothing is concluded.", "",
              *more]
+    left_out = [room.label for room in get_grid(study.name).rooms if room.label not in rooms]
+    text += [f"Not run: {join_words(left_out)}.", ""] if left_out else []
     agents = _list_agents(study, lines)
     for room in rooms:
         text += [f"## {room}", "", *_make_table([choose_lines(lines, room, agent) for agent in agents]), ""]

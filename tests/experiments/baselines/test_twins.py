@@ -12,19 +12,18 @@ from hrl_escape.agents.registry import find_agent_module
 from hrl_escape.cli import main
 from hrl_escape.experiments.baselines.dial import DialStudy
 from hrl_escape.experiments.baselines.lines import BaselineRun, load_lines, save_lines
-from hrl_escape.experiments.baselines.twin_studies import GIVEN, LEARNED
+from hrl_escape.experiments.baselines.twin_studies import GIVEN_HIERARCHIES, LEARNED_HIERARCHIES
 from hrl_escape.experiments.baselines.twins import compare_twins, conclude_contrasts
 from hrl_escape.experiments.baselines.twins_page import write_twins_page
 from hrl_escape.experiments.baselines.twins_running import TwinArgs
-from hrl_escape.experiments.presets import GRIDS, HIERARCHICAL, get_grid
-from hrl_escape.experiments.presets import LEARNED as LEARNERS
+from hrl_escape.experiments.presets import GRIDS, HIERARCHICAL, HIERARCHY_LEARNERS, get_grid
 
 ROOMS = ("near", "far")
-STUDIES = pytest.mark.parametrize("study", [GIVEN, LEARNED], ids=lambda study: study.name)
+STUDIES = pytest.mark.parametrize("study", [GIVEN_HIERARCHIES, LEARNED_HIERARCHIES], ids=lambda study: study.name)
 LINE = BaselineRun("per-instance", "hierarchies", "near", "", 0, 1_000, 0.0, None, 0.0, 1, 0.0, None, "abc")
 
 
-def make_lines(better: dict[str, float], runs: int = 10, study=GIVEN) -> list[BaselineRun]:
+def make_lines(better: dict[str, float], runs: int = 10, study=GIVEN_HIERARCHIES) -> list[BaselineRun]:
     """Efficiencies by a part of the label, and 0 for the rest; who escapes at all does so after 100 primitives."""
     learners = [agent.label for agent in get_grid(study.name).agents if agent.learns]
     found = {label: next((score for part, score in better.items() if part in label), 0.0) for label in learners}
@@ -42,8 +41,9 @@ def test_every_learner_of_the_grid_is_asked_about_or_a_twin_and_nobody_else(stud
 
 
 def test_questions_ask_about_every_hierarchy():
-    assert [len(question.pairs) for question in GIVEN.questions] == [len(HIERARCHICAL)] * 3
-    assert sum(len(question.pairs) for question in LEARNED.questions[:3]) == len(LEARNERS) - 3, "all but three twins"
+    assert [len(question.pairs) for question in GIVEN_HIERARCHIES.questions] == [len(HIERARCHICAL)] * 3
+    asked = sum(len(question.pairs) for question in LEARNED_HIERARCHIES.questions[:3])
+    assert asked == len(HIERARCHY_LEARNERS) - 3, "all but three twins"
 
 
 @pytest.mark.parametrize(("better", "structure", "planned", "beside"), [
@@ -56,7 +56,7 @@ def test_questions_ask_about_every_hierarchy():
 ])
 def test_another_truth_is_another_conclusion(better, structure, planned, beside):
     lines = make_lines(better)
-    assert [sentence.split(": ")[1] for sentence in conclude(GIVEN, lines)] == [
+    assert [sentence.split(": ")[1] for sentence in conclude(GIVEN_HIERARCHIES, lines)] == [
         f"{said}." for said in (structure, planned, beside)]
 
 
@@ -70,7 +70,7 @@ def test_another_truth_is_another_conclusion(better, structure, planned, beside)
      "some other way gains in 2 of 2 rooms, some loses in 2"),
 ])
 def test_another_truth_about_learned_hierarchies_is_another_conclusion(better, tables, networks, structure, ways):
-    found = conclude(LEARNED, make_lines(better, study=LEARNED))
+    found = conclude(LEARNED_HIERARCHIES, make_lines(better, study=LEARNED_HIERARCHIES))
     assert [sentence.split(": ")[1] for sentence in found] == [f"{said}." for said in
                                                                (tables, networks, structure, ways)]
 
@@ -81,16 +81,17 @@ def conclude(study, lines):
 
 def test_nothing_is_concluded_from_nine_runs():
     lines = make_lines({"+planned": 0.9, "smdp": 0.5}, runs=9)
-    assert not any(contrast.is_shown for contrast in compare_twins(GIVEN, lines))
-    assert all("nothing is concluded" in sentence for sentence in conclude(GIVEN, lines))
+    assert not any(contrast.is_shown for contrast in compare_twins(GIVEN_HIERARCHIES, lines))
+    assert all("nothing is concluded" in sentence for sentence in conclude(GIVEN_HIERARCHIES, lines))
     lines += [line for line in make_lines({"+planned": 0.9}) if (line.rooms, line.seed) == (ROOMS[0], 9)]
-    assert "gains in 1 of 1 room." in conclude(GIVEN, lines)[1]
+    assert "gains in 1 room, near." in conclude(GIVEN_HIERARCHIES, lines)[1]
+    assert "no gain is shown in the one room, near." in conclude(GIVEN_HIERARCHIES, lines)[0]
 
 
 def test_findings_name_room_and_size(tmp_path: Path):
     slow = [dataclasses.replace(line, first_escape=400) if line.agent == "maxq-q+planned" else line
             for line in make_lines({"+planned": 0.5, "smdp": 0.5})]
-    write_twins_page(GIVEN, slow, tmp_path / "page.md")
+    write_twins_page(GIVEN_HIERARCHIES, slow, tmp_path / "page.md")
     page = (tmp_path / "page.md").read_text()
     assert "**Structure alone: no gain is shown in any of 2 rooms." in page
     assert page.count("| `maxq-q+planned` | 10 | 0.5") == 2
@@ -103,15 +104,16 @@ def test_another_truth_is_another_page(tmp_path: Path):
     fast = [dataclasses.replace(line, episodes=3, first_escape=40) if line.agent == "hamq+planned" else line
             for line in make_lines({"maxq-q+planned": 0.2, "+planned": 0.5, "smdp": 0.5})
             if line.agent != "h-dqn@table+planned" or (line.rooms, line.seed) != ("far", 9)]
-    write_twins_page(GIVEN, fast, tmp_path / "page.md")
+    write_twins_page(GIVEN_HIERARCHIES, fast, tmp_path / "page.md")
     page = (tmp_path / "page.md").read_text()
+    assert "Not run: paper-two-button, four-button-chain, ten-button and arm-two-button." in page
     beside = page.partition("## Structure where a planner walks anyway")[2]
     assert "- `maxq-q+planned`: less efficient in far (-0.31), near (-0.31)." in beside
     assert "- `hamq+planned`: escapes sooner in far (by 60 primitives), near (by 60 primitives)." in beside
     assert "- `maxq-q+planned`: more efficient in far (+0.21), near (+0.21); escapes sooner in far (by 900" in page
     assert page.count("Too few runs to conclude anything: far.") == 2, "of the questions that it is a part of"
     assert "then three episodes of the frozen policy" in page
-    write_twins_page(GIVEN, [line for line in fast if "+" not in line.agent], tmp_path / "page.md")
+    write_twins_page(GIVEN_HIERARCHIES, [line for line in fast if "+" not in line.agent], tmp_path / "page.md")
     assert "Privileged" not in (tmp_path / "page.md").read_text()
 
 
@@ -127,7 +129,7 @@ def test_settings_that_are_no_defaults_are_those_that_the_page_names():
     found = {name for name, settings in changed.items() if settings.get("rollout") == 32}
     search = {name for name, settings in changed.items() if settings == {"discover_every": 50}}
     assert found | search == set(changed)
-    told = LEARNED.introduction
+    told = LEARNED_HIERARCHIES.introduction
     assert all(f"`{name}`" in told.partition("learn from 32")[0] for name in found)
     assert all(f"`{name}`" in told.partition("learn from 32")[2].partition("every 50")[0] for name in search)
 
@@ -151,13 +153,14 @@ def test_rooms_of_learned_hierarchies_are_what_the_page_says():
 
 
 def test_what_is_said_of_everybody_names_everybody():
-    sources = {name: Path(find_spec(find_agent_module(name)).origin).read_text() for name in LEARNERS}
+    sources = {name: Path(find_spec(find_agent_module(name)).origin).read_text() for name in HIERARCHY_LEARNERS}
     readers = {name for name, source in sources.items() if "hrl_escape.agents.factored" in source}
-    assert {name for name in LEARNERS if f"`{name}`" in LEARNED.notes[1]} == readers
+    assert {name for name in HIERARCHY_LEARNERS if f"`{name}`" in LEARNED_HIERARCHIES.notes[1]} == readers
 
 
 @pytest.mark.parametrize(("study", "agent", "first"), [
-    (GIVEN, "hamq+planned", 36), (LEARNED, "smdp-hrc+no-primitives", 57)], ids=["given", "learned"])
+    (GIVEN_HIERARCHIES, "hamq+planned", 36), (LEARNED_HIERARCHIES, "smdp-hrc+no-primitives", 57)],
+    ids=["given", "learned"])
 def test_the_command_runs_and_writes_the_page_again_from_its_lines(study, agent, first, tmp_path: Path, monkeypatch,
                                                                    capsys):
     from hrl_escape.commands.experiment import learned
@@ -175,7 +178,7 @@ def test_the_command_runs_and_writes_the_page_again_from_its_lines(study, agent,
     file, raw = tmp_path / f"{study.command}.md", tmp_path / "raw" / f"{study.name}.jsonl"
     page, lines = file.read_text(), load_lines(raw)
     assert {line.agent: line.first_escape for line in lines} == {agent: first, "planner": None}
-    assert ("Learned options on the dial" in page) == (study is LEARNED)
+    assert ("Learned options on the dial" in page) == (study is LEARNED_HIERARCHIES)
     save_lines(raw, [dataclasses.replace(line, efficiency=0.5) for line in lines])
     assert main([*arguments, "--from-raw"]) == 0
     again = file.read_text()
