@@ -7,6 +7,7 @@ what `python docs/make_curves.py` has kept.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import json
 import os
@@ -25,10 +26,17 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import Trajectory, save_figure, save_map
 from hrl_escape.env.drawing.video import save_picture
 from hrl_escape.env.engine import film
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.planning.room_planner import get_planner
 
 CURVES = Path(__file__).parents[1] / "curves"
+
+
+@functools.cache
+def make_room(arguments: str) -> RoomInstance:
+    """The room that a command's arguments choose; many are drawn twice, empty and solved."""
+    return tyro.cli(RoomChoice, args=shlex.split(arguments)).make_instance()
 
 
 class Picture(SphinxDirective):
@@ -59,8 +67,7 @@ class Room(Picture):
 
     def run(self) -> list[nodes.Node]:
         """Generate, plan if asked, draw."""
-        words = shlex.split(self.arguments[0])
-        instance = tyro.cli(RoomChoice, args=words).make_instance()
+        instance = make_room(self.arguments[0])
         verb, state, paths = "room", None, []
         if "solve" in self.options:
             verb = "solve"
