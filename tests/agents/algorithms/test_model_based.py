@@ -235,6 +235,21 @@ def test_what_a_cut_ended_inside_is_no_evidence():
     assert not model.is_empty
 
 
+def test_old_durations_are_forgotten(monkeypatch):
+    """Three decisions of 5 primitives after three of 50, to another place, are all that counts."""
+    monkeypatch.setattr("hrl_escape.agents.factored.model.REMEMBERED_DECISIONS", 3)
+    model = FactoredModel(spaces.Box(-9, 9, (2,)), 1, 0.9, 1, "all-on", "test")
+    mask = np.ones(1, np.bool_)
+    for duration, place in ((50, 4.0), (5, 2.0)):
+        before, after = np.array([place, 0.0]), np.array([place, 1.0])
+        for _ in range(3):
+            model.record(SMDPTransition(before, 0, mask, -5.0, -5.0, duration, 0.5, after, mask, False, False))
+    history = model._make_history()
+    assert history.durations.tolist() == [5, 5, 5] and history.actions.tolist() == [0, 0, 0]
+    assert history.previous.tolist() == [0, 0, 0]
+    assert history.starts.tolist() == history.ends.tolist() == [[2.0]] * 3, "numbers that are no factors"
+
+
 def test_states_that_do_not_fit_into_a_word_are_refused():
     agent = make_agent("factored-r-max", spaces.MultiBinary(60), spaces.Discrete(2), 0, max_parents=0)
     mask, bits = np.ones(2, np.bool_), np.zeros(60)

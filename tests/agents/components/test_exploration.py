@@ -12,6 +12,7 @@ from hrl_escape.agents.components.exploration import (
     OrnsteinUhlenbeck,
     compute_choice_entropy,
     compute_epsilon,
+    compute_epsilon_greedy,
     compute_policy,
     make_rng,
     sample_action,
@@ -41,6 +42,13 @@ def test_probabilities_are_zero_where_illegal_and_sum_to_one(values, mask, kind,
 def test_entropy_is_that_of_scipy(values, mask, kind, steps):
     policy = compute_policy(values, mask, ExplorationSettings(exploration=kind), steps)
     assert compute_choice_entropy(policy) == pytest.approx(special.entr(policy).sum(), abs=1e-12)
+
+
+def test_the_best_of_options_is_chosen_but_for_epsilon():
+    """Any may be drawn then, the best among them; of equals the first is the best."""
+    policy = compute_epsilon_greedy(np.array([1.0, 3.0, 2.0, 3.0]), 0.2)
+    assert policy == pytest.approx([0.05, 0.85, 0.05, 0.05])
+    assert compute_epsilon_greedy(np.array([1.0, 3.0]), 0.0).tolist() == [0.0, 1.0]
 
 
 def test_epsilon_greedy_probabilities_by_hand():

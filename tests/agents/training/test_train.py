@@ -481,15 +481,18 @@ def test_an_agent_object_can_be_trained():
 def test_an_agent_made_for_another_number_of_actions_is_refused_at_the_start():
     """Trained over options and run without them is the usual mistake."""
     flat = gymnasium.make("hrl_escape/PaperTwoButton-v1", disable_env_checker=True)
+    grid = ButtonGrid()
     for agent in (make_agent("smdp-q-learning", flat.observation_space, gymnasium.spaces.Discrete(9), 0),
                   get_agent_class("q-learning")(flat.observation_space, action_space=gymnasium.spaces.Discrete(9),
                                                 seed=0)):
         for start in (lambda agent=agent: train(agent, flat, primitives=10),
-                      lambda agent=agent: train(agent, ButtonGrid(), primitives=10, eval_env=flat),
                       lambda agent=agent: evaluate(agent, flat, 1),
                       lambda agent=agent: next(play_episode(agent, flat, 0))):
             with pytest.raises(UnsupportedSpaceError, match="QLearning was made for 9 actions, and the environment"):
                 start()
+    with pytest.raises(UnsupportedSpaceError, match="was made for 7 actions, and the environment has 6"):
+        train(make_agent("q-learning", grid.observation_space, grid.action_space, 0), grid, primitives=10,
+              eval_env=flat, eval_episodes=0)
 
 
 def test_a_hierarchical_agent_without_options_is_told_so():

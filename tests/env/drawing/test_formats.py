@@ -1,0 +1,19 @@
+"""Names of pictures: endings are read in any case, and others refused before anything is drawn."""
+
+from pathlib import Path
+
+import pytest
+
+from hrl_escape.env.drawing.formats import check_picture_name
+from hrl_escape.errors import UnsupportedError
+
+
+@pytest.mark.parametrize("name", ["plan.svg", "plan.SVG", "a.b/plan.Png", "plan.pdf", "escape.gif", "escape.MP4"])
+def test_pictures_and_videos_are_told_by_their_endings(name):
+    check_picture_name(Path(name))
+
+
+@pytest.mark.parametrize("name", ["plan", "plan.jpg", "svg", "plan.svg.txt", ".svg"])
+def test_other_names_are_refused(name):
+    with pytest.raises(UnsupportedError, match=f"^{name}: a picture's name must end in .png, .svg, .pdf, .gif, .mp4$"):
+        check_picture_name(Path(name))
