@@ -268,7 +268,7 @@ def _find_side(instance: RoomInstance, target: Target) -> str:
 def _draw_names(axes: Axes, instance: RoomInstance, state: RoomState, side: str, members: list[int]) -> None:
     scale = 72 * _get_scale(axes)  # points a metre
     line, x_min, x_max, y_min, y_max = 1.75 * _LABEL_POINTS / scale, *compute_extent(instance)
-    names = [_name_target(instance, state, index) for index in members]
+    names = [palette.name_target(instance.puzzle, state.puzzle, index) for index in members]
     along = [instance.targets[i].y if side in ("left", "right") else instance.targets[i].x for i in members]
     longest = 0.72 * _LABEL_POINTS * max(len(name) for name in names) / scale
     upright = side in ("top", "bottom") and min(np.diff(sorted(along)), default=math.inf) < longest
@@ -298,12 +298,6 @@ def _draw_names(axes: Axes, instance: RoomInstance, state: RoomState, side: str,
         axes.annotate(name, (target.x, target.y), where, annotation_clip=False, rotation=90 if upright else 0,
                       arrowprops={"arrowstyle": "-", "color": edge, "linewidth": 0.7, "shrinkA": 0, "shrinkB": 0},
                       **anchor, **style)
-
-
-def _name_target(instance: RoomInstance, state: RoomState, index: int) -> str:
-    sign, star = instance.puzzle.get_signs(state.puzzle)[index], " \N{BLACK STAR}"
-    return instance.targets[index].name + (f": {sign}" if sign else "") + (
-        star if index in instance.puzzle.goal_targets else "")
 
 
 def _spread(places: Sequence[float], gap: float) -> list[float]:

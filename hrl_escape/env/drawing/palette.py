@@ -15,7 +15,8 @@ from hrl_escape.env.geometry import Solid, compute_distance, make_footprint
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.puzzles.base import Puzzle
 
-__all__ = ["TargetLook", "compute_floors", "find_front", "get_inner_colour", "get_target_look", "to_rgb"]
+__all__ = ["TargetLook", "compute_floors", "find_front", "get_inner_colour", "get_target_look", "name_target",
+           "to_rgb"]
 
 BACKGROUND = "#ffffff"
 FLOOR = "#f4f1ea"
@@ -44,6 +45,12 @@ class TargetLook(NamedTuple):
 LIT = TargetLook("#ffc52e", "#b07d00", INK)
 OFF = TargetLook("#c8553d", "#8c3424", "#ffffff")
 WAITING = TargetLook("#edcabf", "#c8553d", INK)
+
+
+def name_target(puzzle: Puzzle, state: Hashable, target: int) -> str:
+    """Name of a target as people see it: with the text that it shows, and a star for a goal."""
+    sign, star = puzzle.get_signs(state)[target], " \N{BLACK STAR}" if target in puzzle.goal_targets else ""
+    return puzzle.target_names[target] + (f": {sign}" if sign else "") + star
 
 
 def get_target_look(puzzle: Puzzle, state: Hashable, target: int) -> TargetLook:

@@ -151,6 +151,11 @@ class RecipesPuzzle(Puzzle):
         """Materials in store and things that are there."""
         return tuple(self.count(state, name) > 0 for name in NAMES)
 
+    def get_signs(self, state: int) -> tuple[str, ...]:
+        """Number of each material in store."""
+        counts = (self.count(state, name) for name in NAMES[:MATERIALS])
+        return (*(str(count) if count else "" for count in counts), *[""] * (len(NAMES) - MATERIALS))
+
     # --- for planners ------------------------------------------------------------------
 
     def list_presses(self, state: int) -> list[str]:

@@ -55,6 +55,7 @@ class RoomScene:
             self._root = self._scene.add_frame(ROOT, show_axes=False)
             for painted in make_fixtures(instance):
                 self._add(painted)
+            self._names: list[viser.LabelHandle] = []
             self._lamps = [self._add_target(i) for i in range(len(instance.targets))]
             self._exit = [self._add(painted, "exit") for painted in make_exit(instance)]
             self._scene.add_label(f"{ROOT}/exit/name", "exit", position=(*instance.exit.centre, 0.05),
@@ -91,13 +92,15 @@ class RoomScene:
                 node.position, node.wxyz = (x, y, z), (qw, qx, qy, qz)
 
     def light(self, state: RoomState) -> None:
-        """Colour panels and exit, and shut inner doors, by the puzzle's state."""
+        """Colour panels and exit, write what targets show, and shut inner doors, by the puzzle's state."""
         if state.puzzle == self._lit:
             return
         self._lit = state.puzzle
         puzzle = self.instance.puzzle
-        for i, lamp in enumerate(self._lamps):
+        for i, (lamp, name) in enumerate(zip(self._lamps, self._names, strict=True)):
             lamp.color = _to_bytes(palette.get_target_look(puzzle, state.puzzle, i).fill)
+            if name.text != (text := palette.name_target(puzzle, state.puzzle, i)):
+                name.text = text
         shut = puzzle.get_shut(state.puzzle)
         for i, node in enumerate(self._inner_doors):
             node.visible = bool(shut >> i & 1)
@@ -180,9 +183,11 @@ class RoomScene:
         face, *others = (self._add(painted, f"targets/{index}")
                          for painted in make_target(self.instance, target))
         del others
-        star = " \N{BLACK STAR}" if index in self.instance.puzzle.goal_targets else ""
-        self._scene.add_label(f"{ROOT}/targets/{index}/name", target.name + star, anchor="bottom-center",
-                              position=(target.x, target.y, target.z + target.half_z + 0.25), font_screen_scale=0.9)
+        puzzle = self.instance.puzzle
+        self._names.append(self._scene.add_label(
+            f"{ROOT}/targets/{index}/name", palette.name_target(puzzle, puzzle.make_state(), index),
+            anchor="bottom-center", position=(target.x, target.y, target.z + target.half_z + 0.25),
+            font_screen_scale=0.9))
         return face
 
     def _add_door(self) -> viser.FrameHandle | None:

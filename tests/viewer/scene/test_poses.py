@@ -17,7 +17,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.viewer.scene.poses import blend, make_pose
 from hrl_escape.viewer.scene.robot_shapes import ArmPose, make_arm_shapes, make_base_shapes, to_quaternion
 from hrl_escape.viewer.scene.room_meshes import make_fixtures
-from hrl_escape.viewer.scene.room_scene import OVERVIEW_FIELD, compute_overview
+from hrl_escape.viewer.scene.room_scene import OVERVIEW_FIELD, RoomScene, compute_overview
 
 ROBOTS = [RobotConfig(joints=1), RobotConfig(joints=3, link_length=0.5), RobotConfig(joints=7),
           RobotConfig(kind="kuka-iiwa", joints=7), RobotConfig(kind="franka-panda", joints=7)]
@@ -109,3 +109,14 @@ def test_on_an_upright_screen_the_whole_floor_is_seen_above_the_panel(name: str)
             sight = np.array((x, y, 0.0)) - place
             across, high = sight[0] / (sight @ ahead) / lens / aspect, sight @ up / (sight @ ahead) / lens
             assert abs(across) < 1.0 and 0.2 < high < 1.0, "the panel covers the lower 60 %"
+
+
+def test_names_over_targets_tell_what_these_show(server):
+    room = generate(get_preset("recipes"), 0)
+    scene = RoomScene(server, room)
+    state = Kinematics(room).make_state(room.starts[0])
+    for stored in (0, 3):
+        scene.show(state._replace(puzzle=stored))
+        labels = [handle.text for name, handle in server.scene._handle_from_node_name.items() if name.endswith("/name")
+                  and "/targets/" in name]
+        assert labels[0] == ("wood: 3" if stored else "wood") and "diamond \N{BLACK STAR}" in labels
