@@ -21,6 +21,7 @@ from benchmarks.findings import list_batched_rooms, load_findings
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import UnsupportedError
 from hrl_escape.files import write_json
 from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.options_env import OptionsEnv
@@ -138,7 +139,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
             found = OptionAgreement(**{f.name: known[f.name] for f in dataclasses.fields(OptionAgreement)})
         else:
             rooms = [generate(config, seed) for seed in range(chosen.instances)]
-            found = compare_options(rooms, chosen.decisions, seed=chosen.seed)
+            try:
+                found = compare_options(rooms, chosen.decisions, seed=chosen.seed)
+            except UnsupportedError as refusal:
+                print(f"{name:20} left out: {refusal}")
+                continue
             if chosen.json:
                 write_json(chosen.json, load_findings(chosen.json) | {name: settings | dataclasses.asdict(found)})
         print(f"{name:20} {found.decisions:9,} {found.reached:8,} {len(found.missed):7} {found.planned:8,} "
