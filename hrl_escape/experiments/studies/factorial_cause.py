@@ -71,13 +71,14 @@ def conclude(findings: Findings) -> list[str]:
                 f"fewer than {FEWEST_SEEDS} seeds or {FEWEST_ROOMS} rooms nothing is concluded."]
     raising = [effect for effect in findings.shown if effect.test.difference > 0]
     lowering = [effect for effect in findings.shown if effect.test.difference < 0]
-    idle = [effect.factor for effect in findings.effects if not effect.is_shown]
     sentences = [_tell_raising(raising)]
     if lowering:
         sentences.append(f"The area is lowered by {join_words(map(_describe, lowering))}.")
     sentences += _tell_sufficient(findings.sufficient)
-    if idle and findings.shown:
-        sentences.append(f"Nothing is shown of {join_words(idle)}.")
+    unshown = [effect for effect in findings.effects if not effect.is_shown]
+    sentences += _tell_hints(unshown, len(findings.screening.rooms))
+    if unshown and findings.shown:
+        sentences.append(f"Nothing is shown of {join_words(effect.factor for effect in unshown)}.")
     return [*sentences, *(_tell_paths(effect, findings.paths) for effect in findings.shown)]
 
 
@@ -87,6 +88,15 @@ def _tell_raising(raising: Sequence[MainEffect]) -> str:
     if len(raising) == 1:
         return f"One correction is shown to raise the area: {_describe(raising[0])}."
     return f"The area is raised by {join_words(map(_describe, raising))}."
+
+
+def _tell_hints(effects: Sequence[MainEffect], rooms: int) -> list[str]:
+    """Effects whose interval leaves 0 out, as long as it is not corrected."""
+    hints = [effect for effect in effects if effect.test.low > 0 or effect.test.high < 0]
+    if not hints:
+        return []
+    return [f"Before correction the interval of {join_words(map(_describe, hints))} leaves 0 out; a test over {rooms} "
+            "rooms has little power."]
 
 
 def _tell_sufficient(sufficient: Mapping[str, bool | None]) -> list[str]:

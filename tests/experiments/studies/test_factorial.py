@@ -190,6 +190,13 @@ def test_different_truths_get_different_conclusions():
     assert "No quantity of the logs is shown to carry the effect of buffer." in said["replay causes it"]
 
 
+def test_an_effect_that_correction_hides_is_told_as_such():
+    runs = make_runs(lambda on: 0.3 + 0.03 * on["choices"], rooms=3, noise=0.05)
+    said = " ".join(conclude(analyse(Screening.make("sarsa", runs))))
+    assert said.startswith("No correction is shown to raise the area.") and "Before correction" in said
+    assert "choices (+0.0" in said and "a test over 3 rooms has little power." in said
+
+
 def test_a_mechanism_is_told_where_the_logs_hold_it():
     runs = make_runs(lambda on: 0.3 + 0.2 * on["exploration"], repeat=lambda on: 4.0 - 2 * on["exploration"])
     assert "The effect of exploration goes, as far as the logs show, through longest repeat (+0." in " ".join(
