@@ -47,6 +47,7 @@ from hrl_escape.planning.goals import (
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
 from tests.command_line import run_here
 from tests.env.rooms import EXTREMES, make_ordered_chain
+from tests.planning.legs import assert_legs_cost_at_least_their_bounds
 
 BY_CHANCE = ("light-box", "random-lights", "factored", "four-rooms", "key-chest", "foraging")
 KINEMATIC = [name for name in PRESETS if name != "push-block" and name not in BY_CHANCE]
@@ -77,7 +78,17 @@ def test_solve_escapes_and_every_state_is_the_predicted_one(name, method):
     assert sum(run.rewards) == plan.compute_return()
     assert [part.start for part in plan.parts] == [0, *(part.stop for part in plan.parts[:-1])]
     assert plan.parts[-1].stop == plan.cost == len(run.rewards)
+    if method == "fields":
+        assert_legs_cost_at_least_their_bounds(plan, env.instance)
     env.close()
+
+
+@pytest.mark.parametrize("name", BY_CHANCE)
+def test_legs_cost_at_least_what_geometry_says_where_the_way_out_is_by_chance(name):
+    """Of all other presets the plans above are asked."""
+    instance = generate(get_preset(name), 0)
+    planner = RoomPlanner(instance)
+    assert_legs_cost_at_least_their_bounds(planner.solve(planner.rules.make_state(instance.starts[0])), instance)
 
 
 @pytest.mark.parametrize("name", ["smallest", "many-obstacles", "sixteen-rooms", "seven-joints", "door",

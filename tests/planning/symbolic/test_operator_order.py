@@ -10,15 +10,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
-from hrl_escape.env.sampling.generation import generate
-from hrl_escape.planning.goals import make_goal
-from hrl_escape.planning.lower_bounds import LegBounds
-from hrl_escape.planning.room_planner import RoomPlanner
 from hrl_escape.planning.symbolic.operator_order import Leg, TaskSearch, find_relevant_operators
 
 
@@ -168,18 +163,3 @@ def test_what_an_operator_undoes_is_done_after_it():
         nothing, "", lambda place, op: Leg(5.0 if (place, op and op.name) == ("bridge", "gate") else 1.0,
                                            op.name if op else place))
     assert [operator.name for operator in found.operators] == ["bridge", "gate"] and found.cost == 7.0
-
-
-@pytest.mark.parametrize("name", [name for name in PRESETS if name != "push-block"])
-def test_legs_cost_at_least_what_geometry_says(name):
-    """Every leg of a real plan against the straight-line bound that prunes the search."""
-    instance = generate(get_preset(name), 0)
-    planner, bounds = RoomPlanner(instance), LegBounds(instance)
-    plan = planner.solve(planner.rules.make_state(instance.starts[0]))
-    by_goal = {make_goal(op, instance): op for op in instance.puzzle.make_symbolic_model().operators}
-    last = None
-    for part in plan.parts:
-        then = by_goal.get(part.goal)
-        bound = bounds.bound_leg(last, then) if last else bounds.bound_start(plan.states[0], then)
-        assert bounds.bound_leg(last, then) <= bound <= part.stop - part.start
-        last = then
