@@ -159,9 +159,6 @@ def sample_towers(count: int, rng: np.random.Generator) -> Towers:
     return tuple(towers)
 
 
-_TOKEN = re.compile(r"[()]|[^\s()]+")
-
-
 def read_towers(text: str) -> Problem:
     """Read a PDDL problem of the domain with four operators: pick-up, put-down, stack and unstack.
 
@@ -188,7 +185,7 @@ def read_towers(text: str) -> Problem:
 
 def _read_list(text: str) -> list:
     """Nested lists of the words of an expression in parentheses, in lower case; comments are left out."""
-    words = _TOKEN.findall(re.sub(r";[^\n]*", "", text.lower()))
+    words = re.findall(r"[()]|[^\s()]+", re.sub(r";[^\n]*", "", text.lower()))
     open_lists: list[list] = [[]]
     for word in words:
         if word == "(":
