@@ -3,6 +3,7 @@
     python -m benchmarks.many_environments curves              # CartPole at 1, 8, 64 and 512 environments, beside SB3
     python -m benchmarks.many_environments rates               # one room at 1 to 4,096, beside SB3
     python -m benchmarks.many_environments options             # options a second, beside the single environment
+    python -m benchmarks.many_environments pixels              # frames of the robot's camera, beside Bullet's
     python -m benchmarks.many_environments curves --quick      # seconds: shows that everything runs
 
 `ppo` at its default settings, Stable-Baselines3's PPO (`sb3`) at its own, with 1 and 8 environments. Seconds are of the
@@ -30,6 +31,7 @@ CURVES, RATES = "CartPole-v1", "hrl_escape/PaperTwoButton-v1"
 OPTIONS = "hrl_escape/PaperTwoButtonOptions-v1"
 BUDGET, EVALUATIONS, EPISODES = 100_000, 10, 10
 PEERS = (1, 8)
+PICTURED = ("PaperTwoButton", "Clutter")
 RATE_SETTINGS: dict[str, dict[str, Any]] = {"10 epochs": {}, "4 epochs": {"epochs": 4}}
 
 
@@ -111,6 +113,27 @@ def measure_options(contender: str, count: int, quick: bool) -> float:
     return ended / (time.process_time() - started)
 
 
+def measure_pixels(contender: str, count: int, room: str, quick: bool) -> float:
+    """Frames of the robot's camera, 84 x 84, that are taken in a second of processor time."""
+    rounds = 2 if quick else 5
+    if contender == "single":
+        view: dict[str, Any] = {"render_mode": "rgb_array", "camera": "robot", "render_size": (84, 84)}
+        env: Any = gymnasium.make(f"hrl_escape/{room}-v1", **view)
+        env.reset(seed=0)
+        env.render()
+        started = time.process_time()
+        for _ in range(20 * rounds):
+            env.render()
+        return 20 * rounds / (time.process_time() - started)
+    env = gymnasium.make_vec(f"hrl_escape/{room}-v1", num_envs=count).unwrapped
+    env.reset(seed=0)
+    env.take_pictures()
+    started = time.process_time()
+    for _ in range(rounds):
+        env.take_pictures()
+    return rounds * count / (time.process_time() - started)
+
+
 def list_runs(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """What each run is, without its outcome."""
     if arguments.what == "curves":
@@ -122,6 +145,11 @@ def list_runs(arguments: argparse.Namespace) -> list[dict[str, Any]]:
                 for number in range(arguments.rounds)
                 for contender, counts in (("single", [1]), ("vector environment", arguments.counts),
                                           ("own pace", arguments.counts)) for count in counts]
+    if arguments.what == "pixels":
+        return [{"what": "pixels", "contender": contender, "count": count, "round": number, "room": room}
+                for number in range(arguments.rounds) for room in PICTURED
+                for contender, counts in (("single", [1]), ("batch", arguments.counts))
+                for count in counts]
     return [{"what": "rates", "contender": contender, "count": count, "round": number}
             for number in range(arguments.rounds)
             for contender, counts in (*((name, arguments.counts) for name in RATE_SETTINGS), ("sb3", PEERS))
@@ -136,6 +164,8 @@ def execute(run: dict[str, Any], quick: bool) -> dict[str, Any]:
         return {"scores": (train_peer if peer else train_ours)(count, run["seed"], budget)}
     if run["what"] == "options":
         return {"rate": measure_options(run["contender"], count, quick)}
+    if run["what"] == "pixels":
+        return {"rate": measure_pixels(run["contender"], count, run["room"], quick)}
     budget = 4_096 if quick or peer or count <= 8 else 64 * count
     rate = measure_peer(count, budget) if peer else measure_ours(count, budget, RATE_SETTINGS[run["contender"]])
     return {"rate": rate}
@@ -149,7 +179,8 @@ def summarise(rows: list[dict[str, Any]], what: str) -> str:
             groups.setdefault((row["contender"], row["count"]), []).append(row)
     if what != "curves":
         median = {key: float(np.median([row["rate"] for row in found])) for key, found in groups.items()}
-        peer, unit = ("sb3", "primitives") if what == "rates" else ("single", "options")
+        peer, unit = {"rates": ("sb3", "primitives"), "options": ("single", "options"),
+                      "pixels": ("single", "frames")}[what]
         base = median.get((peer, 1), float("nan"))
         lines = [f"| contender | environments | {unit} a second | to {peer} with one |", "|---|---|---|---|"]
         return "\n".join([*lines, *(f"| {name} | {count:,} | {rate:,.0f} | {rate / base:.1f} |"
@@ -167,7 +198,7 @@ def summarise(rows: list[dict[str, Any]], what: str) -> str:
 def main() -> None:
     """Run what is missing, then print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["curves", "rates", "options"])
+    parser.add_argument("what", choices=["curves", "rates", "options", "pixels"])
     parser.add_argument("--counts", nargs="+", type=int, help="numbers of environments")
     parser.add_argument("--seeds", nargs="+", type=int, default=list(range(10)))
     parser.add_argument("--rounds", type=int, default=3)
@@ -175,7 +206,8 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="small budgets, one seed")
     arguments = parser.parse_args()
     if arguments.counts is None:
-        arguments.counts = {"curves": [1, 8, 64, 512], "rates": [1, 8, 64, 512, 4096], "options": [256, 2048]}[
+        arguments.counts = {"curves": [1, 8, 64, 512], "rates": [1, 8, 64, 512, 4096], "options": [256, 2048],
+                            "pixels": [64]}[
             arguments.what]
     if arguments.quick:
         arguments.seeds, arguments.rounds = arguments.seeds[:1], 1
@@ -187,7 +219,9 @@ def main() -> None:
             with arguments.out.open("a") as file:
                 file.write(json.dumps(rows[-1]) + "\n")
             print(rows[-1], flush=True)
-    print(summarise(rows, arguments.what))
+    for room in PICTURED if arguments.what == "pixels" else [None]:
+        print(*([] if room is None else [f"\n{room}\n"]), sep="", end="")
+        print(summarise([row for row in rows if row.get("room") == room], arguments.what))
 
 
 if __name__ == "__main__":

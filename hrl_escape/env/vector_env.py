@@ -1,8 +1,8 @@
 """Thousands of Escape Rooms as one Gymnasium `VectorEnv` over the batched engine.
 
 `gymnasium.make_vec("hrl_escape/PaperTwoButton-v1", num_envs=4096)` makes one. It has the spaces,
-observations, rewards and rules of `escape_room.py`; pixels, rendering and physics are the
-Bullet engine's.
+observations, rewards and rules of `escape_room.py`; the observation `pixels` and physics are the
+Bullet engine's. Pictures are taken by the batch's own cameras.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
+from hrl_escape.env.batched.cameras import BatchedCamera, Pictures
 from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom, draw_seed
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.tables import INSTEAD, InstanceSource, collect_instances
@@ -54,6 +55,10 @@ class EscapeRoomVectorEnv(VectorEnv):
     `buttons_on` (int8, one a target) and `instance` (content hashes; with `output="torch"`, where there is no text,
     `instance_index`, which of `instances`).
 
+    ## Pictures
+    `take_pictures(camera, width, height)` gives colours, depth and labels of what each room's camera sees, as tensors
+    on the device. With `render_mode="rgb_array"`, `render()` gives the colours as a tuple of frames, one a room.
+
     ## Random numbers
     `reset(seed=n)` seeds room i with n + i. What happens in a room depends on its own seed and actions, never on
     the batch it is in.
@@ -67,7 +72,9 @@ class EscapeRoomVectorEnv(VectorEnv):
         num_instances: number of instances of the schematic, with seeds from `instance_seed` on; room i
             is in instance i modulo their number.
         observation: name of a vector observation.
-        render_mode: must be None.
+        render_mode: `rgb_array`, or None.
+        camera: `robot` or `overhead`.
+        render_size: width and height of frames in pixels.
         resample_instance: every episode draws one of the instances.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
         output: `numpy` arrays, or `torch` tensors on the device, which cost no copy.
@@ -78,7 +85,7 @@ class EscapeRoomVectorEnv(VectorEnv):
     v1: numbers of buttons say nothing of their order (`graph.relabel`). v0: first release.
     """
 
-    metadata: dict[str, Any] = {"render_modes": []}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 10}
 
     def __init__(
         self,
@@ -90,6 +97,8 @@ class EscapeRoomVectorEnv(VectorEnv):
         num_instances: int = 1,
         observation: str = "state",
         render_mode: str | None = None,
+        camera: str = "overhead",
+        render_size: tuple[int, int] = (160, 120),
         resample_instance: bool = False,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         output: Literal["numpy", "torch"] = "numpy",
@@ -97,8 +106,10 @@ class EscapeRoomVectorEnv(VectorEnv):
         compile: bool = False,
     ) -> None:
         super().__init__()
-        if render_mode is not None:
-            raise UnsupportedError(f"render_mode = {render_mode!r}: the batched engine draws nothing; {INSTEAD}")
+        if render_mode not in (None, *type(self).metadata["render_modes"]):
+            raise UnsupportedError(f"render_mode = {render_mode!r}: the batched engine opens no window; {INSTEAD}")
+        if not isinstance(render_size, (tuple, list)) or len(render_size) != 2:
+            raise ConfigError("render_size", render_size, "a pair of width and height")
         if output not in ("numpy", "torch"):
             raise ConfigError("output", output, "'numpy' or 'torch'")
         try:
@@ -113,7 +124,11 @@ class EscapeRoomVectorEnv(VectorEnv):
         self.instances = self.room.instances
         self.num_envs, self.autoreset_mode = num_envs, mode
         self.metadata = type(self).metadata | {"autoreset_mode": mode}
-        self.render_mode = None
+        self.render_mode = render_mode
+        self._cameras: dict[tuple[str, int, int], BatchedCamera] = {}
+        self._view = (camera, *render_size)
+        if render_mode is not None:
+            self._get_camera(*self._view)
         self.single_observation_space = make_vector_space(self.room.low, self.room.high, self.room.rows, OBJECT_WORDS)
         self.single_action_space = spaces.Discrete(self.room.actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
@@ -163,8 +178,38 @@ class EscapeRoomVectorEnv(VectorEnv):
             }
         return self._give(seen), self._give(reward), self._give(terminated), self._give(truncated), infos
 
+    def take_pictures(self, camera: str = "robot", width: int = 84, height: int = 84) -> Pictures:
+        """Take a picture of every room as it is now, on the rooms' device.
+
+        Args:
+            camera: `robot`, ahead from the front of the robot, or `overhead`.
+            width: pixels, from 8 to 2048.
+            height: pixels, from 8 to 2048.
+
+        Raises:
+            UnknownNameError: no camera of that name.
+            ConfigError: an impossible size.
+            UnsupportedError: the camera `chase`, or a robot with an arm.
+            ResetNeededError: no episode has begun.
+        """
+        self._check_open()
+        return self._get_camera(camera, width, height).take()
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Take the frames of all rooms, uint8 (height, width, 3) each; None without a `render_mode`."""
+        if self.render_mode is None:
+            return None
+        return tuple(self.take_pictures(*self._view).rgb.cpu().numpy())
+
+    def _get_camera(self, camera: str, width: int, height: int) -> BatchedCamera:
+        key = (camera, width, height)
+        if key not in self._cameras:
+            self._cameras[key] = BatchedCamera(self.room, *key)
+        return self._cameras[key]
+
     def close_extras(self, **kwargs: Any) -> None:
         """Free the tensors."""
+        self._cameras.clear()
         del self.room
 
     @property
