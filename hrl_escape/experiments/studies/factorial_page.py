@@ -60,6 +60,7 @@ def draw_effects(effects: Sequence[MainEffect]) -> Figure:
         axes.set_yticks(at, [effect.factor for effect in effects])
         axes.set_xlabel("effect on the area under the efficiency curve", color=palette.INK)
         finish_axes(axes)
+        axes.xaxis.set_major_formatter("{x:+.1f}")
         axes.grid(visible=False, axis="y")
         axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)
     return figure
