@@ -1,4 +1,4 @@
-"""Latency of plans in prepared rooms, time of preparation, and memory left behind by ten thousand plans.
+"""Latency of plans in prepared rooms, of cancellation, and memory left behind by ten thousand plans.
 
 Run: `python benchmarks/planning.py` (four minutes on one core, one with `--plans 1000`); exits with 1
 if a target is missed. A plan is a whole meta-action, checked by replay; cached is the same question
@@ -21,13 +21,16 @@ import numpy as np
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.planning.calls import start_planning
 from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.paths.navigator import Navigator
 from hrl_escape.planning.primitive_search import PrimitiveSearch
+from hrl_escape.planning.requests.request import PlanningRequest
 from hrl_escape.planning.room_planner import RoomPlanner
 
 PRESETS = ("paper-one-button", "paper-two-button", "larg-2019", "clutter", "ten-button", "arm-two-button")
 MEDIAN_MS, P99_MS, PREPARE_S, CACHED_MS = 5.0, 50.0, 1.0, 0.2
+CANCELLED_MS, LONGEST_DELAY_S = 50.0, 0.5
 ALLOWED_GROWTH_MB = 4.0
 
 
@@ -74,6 +77,31 @@ def measure_latency(name: str, rooms: int, queries: int) -> bool:
     return bool(median < MEDIAN_MS and p99 < P99_MS and slowest < PREPARE_S and known < CACHED_MS)
 
 
+def measure_cancellation(calls: int) -> bool:
+    """Print the wall time between the cancellation of a call and its result; says whether the median is short."""
+    met = []
+    for name in ("clutter", "arm-two-button"):
+        planner = RoomPlanner(generate(get_preset(name), 5))
+        planner.prepare()
+        start = planner.rules.make_state(planner.instance.starts[0])
+        planner.solve(start)
+        waits = []
+        for delay in np.random.default_rng(0).uniform(0.0, LONGEST_DELAY_S, size=calls).tolist():
+            call = start_planning(planner, PlanningRequest(start, improve=True))
+            time.sleep(delay)
+            if call.is_done():
+                continue
+            began = time.perf_counter()
+            call.cancel()
+            call.get_result()
+            waits.append(1e3 * (time.perf_counter() - began))
+        median, slowest = np.median(waits), max(waits, default=0.0)
+        print(f"{name:18} {len(waits)} calls cancelled, wall ms: median {median:.1f}, slowest {slowest:.1f}",
+              flush=True)
+        met.append(median < CANCELLED_MS)
+    return all(met)
+
+
 def measure_memory(plans: int) -> bool:
     """Print how much memory plans of either kind leave behind; says whether that is little."""
     instance = generate(get_preset("clutter"), 1)
@@ -100,9 +128,12 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rooms", type=int, default=8, help="rooms of each preset, 2 or more; 0 leaves latency out")
     parser.add_argument("--queries", type=int, default=40, help="plans in each room")
+    parser.add_argument("--cancels", type=int, default=40, help="calls that are cancelled in a room; 0 for none")
     parser.add_argument("--plans", type=int, default=10_000, help="plans whose memory is watched; 0 for none")
     args = parser.parse_args()
     met = [measure_latency(name, args.rooms, args.queries) for name in PRESETS] if args.rooms else []
+    if args.cancels:
+        met.append(measure_cancellation(args.cancels))
     if args.plans:
         met.append(measure_memory(args.plans))
     return 0 if all(met) else 1

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.planning.arm.reacher import ReachTable
-from hrl_escape.planning.clock import NO_LIMIT, Clock
+from hrl_escape.planning.clock import NO_LIMIT, Clock, OutOfTime
 from hrl_escape.planning.escapes.joint_search import NODES_A_SEARCH, Fields, JointSearch, Presses
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.lattice import a_star
@@ -116,10 +116,12 @@ class HandSearch(JointSearch):
                      ) -> tuple[tuple[int, ...] | None, int]:
         """Search press after press, with the most promising escapes begun."""
         best: tuple[int, ...] | None = None
-        spent, begun = 0, [self._open_legs(_Begun((), state, 0), rests)]
-        while begun and spent < budget and not clock.is_up():
+        spent, begun = 0, [self._open_legs(_Begun((), state, 0), rests, clock)]
+        while begun and spent < budget:
             ends: dict[Hashable, _Begun] = {}
             for before, leg in ((escape, leg) for escape in begun for leg in escape.legs):
+                if clock.is_up():
+                    return best, spent
                 for result in self._list_ends(before, leg, most + SLACK, beam, clock):
                     spent += result.expansions
                     end = _Begun((*before.primitives, *result.primitives), result.states[-1], 0)
@@ -134,12 +136,15 @@ class HandSearch(JointSearch):
                         ends[key] = end
             self._problems.clear()
             likely = sorted(ends.values(), key=_get_estimate)[: LIKELY * beam.width]
-            known = sorted((self._open_legs(end, rests) for end in likely), key=_get_estimate)
+            try:
+                known = sorted((self._open_legs(end, rests, clock) for end in likely), key=_get_estimate)
+            except OutOfTime:
+                return best, spent
             begun = [end for end in known[: beam.width] if end.estimate < most + SLACK]
         return best, spent
 
-    def _open_legs(self, begun: _Begun, rests: Fields) -> _Begun:
-        """List the legs that may come next, and estimate the rest by them."""
+    def _open_legs(self, begun: _Begun, rests: Fields, clock: Clock) -> _Begun:
+        """List the legs that may come next, and estimate the rest by them. Raises `OutOfTime`."""
         state, puzzle = begun.state, self.rules.instance.puzzle
         legs = []
         if puzzle.is_solved(state.puzzle):
@@ -149,22 +154,23 @@ class HandSearch(JointSearch):
                 then = self.press(state.puzzle, target)
                 if then == state.puzzle or then not in rests or state.touching >> target & 1:
                     continue
-                problem, field = self._make_leg(state, target, then, rests[then])
+                problem, field = self._make_leg(state, target, then, rests[then], clock)
                 rest = self._shut.get_cost(field, state)
                 if rest >= 0:
                     legs.append(_Leg(problem.goal, rest, (problem._replace(state=state), field)))
         least = min((leg.rest for leg in legs), default=a_star.MOST_PRIMITIVES)
         return begun._replace(estimate=len(begun.primitives) + least, legs=tuple(legs))
 
-    def _make_leg(self, state: RoomState, target: int, then: Hashable, onward: NDArray[np.int16]) -> _Search:
+    def _make_leg(self, state: RoomState, target: int, then: Hashable, onward: NDArray[np.int16], clock: Clock
+                  ) -> _Search:
         """Problem and field of a leg to a press; they depend on the arm's posture, not on the base's pose."""
         key = state.joint_steps, target, then
         if key not in self._problems:
-            problem = self._legs.make_problem(state, PressGoal(target))
+            problem = self._legs.make_problem(state, PressGoal(target), clock=clock)
             assert problem.table is not None
             problem = problem._replace(table=self._add_onward(problem.table, onward), onward=onward)
             maker = self._shut
-            field = maker.make_field(Seeds(*self._legs.find_postures(problem, maker), maker.headings))
+            field = maker.make_field(Seeds(*self._legs.find_postures(problem, maker), maker.headings), clock=clock)
             self._problems[key] = problem, field
         return self._problems[key]
 
@@ -200,7 +206,7 @@ class HandSearch(JointSearch):
                 seen.add(key)
                 yield dataclasses.replace(result, expansions=run.expansions - spent)
                 spent = run.expansions
-            if len(seen) >= beam.ends:
+            if len(seen) >= beam.ends or clock.is_up():
                 return
 
     def _describe(self, state: RoomState, beam: Beam) -> Hashable:
