@@ -144,8 +144,8 @@ def is_close_call(scalar: Kinematics, state: RoomState, action: int, done: Trans
     moved = np.array([(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1)]) * THRESHOLD
     for dx, dy in moved.tolist():
         other = scalar.step(state._replace(x=state.x + dx, y=state.y + dy), action)
-        if (other.pressed, other.terminated, other.state.touching) != (done.pressed, done.terminated,
-                                                                       done.state.touching):
+        if (other.pressed, other.terminated, other.state.touching, other.state.heading_steps) != (
+                done.pressed, done.terminated, done.state.touching, done.state.heading_steps):
             return True
         if max(abs(other.state.x - done.state.x), abs(other.state.y - done.state.y)) > 10 * THRESHOLD:
             return True

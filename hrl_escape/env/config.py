@@ -9,9 +9,10 @@ obstacles, start, exit and puzzle may be ranges, `Between(3, 5)`, from which eac
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Annotated, Literal
 
-from hrl_escape.env.primitives import ActionTable, DriveKind, SlipKind, make_action_table
+from hrl_escape.env.primitives import ActionTable, DriveKind, FootprintKind, SlipKind, make_action_table
 from hrl_escape.env.puzzles.base import PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.errors import ConfigError
@@ -115,14 +116,14 @@ class ShapeConfig(Settings):
 
 @dataclasses.dataclass(frozen=True)
 class RobotConfig(Settings):
-    """A wheeled base (an upright cylinder) with an arm of 1-DoF joints."""
+    """A wheeled base (an upright cylinder or box) with an arm of 1-DoF joints."""
 
     _section = "robot"
-    _left_out = frozenset({"gripper", "use", "drive"})
+    _left_out = frozenset({"gripper", "use", "drive", "footprint", "body_length", "body_width"})
     kind: Literal["arm", "kuka-iiwa", "franka-panda", "urdf"] = "arm"
     """Arm on the base: generated links, a named arm, or a URDF."""
     body_radius: Annotated[float, Range(0.05, 5, "m")] = 0.75
-    """Radius of the base."""
+    """Radius of a base with the footprint of a disc."""
     body_height: Annotated[float, Range(0.05, 10, "m")] = 1.0
     """Height of the base; the arm is mounted on top."""
     joints: Annotated[int, Range(0, 7)] = 0
@@ -151,6 +152,32 @@ class RobotConfig(Settings):
     """One primitive more, use, for puzzles in which things ahead are opened and shut (with `gripper`)."""
     drive: DriveKind = "strafing"
     """The base moves along and across its heading, or (differential) along it only, and turns on the spot."""
+    footprint: FootprintKind = "disc"
+    """Outline of the base on the floor, centred on its axis."""
+    body_length: Annotated[float, Range(0.1, 10, "m")] = 1.2
+    """Size of a rectangular base along its heading."""
+    body_width: Annotated[float, Range(0.1, 10, "m")] = 0.8
+    """Size of a rectangular base across its heading."""
+
+    @property
+    def half_sizes(self) -> tuple[float, float]:
+        """Half length and half width of a rectangular base, m; 0 and 0 for a disc."""
+        return (self.body_length / 2, self.body_width / 2) if self.footprint == "rectangle" else (0.0, 0.0)
+
+    @property
+    def inner_radius(self) -> float:
+        """Radius of the largest disc round the axis within the base, m: where it does not fit, no heading helps."""
+        return min(self.half_sizes) if self.footprint == "rectangle" else self.body_radius
+
+    @property
+    def outer_radius(self) -> float:
+        """Radius of the smallest disc round the axis that holds the base, m: where it fits, any heading does."""
+        return math.hypot(*self.half_sizes) if self.footprint == "rectangle" else self.body_radius
+
+    @property
+    def symmetry(self) -> int:
+        """Number of headings, evenly spread over a full turn, at which the base covers and moves the same."""
+        return math.gcd(self.actions.symmetry, 2) if self.footprint == "rectangle" else self.actions.symmetry
 
     @property
     def actions(self) -> ActionTable:
@@ -168,9 +195,10 @@ class RobotConfig(Settings):
             raise ConfigError("robot.joints", 0, f"from 1 to 7 for robot.kind = {self.kind!r}")
         if self.use and not self.gripper:
             raise ConfigError("robot.use", self.use, "false without robot.gripper")
-        if abs(self.mount_forward) > self.body_radius:
+        name, half = ("radius", self.body_radius) if self.footprint == "disc" else ("length / 2", self.half_sizes[0])
+        if abs(self.mount_forward) > half:
             raise ConfigError("robot.mount_forward", self.mount_forward,
-                              f"at most robot.body_radius = {self.body_radius:g} either way")
+                              f"at most robot.body_{name} = {half:g} either way")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -322,17 +350,20 @@ class RoomConfig(Settings):
 
     def check(self) -> None:
         """Check what spans several parts."""
-        body = 2 * (self.robot.body_radius + CONTACT_SKIN + PASSAGE_SLACK + self.room.resolution)
+        body = 2 * (self.robot.inner_radius + CONTACT_SKIN + PASSAGE_SLACK + self.room.resolution)
         if self.room.rooms > 1 and self.room.doorway_width <= body:
             raise ConfigError("room.doorway_width", self.room.doorway_width,
                               f"more than the {body:g} m that the robot needs to pass")
         if body >= min(self.room.width, self.room.depth):
-            raise ConfigError("robot.body_radius", self.robot.body_radius, "a body that fits into the room")
+            part = "body_radius" if self.robot.footprint == "disc" else "body_width"
+            raise ConfigError(f"robot.{part}", getattr(self.robot, part), "a body that fits into the room")
         if self.exit.door and self.exit.width <= body:
             raise ConfigError("exit.width", self.exit.width, f"more than the {body:g} m that the robot needs to pass")
         if self.robot.drive == "differential" and self.dynamics.slip_kind.startswith("lateral"):
             raise ConfigError("dynamics.slip_kind", self.dynamics.slip_kind, "'stay', 'any' or 'neighbour' for a "
                               "differential drive, which makes no moves sideways")
+        if self.robot.footprint == "rectangle" and self.dynamics.kind != "kinematic":
+            raise ConfigError("robot.footprint", "rectangle", "'disc' under physics")
         if self.dynamics.press_with == "hand" and self.robot.joints == 0:
             raise ConfigError("dynamics.press_with", "hand", "'body', or a robot with robot.joints >= 1")
         if self.puzzle.pads is not None and (self.dynamics.press_with, self.dynamics.kind) != ("body", "kinematic"):

@@ -212,6 +212,10 @@ class RoomInstance(Settings):
         if self.puzzle.can_push and (self.dynamics.blocked != "stay" or self.dynamics.noise):
             raise ConfigError("dynamics", (self.dynamics.blocked, self.dynamics.noise),
                               "blocked 'stay' and no noise where things are pushed from cell to cell")
+        if self.robot.footprint == "rectangle" and (
+                self.inner_doors or self.props or self.dynamics.kind != "kinematic"):
+            raise ConfigError("robot.footprint", "rectangle", "'disc' under physics, and for a puzzle with inner doors "
+                              "or props")
         if not self.starts:
             raise ConfigError("instance.starts", self.starts, "at least one start")
         headings = round(360 / self.robot.turn_step_deg)
@@ -280,15 +284,21 @@ class RoomInstance(Settings):
         Returns:
             Metres from the body's axis (or from the hand) to the target's footprint.
         """
+        margin = self.compute_press_margin(target, hand_height)
+        is_body = self.dynamics.press_with == "body" and target.kind == "panel" and margin >= 0.0
+        return self.robot.outer_radius + margin if is_body else margin
+
+    def compute_press_margin(self, target: Target, hand_height: float = 0.0) -> float:
+        """Largest floor distance of the body's outline (or of the hand, or of the axis over a pad); -1 for never."""
         if target.kind == "pad":
             return 0.0
         if self.dynamics.press_with == "hand":
             gap = max(abs(hand_height - target.z) - target.half_z, 0.0)
-            limit, extra = self.robot.hand_radius + self.dynamics.press_margin, 0.0
+            limit = self.robot.hand_radius + self.dynamics.press_margin
         else:
             gap = max(0.0, target.z - target.half_z - self.robot.body_height, -(target.z + target.half_z))
-            limit, extra = self.dynamics.press_margin, self.robot.body_radius
-        return extra + math.sqrt(limit**2 - gap**2) if gap <= limit else -1.0
+            limit = self.dynamics.press_margin
+        return math.sqrt(limit**2 - gap**2) if gap <= limit else -1.0
 
     @property
     def reach_x(self) -> float:

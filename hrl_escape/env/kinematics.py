@@ -10,64 +10,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from hrl_escape.env.body.rectangle import RectangularBase, compute_base_distance
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, InnerDoors, compute_distance, compute_first_contact
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.noise import compute_noise, draw_chance, draw_puzzle_start
+from hrl_escape.env.poses import RobotPoses, RoomState
 from hrl_escape.env.primitives import list_slips
 from hrl_escape.env.puzzles.base import Contacts
-from hrl_escape.env.robot import make_robot
 
-__all__ = ["Kinematics", "RoomState", "Rules", "Transition", "compute_heading"]
+__all__ = ["Kinematics", "RoomState", "Rules", "Transition"]
 
-
-class RoomState(NamedTuple):
-    """Everything that decides the future of an episode; hashable and comparable.
-
-    Attributes:
-        x: position of the body's axis, m.
-        y: position of the body's axis, m.
-        heading_steps: whole turn steps, from 0 to 360 / turn_step_deg - 1.
-        heading_offset: heading beyond whole steps, rad (noise, physics, start).
-        joint_steps: whole joint steps from home.
-        joint_offsets: joint angles beyond whole steps, rad; empty if all are zero.
-        puzzle: the puzzle's own state.
-        touching: bit i is set while target i is touched.
-        primitives: primitives since the episode began.
-        noise_key: 64-bit key of the episode's noise.
-        z: height of the base above the floor, m (physics).
-        pitch: rad (physics).
-        roll: rad (physics).
-        physics: the engine's own saved state (physics), else None.
-    """
-
-    x: float
-    y: float
-    heading_steps: int
-    heading_offset: float
-    joint_steps: tuple[int, ...]
-    joint_offsets: tuple[float, ...]
-    puzzle: Hashable
-    touching: int
-    primitives: int
-    noise_key: int
-    z: float = 0.0
-    pitch: float = 0.0
-    roll: float = 0.0
-    physics: Any = None
-
-    @property
-    def pose(self) -> tuple[float, float, int, float, tuple[int, ...], tuple[float, ...]]:
-        """Base and arm: x, y, heading and joints, each with its offset."""
-        return self.x, self.y, self.heading_steps, self.heading_offset, self.joint_steps, self.joint_offsets
-
-    def has_pose_of(self, other: RoomState) -> bool:
-        """Say whether base and arm are exactly as in another state."""
-        return (self.x == other.x and self.y == other.y and self.heading_steps == other.heading_steps
-                and self.heading_offset == other.heading_offset and self.joint_steps == other.joint_steps
-                and self.joint_offsets == other.joint_offsets)
+_AHEAD = (1.0, 0.0)
 
 
 class Transition(NamedTuple):
@@ -80,12 +36,7 @@ class Transition(NamedTuple):
     pressed: tuple[int, ...]
 
 
-def compute_heading(steps: int, offset: float, turn_step: float) -> float:
-    """Heading in [-pi, pi): the same steps give the same float, however they were made."""
-    return (steps * turn_step + offset + math.pi) % math.tau - math.pi
-
-
-class Rules:
+class Rules(RobotPoses):
     """The part of the MDP that every dynamics shares: touching, presses, the puzzle, reward, exit and horizon.
 
     Args:
@@ -100,13 +51,9 @@ class Rules:
     """
 
     def __init__(self, instance: RoomInstance, is_still: bool = False) -> None:
+        super().__init__(instance.robot)
         self.instance = instance
-        self.robot = make_robot(instance.robot)
         self.actions = instance.robot.actions
-        self.headings = round(360 / instance.robot.turn_step_deg)
-        self.turn_step = math.tau / self.headings
-        self._angles = tuple(compute_heading(n, 0.0, self.turn_step) for n in range(self.headings))
-        self._rotations = tuple((round(math.cos(a), 15), round(math.sin(a), 15)) for a in self._angles)
         self._puzzle = instance.puzzle
         self._puzzle_starts = instance.puzzle.list_starts()
         self._is_random = instance.puzzle.is_random and not is_still
@@ -117,60 +64,14 @@ class Rules:
         self._exit_reward = reward.exit if reward.exit_replaces_step else reward.step + reward.exit
         self._horizon = instance.horizon
         self._by_hand = instance.dynamics.press_with == "hand"
-        self._hands: dict[tuple[int, ...], tuple[float, float, float]] = {}
-        self._arms: dict[tuple[int, ...], tuple[float, ...]] = {}
         reach = instance.compute_press_reach
         self._reaches = tuple((i, t.footprint, reach(t), t) for i, t in enumerate(instance.targets))
         self._target_cells: dict[tuple[int, int], tuple] = {}
+        self._presser = None if self._by_hand else RectangularBase.make(instance.robot, 0.0)
         self.inner_doors = None if not instance.inner_doors else InnerDoors(
             [door.footprint for door in instance.inner_doors], self._puzzle.get_shut,
-            instance.robot.body_radius + CONTACT_SKIN, instance.robot.move_step,
+            instance.robot.outer_radius + CONTACT_SKIN, instance.robot.move_step,
             self._puzzle.push if self._puzzle.can_push else None)
-
-    # --- poses -----------------------------------------------------------------------
-
-    def get_heading(self, state: RoomState) -> float:
-        """Heading of the base in rad, within [-pi, pi)."""
-        if state.heading_offset == 0.0:
-            return self._angles[state.heading_steps]
-        return compute_heading(state.heading_steps, state.heading_offset, self.turn_step)
-
-    def get_rotation(self, steps: int, offset: float) -> tuple[float, float]:
-        """Cosine and sine of a heading; exact at quarter turns."""
-        if offset == 0.0:
-            return self._rotations[steps]
-        angle = compute_heading(steps, offset, self.turn_step)
-        return math.cos(angle), math.sin(angle)
-
-    def get_angles(self, state: RoomState) -> tuple[float, ...]:
-        """Joint angles in rad; whole-step configurations are remembered."""
-        if state.joint_offsets:
-            return self.robot.compute_angles(state.joint_steps, state.joint_offsets)
-        angles = self._arms.get(state.joint_steps)
-        if angles is None:
-            if len(self._arms) > 200_000:
-                self._arms.clear()
-            angles = self._arms[state.joint_steps] = self.robot.compute_angles(state.joint_steps)
-        return angles
-
-    def get_hand_in_base(self, joint_steps: tuple[int, ...],
-                         joint_offsets: tuple[float, ...] = ()) -> tuple[float, float, float]:
-        """Hand position in the base frame, m; whole-step configurations are remembered."""
-        if joint_offsets:
-            return tuple(self.robot.compute_hand(self.robot.compute_angles(joint_steps, joint_offsets)).tolist())
-        hand = self._hands.get(joint_steps)
-        if hand is None:
-            if len(self._hands) > 200_000:
-                self._hands.clear()
-            hand = tuple(self.robot.compute_hand(self.robot.compute_angles(joint_steps)).tolist())
-            self._hands[joint_steps] = hand
-        return hand
-
-    def get_hand(self, state: RoomState) -> tuple[float, float, float]:
-        """Hand position in the room frame, m."""
-        hand_x, hand_y, hand_z = self.get_hand_in_base(state.joint_steps, state.joint_offsets)
-        cos, sin = self.get_rotation(state.heading_steps, state.heading_offset)
-        return state.x + cos * hand_x - sin * hand_y, state.y + sin * hand_x + cos * hand_y, state.z + hand_z
 
     # --- touching --------------------------------------------------------------------
 
@@ -179,8 +80,12 @@ class Rules:
         """Bits of the targets that the presser touches at a pose of base and arm."""
         touching = 0
         if not self._by_hand:
-            for i, footprint, reach, _ in self._get_near_targets(x, y):
+            for i, footprint, reach, target in self._get_near_targets(x, y):
                 if compute_distance(x, y, footprint) <= reach:
+                    if self._presser is not None and target.kind == "panel" and compute_base_distance(
+                            x, y, *self.get_rotation(heading_steps, heading_offset), *self._presser, footprint
+                    ) > self.instance.compute_press_margin(target):
+                        continue
                     touching |= 1 << i
             return touching
         hand_x, hand_y, hand_z = self.get_hand_in_base(joint_steps, joint_offsets)
@@ -259,12 +164,16 @@ class Rules:
 
 
 class Kinematics(Rules):
-    """The kinematic MDP of an instance: exact first contact, no sliding, arms pass through."""
+    """The kinematic MDP of an instance: exact first contact, no sliding, arms pass through.
+
+    A disc turns anywhere. A rectangle does not turn at all where a solid is in the way of any part of the turn.
+    """
 
     def __init__(self, instance: RoomInstance, is_still: bool = False) -> None:
         super().__init__(instance, is_still)
         robot, dynamics = instance.robot, instance.dynamics
-        self._radius = robot.body_radius + CONTACT_SKIN
+        self._radius = robot.outer_radius + CONTACT_SKIN
+        self._base = RectangularBase.make(robot)
         self._noise, self._slip = (0.0, 0.0) if is_still else (dynamics.noise, dynamics.slip)
         self._slip_kind, self._stays = dynamics.slip_kind, dynamics.blocked == "stay"
         self._slips = tuple(list_slips(dynamics.slip_kind, self.actions, action) for action in range(len(self.actions)))
@@ -310,7 +219,8 @@ class Kinematics(Rules):
 
     def _is_free(self, state: RoomState, action: int, scale: float) -> bool:
         dx, dy = self._compute_displacement(state, action, scale)
-        return self.compute_free_fraction(state.x, state.y, dx, dy, state.puzzle) >= 1.0
+        turned = _AHEAD if self._base is None else self.get_rotation(state.heading_steps, state.heading_offset)
+        return self.compute_free_fraction(state.x, state.y, dx, dy, state.puzzle, turned) >= 1.0
 
     def _compute_displacement(self, state: RoomState, action: int, scale: float) -> tuple[float, float]:
         """Displacement of a translation that nothing blocks, m."""
@@ -327,7 +237,8 @@ class Kinematics(Rules):
         steps, offset = state.heading_steps, state.heading_offset
         dx, dy = self._compute_displacement(state, action, scale)
         puzzle = self.inner_doors.push(state.x, state.y, dx, dy, state.puzzle) if self.inner_doors else state.puzzle
-        fraction = self.compute_free_fraction(state.x, state.y, dx, dy, puzzle)
+        turned = _AHEAD if self._base is None else self.get_rotation(steps, offset)
+        fraction = self.compute_free_fraction(state.x, state.y, dx, dy, puzzle, turned)
         if fraction < 1.0:
             if self._stays:
                 return state
@@ -337,10 +248,14 @@ class Kinematics(Rules):
         return RoomState(x, y, steps, offset, state.joint_steps, state.joint_offsets, puzzle, touching,
                          state.primitives, state.noise_key, state.z, state.pitch, state.roll, state.physics)
 
-    def compute_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable) -> float:
-        """Share in [0, 1] of a displacement that the body can make, with its clearance kept."""
+    def compute_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable,
+                              rotation: tuple[float, float] = _AHEAD) -> float:
+        """Share in [0, 1] of a displacement that the body, turned like that, can make with its clearance kept."""
         fraction = 1.0
         near = self._get_near_solids(x, y) if abs(dx) + abs(dy) <= 1.5 * self._span else self.footprints
+        if self._base is not None:
+            near = (*near, *self._list_shut(x, y, puzzle, rotation))
+            return self._base.find_free_fraction(x, y, rotation, dx, dy, near)
         for footprint in near:
             met = compute_first_contact(x, y, dx, dy, self._radius, footprint)
             if met < fraction:
@@ -351,10 +266,24 @@ class Kinematics(Rules):
             fraction = min(fraction, compute_first_contact(x, y, dx, dy, self._radius, footprint))
         return fraction
 
-    def is_door_shut(self, x: float, y: float, puzzle: Hashable) -> bool:
+    def can_turn(self, state: RoomState, to: tuple[float, float], turn: float) -> bool:
+        """Say whether the base can turn by an angle in rad to a rotation where it stands; a disc always can."""
+        if self._base is None:
+            return True
+        x, y, rotation = state.x, state.y, self.get_rotation(state.heading_steps, state.heading_offset)
+        shapes = (*self._get_near_solids(x, y), *self._list_shut(x, y, state.puzzle, rotation))
+        return self._base.can_turn(x, y, rotation, to, turn, shapes)
+
+    def _list_shut(self, x: float, y: float, puzzle: Hashable, rotation: tuple[float, float]) -> tuple[Footprint, ...]:
+        """The exit's door, if it is shut."""
+        return (self._door,) if self._door is not None and self.is_door_shut(x, y, puzzle, rotation) else ()
+
+    def is_door_shut(self, x: float, y: float, puzzle: Hashable, rotation: tuple[float, float] = _AHEAD) -> bool:
         """Say whether the exit has a door that is shut; it cannot close on a robot standing in it."""
         if self._door is None or self._puzzle.is_solved(puzzle):
             return False
+        if self._base is not None:
+            return self._base.measure_gap(x, y, rotation, (self._door,)) >= -1e-6
         return compute_distance(x, y, self._door) >= self._radius - 1e-6
 
     def _get_near_solids(self, x: float, y: float) -> tuple[Footprint, ...]:
@@ -373,7 +302,10 @@ class Kinematics(Rules):
         if scale != 1.0:
             offset = (offset + (scale - 1.0) * turn * self.turn_step + math.pi) % math.tau - math.pi
         touching = state.touching
-        if self._by_hand:
+        if self._base is not None and not self.can_turn(state, self.get_rotation(steps, offset),
+                                                        scale * turn * self.turn_step):
+            return state
+        if self._by_hand or self._base is not None:
             touching = self.compute_touching(state.x, state.y, steps, offset, state.joint_steps, state.joint_offsets)
         return RoomState(state.x, state.y, steps, offset, state.joint_steps, state.joint_offsets, state.puzzle,
                          touching, state.primitives, state.noise_key, state.z, state.pitch, state.roll, state.physics)

@@ -13,12 +13,15 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["TURNS", "ActionTable", "DriveKind", "JointActions", "Primitive", "SlipKind", "list_slips",
+__all__ = ["TURNS", "ActionTable", "DriveKind", "FootprintKind", "JointActions", "Primitive", "SlipKind", "list_slips",
            "make_action_table"]
 
 
 DriveKind = Literal["strafing", "differential"]
 """Drives of the base: one that moves along and across its heading, or one that moves along it only."""
+
+FootprintKind = Literal["disc", "rectangle"]
+"""Outlines of the base on the floor: a disc, which turns anywhere, or a rectangle, whose turns may be blocked."""
 
 
 class Primitive(NamedTuple):
@@ -68,7 +71,8 @@ class ActionTable:
         base: translations and turns.
         joints: the pair of each joint.
         gripper: grip, release, and use if there is that; empty without a gripper.
-        wait: the primitive to pass time with: it is always possible and presses nothing that the body is not touching.
+        wait: the primitive to pass time with: it never moves the body's axis, and a disc presses nothing by it that it
+            is not touching.
         symmetry: number of headings, evenly spread over a full turn, at which the base has the same moves.
     """
 

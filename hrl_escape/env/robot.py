@@ -19,6 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from hrl_escape.env.body.link import make_box_link, make_cylinder_link
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.errors import RobotError
 from hrl_escape.files import check_files
@@ -252,18 +253,6 @@ def make_robot(config: RobotConfig) -> Robot:
     return _assemble(config, _mount(config, arm), hand)
 
 
-def _cylinder_link(name: str, mass: float, radius: float, length: float, xyz: str,
-                   rpy: str) -> ElementTree.Element:
-    side = mass * (3 * radius**2 + length**2) / 12
-    place = f'<origin xyz="{xyz}" rpy="{rpy}"/>'
-    shape = f'{place}<geometry><cylinder radius="{radius!r}" length="{length!r}"/></geometry>'
-    return ElementTree.fromstring(
-        f'<link name="{name}"><inertial>{place}<mass value="{mass!r}"/>'
-        f'<inertia ixx="{side!r}" iyy="{side!r}" izz="{mass * radius**2 / 2!r}" ixy="0" ixz="0" iyz="0"/>'
-        f"</inertial><visual>{shape}</visual><collision>{shape}</collision></link>"
-    )
-
-
 def _joint(name: str, kind: str, parent: str, child: str, xyz: str, axis: str = "",
            limit: float = 0.0) -> ElementTree.Element:
     inside = ""
@@ -290,7 +279,7 @@ def _make_arm(config: RobotConfig) -> ElementTree.Element:
         link = f"arm-{i + 1}"
         arm.append(_joint(f"joint-{i + 1}", "revolute", parent, link, xyz, _ARM_AXES[i], limit))
         middle, lying = f"{length / 2!r} 0 0", f"0 {math.pi / 2!r} 0"
-        arm.append(_cylinder_link(link, 0.5, thickness, length, middle, lying))
+        arm.append(make_cylinder_link(link, 0.5, thickness, length, middle, lying))
         parent, xyz = link, f"{length!r} 0 0"
     arm.append(ElementTree.fromstring(f'<link name="{_HAND}"/>'))
     arm.append(_joint("wrist", "fixed", parent, _HAND, xyz))
@@ -302,7 +291,11 @@ def _mount(config: RobotConfig, arm: ElementTree.Element) -> ElementTree.Element
     for material in arm.findall("material"):
         whole.append(material)
     middle = f"0 0 {config.body_height / 2!r}"
-    whole.append(_cylinder_link(BASE_LINK, 50.0, config.body_radius, config.body_height, middle, "0 0 0"))
+    if config.footprint == "rectangle":
+        sizes = config.body_length, config.body_width, config.body_height
+        whole.append(make_box_link(BASE_LINK, 50.0, sizes, middle))
+    else:
+        whole.append(make_cylinder_link(BASE_LINK, 50.0, config.body_radius, config.body_height, middle, "0 0 0"))
     links = {link.get("name", "") for link in arm.findall("link")}
     if links:
         children = {child.get("link") for child in arm.iterfind("joint/child")}

@@ -9,18 +9,19 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.env.body.rectangle import RectangularBase
 from hrl_escape.env.config import CONTACT_SKIN, RobotConfig
-from hrl_escape.env.geometry import Solid, compute_distance_many, stack_footprints
+from hrl_escape.env.geometry import Footprint, Solid, compute_distance_many, stack_footprints
 from hrl_escape.errors import ConfigError
 
-__all__ = ["Room", "check_room"]
+__all__ = ["Room", "check_room", "does_base_fit"]
 
 _OVERLAP = 1e-6
 """Length in metres by which the alcove behind a door is taken to reach into the floor."""
 
 
-class FloorPoint(Protocol):
-    """A point of the floor."""
+class FloorPose(Protocol):
+    """A place and a heading on the floor."""
 
     @property
     def x(self) -> float:
@@ -30,6 +31,16 @@ class FloorPoint(Protocol):
     @property
     def y(self) -> float:
         """Position along y, m."""
+        ...
+
+    @property
+    def heading_steps(self) -> int:
+        """Heading, in turn steps."""
+        ...
+
+    @property
+    def heading_offset(self) -> float:
+        """Heading beyond whole steps, rad."""
         ...
 
 
@@ -91,7 +102,7 @@ class Room(Protocol):
         ...
 
     @property
-    def starts(self) -> Sequence[FloorPoint]:
+    def starts(self) -> Sequence[FloorPose]:
         """Start poses."""
         ...
 
@@ -116,7 +127,7 @@ def check_room(instance: Room) -> None:
     """
     solids = [solid.footprint for solid in (*instance.solids, *((instance.door,) if instance.door else ()))]
     shapes = stack_footprints(solids)
-    radius = instance.robot.body_radius
+    radius = instance.robot.inner_radius
     rims = _trace_rim(instance, radius)
     away = compute_distance_many(rims, shapes)
     if (away > radius / 2).any():
@@ -126,10 +137,25 @@ def check_room(instance: Room) -> None:
     starts = np.array([(start.x, start.y) for start in instance.starts])
     free = compute_distance_many(starts, shapes) >= radius + CONTACT_SKIN - 1e-6
     free &= (np.abs(starts) <= (instance.reach_x, instance.reach_y)).all(axis=1)
+    free &= [does_base_fit(instance.robot, start, solids) for start in instance.starts]
     if not free.all():
         number = int(free.argmin())
         raise ConfigError(f"instance.starts[{number}]", starts[number].tolist(),
-                          f"a place on the floor where a body of radius {radius:g} m is clear of every solid")
+                          f"a place on the floor where {_describe_base(instance.robot)} is clear of every solid")
+
+
+def does_base_fit(robot: RobotConfig, pose: FloorPose, solids: Sequence[Footprint]) -> bool:
+    """Say whether a rectangular base is clear of solids at a pose; true of a disc, whose heading is no matter."""
+    base = RectangularBase.make(robot)
+    heading = pose.heading_steps * math.radians(robot.turn_step_deg) + pose.heading_offset
+    rotation = round(math.cos(heading), 15), round(math.sin(heading), 15)
+    return base is None or base.measure_gap(pose.x, pose.y, rotation, solids) >= -1e-6
+
+
+def _describe_base(robot: RobotConfig) -> str:
+    if robot.footprint == "rectangle":
+        return f"a base of {robot.body_length:g} x {robot.body_width:g} m"
+    return f"a body of radius {robot.body_radius:g} m"
 
 
 def _trace_rim(instance: Room, spacing: float) -> NDArray[np.float64]:
@@ -137,7 +163,7 @@ def _trace_rim(instance: Room, spacing: float) -> NDArray[np.float64]:
     half_x, half_y = instance.half_width, instance.half_depth
     areas = [(-half_x, half_x, -half_y, half_y)]
     if instance.door is not None:
-        beyond = instance.robot.body_radius + CONTACT_SKIN  # the body's axis stands in the exit
+        beyond = instance.robot.outer_radius + CONTACT_SKIN  # the body's axis stands in the exit
         area = instance.exit
         areas.append((*_stretch(area.x_min, area.x_max, half_x, beyond),
                       *_stretch(area.y_min, area.y_max, half_y, beyond)))

@@ -6,6 +6,7 @@ import math
 import numbers
 from typing import Any
 
+from hrl_escape.env.body.rectangle import RectangularBase
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.errors import StateError, show_value
@@ -33,9 +34,12 @@ def check_state(rules: Rules, state: Any) -> None:
     """
     check_fields(rules, state)
     soft = rules.instance.dynamics.kind == "physics"
-    least = rules.instance.robot.body_radius * (1.0 - _SOFT_CONTACT if soft else 1.0)
+    least = rules.instance.robot.inner_radius * (1.0 - _SOFT_CONTACT if soft else 1.0)
+    base, rotation = RectangularBase.make(rules.instance.robot, 0.0), rules.get_rotation(
+        state.heading_steps, state.heading_offset)
     for solid in rules.instance.solids:
-        if compute_distance(state.x, state.y, solid.footprint) < least:
+        if compute_distance(state.x, state.y, solid.footprint) < least or (
+                base is not None and base.measure_gap(state.x, state.y, rotation, (solid.footprint,)) < 0.0):
             raise StateError(f"x = {state.x:g}, y = {state.y:g} is not possible: the body stands in the {solid.role} "
                              f"at ({solid.x:g}, {solid.y:g})")
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.instance import Rectangle, Start
-from hrl_escape.env.kinematics import Kinematics, compute_heading
+from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
@@ -91,7 +91,7 @@ def test_a_full_circle_of_turns_gives_the_same_float(step, laps, offset):
     turns = [TURN_LEFT if laps > 0 else TURN_RIGHT] * (abs(laps) * 360 // step)
     end = [*play(kinematics, state, turns)][-1].state if turns else state
     assert kinematics.get_heading(end) == kinematics.get_heading(state)
-    assert math.isclose(compute_heading(3, 0, math.radians(10)), math.radians(30))
+    assert math.isclose(Kinematics.compute_heading(3, 0, math.radians(10)), math.radians(30))
 
 
 def test_a_press_is_the_beginning_of_touching():

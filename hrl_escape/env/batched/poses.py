@@ -14,9 +14,12 @@ from torch import Tensor
 
 from hrl_escape.env.batched.arm import compute_hand
 from hrl_escape.env.batched.geometry import Shapes, compute_distance
+from hrl_escape.env.batched.rectangle import TensorBase
 from hrl_escape.env.batched.tables import Layout, Tables, pick
+from hrl_escape.env.body.rectangle import RectangularBase
 
-__all__ = ["TensorState", "compute_angles", "compute_heading", "compute_rotation", "compute_touching"]
+__all__ = ["TensorState", "compute_angles", "compute_heading", "compute_rotation", "compute_touching",
+           "make_base"]
 
 
 class TensorState(NamedTuple):
@@ -80,6 +83,12 @@ def compute_angles(layout: Layout, state: TensorState) -> Tensor:
     return home + state.joint_steps.to(torch.float64) * arm.step + state.joint_offsets
 
 
+def make_base(layout: Layout, tables: Tables, state: TensorState, margin: float) -> TensorBase | None:
+    """Rectangular bases where they stand, grown on all sides by a margin, m; None if bases are discs."""
+    size = RectangularBase.make(layout.robot, margin)
+    return None if size is None else TensorBase(state.x, state.y, *compute_rotation(layout, tables, state), size)
+
+
 def compute_touching(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
     """Bits of the targets that the presser touches, int64 (rooms,)."""
     if not layout.targets:
@@ -97,5 +106,10 @@ def compute_touching(layout: Layout, tables: Tables, state: TensorState) -> Tens
     else:
         reach = pick(layout, tables.target_reach, state.instance)
         touched = compute_distance(state.x, state.y, targets) <= reach
+        base = make_base(layout, tables, state, 0.0)
+        if base is not None:
+            away = base.compute_distance(pick(layout, tables.targets, state.instance))
+            is_near = away <= pick(layout, tables.target_margin, state.instance)
+            touched = touched & (is_near | ~pick(layout, tables.is_panel, state.instance))
     places = torch.arange(layout.targets, device=state.x.device).unsqueeze(1)
     return (touched.to(torch.int64) << places).sum(0)

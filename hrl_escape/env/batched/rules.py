@@ -14,8 +14,9 @@ from torch import Tensor
 
 from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact
 from hrl_escape.env.batched.noise import compute_noise, draw_chance, draw_puzzle_start, draw_words, scale_word
-from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching
+from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching, make_base
 from hrl_escape.env.batched.puzzles.base import TensorContacts, get_tensor_puzzle
+from hrl_escape.env.batched.rectangle import TensorBase
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.primitives import list_slips
@@ -60,7 +61,7 @@ def step(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> 
         scale = 1.0 + layout.dynamics.noise * normal
         action = _slide(layout, tables, state, action, scale, uniform) if layout.dynamics.slip else action
     moved = _translate(layout, tables, state, action, scale)
-    moved = _move_joints(layout, _turn(layout, moved, action, scale), action, scale)
+    moved = _move_joints(layout, _turn(layout, tables, moved, action, scale), action, scale)
     return _judge(layout, tables, state, moved, _find_grip(layout, action))
 
 
@@ -152,8 +153,15 @@ def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: 
     The first solid is found in single precision; the contact with it is computed again in double, so that
     rounding does not grow from contact to contact.
     """
-    motion = (state.x, state.y, dx, dy, layout.robot.body_radius + CONTACT_SKIN)
     solids: Shapes = pick(layout, tables.solids, state.instance)
+    base = make_base(layout, tables, state, CONTACT_SKIN)
+    if base is not None:
+        free = base.compute_first_contact(dx, dy, solids).amin(0)
+        if not layout.has_door:
+            return free
+        doors, is_shut = _find_door(layout, tables, state, base)
+        return torch.where(is_shut, torch.minimum(free, base.compute_first_contact(dx, dy, doors)[0]), free)
+    motion = (state.x, state.y, dx, dy, layout.robot.body_radius + CONTACT_SKIN)
     nearly, which = compute_first_contact(*motion, solids.round()).min(0)
     column = torch.zeros_like(which) if layout.is_shared else state.instance
     first: Shapes = map_tensors(lambda table: table[which, column].unsqueeze(0), tables.solids)
@@ -175,7 +183,31 @@ def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: 
     return torch.where(is_open | is_inside, free, torch.minimum(free, door))
 
 
-def _turn(layout: Layout, state: TensorState, action: Tensor, scale: Tensor | None) -> TensorState:
+def _find_door(layout: Layout, tables: Tables, state: TensorState, base: TensorBase) -> tuple[Shapes, Tensor]:
+    """Exit doors, (1, rooms), and where they are shut, bool (rooms,): they cannot close on a robot."""
+    doors: Shapes = pick(layout, tables.doors, state.instance)
+    puzzle = pick(layout, tables.puzzle, state.instance)
+    is_open = get_tensor_puzzle(layout.puzzle).is_solved(puzzle, state.puzzle)
+    return doors, ~is_open & (base.measure_gap(doors)[0] >= -1e-6)
+
+
+def _turn(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor | None) -> TensorState:
+    """Turn where nothing is in the way of it."""
+    turned = _turn_freely(layout, state, action, scale)
+    base = make_base(layout, tables, state, CONTACT_SKIN)
+    if base is None:
+        return turned
+    angle = (math.tau / layout.headings) * _sum_effects(layout, action, "turn").to(torch.float64)
+    to, angle = compute_rotation(layout, tables, turned), angle if scale is None else scale * angle
+    is_blocked = base.is_turn_blocked(*to, angle, pick(layout, tables.solids, state.instance)).any(0)
+    if layout.has_door:
+        doors, is_shut = _find_door(layout, tables, state, base)
+        is_blocked = is_blocked | (is_shut & base.is_turn_blocked(*to, angle, doors)[0])
+    return turned._replace(heading_steps=torch.where(is_blocked, state.heading_steps, turned.heading_steps),
+                           heading_offset=torch.where(is_blocked, state.heading_offset, turned.heading_offset))
+
+
+def _turn_freely(layout: Layout, state: TensorState, action: Tensor, scale: Tensor | None) -> TensorState:
     turn = _sum_effects(layout, action, "turn")
     steps = state.heading_steps + turn
     steps = torch.where(steps < 0, steps + layout.headings, steps)

@@ -105,7 +105,9 @@ class Tables(NamedTuple):
         targets: outlines of targets, (targets, instances).
         target_z: height of their centres, m.
         target_half_z: half their height, m.
-        target_reach: largest distance on the floor at which the body touches, m; -1 if never.
+        target_reach: largest distance on the floor from the body's axis at which it touches, m; -1 if never.
+        target_margin: that from the outline of a rectangular base, or from its axis over a pad, m; -1 if never.
+        is_panel: true for the targets that are no pads, bool.
         exits: x_min, x_max, y_min, y_max, (4, instances).
         half_sizes: largest |x| and |y| of the floor in the frame of observations, (2, instances).
         rewards: of a primitive, and of one that exits, (2, instances).
@@ -131,6 +133,8 @@ class Tables(NamedTuple):
     target_z: Tensor
     target_half_z: Tensor
     target_reach: Tensor
+    target_margin: Tensor
+    is_panel: Tensor
     exits: Tensor
     half_sizes: Tensor
     rewards: Tensor
@@ -267,6 +271,8 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
         target_z=floats(columns([pad([t.z for t in i.targets]) for i in instances])),
         target_half_z=floats(columns([pad([t.half_z for t in i.targets]) for i in instances])),
         target_reach=floats(columns([pad([i.compute_press_reach(t) for t in i.targets]) for i in instances])),
+        target_margin=floats(columns([pad([i.compute_press_margin(t) for t in i.targets]) for i in instances])),
+        is_panel=floats(columns([pad([t.kind == "panel" for t in i.targets]) for i in instances])) > 0.5,
         exits=floats(columns([(i.exit.x_min, i.exit.x_max, i.exit.y_min, i.exit.y_max) for i in instances])),
         half_sizes=floats(columns([(i.frame.reach_x, i.frame.reach_y) for i in instances]), torch.float32),
         rewards=floats(columns([_list_rewards(i.reward) for i in instances]), torch.float32),

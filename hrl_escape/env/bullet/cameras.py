@@ -62,7 +62,7 @@ class BulletRenderer:
         view = _VIEWS[camera](room, width / height)
         for standing in stage.standing:
             stage.set_cut(standing, camera == "chase" and _hides(standing, room, view.eye))
-        return _take(stage.client, view, width, height, trail, 0.2 * room.instance.robot.body_radius)
+        return _take(stage.client, view, width, height, trail, 0.2 * room.instance.robot.inner_radius)
 
 
 # --- cameras -------------------------------------------------------------------------------
@@ -70,7 +70,7 @@ class BulletRenderer:
 
 def _view_chase(room: BulletRoom, aspect: float) -> _View:
     state, heading = room.state, room.rules.get_heading(room.state)
-    size = min(max(room.instance.robot.body_radius / 0.75, 0.5), 4.0)
+    size = min(max(room.instance.robot.outer_radius / 0.75, 0.5), 4.0)
     cos, sin = math.cos(heading), math.sin(heading)
     back, ahead, lift = 6.0 * size, 1.6 * size, 4.6 * size
     eye = (state.x - back * cos, state.y - back * sin, state.z + lift)
@@ -90,7 +90,7 @@ def _view_robot(room: BulletRoom, aspect: float) -> _View:
     """Mounted above the front edge of the base, looking 12 degrees down."""
     state, heading, robot = room.state, room.rules.get_heading(room.state), room.instance.robot
     cos, sin = math.cos(heading), math.sin(heading)
-    forward = 0.9 * robot.body_radius
+    forward = 0.9 * (robot.half_sizes[0] or robot.body_radius)
     eye = (state.x + forward * cos, state.y + forward * sin, state.z + 1.15 * robot.body_height + 0.1)
     drop = math.tan(math.radians(12.0))
     target = (eye[0] + cos, eye[1] + sin, eye[2] - drop)
@@ -107,7 +107,7 @@ def _reach(room: BulletRoom) -> float:
 
 def _hides(standing: Standing, room: BulletRoom, eye: tuple[float, float, float]) -> bool:
     """Say whether something stands between the eye and the near side of the robot."""
-    solid, radius = standing.solid, room.instance.robot.body_radius
+    solid, radius = standing.solid, room.instance.robot.outer_radius
     shape = make_footprint(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
     (ex, ey, ez), x, y = eye, room.state.x, room.state.y
     near = 1.0 - 1.2 * radius / math.dist((ex, ey), (x, y))

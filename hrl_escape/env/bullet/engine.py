@@ -221,7 +221,8 @@ class _KinematicDynamics:
                     self._angles[i] = angle
                     pybullet.resetJointState(self._robot, self._joints[i], angle, 0.0, self._client)
         if self._door is not None:
-            is_shut = self._rules.is_door_shut(state.x, state.y, state.puzzle)
+            is_shut = self._rules.is_door_shut(state.x, state.y, state.puzzle, self._rules.get_rotation(
+                state.heading_steps, state.heading_offset))
             if is_shut != self.door_is_solid:
                 self.door_is_solid = is_shut
                 show_door(self._client, self._rules.instance, self._door, not is_shut)

@@ -21,8 +21,10 @@ from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.meshes import (
     Mesh,
+    compute_base_outline,
     compute_outline,
     format_obj,
+    make_base_column,
     make_cylinder,
     make_flat,
     make_prism,
@@ -213,23 +215,23 @@ class Stage:
         solid = Solid("box", target.x, target.y, target.half_x, target.half_y, target.yaw, high)
         self.standing.append(Standing(solid, bodies[0], bodies[1]))
         ahead = palette.find_front(self._instance, target)
-        deep = target.half_y + (min(0.4, 0.5 * self._instance.robot.body_radius) if target.kind == "panel" else 0.0)
+        deep = target.half_y + (min(0.4, 0.5 * self._instance.robot.inner_radius) if target.kind == "panel" else 0.0)
         middle = (target.x + ahead[0] * deep / 2, target.y + ahead[1] * deep / 2)
         mat = make_flat(rotate_box(*middle, target.half_x, deep / 2, target.yaw), 4 * _LAYER)
         return _Lamp([bodies[0][0], bodies[1][0]], self._add(mat, _MAT))
 
     def _add_base(self) -> tuple[list[int], int]:
         """The wheeled base, with an arrow on top that shows the heading, and its shadow."""
-        radius, height = self._instance.robot.body_radius, self._instance.robot.body_height
-        skirt = make_cylinder(0.9 * radius, 0.02 * height, 0.15 * height)
-        hull = merge([make_cylinder(radius, 0.15 * height, 0.85 * height),
-                      make_cylinder(radius, 0.85 * height, height, 0.85 * radius)])
-        band = make_cylinder(1.01 * radius, 0.55 * height, 0.7 * height)
+        robot = self._instance.robot
+        radius, height = robot.inner_radius, robot.body_height
+        skirt = make_base_column(robot, 0.02 * height, 0.15 * height, 0.9)
+        hull = merge([make_base_column(robot, 0.15 * height, 0.85 * height),
+                      make_base_column(robot, 0.85 * height, height, 1.0, 0.85)])
+        band = make_base_column(robot, 0.55 * height, 0.7 * height, 1.01)
         lift = height + _LAYER
         arrow = merge([make_flat([(0.72 * radius, 0.0), (-0.5 * radius, 0.5 * radius), (-0.22 * radius, 0.0)], lift),
                        make_flat([(0.72 * radius, 0.0), (-0.22 * radius, 0.0), (-0.5 * radius, -0.5 * radius)], lift)])
-        disc = compute_outline(Solid("cylinder", 0.0, 0.0, radius, radius))
-        shadow = self._add(make_shadow(disc, height, 5 * _LAYER), _SHADE)
+        shadow = self._add(make_shadow(compute_base_outline(robot), height, 5 * _LAYER), _SHADE)
         parts = ((skirt, _TRIM), (hull, palette.BODY), (band, _TRIM), (arrow, _TOP))
         return [self._add(mesh, colour) for mesh, colour in parts], shadow
 

@@ -197,12 +197,16 @@ def _draw_starts(axes: Axes, instance: RoomInstance) -> None:
 def _draw_robot(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
     """Body with a heading mark, arm links seen from above, and the hand."""
     rules = Kinematics(instance)
-    robot, radius, scale = rules.robot, instance.robot.body_radius, 72 * _get_scale(axes)
+    robot, radius, scale = rules.robot, instance.robot.inner_radius, 72 * _get_scale(axes)
     at, heading = np.array([state.x, state.y]), rules.get_heading(state)
     if 2 * radius * scale < 9:  # a robot of few points is hard to find
         axes.plot(*at, "o", markersize=13, fillstyle="none", color=palette.BODY, markeredgewidth=1.0, zorder=7)
-    axes.add_patch(Circle((state.x, state.y), radius, facecolor=palette.BODY, edgecolor=palette.BODY_EDGE,
-                          linewidth=1.0, zorder=7))
+    style: dict[str, Any] = {"facecolor": palette.BODY, "edgecolor": palette.BODY_EDGE, "linewidth": 1.0, "zorder": 7}
+    if instance.robot.footprint == "rectangle":
+        half_length, half_width = instance.robot.half_sizes
+        axes.add_patch(_make_outline(Solid("box", state.x, state.y, half_length, half_width, heading), **style))
+    else:
+        axes.add_patch(Circle((state.x, state.y), radius, **style))
     angles = heading + np.array([0.0, 2.5, math.pi, -2.5])
     reach = radius * np.array([0.85, 0.75, 0.3, 0.75])
     axes.add_patch(Polygon(at + reach[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1),

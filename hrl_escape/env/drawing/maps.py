@@ -154,7 +154,8 @@ def _make_handles(instance: RoomInstance, trajectories: Sequence[Trajectory]) ->
         return Line2D([], [], linestyle="", marker=shape, markersize=size, markerfacecolor=fill, label=label,
                       markeredgecolor=edge, markeredgewidth=1.0)
 
-    handles: list[Line2D | Patch] = [mark("o", "robot", palette.BODY, palette.BODY_EDGE, 9),
+    body = "o" if instance.robot.footprint == "disc" else "s"
+    handles: list[Line2D | Patch] = [mark(body, "robot", palette.BODY, palette.BODY_EDGE, 9),
                                      mark("o", "start", "white", palette.INK, 6)]
     if instance.targets:
         kinds = [("off", palette.OFF), ("off, waits for others", palette.WAITING), ("on", palette.LIT)]

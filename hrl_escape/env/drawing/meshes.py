@@ -13,14 +13,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle
 from hrl_escape.env.puzzles.places import Capsule
 
 __all__ = [
     "Mesh",
+    "compute_base_outline",
     "compute_outline",
     "format_obj",
+    "make_base_column",
     "make_cylinder",
     "make_flat",
     "make_prism",
@@ -123,6 +126,24 @@ def make_cylinder(radius: float, low: float, high: float, top_radius: float | No
     lid = make_flat([(top * x, top * y) for x, y in outline], high)
     bottom = make_flat([(radius * x, radius * y) for x, y in outline], low, up=False)
     return merge([side, lid, bottom])
+
+
+def make_base_column(robot: RobotConfig, low: float, high: float, share: float = 1.0, top_share: float | None = None
+                     ) -> Mesh:
+    """A slice of the robot's base from height `low` to `high`, its outline scaled, a disc's top scaled by itself."""
+    if robot.footprint == "rectangle":
+        half_length, half_width = robot.half_sizes
+        return make_prism(rotate_box(0.0, 0.0, share * half_length, share * half_width, 0.0), low, high)
+    top = None if top_share is None else top_share * robot.body_radius
+    return make_cylinder(share * robot.body_radius, low, high, top)
+
+
+def compute_base_outline(robot: RobotConfig) -> list[Point]:
+    """Corners of the robot's base, counter-clockwise, in its own frame."""
+    half_length, half_width = robot.half_sizes
+    radius = robot.body_radius
+    return compute_outline(Solid("box", 0.0, 0.0, half_length, half_width) if robot.footprint == "rectangle"
+                           else Solid("cylinder", 0.0, 0.0, radius, radius))
 
 
 def compute_outline(solid: Solid) -> list[Point]:

@@ -73,8 +73,8 @@ def compute_floors(instance: RoomInstance) -> tuple[Rectangle, ...]:
     room = Rectangle(-half_x, half_x, -half_y, half_y)
     if instance.door is None:
         return (room,)
-    # the alcove is a body radius deeper than the exit in it, and reaches back through the doorway
-    area, deep = instance.exit, instance.robot.body_radius
+    # the alcove is deeper than the exit in it by the radius that the base needs, and reaches back through the doorway
+    area, deep = instance.exit, instance.robot.outer_radius
     low_x, high_x = area.x_min < -half_x, area.x_max > half_x
     low_y, high_y = area.y_min < -half_y, area.y_max > half_y
     alcove = Rectangle(

@@ -1,4 +1,8 @@
-"""Certificate of a room's geometry: start, places of touching and exit lie on one connected floor."""
+"""Certificate of a room's geometry: start, places of touching and exit lie on one connected floor.
+
+For a rectangular base it is that of the largest disc within its outline; the search of `primitive_proof.py` then
+proves the room for the rectangle itself.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.geometry import Solid, compute_distance_many, stack_footprints
 from hrl_escape.env.instance import Rectangle, RoomInstance, Start, Target
 from hrl_escape.env.robot import make_robot, sample_hand_positions
+from hrl_escape.env.room_checks import does_base_fit
 from hrl_escape.env.sampling.floorplan import Rejected
 from hrl_escape.env.sampling.free_space import FreeSpace
 from hrl_escape.env.sampling.work import Work
@@ -53,7 +58,7 @@ class Floors(NamedTuple):
 
 def make_floors(instance: RoomInstance, work: Work | None = None) -> Floors:
     """Free space of a room."""
-    opened = FreeSpace(instance.reach_x, instance.reach_y, instance.robot.body_radius, instance.solids, work)
+    opened = FreeSpace(instance.reach_x, instance.reach_y, instance.robot.inner_radius, instance.solids, work)
     return Floors(opened.extend((instance.door,)) if instance.door else opened, opened, {})
 
 
@@ -66,6 +71,9 @@ def find_unmet(instance: RoomInstance, floors: Floors) -> str | None:
     labels = set(shut.find_labels(np.array([(start.x, start.y) for start in instance.starts])).tolist())
     if 0 in labels or len(labels) != 1:
         return "every start must be free and on one connected floor"
+    solids = [solid.footprint for solid in (*instance.solids, *((instance.door,) if instance.door else ()))]
+    if not all(does_base_fit(instance.robot, start, solids) for start in instance.starts):
+        return "the base must be clear of walls and obstacles at every start"
     if not all(has_arm_free(instance, start) for start in instance.starts):
         return "the arm must be clear of walls and obstacles at every start"
     label = labels.pop()
@@ -120,6 +128,7 @@ def _can_touch_by_body(instance: RoomInstance, target: Target, space: FreeSpace,
     reach = instance.compute_press_reach(target)
     if reach < 0.0:
         raise Rejected(f"{target.name} must hang low enough for the body to touch it")
+    reach -= instance.robot.outer_radius - instance.robot.inner_radius if target.kind == "panel" else 0.0
     known.clear()
     for share in (0.999, 0.9, 0.5, 0.0):
         points = _outline(target, reach * share if share else 1e-6) if target.kind == "panel" else _fill(target, share)

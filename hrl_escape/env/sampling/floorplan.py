@@ -198,7 +198,7 @@ def _make_alcove(config: RoomConfig, side: _Side, at: float) -> tuple[Rectangle,
     half, depth, thick = config.exit.width / 2, config.exit.depth, config.room.wall_thickness
     height = config.room.wall_height
     # the body's axis must be able to stand inside: the alcove is a body radius deeper than the exit
-    deep = thick + depth + config.robot.body_radius + CONTACT_SKIN
+    deep = thick + depth + config.robot.outer_radius + CONTACT_SKIN
     door_x, door_y = _along(side, at, -thick / 2)
     door = Solid("box", door_x, door_y, half, thick / 2, side.yaw, height, "door")
     walls = []
@@ -240,7 +240,7 @@ def _sample_interior(config: RoomConfig, gates: dict[int, tuple[float, float]], 
     smallest = gap + 2 * thick + 0.2
     rooms = [(-half_x, half_x, -half_y, half_y)]
     openings = []  # (x_min, x_max, y_min, y_max) floor that no wall may end in
-    clear = config.robot.body_radius + CONTACT_SKIN + 0.1
+    clear = config.robot.outer_radius + CONTACT_SKIN + 0.1
     for number, (low, high) in gates.items():
         corners = [_along(sides[number], low, -clear), _along(sides[number], high, 2 * clear)]
         openings.append((*sorted(c[0] for c in corners), *sorted(c[1] for c in corners)))

@@ -18,6 +18,7 @@ from hrl_escape.env.geometry import Solid, compute_distance, compute_distance_ma
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target
 from hrl_escape.env.puzzles.base import Pads, Panels, Place, Puzzle
 from hrl_escape.env.puzzles.maps import GridMap
+from hrl_escape.env.room_checks import does_base_fit
 from hrl_escape.env.sampling.certificate import find_unmet, has_arm_free, make_floors
 from hrl_escape.env.sampling.doors import DoorPlan, sample_doors
 from hrl_escape.env.sampling.floorplan import Face, Floorplan, Rejected, compute_cell, sample_floorplan
@@ -202,7 +203,7 @@ def _lay_pads(config: RoomConfig, names: tuple[str, ...], plan: Floorplan, doors
                 for name, place in zip(names, pads.places, strict=False)]
     half_x, half_y = config.room.width / 2, config.room.depth / 2
     walls = stack_footprints([solid.footprint for solid in plan.solids])
-    radius, body = math.hypot(pads.width, pads.depth) / 2, config.robot.body_radius + PASSAGE_SLACK
+    radius, body = math.hypot(pads.width, pads.depth) / 2, config.robot.inner_radius + PASSAGE_SLACK
     area = plan.exit
     is_everywhere = area.contains(half_x, half_y) and area.contains(-half_x, -half_y)
     laid: list[Target] = []
@@ -241,7 +242,7 @@ def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace, d
     area = instance.exit
     outside = ~((centres[:, 0] >= area.x_min) & (centres[:, 0] <= area.x_max)
                 & (centres[:, 1] >= area.y_min) & (centres[:, 1] <= area.y_max))
-    away, apart = np.ones(len(centres), dtype=bool), instance.robot.body_radius + instance.dynamics.press_margin
+    away, apart = np.ones(len(centres), dtype=bool), instance.robot.outer_radius + instance.dynamics.press_margin
     for target in instance.targets:
         around = math.hypot(target.half_x, target.half_y) + apart
         near = np.flatnonzero((np.abs(centres - (target.x, target.y)) <= around).all(axis=1))
@@ -257,9 +258,10 @@ def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace, d
         Start(float(x), float(y), int(rng.integers(turns)))
         for x, y in centres[rng.integers(len(centres), size=config.start.choices)]
     ]
+    solids = [solid.footprint for solid in (*instance.solids, *((instance.door,) if instance.door else ()))]
     for number in range(len(starts)):
         for _ in range(_START_TRIES):
-            if has_arm_free(instance, starts[number]):
+            if has_arm_free(instance, starts[number]) and does_base_fit(instance.robot, starts[number], solids):
                 break
             x, y = centres[rng.integers(len(centres))].tolist()
             starts[number] = Start(x, y, int(rng.integers(turns)))
@@ -272,9 +274,11 @@ def _list_cell_starts(config: RoomConfig, instance: RoomInstance, space: FreeSpa
     cell, area = config.room.cell, instance.exit
     columns, rows = round(config.room.width / cell), round(config.room.depth / cell)
     centres = np.array([compute_cell(config, number) for number in range(rows * columns)])
-    free = centres[space.is_clear(centres) & doors.is_at_start(centres)].tolist()
-    outside = [place for place in free if not area.contains(*place)]
     heading = _fixed_start(config, instance.puzzle)
+    solids = [solid.footprint for solid in instance.solids]
+    free = [place for place in centres[space.is_clear(centres) & doors.is_at_start(centres)].tolist()
+            if does_base_fit(instance.robot, dataclasses.replace(heading, x=place[0], y=place[1]), solids)]
+    outside = [place for place in free if not area.contains(*place)]
     starts = tuple(dataclasses.replace(heading, x=x, y=y) for x, y in outside or free)
     if not starts:
         raise Rejected("the body must fit into a cell")

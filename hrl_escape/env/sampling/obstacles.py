@@ -52,7 +52,7 @@ def _sample_obstacle(config: RoomConfig, instance: RoomInstance, others: list[So
                      work: Work) -> Solid:
     """One obstacle that does not stand on a start, a prop, a target or the middle of the exit."""
     settings = config.obstacles
-    body = instance.robot.body_radius + 0.05
+    body = instance.robot.outer_radius + 0.05
     keep = [(p.x, p.y, p.prop.half_size * 1.5 + 2.2 * body) for p in instance.props]
     keep.append((*instance.exit.centre, body))
     starts = np.array([(s.x, s.y) for s in instance.starts])

@@ -1,11 +1,11 @@
 """Proof that a room can be solved by its primitives: a sufficient condition, and a search where it does not hold.
 
-**The condition.** The floor is one rectangle with nothing on it, presses never undo anything, turns are of at most 15
-degrees, and a step s is no longer than half the way that the body's axis has along x and along y. A step in one
-direction and back in the next one then shifts the robot by e = 2 s sin(t / 2) for a turn step t, to and fro, and from
-any place in directions that span the plane: it comes within e of every place. (A base that does not strafe must have
-headings straight at each wall: its turns must divide 90 degrees.) A button that the body touches all along
-a stretch of 3 e of the wall is therefore touched by driving at that wall, and an exit of 3 e by 3 e is entered.
+**The condition.** The base is a disc, the floor is one rectangle with nothing on it, presses never undo anything,
+turns are of at most 15 degrees, and a step s is no longer than half the way that the body's axis has along x and along
+y. A step in one direction and back in the next one then shifts the robot by e = 2 s sin(t / 2) for a turn step t, to
+and fro, and from any place in directions that span the plane: it comes within e of every place. (A base that does not
+strafe must have headings straight at each wall: its turns must divide 90 degrees.) A button that the body touches all
+along a stretch of 3 e of the wall is therefore touched by driving at that wall, and an exit of 3 e by 3 e is entered.
 
 **The search.** Best-first over the kinematics without noise, from every start, button by button in an order that the
 puzzle's symbolic model gives, and then to the exit. Its path is the proof. Rooms under physics have neither: there the
@@ -81,14 +81,15 @@ def find_unproven(instance: RoomInstance, floors: Floors) -> str | None:
 def meets_condition(instance: RoomInstance) -> bool:
     """Say whether the sufficient condition holds."""
     robot, puzzle = instance.robot, instance.puzzle
-    radius = robot.body_radius + CONTACT_SKIN
+    radius = robot.outer_radius + CONTACT_SKIN
     free_x, free_y = instance.half_width - radius, instance.half_depth - radius
     needed = _SHIFTS * 2 * robot.move_step * math.sin(math.radians(robot.turn_step_deg) / 2)
     area = instance.exit
     exit_x = min(area.x_max, free_x) - max(area.x_min, -free_x)
     exit_y = min(area.y_max, free_y) - max(area.y_min, -free_y)
     return (
-        instance.dynamics.press_with == "body" and instance.door is None and not list_hiders(instance)
+        robot.footprint == "disc" and instance.dynamics.press_with == "body" and instance.door is None
+        and not list_hiders(instance)
         and isinstance(puzzle, ButtonsPuzzle) and puzzle.on_violation == "ignore" and not puzzle.allow_off
         and not puzzle.has_dead_ends
         and (robot.drive == "strafing" or (360 / robot.turn_step_deg) % 4 == 0)
@@ -145,7 +146,7 @@ class _Search:
         self._work = floors.shut.work
         self._rules = Kinematics(instance, is_still=True)
         self._step = instance.robot.move_step
-        headings, symmetry = self._rules.headings, self._rules.actions.symmetry
+        headings, symmetry = self._rules.headings, self._rules.symmetry
         alike = headings // symmetry if headings % symmetry == 0 else headings
         self._alike = alike if instance.dynamics.press_with == "body" else self._rules.headings
         self._stride = math.ceil(math.sqrt(max(1.0, floors.shut.free.size / _MOST_CELLS)))

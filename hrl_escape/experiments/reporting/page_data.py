@@ -119,7 +119,8 @@ def _describe_room(instance: RoomInstance) -> dict[str, Any]:
             for target in instance.targets
         ],
         "props": [_describe_prop(placed) for placed in instance.props],
-        "radius": instance.robot.body_radius,
+        "radius": instance.robot.inner_radius,
+        "half_sizes": list(instance.robot.half_sizes),
         "hand": instance.robot.hand_radius,
         "options": [],
     }

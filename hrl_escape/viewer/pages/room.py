@@ -155,11 +155,11 @@ class RoomPage:
         robot = self.scene.instance.robot
         cos, sin = math.cos(pose.heading), math.sin(pose.heading)
         if mode == "follow":
-            back, high = 3.5 + 3.0 * robot.body_radius, 2.4 + 1.6 * robot.body_height
-            ahead = 2.0 + robot.body_radius
+            back, high = 3.5 + 3.0 * robot.outer_radius, 2.4 + 1.6 * robot.body_height
+            ahead = 2.0 + robot.outer_radius
             return ((pose.x - back * cos, pose.y - back * sin, pose.z + high),
                     (pose.x + ahead * cos, pose.y + ahead * sin, pose.z + 0.4), 60.0)
-        behind, eye = -0.3 * robot.body_radius, pose.z + robot.body_height + 0.35  # on a mast, over the arm
+        behind, eye = -0.3 * robot.inner_radius, pose.z + robot.body_height + 0.35  # on a mast, over the arm
         return ((pose.x + behind * cos, pose.y + behind * sin, eye),
                 (pose.x + (behind + 2) * cos, pose.y + (behind + 2) * sin, eye - 0.25), 75.0)
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.drawing import palette
-from hrl_escape.env.drawing.meshes import make_cylinder, make_flat, merge
+from hrl_escape.env.drawing.meshes import make_base_column, make_flat, merge
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.viewer.extra import trimesh
 
@@ -46,13 +46,13 @@ class Shape(NamedTuple):
 
 def make_base_shapes(config: RobotConfig) -> list[Shape]:
     """The wheeled base, with an arrow on top that shows the heading."""
-    radius, height = config.body_radius, config.body_height
+    radius, height = config.inner_radius, config.body_height
     top = height + _LIFT
     parts = {
-        _TRIM: [make_cylinder(0.9 * radius, 0.02 * height, 0.15 * height),
-                make_cylinder(1.01 * radius, 0.55 * height, 0.7 * height)],
-        palette.BODY: [make_cylinder(radius, 0.15 * height, 0.85 * height),
-                     make_cylinder(radius, 0.85 * height, height, 0.85 * radius)],
+        _TRIM: [make_base_column(config, 0.02 * height, 0.15 * height, 0.9),
+                make_base_column(config, 0.55 * height, 0.7 * height, 1.01)],
+        palette.BODY: [make_base_column(config, 0.15 * height, 0.85 * height),
+                       make_base_column(config, 0.85 * height, height, 1.0, 0.85)],
         _TOP: [make_flat([(0.72 * radius, 0.0), (-0.5 * radius, 0.5 * radius), (-0.22 * radius, 0.0)], top),
                make_flat([(0.72 * radius, 0.0), (-0.22 * radius, 0.0), (-0.5 * radius, -0.5 * radius)], top)],
     }

@@ -108,7 +108,7 @@ def make_target(instance: RoomInstance, target: Target) -> tuple[Painted, Painte
     face = rotate_box(target.x, target.y, target.half_x, target.half_y, target.yaw)
     frame = rotate_box(target.x, target.y, target.half_x + rim, 0.7 * target.half_y, target.yaw)
     ahead = palette.find_front(instance, target)
-    deep = target.half_y + (min(0.4, 0.5 * instance.robot.body_radius) if target.kind == "panel" else 0.0)
+    deep = target.half_y + (min(0.4, 0.5 * instance.robot.inner_radius) if target.kind == "panel" else 0.0)
     middle = (target.x + ahead[0] * deep / 2, target.y + ahead[1] * deep / 2)
     mat = make_flat(rotate_box(*middle, target.half_x, deep / 2, target.yaw), 4 * LAYER)
     return (Painted("face", make_prism(face, low, high), palette.OFF.fill),

@@ -227,6 +227,7 @@ class Player {
 
   robot(c, at, metre) {
     const look = this.looks, radius = Math.max(this.room.radius, 3.5 * metre);
+    const [long, wide] = this.room.half_sizes;
     c.save();
     c.translate(at.x, at.y);
     c.rotate(at.heading);
@@ -234,7 +235,8 @@ class Player {
     c.strokeStyle = look.bodyEdge;
     c.lineWidth = metre;
     c.beginPath();
-    c.arc(0, 0, radius, 0, 7);
+    if (long) c.rect(-long, -wide, 2 * long, 2 * wide);
+    else c.arc(0, 0, radius, 0, 7);
     c.fill();
     c.stroke();
     c.fillStyle = "#fff";

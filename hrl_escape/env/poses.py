@@ -1,0 +1,136 @@
+"""The scalar state of a room, and values derived from its pose: heading, joint angles, hand.
+
+`RoomState` is what `batched/poses.py` has for many rooms at once. Headings and joints are whole steps, so that the
+same steps give the same floats, however they were made. Metres, radians.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable
+from typing import Any, NamedTuple
+
+from hrl_escape.env.config import RobotConfig
+from hrl_escape.env.robot import make_robot
+
+__all__ = ["RobotPoses", "RoomState"]
+
+
+class RoomState(NamedTuple):
+    """Everything that decides the future of an episode; hashable and comparable.
+
+    Attributes:
+        x: position of the body's axis, m.
+        y: position of the body's axis, m.
+        heading_steps: whole turn steps, from 0 to 360 / turn_step_deg - 1.
+        heading_offset: heading beyond whole steps, rad (noise, physics, start).
+        joint_steps: whole joint steps from home.
+        joint_offsets: joint angles beyond whole steps, rad; empty if all are zero.
+        puzzle: the puzzle's own state.
+        touching: bit i is set while target i is touched.
+        primitives: primitives since the episode began.
+        noise_key: 64-bit key of the episode's noise.
+        z: height of the base above the floor, m (physics).
+        pitch: rad (physics).
+        roll: rad (physics).
+        physics: the engine's own saved state (physics), else None.
+    """
+
+    x: float
+    y: float
+    heading_steps: int
+    heading_offset: float
+    joint_steps: tuple[int, ...]
+    joint_offsets: tuple[float, ...]
+    puzzle: Hashable
+    touching: int
+    primitives: int
+    noise_key: int
+    z: float = 0.0
+    pitch: float = 0.0
+    roll: float = 0.0
+    physics: Any = None
+
+    @property
+    def pose(self) -> tuple[float, float, int, float, tuple[int, ...], tuple[float, ...]]:
+        """Base and arm: x, y, heading and joints, each with its offset."""
+        return self.x, self.y, self.heading_steps, self.heading_offset, self.joint_steps, self.joint_offsets
+
+    def has_pose_of(self, other: RoomState) -> bool:
+        """Say whether base and arm are exactly as in another state."""
+        return (self.x == other.x and self.y == other.y and self.heading_steps == other.heading_steps
+                and self.heading_offset == other.heading_offset and self.joint_steps == other.joint_steps
+                and self.joint_offsets == other.joint_offsets)
+
+
+class RobotPoses:
+    """Headings, joint angles and hand positions of one robot; those of whole steps are remembered.
+
+    Attributes:
+        robot: the robot.
+        headings: turn steps of a full turn.
+        turn_step: one of them, rad.
+        symmetry: number of headings, evenly spread, at which the base covers and moves the same.
+    """
+
+    def __init__(self, robot: RobotConfig) -> None:
+        self.robot = make_robot(robot)
+        self.headings = round(360 / robot.turn_step_deg)
+        self.turn_step = math.tau / self.headings
+        self.symmetry = robot.symmetry
+        self._angles = tuple(self.compute_heading(n, 0.0, self.turn_step) for n in range(self.headings))
+        self._rotations = tuple((round(math.cos(a), 15), round(math.sin(a), 15)) for a in self._angles)
+        self._hands: dict[tuple[int, ...], tuple[float, float, float]] = {}
+        self._arms: dict[tuple[int, ...], tuple[float, ...]] = {}
+
+    @staticmethod
+    def compute_heading(steps: int, offset: float, turn_step: float) -> float:
+        """Heading in [-pi, pi): the same steps give the same float, however they were made."""
+        return (steps * turn_step + offset + math.pi) % math.tau - math.pi
+
+    def list_rotations(self) -> tuple[tuple[float, float], ...]:
+        """Cosine and sine of each heading of whole turn steps."""
+        return self._rotations
+
+    def get_heading(self, state: RoomState) -> float:
+        """Heading of the base in rad, within [-pi, pi)."""
+        if state.heading_offset == 0.0:
+            return self._angles[state.heading_steps]
+        return self.compute_heading(state.heading_steps, state.heading_offset, self.turn_step)
+
+    def get_rotation(self, steps: int, offset: float) -> tuple[float, float]:
+        """Cosine and sine of a heading; exact at quarter turns."""
+        if offset == 0.0:
+            return self._rotations[steps]
+        angle = self.compute_heading(steps, offset, self.turn_step)
+        return math.cos(angle), math.sin(angle)
+
+    def get_angles(self, state: RoomState) -> tuple[float, ...]:
+        """Joint angles in rad; whole-step configurations are remembered."""
+        if state.joint_offsets:
+            return self.robot.compute_angles(state.joint_steps, state.joint_offsets)
+        angles = self._arms.get(state.joint_steps)
+        if angles is None:
+            if len(self._arms) > 200_000:
+                self._arms.clear()
+            angles = self._arms[state.joint_steps] = self.robot.compute_angles(state.joint_steps)
+        return angles
+
+    def get_hand_in_base(self, joint_steps: tuple[int, ...],
+                         joint_offsets: tuple[float, ...] = ()) -> tuple[float, float, float]:
+        """Hand position in the base frame, m; whole-step configurations are remembered."""
+        if joint_offsets:
+            return tuple(self.robot.compute_hand(self.robot.compute_angles(joint_steps, joint_offsets)).tolist())
+        hand = self._hands.get(joint_steps)
+        if hand is None:
+            if len(self._hands) > 200_000:
+                self._hands.clear()
+            hand = tuple(self.robot.compute_hand(self.robot.compute_angles(joint_steps)).tolist())
+            self._hands[joint_steps] = hand
+        return hand
+
+    def get_hand(self, state: RoomState) -> tuple[float, float, float]:
+        """Hand position in the room frame, m."""
+        hand_x, hand_y, hand_z = self.get_hand_in_base(state.joint_steps, state.joint_offsets)
+        cos, sin = self.get_rotation(state.heading_steps, state.heading_offset)
+        return state.x + cos * hand_x - sin * hand_y, state.y + sin * hand_x + cos * hand_y, state.z + hand_z
