@@ -25,9 +25,9 @@ from hrl_escape.version import __version__
 
 __all__ = ["SOURCES", "find_cache_folder", "kernel", "kernel_part", "read_clock"]
 
-SOURCES = ("agents/factored/search.py", "env/geometry.py", "env/primitives.py", "options/batched/value_iteration.py",
-           "planning/arm/search.py", "planning/arm/tables.py", "planning/lattice/a_star.py",
-           "planning/lattice/dijkstra_kernels.py", "planning/lattice/reference.py",
+SOURCES = ("agents/factored/search.py", "env/body/rectangle.py", "env/geometry.py", "env/primitives.py",
+           "options/batched/value_iteration.py", "planning/arm/search.py", "planning/arm/tables.py",
+           "planning/lattice/a_star.py", "planning/lattice/dijkstra_kernels.py", "planning/lattice/reference.py",
            "planning/lattice/repair_kernels.py", "planning/lattice/sweep_kernels.py")
 """Files, relative to the package, that compiled code is made of."""
 

@@ -17,6 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.env.body.rectangle import TOUCH, RectangularBase
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import (
     Footprint,
@@ -26,12 +27,12 @@ from hrl_escape.env.geometry import (
     stack_footprints,
 )
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.poses import RobotPoses
 
 __all__ = ["CollisionMap", "compute_extent_radius", "list_cells"]
 
 FINEST = 0.02
 MOST_CELLS = 1_000_000
-TOUCH = 1e-9
 
 
 def list_cells(low: Any, high: Any) -> NDArray[np.int64]:
@@ -53,9 +54,11 @@ class CollisionMap:
     anywhere in the cell differs by at most `slack`.
 
     Attributes:
-        radius: body radius plus contact skin, m.
+        radius: radius of the smallest disc that holds the base, plus contact skin, m: where it fits, any heading does.
+        inner: that of the largest disc within the base: where it does not fit, no heading does. A base that is a disc
+            has one radius.
         low: corner of the grid with the smallest coordinates, shape (2,), m.
-        resolution: side of a cell, m: a sixth of the body's radius, at most 0.125, coarser in
+        resolution: side of a cell, m: a sixth of the inner radius, at most 0.125, coarser in
             rooms of more than a million such cells.
         slack: half a cell's diagonal, m.
         distance: shape (columns, rows), float32, m.
@@ -69,12 +72,15 @@ class CollisionMap:
         Args:
             instance: the room.
             door_shut: True to shut the exit door, if there is one.
-            reach: distances up to the body's radius plus this are stored, m.
+            reach: distances up to the radius plus this are stored, m.
         """
-        self.radius = instance.robot.body_radius + CONTACT_SKIN
+        robot = instance.robot
+        self.radius, self.inner = robot.outer_radius + CONTACT_SKIN, robot.inner_radius + CONTACT_SKIN
+        self._base = RectangularBase.make(robot)
+        self._rotations = RobotPoses(robot).list_rotations()
         self._take_solids(instance, door_shut)
         width, depth = 2 * instance.reach_x, 2 * instance.reach_y
-        finest = max(FINEST, min(0.125, instance.robot.body_radius / 6))
+        finest = max(FINEST, min(0.125, robot.inner_radius / 6))
         self.resolution = max(finest, math.sqrt(width * depth / MOST_CELLS))
         self.slack = self.resolution * math.sqrt(0.5) + 1e-5  # and the rounding of float32
         self.horizon = self.radius + max(reach, self.resolution) + 2 * self.slack
@@ -159,6 +165,10 @@ class CollisionMap:
             return True
         if middle + self.slack < need:
             return False
+        return all(compute_distance(x, y, f) >= need for f in self._list_near(cell))
+
+    def _list_near(self, cell: int) -> tuple[Footprint, ...]:
+        """Solids within the horizon of some place in a cell; remembered."""
         near = self._near.get(cell)
         if near is None:
             i, j = divmod(cell, self.distance.shape[1])
@@ -166,26 +176,51 @@ class CollisionMap:
             limit = self.horizon + self.slack
             near = tuple(f for f in self.footprints if compute_distance(at_x, at_y, f) <= limit)
             self._near[cell] = near
-        return all(compute_distance(x, y, f) >= need for f in near)
+        return near
+
+    @property
+    def half_sizes(self) -> tuple[float, float]:
+        """Half length and half width of a rectangular base, plus contact skin, m; 0 and 0 for a disc."""
+        return (0.0, 0.0) if self._base is None else (self._base.half_length, self._base.half_width)
+
+    def does_fit(self, x: float, y: float, rotation: tuple[float, float], margin: float = 0.0) -> bool:
+        """Return whether the body, with its clearance, fits at a place on the floor and a heading. Exact for no margin.
+
+        Args:
+            x: place, m.
+            y: place, m.
+            rotation: cosine and sine of the heading; no matter for a disc.
+            margin: further clearance on all sides, at most `horizon` less `radius`, m.
+        """
+        if self._base is None or self.is_clear(x, y, self.radius + margin):
+            return self.is_clear(x, y, self.radius + margin - TOUCH)
+        if not self.is_clear(x, y, self.inner + margin - TOUCH):
+            return False
+        grown = RectangularBase(*(half + margin for half in self._base))
+        return grown.measure_gap(x, y, rotation, self._list_near(self._find_cell(x, y))) >= -TOUCH
 
     def is_free(self, x: float, y: float) -> bool:
-        """Return whether the body, with its clearance, fits at a place on the floor. Exact."""
-        return self.is_clear(x, y, self.radius - TOUCH)
+        """Return whether the body, with its clearance, fits at a place on the floor, at some heading of its. Exact."""
+        if self._base is None or self.is_clear(x, y, self.radius):
+            return self.is_clear(x, y, self.radius - TOUCH)
+        return any(self.does_fit(x, y, rotation) for rotation in self._rotations)
 
     def are_free(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return `is_free` of each of the points (n, 2)."""
         return np.array([self.is_free(x, y) for x, y in points.tolist()], dtype=bool)
 
-    def is_move_free(self, x: float, y: float, to_x: float, to_y: float) -> bool:
-        """Return whether the body can go straight from one free place to another. Exact."""
-        if not (self.is_free(x, y) and self.is_free(to_x, to_y)):
+    def is_move_free(self, x: float, y: float, to_x: float, to_y: float,
+                     rotation: tuple[float, float] = (1.0, 0.0)) -> bool:
+        """Return whether the body can go straight from one free place to another, turned like that. Exact."""
+        if not (self.does_fit(x, y, rotation) and self.does_fit(to_x, to_y, rotation)):
             return False
         dx, dy = to_x - x, to_y - y
         reach = self._around + (math.hypot(dx, dy) / 2 + self.radius)
         away = np.hypot(self.solids[:, 1] - (x + dx / 2), self.solids[:, 2] - (y + dy / 2))
-        need = self.radius - TOUCH
-        return not any(compute_first_contact(x, y, dx, dy, need, self.footprints[k]) < 1.0
-                       for k in np.flatnonzero(away <= reach).tolist())
+        need, near = self.radius - TOUCH, np.flatnonzero(away <= reach).tolist()
+        if self._base is not None:
+            return self._base.find_free_fraction(x, y, rotation, dx, dy, (self.footprints[k] for k in near)) == 1.0
+        return not any(compute_first_contact(x, y, dx, dy, need, self.footprints[k]) < 1.0 for k in near)
 
     # --- connectivity ------------------------------------------------------------------
 
@@ -195,7 +230,7 @@ class CollisionMap:
         from scipy import ndimage  # takes 0.1 s, and only tests of reachability need it
 
         labels = np.zeros(self.distance.shape, dtype=np.int32)
-        ndimage.label(self.distance >= self.radius - self.slack, structure=np.ones((3, 3)), output=labels)
+        ndimage.label(self.distance >= self.inner - self.slack, structure=np.ones((3, 3)), output=labels)
         return labels
 
     def get_parts(self, points: NDArray[np.float64]) -> NDArray[np.int32]:

@@ -58,7 +58,7 @@ class LegBounds:
         if self._instance.puzzle.target_cells:
             return robot.move_step  # from the cell before it
         if self._instance.dynamics.press_with == "body":
-            return robot.body_radius + margin
+            return robot.outer_radius + margin
         arm = sum(float(np.linalg.norm(joint.origin[:3, 3])) for joint in make_robot(robot).chain)
         sliding = sum(max(abs(j.low), abs(j.high)) for j in make_robot(robot).chain if j.kind == "prismatic")
         return arm + sliding + robot.hand_radius + margin

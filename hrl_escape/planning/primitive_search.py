@@ -4,7 +4,6 @@ Poses are exactly those of the room's kinematics. Blocked moves end at the wall,
 body comes within a press margin. Poses within a bin count as one. Every plan is replayed through
 `Kinematics`, without noise and slip, before it is returned. The method `corridor` restricts the
 field to a corridor round an OMPL path. The arm's part of a press by hand comes from `reacher.py`.
-The first search after an installation compiles its kernels, which takes some seconds.
 """
 
 from __future__ import annotations
@@ -20,6 +19,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, Solid, compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
@@ -29,7 +29,7 @@ from hrl_escape.planning.arm.joint_lattice import NEVER, UNLIMITED
 from hrl_escape.planning.clock import NO_LIMIT, Clock, OutOfTime
 from hrl_escape.planning.collision_map import CollisionMap
 from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, RegionGoal, is_reached
-from hrl_escape.planning.lattice.areas import Area, compute_goal_area, find_headings
+from hrl_escape.planning.lattice.areas import Area, compute_goal_area, find_headings, get_presser
 from hrl_escape.planning.lattice.cost_to_go import FieldMaker, Seeds, make_collision
 from hrl_escape.planning.lattice.search_run import HeadingTable, SearchProblem, SearchResult, SearchRun
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
@@ -45,8 +45,7 @@ LARGE = 3_000.0
 """Floor area beyond which the grid of a room's fields is dearer than the first few places asked for by corridors, m^2.
 
 From `hrl-escape bench planners`: on 20 x 20 m a first query in a corridor takes 0.6 to 1.0 of the time along fields and
-every later one twice the time or more;
-for places on 60 x 60 m the first one takes 0.5, on 200 x 200 m 0.3 of it."""
+every later one twice the time or more; for places on 60 x 60 m the first one takes 0.5, on 200 x 200 m 0.3 of it."""
 EXPANSIONS = 300_000
 SCHEDULE = ((0, 1.0, 3_000), (-1, 1.05, 6_000), (-2, 1.1, 20_000), (-4, 1.5, EXPANSIONS))
 """Weighted-A* schedule: (heuristic offset, weight, node budget), from the fewest primitives to any plan at all."""
@@ -59,7 +58,7 @@ SHORT = 8
 CORRIDORS = (3.0, 6.0)
 """Half widths of corridors, in moves."""
 MOST_REFINED_STATES = 6_000_000
-_PENETRATION = 0.02  # depth in a wall, m, from which a body pushed there by contacts can still drive off
+_PENETRATION = 0.02 + CONTACT_SKIN  # beyond it, m, a body that contacts pushed into a wall cannot drive off again
 
 Field: TypeAlias = NDArray[np.int16]
 
@@ -140,7 +139,7 @@ class PrimitiveSearch:
             kinematics: its kinematics without noise and slip.
         """
         new, old = PrimitiveSearch(instance, kinematics), self.instance
-        if _get_floor(instance) != _get_floor(old):
+        if _get_floor(instance) != _get_floor(old) or instance.robot.footprint == "rectangle":
             return new
         changed = [solid.footprint for solid in _list_differences(old.solids, instance.solids)]
         same_arm = (instance.robot, instance.dynamics.press_with) == (old.robot, old.dynamics.press_with)
@@ -240,8 +239,8 @@ class PrimitiveSearch:
     def _check_trivial(self, problem: SearchProblem) -> SearchResult | None:
         """Result of a problem that needs no search: start in a solid, goal reached already, or no posture at all."""
         state, goal = problem.state, problem.goal
-        x, y, need = state.x, state.y, self.instance.robot.body_radius - _PENETRATION
-        if not any(self.get_collision(shut).is_clear(x, y, need) for shut in (True, False)):
+        x, y, rotation = state.x, state.y, self.kinematics.get_rotation(state.heading_steps, state.heading_offset)
+        if not any(self.get_collision(shut).does_fit(x, y, rotation, -_PENETRATION) for shut in (True, False)):
             return SearchResult(PlanningReason.START_INVALID, (), (state,), nearest=(x, y))
         if problem.table is not None and (problem.table.costs < 0).all():
             return SearchResult(PlanningReason.NO_POSTURE, (), (state,), nearest=(x, y))
@@ -316,9 +315,10 @@ class PrimitiveSearch:
         others = self._pressed - {getattr(problem.goal, "target", -1)}
         avoid = avoid and bool(others or (is_open and not isinstance(problem.goal, ExitGoal)))
         door_shut = not is_open
-        if door_shut and not self.get_collision(True).is_free(problem.state.x, problem.state.y):
-            # in the doorway itself a shut door does not block the body
-            door_shut = not self.get_collision(False).is_free(problem.state.x, problem.state.y)
+        state = problem.state
+        pose = state.x, state.y, self.kinematics.get_rotation(state.heading_steps, state.heading_offset)
+        if door_shut and not self.get_collision(True).does_fit(*pose):  # in the doorway a shut door does not block it
+            door_shut = not self.get_collision(False).does_fit(*pose)
         if method == "corridor":
             for maker in self._iterate_corridors(problem, door_shut, planner):
                 yield _Variant(maker, self._make_field(problem, maker, None), avoid, planner)
@@ -337,7 +337,8 @@ class PrimitiveSearch:
             states, costs = self.find_postures(problem, maker)
             goal = maker.points[states[np.argsort(costs, kind="stable")[:64]] // maker.headings]
         found = self.navigator.plan((problem.state.x, problem.state.y), goal, planner, door_shut=door_shut,
-                                    seed=problem.seed, clock=problem.clock)
+                                    seed=problem.seed, clock=problem.clock,
+                                    heading=self.kinematics.get_heading(problem.state))
         if found.status == "exact":
             for width in CORRIDORS:
                 yield FieldMaker(self.instance, self.kinematics, door_shut=door_shut,
@@ -366,7 +367,7 @@ class PrimitiveSearch:
 
     def _find_seeds(self, problem: SearchProblem, maker: FieldMaker) -> Seeds:
         if problem.table is None:
-            return maker.find_seeds(*problem.area, problem.facing)
+            return maker.find_seeds(*problem.area, problem.facing, get_presser(problem.goal, self.instance))
         return Seeds(*self.find_postures(problem, maker), maker.headings)
 
     def find_postures(self, problem: SearchProblem, maker: FieldMaker) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -383,14 +384,14 @@ class PrimitiveSearch:
             inside = ((at >= 0) & (at < costs.shape[:2])).all(axis=1)
             columns, rows = at[inside].T
             least[inside] = np.minimum(least[inside], costs[columns, rows])
-        which, heading = np.nonzero(least < far)
+        which, heading = np.nonzero((least < far) & maker.get_fits(near, costs.shape[2]))
         return near[which] * maker.headings + heading, least[which, heading].astype(np.int64)
 
 
 def _get_floor(instance: RoomInstance) -> tuple:
     """All that the grids of a room depend on, but for its solids."""
     robot = instance.robot
-    return (instance.reach_x, instance.reach_y, instance.door, robot.body_radius, robot.body_height, robot.move_step,
+    return (instance.reach_x, instance.reach_y, instance.door, robot.outer_radius, robot.body_height, robot.move_step,
             robot.turn_step_deg, robot.drive, instance.dynamics.press_margin, instance.dynamics.press_with)
 
 

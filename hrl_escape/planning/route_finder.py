@@ -79,7 +79,7 @@ class RouteFinder:
         self._quiet = dataclasses.replace(
             instance, dynamics=dataclasses.replace(instance.dynamics, press_margin=margin))
         self.rules = Kinematics(self._quiet, is_still=True)
-        self._radius = instance.robot.body_radius + CONTACT_SKIN
+        self._radius = instance.robot.outer_radius + CONTACT_SKIN
         self._open()
 
     def _open(self) -> None:

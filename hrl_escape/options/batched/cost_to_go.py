@@ -101,8 +101,10 @@ def check_presses(instance: RoomInstance) -> None:
     """Check that presses and the exit are all that there is to do in a room.
 
     Raises:
-        UnsupportedError: things are gripped or pushed, or stand behind inner doors.
+        UnsupportedError: things are gripped or pushed, or stand behind inner doors, or the base is a rectangle.
     """
+    if instance.robot.footprint == "rectangle":
+        raise UnsupportedError("batched options drive discs: use OptionsEnv over rooms with a rectangular base")
     if instance.inner_doors:
         raise UnsupportedError("batched options know no inner doors: use OptionsEnv over one room")
     if any(operator.action != "press" for operator in instance.symbolic_model.operators):
@@ -113,7 +115,8 @@ def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
     """Compute the fields of an instance, some tenths of a second, once; later calls find them by its id.
 
     Raises:
-        UnsupportedError: targets of this room are pressed by hand, asked to be gripped, or behind inner doors.
+        UnsupportedError: targets of this room are pressed by hand, asked to be gripped, or behind inner doors; or the
+            base is a rectangle.
     """
     if instance.dynamics.press_with == "hand":
         raise UnsupportedError("there are no cost-to-go fields for presses by hand: ask the room's planner")

@@ -80,7 +80,7 @@ def _find_open_cells(reacher: Reacher, room: CollisionMap, centres: NDArray[np.f
     points = centres[cells[:, 0], cells[:, 1]]
     slack = cell * math.sqrt(0.5) + 1e-6
     on_floor = (np.abs(points) <= np.array([reacher.instance.reach_x, reacher.instance.reach_y]) + slack).all(axis=1)
-    keep = on_floor & (compute_distance_many(points, room.solids) >= room.radius - slack)
+    keep = on_floor & (compute_distance_many(points, room.solids) >= room.inner - slack)
     order = np.argsort(-counts[cells[keep, 0], cells[keep, 1]], kind="stable")
     return cells[keep][order], points[keep][order]
 
@@ -131,7 +131,7 @@ def _search_places(reacher: Reacher, room: CollisionMap, target: int, hands: NDA
 def _list_places(reacher: Reacher, room: CollisionMap, target: int) -> tuple[list[tuple[float, float]], float]:
     """Places within the arm's length of a target, from near to far, and the least distance, m."""
     starts = np.array([(start.x, start.y) for start in reacher.instance.starts])
-    points = np.concatenate([room.get_centres(np.argwhere(room.distance >= room.radius)), starts])
+    points = np.concatenate([room.get_centres(np.argwhere(room.distance >= room.inner)), starts])
     away = compute_distance_many(points, stack_footprints([reacher.instance.targets[target].footprint]))
     order = np.argsort(away, kind="stable")
     stands = [n for n in order[away[order] <= reacher.reach + reacher.limit].tolist()

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import math
 from collections.abc import Hashable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
@@ -24,7 +25,7 @@ from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.planning.clock import NO_LIMIT, Clock
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.lattice import a_star
-from hrl_escape.planning.lattice.areas import compute_goal_area
+from hrl_escape.planning.lattice.areas import compute_goal_area, get_presser
 from hrl_escape.planning.lattice.cost_to_go import FieldMaker, Seeds
 
 __all__ = ["Fields", "JointSearch", "Presses"]
@@ -209,13 +210,20 @@ class JointSearch:
             area = compute_goal_area(PressGoal(target), rules.instance)
             away = compute_distance_many(maker.points, stack_footprints([area.footprint]))
             step = rules.instance.robot.move_step
-            near = np.flatnonzero(maker.standing & (away > area.reach) & (away <= area.reach + step))
+            presser = get_presser(PressGoal(target), rules.instance)
+            surely = area.reach - math.hypot(*presser) + min(presser)  # touches at any heading
+            near = np.flatnonzero(maker.standing & (away > surely) & (away <= area.reach + step))
+            layers = len(maker.fits) // len(maker.points)
+            actions = rules.actions.base if layers > 1 else rules.actions.translations  # a turn may press
             found = []
             for cell, heading in itertools.product(near.tolist(), range(maker.classes)):
                 x, y = maker.points[cell].tolist()
                 begin = state._replace(x=x, y=y, heading_steps=heading, heading_offset=0.0, touching=0,
                                        puzzle=rules.instance.puzzle.make_state())
-                for action in rules.actions.translations:
+                if layers > 1 and not (maker.fits[cell * layers + heading]
+                                       and not rules.compute_touching(*begin.pose) >> target & 1):
+                    continue
+                for action in actions:
                     reached = rules.step(begin, action)
                     if reached.pressed == (target,):
                         found.append((cell * maker.classes + heading, self._find_place(reached.state)))

@@ -15,7 +15,14 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.primitives import TURNS
 from hrl_escape.kernels import kernel, kernel_part
-from hrl_escape.planning.lattice.sweep_kernels import first_contact, get_shape, measure_distance, sweep
+from hrl_escape.planning.lattice.sweep_kernels import (
+    can_turn_body,
+    first_contact,
+    get_shape,
+    is_touched,
+    measure_distance,
+    sweep_body,
+)
 
 __all__ = ["BUDGET", "EXHAUSTED", "GROW", "Frontier", "SearchQuery", "enlarge_frontier", "expand_until_goal",
            "make_frontier", "put_back"]
@@ -34,12 +41,15 @@ class SearchQuery(NamedTuple):
         y: y of the start, m.
         heading: heading of the start, in turn steps.
         touched: bits of the targets touched at the start.
+        turns: cosine and sine of each heading, shape (headings, 2).
+        turn_step: angle between two headings, rad.
         moves: displacement of each translation at each heading, shape (headings, translations, 2), m.
         length: length of a translation, m.
         stays: a blocked move is not made at all.
         presser: position of the presser relative to the body's axis, shape (headings, 2), m.
         targets: footprints of the targets, shape (n, 7).
         reaches: floor distance at which the presser touches each target, or -1, shape (n,), m.
+        pressers: half sizes of a rectangular base that presses each target, else 0 and 0, shape (n, 2), m.
         forbidden: bits of the targets that must not be touched anew.
         keep_out: footprints that the body must not meet, shape (n, 7).
         closed: rectangle (x_min, x_max, y_min, y_max) that must not be entered; empty if x_min > x_max.
@@ -67,12 +77,15 @@ class SearchQuery(NamedTuple):
     y: float
     heading: int
     touched: np.uint64
+    turns: NDArray[np.float64]
+    turn_step: float
     moves: NDArray[np.float64]
     length: float
     stays: bool
     presser: NDArray[np.float64]
     targets: NDArray[np.float64]
     reaches: NDArray[np.float64]
+    pressers: NDArray[np.float64]
     forbidden: np.uint64
     keep_out: NDArray[np.float64]
     closed: NDArray[np.float64]
@@ -128,7 +141,7 @@ def _find_touched(query, x, y, heading):
         if reach >= 0.0:
             around = reach + query.targets[k, 5] + query.targets[k, 6]
             if abs(px - query.targets[k, 1]) <= around and abs(py - query.targets[k, 2]) <= around:
-                if measure_distance(px, py, get_shape(query.targets[k])) <= reach:
+                if is_touched(px, py, query.turns[heading], query.pressers[k], get_shape(query.targets[k]), reach):
                     touching |= np.uint64(1) << np.uint64(k)
     return touching
 
@@ -214,7 +227,7 @@ def _expand(scene, query, frontier, node):
         to_x, to_y, to_heading = x, y, heading
         if action < translations:
             dx, dy = query.moves[heading, action, 0], query.moves[heading, action, 1]
-            fraction = sweep(scene, x, y, dx, dy, query.length)
+            fraction = sweep_body(scene, x, y, query.turns[heading], dx, dy, query.length)
             if fraction < 1.0:
                 dx, dy = fraction * dx, fraction * dy
             if fraction <= 1e-9 or (query.stays and fraction < 1.0):
@@ -229,7 +242,10 @@ def _expand(scene, query, frontier, node):
             if closed[0] <= to_x <= closed[1] and closed[2] <= to_y <= closed[3]:
                 continue
         else:
-            to_heading = (heading + headings + _TURNS[action - translations]) % headings
+            turn = _TURNS[action - translations]
+            to_heading = (heading + headings + turn) % headings
+            if not can_turn_body(scene, x, y, query.turns[heading], query.turns[to_heading], turn * query.turn_step):
+                continue
         now = _find_touched(query, to_x, to_y, to_heading)
         begun = now & ~touching
         is_goal = False

@@ -36,7 +36,7 @@ from hrl_escape.planning.goals import (
     is_reached,
 )
 
-__all__ = ["Area", "compute_goal_area", "find_headings", "grow_solids", "sample_places"]
+__all__ = ["Area", "compute_goal_area", "find_headings", "get_presser", "grow_solids", "sample_places"]
 
 
 PLACES = 2_000
@@ -52,6 +52,8 @@ class Area(NamedTuple):
 
 def compute_goal_area(goal: Goal, instance: RoomInstance) -> Area:
     """Compute the area where the body's axis reaches a goal; for a press by hand only the footprint is meaningful.
+
+    For a press by a rectangular base it is where the base may touch the target, at some heading.
 
     Raises:
         GoalError: no such target.
@@ -71,6 +73,12 @@ def compute_goal_area(goal: Goal, instance: RoomInstance) -> Area:
         return Area(make_footprint(region.x_min + half_x, region.y_min + half_y, half_x, half_y), 0.0)
     assert isinstance(goal, PushGoal)
     raise UnsupportedError("a push is no goal of a path: plan to a PoseGoal behind the block, then drive on")
+
+
+def get_presser(goal: Goal, instance: RoomInstance) -> tuple[float, float]:
+    """Half sizes of the rectangular base that must touch a goal, m; 0 and 0 where its area says all."""
+    is_touch = isinstance(goal, PressGoal) and instance.targets[goal.target].kind == "panel"
+    return instance.robot.half_sizes if is_touch and instance.dynamics.press_with == "body" else (0.0, 0.0)
 
 
 def find_headings(goal: Goal, state: RoomState, rules: Rules) -> NDArray[np.bool_] | None:
@@ -116,7 +124,7 @@ def sample_places(area: Area, collision: CollisionMap, most: int = 64, clock: Cl
 
 def grow_solids(instance: RoomInstance, state: RoomState, goal: Goal, margin: float) -> tuple[Footprint, ...]:
     """Footprints of the solids grown by a margin, less where the start or the goal is nearer."""
-    radius = instance.robot.body_radius + 2 * CONTACT_SKIN
+    radius = instance.robot.outer_radius + 2 * CONTACT_SKIN
     area = compute_goal_area(goal, instance)
     grown = []
     for solid in instance.solids:

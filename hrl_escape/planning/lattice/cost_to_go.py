@@ -25,7 +25,7 @@ from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.planning.clock import NO_LIMIT, Clock
 from hrl_escape.planning.collision_map import CollisionMap, compute_extent_radius, list_cells
 from hrl_escape.planning.lattice import dijkstra_kernels, repair_kernels
-from hrl_escape.planning.lattice.sweep_kernels import SweepScene
+from hrl_escape.planning.lattice.sweep_scene import make_sweep_scene
 
 __all__ = ["FieldMaker", "FloorGrid", "Seeds", "lay_grid", "make_collision"]
 
@@ -80,7 +80,7 @@ class FloorGrid(NamedTuple):
 
 def lay_grid(instance: RoomInstance, rules: Rules, refinement: int = 0) -> FloorGrid:
     """Lay a grid over a room's floor; `FieldMaker` says how, and `refinement` halves its cells."""
-    classes = rules.headings // math.gcd(rules.headings, rules.actions.symmetry)
+    classes = rules.headings // math.gcd(rules.headings, rules.symmetry)
     area = 4 * instance.reach_x * instance.reach_y
     step = instance.robot.move_step
     size = max(min(step / 4, 0.25), math.sqrt(area * classes / MOST_STATES)) / 2**refinement
@@ -98,8 +98,8 @@ class _KeptField(NamedTuple):
 class FieldMaker:
     """Grid of one room with the links between its cells, and the fields computed on it.
 
-    A robot that strafes has the same moves at headings 90 degrees apart, one with a differential
-    drive at opposite ones. So links distinguish only `classes` headings: the turn steps of a quarter
+    A disc that strafes has the same moves at headings 90 degrees apart, one with a differential
+    drive, and a rectangle, at opposite ones. So links distinguish only `classes` headings: the turn steps of a quarter
     or half a turn, or more of them where that is no whole number of turns. Cells are a quarter of a
     move wide, at most 0.25 m, and wider where a room would have more than 1.5 million (cell, class)
     states; a link then stands for several moves in a row, so that it still spans about four cells.
@@ -117,7 +117,8 @@ class FieldMaker:
         classes: heading classes.
         scene: the room for the compiled kernels.
         points: representative place of each cell, shape (cells, 2), m.
-        standing: True where the body fits there, shape (cells,), bool.
+        standing: True where the body fits there at some heading, shape (cells,), bool.
+        turns: cosine and sine of the heading classes, and of the next one after the last, shape (classes + 1, 2).
         targets: footprints of the room's targets, shape (targets, 7).
     """
 
@@ -148,8 +149,9 @@ class FieldMaker:
         self.collision = collision or make_collision(instance, door_shut)
         self.low = self.collision.low
         door = len(instance.solids) if self.door_shut else -1
-        self.scene = _make_scene(self.collision, door, self.span)
+        self.scene = make_sweep_scene(self.collision, door, self.span)
         angles = np.arange(self.classes) * rules.turn_step
+        self.turns = np.array([rules.get_rotation(n % rules.headings, 0.0) for n in range(self.classes + 1)])
         self._moves = self.span * rules.actions.compute_moves(np.cos(angles), np.sin(angles))
         self._within = self._find_corridor(path, width * max(step, 2 * self.size))
         columns, rows = self.shape
@@ -157,6 +159,7 @@ class FieldMaker:
         self._landing = np.full(self.states * self._moves.shape[1], -1, dtype=np.int32)
         self._link_cost = np.zeros(len(self._landing), dtype=np.int16)
         self._choose_points(0, columns, clock)
+        self._choose_headings(clock)
         self._find_landings(0, columns, clock)
         self._link_cells()
         if refinement:  # these grids are large, and are not adapted
@@ -184,13 +187,35 @@ class FieldMaker:
             dijkstra_kernels.choose_points(self.scene, self.low, self.size, rows, first, min(first + stride, end),
                                            self._within, self.points, self.standing)
 
+    def _choose_headings(self, clock: Clock) -> None:
+        """Find the headings at which a rectangular base fits, and the turns that are free; a disc has them all."""
+        self._fits, self._can_turn = None, np.zeros(0, dtype=np.bool_)
+        if self.scene.half_length == 0.0:
+            return
+        self._fits, self._can_turn = (np.zeros(self.states, dtype=np.bool_) for _ in range(2))
+        stride = max(1, SLICE // self.classes)
+        for first in range(0, len(self.points), stride):
+            clock.check()
+            dijkstra_kernels.choose_headings(self.scene, self.points, self.standing, self.turns, self._turn_step, first,
+                                             min(first + stride, len(self.points)), self._fits, self._can_turn)
+
+    @property
+    def fits(self) -> NDArray[np.bool_]:
+        """True where the body fits: shape (cells,), or (cells * classes,) where that depends on its heading."""
+        return self.standing if self._fits is None else self._fits
+
+    def get_fits(self, cells: NDArray[np.int64], headings: int) -> NDArray[np.bool_]:
+        """Return true where the body fits in some cells at the first headings, shape (cells, headings)."""
+        layers = len(self.fits) // len(self.points)
+        return self.fits.reshape(-1, layers)[cells][:, np.arange(headings) % layers]
+
     def _find_landings(self, begin: int, end: int, clock: Clock) -> None:
         """Find the moves from some columns of cells."""
         rows = self.shape[1]
         stride = max(1, SLICE // self.classes)
         for first in range(begin * rows, end * rows, stride):
             clock.check()
-            dijkstra_kernels.find_landings(self.scene, self.points, self.standing, rows, self.low, self.size,
+            dijkstra_kernels.find_landings(self.scene, self.points, self.fits, self.turns, rows, self.low, self.size,
                                            self._moves, self.macro, first, min(first + stride, end * rows),
                                            self._landing, self._link_cost)
         clock.check()
@@ -203,7 +228,7 @@ class FieldMaker:
 
     def adapt(self, instance: RoomInstance, collision: CollisionMap, changed: Sequence[Footprint],
               keeps: Callable[[Any], bool]) -> FieldMaker:
-        """Make the grid of a room that differs in some solids only, equal to one made anew.
+        """Make the grid of a room that differs in some solids only, equal to one made anew; the base is a disc.
 
         Columns of cells that no changed solid comes near are taken over. Fields are, too: when one is asked for, the
         part of it that rested on changed cells is searched again.
@@ -217,7 +242,7 @@ class FieldMaker:
         new = copy.copy(self)
         new.collision = collision
         new.targets = stack_footprints([target.footprint for target in instance.targets])
-        new.scene = _make_scene(collision, len(instance.solids) if self.door_shut else -1, self.span)
+        new.scene = make_sweep_scene(collision, len(instance.solids) if self.door_shut else -1, self.span)
         new.points, new.standing = self.points.copy(), self.standing.copy()
         new._landing, new._link_cost = self._landing.copy(), self._link_cost.copy()
         near = collision.radius + 3 * self.size + collision.slack
@@ -264,28 +289,44 @@ class FieldMaker:
         """Mask that allows every cell."""
         return np.ones(len(self.points), dtype=bool)
 
-    def find_seeds(self, goal: Footprint, reach: float, facing: NDArray[np.bool_] | None = None) -> Seeds:
+    def find_seeds(self, goal: Footprint, reach: float, facing: NDArray[np.bool_] | None = None,
+                   presser: tuple[float, float] = (0.0, 0.0)) -> Seeds:
         """Find the states that are in a goal, or one move away: the body's axis within `reach` of a footprint.
 
         Args:
             goal: footprint of the goal.
             reach: largest distance from it, m.
             facing: headings that reach it, shape (headings,); by default any heading will do.
+            presser: half sizes of a rectangular base that must touch the goal, m; within `reach` it then only may.
         """
         row = stack_footprints([goal])[0]
         away = compute_distance_many(self.points, row[None])
+        surely = reach - math.hypot(*presser) + min(presser)  # touches at any heading
         inside = np.flatnonzero(self.standing & (away <= reach))
-        close = np.flatnonzero(self.standing & (away > reach) & (away <= reach + self.span))
-        last = dijkstra_kernels.find_last_moves(self.scene, self.points, close, self._moves, self.macro, row, reach)
+        close = np.flatnonzero(self.standing & (away > surely) & (away <= reach + self.span))
+        here = self._find_touching(inside, row, reach, presser)
+        last = dijkstra_kernels.find_last_moves(self.scene, self.points, self.fits, self.turns, close, self._moves,
+                                                self.macro, row, reach, np.array(presser))
+        if presser[0] > 0.0:
+            last[self._find_touching(close, row, reach, presser)] = 0
         headings = np.arange(self.classes) if facing is None else np.flatnonzero(facing)
         layers = self.classes if facing is None else self.headings
         last = last[:, headings % self.classes]
         which, column = np.nonzero(last)
-        states = (inside[:, None] * layers + headings).ravel()
-        states = np.concatenate([states, close[which] * layers + headings[column]])
+        begun, heading = np.nonzero(here[:, headings % self.classes])
+        states = np.concatenate([inside[begun] * layers + headings[heading], close[which] * layers + headings[column]])
         costs = np.zeros(len(states), dtype=np.int64)
-        costs[len(inside) * len(headings) :] = last[which, column]
+        costs[len(begun) :] = last[which, column]
         return Seeds(states, costs, layers)
+
+    def _find_touching(self, cells: NDArray[np.int64], goal: NDArray[np.float64], reach: float,
+                       presser: tuple[float, float]) -> NDArray[np.bool_]:
+        """Return true where the body fits and touches a goal that the axis is near, shape (cells, classes)."""
+        touching = np.ones((len(cells), self.classes), dtype=np.bool_)
+        if presser[0] > 0.0:
+            touching = dijkstra_kernels.find_touching_cells(self.points, self.turns, cells, goal, reach,
+                                                            np.array(presser))
+        return touching & self.get_fits(cells, self.classes)
 
     def make_field(self, seeds: Seeds, allowed: NDArray[np.bool_] | None = None, clock: Clock = NO_LIMIT
                    ) -> NDArray[np.int16]:
@@ -315,9 +356,11 @@ class FieldMaker:
         counts = np.array([0, 0, 0, int(np.diff(starts).max(initial=0))])
         while counts[0] >= 0:
             clock.check()
-            buckets = dijkstra_kernels.run_dijkstra(starts, sources, costs_of_links, self.classes, headings, allowed,
-                                                    seeds, seed_costs, field, buckets, filled, counts, SLICE)
-        return dijkstra_kernels.fill_gaps(field, self.standing & allowed, headings, self.shape[1])
+            buckets = dijkstra_kernels.run_dijkstra(starts, sources, costs_of_links, self.classes, headings,
+                                                    self._can_turn, allowed, seeds, seed_costs, field, buckets, filled,
+                                                    counts, SLICE)
+        known = self.fits & np.repeat(allowed, len(self.fits) // len(allowed))
+        return dijkstra_kernels.fill_gaps(field, known, headings, self.shape[1])
 
     def get_field(self, key: object, find_seeds: Callable[[FieldMaker], Seeds], clock: Clock = NO_LIMIT
                   ) -> NDArray[np.int16]:
@@ -354,34 +397,3 @@ class FieldMaker:
         layers = len(field) // len(self.points)
         layer = (state.heading_steps + round(state.heading_offset / self._turn_step)) % layers
         return int(field[(i * self.shape[1] + j) * layers + layer])
-
-
-def _make_scene(collision: CollisionMap, door: int, span: float) -> SweepScene:
-    """Index a room's solids by floor cell, for the sweeps."""
-    width, depth = collision.resolution * np.array(collision.distance.shape)
-    size = max(min(span, 2.0), 0.5, width / 128, depth / 128)
-    shape = (math.ceil(width / size), math.ceil(depth / size))
-    limit = collision.radius + span + size * math.sqrt(0.5) + 1e-6
-    cells: list[NDArray[np.int64]] = []
-    items: list[NDArray[np.int32]] = []
-    for number, footprint in enumerate(collision.footprints):
-        around = footprint.half_x if footprint.is_disc else math.hypot(footprint.half_x, footprint.half_y)
-        middle = np.array([footprint.x, footprint.y])
-        i0, j0 = np.maximum(np.floor((middle - around - limit - collision.low) / size).astype(int), 0)
-        i1, j1 = np.minimum(np.ceil((middle + around + limit - collision.low) / size).astype(int), shape)
-        if i0 >= i1 or j0 >= j1:
-            continue
-        grid = list_cells((i0, j0), (i1, j1))
-        centres = np.add(collision.low, (grid + 0.5) * size, dtype=np.float64)
-        away = compute_distance_many(centres, stack_footprints([footprint]))
-        near = grid[away <= limit]
-        cells.append(near[:, 0] * shape[1] + near[:, 1])
-        items.append(np.full(len(near), number, dtype=np.int32))
-    flat = np.concatenate(cells) if cells else np.zeros(0, dtype=np.int64)
-    order = np.argsort(flat, kind="stable")
-    starts = np.searchsorted(flat[order], np.arange(shape[0] * shape[1] + 1))
-    return SweepScene(
-        collision.solids, door, collision.radius, collision.low, size, np.array(shape), starts.astype(np.int64),
-        (np.concatenate(items) if items else np.zeros(0, dtype=np.int32))[order], collision.distance,
-        collision.resolution, collision.slack,
-    )

@@ -11,23 +11,31 @@ import math
 import numpy as np
 
 from hrl_escape.kernels import kernel, kernel_part
-from hrl_escape.planning.lattice.sweep_kernels import get_shape, measure_clearance, measure_distance, sweep
+from hrl_escape.planning.lattice.sweep_kernels import (
+    can_turn_body,
+    does_fit,
+    get_shape,
+    is_touched,
+    measure_clearance,
+    sweep_body,
+)
 
-__all__ = ["UNREACHED", "choose_points", "fill_gaps", "find_landings", "find_last_moves", "link_cells", "run_dijkstra"]
+__all__ = ["UNREACHED", "choose_headings", "choose_points", "fill_gaps", "find_landings", "find_last_moves",
+           "find_touching_cells", "link_cells", "run_dijkstra"]
 
 UNREACHED = 32_000
 
 
 @kernel_part
-def _find_cell(points, standing, columns, rows, i, j, x, y):
+def _find_cell(points, fits, layers, layer, columns, rows, i, j, x, y):
     """The cell (i, j) if the body fits there, else its neighbour whose place is nearest; -1 if none."""
-    if 0 <= i < columns and 0 <= j < rows and standing[i * rows + j]:
+    if 0 <= i < columns and 0 <= j < rows and fits[(i * rows + j) * layers + layer]:
         return i * rows + j
     best, nearest = -1, 1e18
     for near_i in range(max(i - 1, 0), min(i + 2, columns)):
         for near_j in range(max(j - 1, 0), min(j + 2, rows)):
             other = near_i * rows + near_j
-            if standing[other]:
+            if fits[other * layers + layer]:
                 away = (points[other, 0] - x) ** 2 + (points[other, 1] - y) ** 2
                 if away < nearest:
                     best, nearest = other, away
@@ -38,7 +46,8 @@ def _find_cell(points, standing, columns, rows, i, j, x, y):
 def choose_points(scene, low, size, rows, first, last, within, points, standing):
     """Choose a representative place in each cell of some columns of a grid, and test whether the body fits there.
 
-    The place is the cell's centre if the body fits there, else the one of 5 x 5 with the most clearance.
+    The place is the cell's centre if the body fits there, else the one of 5 x 5 with the most clearance. A rectangular
+    base counts as fitting where the largest disc within it does.
 
     Args:
         scene: the room.
@@ -58,7 +67,7 @@ def choose_points(scene, low, size, rows, first, last, within, points, standing)
                 points[i * rows + j, 0], points[i * rows + j, 1] = x, y
                 continue
             best_x, best_y, widest = x, y, measure_clearance(scene, x, y)
-            if widest < scene.radius and widest + size > scene.radius:
+            if widest < scene.radius and widest + size > scene.inner:
                 for k in range(25):
                     try_x, try_y = x + (k // 5 - 2) * size / 5, y + (k % 5 - 2) * size / 5
                     clearance = measure_clearance(scene, try_x, try_y)
@@ -66,17 +75,46 @@ def choose_points(scene, low, size, rows, first, last, within, points, standing)
                         best_x, best_y, widest = try_x, try_y, clearance
             cell = i * rows + j
             points[cell, 0], points[cell, 1] = best_x, best_y
-            standing[cell] = widest >= scene.radius
+            standing[cell] = widest >= scene.inner
 
 
 @kernel
-def find_landings(scene, points, standing, cells_a_row, low, size, moves, steps, first, last, landing, link_cost):
+def choose_headings(scene, points, standing, turns, turn_step, first, last, fits, can_turn):
+    """Test at which headings a rectangular base fits in some cells, and where it can turn on the spot.
+
+    Args:
+        scene: the room.
+        points: a representative place in each cell, shape (cells, 2).
+        standing: False where no heading fits, shape (cells,).
+        turns: cosine and sine of each heading class and of the next one after the last, shape (classes + 1, 2).
+        turn_step: angle between two of them, rad.
+        first: first cell.
+        last: cell to stop before.
+        fits: True where the base fits, shape (cells * classes,); filled in.
+        can_turn: True where it can turn from a class to the next one and back, shape (cells * classes,); filled in.
+    """
+    classes = turns.shape[0] - 1
+    for cell in range(first, last):
+        if not standing[cell]:
+            continue
+        x, y = points[cell, 0], points[cell, 1]
+        for c in range(classes):
+            fits[cell * classes + c] = does_fit(scene, x, y, turns[c])
+        for c in range(classes):
+            can_turn[cell * classes + c] = (
+                fits[cell * classes + c] and fits[cell * classes + (c + 1) % classes]
+                and can_turn_body(scene, x, y, turns[c], turns[c + 1], turn_step))
+
+
+@kernel
+def find_landings(scene, points, fits, turns, cells_a_row, low, size, moves, steps, first, last, landing, link_cost):
     """Find the cells to which moves lead from some cells.
 
     Args:
         scene: the room.
         points: a representative place in each cell, shape (cells, 2).
-        standing: True where the body fits there, shape (cells,).
+        fits: True where the body fits there, shape (cells,), or (cells * classes,) where that depends on its heading.
+        turns: cosine and sine of each heading class, shape (at least classes, 2).
         cells_a_row: cells along y; a cell's index is i * cells_a_row + j.
         low: corner of the grid, shape (2,).
         size: side of a cell, m.
@@ -89,18 +127,20 @@ def find_landings(scene, points, standing, cells_a_row, low, size, moves, steps,
     """
     classes, translations = moves.shape[0], moves.shape[1]
     columns = points.shape[0] // cells_a_row
+    layers = fits.shape[0] // points.shape[0]
     length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
     for cell in range(first, last):
-        if not standing[cell]:
-            continue
         x, y = points[cell, 0], points[cell, 1]
         for c in range(classes):
+            layer = c % layers
+            if not fits[cell * layers + layer]:
+                continue
             for m in range(translations):
                 dx, dy = moves[c, m, 0], moves[c, m, 1]
-                fraction = sweep(scene, x, y, dx, dy, length)
+                fraction = sweep_body(scene, x, y, turns[c], dx, dy, length)
                 ex, ey = x + fraction * dx, y + fraction * dy
                 i, j = int(math.floor((ex - low[0]) / size)), int(math.floor((ey - low[1]) / size))
-                best = _find_cell(points, standing, columns, cells_a_row, i, j, ex, ey)
+                best = _find_cell(points, fits, layers, layer, columns, cells_a_row, i, j, ex, ey)
                 if best >= 0 and best != cell:
                     at = (cell * classes + c) * translations + m
                     landing[at] = best
@@ -144,19 +184,21 @@ def link_cells(landing, link_cost, classes, translations):
 
 
 @kernel
-def find_last_moves(scene, points, candidates, moves, steps, goal, reach):
+def find_last_moves(scene, points, fits, turns, candidates, moves, steps, goal, reach, presser):
     """Cost of the displacement from each cell that ends in the goal, 0 if none does; shape (candidates, classes)."""
     classes, translations = moves.shape[0], moves.shape[1]
     link_cost = np.zeros((candidates.shape[0], classes), dtype=np.int32)
     length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
-    shape = get_shape(goal)
+    shape, layers = get_shape(goal), fits.shape[0] // points.shape[0]
     for n in range(candidates.shape[0]):
         x, y = points[candidates[n], 0], points[candidates[n], 1]
         for c in range(classes):
+            if not fits[candidates[n] * layers + c % layers]:
+                continue
             for m in range(translations):
                 dx, dy = moves[c, m, 0], moves[c, m, 1]
-                fraction = sweep(scene, x, y, dx, dy, length)
-                if measure_distance(x + fraction * dx, y + fraction * dy, shape) <= reach:
+                fraction = sweep_body(scene, x, y, turns[c], dx, dy, length)
+                if is_touched(x + fraction * dx, y + fraction * dy, turns[c], presser, shape, reach):
                     cost = max(1, int(math.ceil(fraction * steps - 1e-9)))
                     if link_cost[n, c] == 0 or cost < link_cost[n, c]:
                         link_cost[n, c] = cost
@@ -164,8 +206,23 @@ def find_last_moves(scene, points, candidates, moves, steps, goal, reach):
 
 
 @kernel
-def run_dijkstra(starts, sources, costs, classes, headings, allowed, seeds, seed_costs, best, buckets, filled, counts,
-                 most):
+def find_touching_cells(points, turns, candidates, goal, reach, presser):
+    """Return whether a presser touches a goal from each cell at each heading class; shape (candidates, classes), bool.
+
+    `turns` holds the cosine and sine of the classes; see `is_touched` for the others.
+    """
+    classes, shape = turns.shape[0] - 1, get_shape(goal)
+    touching = np.zeros((candidates.shape[0], classes), dtype=np.bool_)
+    for n in range(candidates.shape[0]):
+        for c in range(classes):
+            x, y = points[candidates[n], 0], points[candidates[n], 1]
+            touching[n, c] = is_touched(x, y, turns[c], presser, shape, reach)
+    return touching
+
+
+@kernel
+def run_dijkstra(starts, sources, costs, classes, headings, can_turn, allowed, seeds, seed_costs, best, buckets, filled,
+                 counts, most):
     """Fewest primitives from every (cell, heading) to the nearest seed, by Dijkstra's search with buckets (Dial 1969).
 
     Each call continues the search; it is over when `counts[0]` is negative.
@@ -176,6 +233,8 @@ def run_dijkstra(starts, sources, costs, classes, headings, allowed, seeds, seed
         costs: from `link_cells`.
         classes: heading classes of the links.
         headings: headings of the field, a multiple of `classes` or equal to it.
+        can_turn: True where the body can turn from a class to the next one, shape (cells * classes,); empty where it
+            always can.
         allowed: cells that may be used, shape (cells,), bool.
         seeds: states cell * headings + heading, in the order of their costs, shape (seeds,).
         seed_costs: their cost-to-go, shape (seeds,).
@@ -237,6 +296,8 @@ def run_dijkstra(starts, sources, costs, classes, headings, allowed, seeds, seed
                     before = state + 1 if heading + 1 < headings else state + 1 - headings
                 else:
                     before = state - 1 if heading > 0 else state - 1 + headings
+                if can_turn.shape[0] > 0 and not can_turn[cell * classes + (heading - turn + classes) % classes]:
+                    continue
                 if cost < best[before]:
                     best[before] = cost
                     buckets[to, first] = before
@@ -273,20 +334,27 @@ def _widen(buckets, filled):
 
 @kernel
 def fill_gaps(field, known, headings, rows):
-    """Give cells that are not `known` the least cost-to-go of their neighbours; changes `field`."""
-    columns = known.shape[0] // rows
+    """Give cells that are not `known` the least cost-to-go of their neighbours; changes `field`.
+
+    `known` holds one value a cell, or one for each of its heading classes.
+    """
+    layers = known.shape[0] * headings // field.shape[0]
+    columns = known.shape[0] // (rows * layers)
     for i in range(columns):
         for j in range(rows):
             cell = i * rows + j
-            if known[cell]:
+            if layers == 1 and known[cell]:
                 continue
             for heading in range(headings):
+                layer = heading % layers
+                if known[cell * layers + layer]:
+                    continue
                 least = -1
                 for near_i in range(max(i - 1, 0), min(i + 2, columns)):
                     for near_j in range(max(j - 1, 0), min(j + 2, rows)):
                         other = near_i * rows + near_j
                         cost = field[other * headings + heading]
-                        if known[other] and cost >= 0 and (least < 0 or cost < least):
+                        if known[other * layers + layer] and cost >= 0 and (least < 0 or cost < least):
                             least = cost
                 field[cell * headings + heading] = least
     return field

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.geometry import Footprint, stack_footprints
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.primitives import TURNS
+from hrl_escape.errors import UnsupportedError
 from hrl_escape.kernels import kernel, kernel_part
 from hrl_escape.planning.goals import Goal, PressGoal, is_reached
 from hrl_escape.planning.lattice.sweep_kernels import compile_geometry
@@ -41,8 +42,13 @@ def find_fewest_primitives(kinematics: Kinematics, state: RoomState, goal: Goal,
 
     Returns:
         The primitives, or None if none were found.
+
+    Raises:
+        UnsupportedError: the base is no disc.
     """
     instance = kinematics.instance
+    if instance.robot.footprint != "disc":
+        raise UnsupportedError("the reference search moves a disc, and this base is a rectangle")
     solids = list(kinematics.footprints)
     if instance.door and not instance.puzzle.is_solved(state.puzzle):
         solids.append(instance.door.footprint)

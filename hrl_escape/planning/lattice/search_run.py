@@ -20,7 +20,7 @@ from hrl_escape.errors import PlanningReason
 from hrl_escape.planning.clock import Clock
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, is_reached
 from hrl_escape.planning.lattice import a_star
-from hrl_escape.planning.lattice.areas import Area
+from hrl_escape.planning.lattice.areas import Area, get_presser
 from hrl_escape.planning.lattice.cost_to_go import FieldMaker
 
 if TYPE_CHECKING:
@@ -200,6 +200,7 @@ class SearchRun:
         hand = rules.get_hand_in_base(state.joint_steps, state.joint_offsets) if by_hand else (0.0, 0.0, 0.0)
         turns = headings.turns
         reaches = np.array([instance.compute_press_reach(target, hand[2]) for target in instance.targets], dtype=float)
+        pressers = np.array([get_presser(PressGoal(i), instance) for i in range(len(reaches))]).reshape(-1, 2)
         presser = np.stack([turns @ (hand[0], -hand[1]), turns @ (hand[1], hand[0])], axis=1)
         shun_exit = self._avoiding and not isinstance(goal, ExitGoal) and instance.puzzle.is_solved(state.puzzle)
         area = instance.exit
@@ -212,9 +213,9 @@ class SearchRun:
         layers = len(field) // len(maker.points)
         return a_star.SearchQuery(
             x=state.x, y=state.y, heading=state.heading_steps, touched=np.uint64(state.touching),
-            moves=headings.moves, length=instance.robot.move_step,
+            turns=turns, turn_step=rules.turn_step, moves=headings.moves, length=instance.robot.move_step,
             stays=instance.dynamics.blocked == "stay", presser=presser,
-            targets=maker.targets, reaches=reaches,
+            targets=maker.targets, reaches=reaches, pressers=pressers,
             forbidden=np.uint64(others if self._avoiding else 0), keep_out=stack_footprints(problem.keep_out),
             closed=np.array(closed), target=target, goal=stack_footprints([problem.area.footprint])[0],
             goal_reach=problem.area.reach + _ROUNDING, goal_headings=facing, field=field,

@@ -247,7 +247,7 @@ class ArmPlanner:
 
         def is_free(at: NDArray[np.float64], margin: float) -> bool:
             x, y, turn, *angles = at.tolist()
-            return (self._floor.is_clear(x, y, self._floor.radius + margin)
+            return (self._floor.does_fit(x, y, (math.cos(turn), math.sin(turn)), margin)
                     and self._get_collisions(margin).is_free(x, y, turn, angles))
 
         names = ("x", "y", "heading", *self.rules.robot.joint_names)

@@ -1,7 +1,7 @@
-"""Collision-free paths for the base in the plane; headings come later, as the robot strafes.
+"""Collision-free paths for the base in the plane; headings come later, as a disc may turn anywhere.
 
 The `Navigator` states the problem, asks a planner of `registry.py`, and checks its answer
-exactly before returning it.
+exactly before returning it. Paths of a rectangular base are `pose_path.py`'s.
 """
 
 from __future__ import annotations
@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Rules
 from hrl_escape.errors import ConfigError, EscapeError, GoalError, PathPlannerError, show_value
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.clock import Clock, OutOfTime
 from hrl_escape.planning.collision_map import CollisionMap
 from hrl_escape.planning.goals import FARTHEST, Goal, PressGoal, check_goal
 from hrl_escape.planning.lattice.areas import compute_goal_area, sample_places
+from hrl_escape.planning.paths.pose_path import check_pose_planner, find_pose_path
 from hrl_escape.planning.paths.problem import (
     CHECKER_CALLS,
     DEFAULT_PLANNER,
@@ -38,6 +40,8 @@ from hrl_escape.planning.paths.registry import get_factory
 __all__ = ["Navigator"]
 
 MOST_GOALS = 24
+POSE_PLACES = 400
+"""Places of a goal at which a rectangular base is tried at all headings."""
 
 
 class Navigator:
@@ -72,7 +76,7 @@ class Navigator:
 
     def plan(self, start: tuple[float, float], goal: Goal | NDArray[np.float64], planner: str = DEFAULT_PLANNER, *,
              seed: int = 0, optimise: bool = False, budget: int = CHECKER_CALLS, clock: Clock | None = None,
-             time_limit: float | None = None, door_shut: bool = True) -> PathResult:
+             time_limit: float | None = None, door_shut: bool = True, heading: float = 0.0) -> PathResult:
         """Plan a path for the body's axis.
 
         Args:
@@ -88,15 +92,19 @@ class Navigator:
                 the budget decides.
             clock: time limit of a call that this one is part of, instead of `time_limit`.
             door_shut: whether the exit door, if there is one, stands.
+            heading: of a rectangular base at the start, rad; no matter for a disc.
 
         Raises:
             UnknownNameError: no planner of that name.
             GoalError: a press by hand, no such target, or a start or goal that is none.
             ConfigError: seed or budget is no whole number in its range.
-            UnsupportedError: the goal is a push.
+            UnsupportedError: the goal is a push, or the planner knows no poses and the base is a rectangle.
             PathPlannerError: the planner failed, or returned no path.
         """
         factory = get_factory(planner)
+        is_disc = self.instance.robot.footprint == "disc"
+        if not is_disc:
+            check_pose_planner(planner)
         start = self._check_query(start, goal, seed, budget)
         began, clock = read_clock(), clock or Clock(time_limit)
         calls, path, bound = 0, np.zeros((0, 2)), 0.0
@@ -105,15 +113,46 @@ class Navigator:
             status, places = self._find_goals(collision, start, goal, clock)
             if len(places):
                 bound = float(np.hypot(*(places - start).T).min())
-            if status is None:
+            if status is None and not is_disc:
+                at = np.array([*start, heading])
+                status, path, calls = self._solve_poses(collision, at, goal, places, planner, seed, budget, clock)
+            elif status is None:
                 problem = partial(PathProblem, seed=seed, optimise=optimise, clock=clock, budget=budget)
                 status, path, calls = self._solve(collision, start, places, planner, factory, problem)
             if status == "budget-exhausted" and clock.has_stopped:
                 status = "timeout"
         except OutOfTime:
             status = "timeout"
+        headings, path = path[:, 2:].ravel(), path[:, :2]
         cost = float(np.hypot(*np.diff(path, axis=0).T).sum()) if len(path) else math.inf
-        return PathResult(status, path, cost, bound, planner, read_clock() - began, calls)
+        return PathResult(status, path, cost, bound, planner, read_clock() - began, calls, headings)
+
+    def _solve_poses(self, collision: CollisionMap, start: NDArray[np.float64], goal: Goal | NDArray[np.float64],
+                     places: NDArray[np.float64], planner: str, seed: int, budget: int, clock: Clock
+                     ) -> tuple[Status, NDArray[np.float64], int]:
+        """Status, poses (n, 3) and tested poses of a rectangular base's path to places of a goal."""
+        x, y, heading = start.tolist()
+        if not collision.does_fit(x, y, (math.cos(heading), math.sin(heading))):
+            return "invalid-start", np.zeros((0, 2)), 0
+        ends = self._list_poses(collision, goal, places)
+        if not len(ends):
+            return "invalid-goal", np.zeros((0, 2)), 0
+        path, calls = find_pose_path(collision, start, ends, planner, seed=seed, budget=budget, clock=clock)
+        if path is not None:
+            return "exact", path, calls
+        return "budget-exhausted" if calls > budget else "not-found", np.zeros((0, 2)), calls
+
+    def _list_poses(self, collision: CollisionMap, goal: Goal | NDArray[np.float64], places: NDArray[np.float64]
+                    ) -> NDArray[np.float64]:
+        """Poses (n, 3) of a rectangular base at places of a goal: at headings of its lattice where it reaches it."""
+        rules, poses = Rules(self.instance), []
+        for x, y in places.tolist():
+            for steps in range(rules.headings):
+                if collision.does_fit(x, y, rules.get_rotation(steps, 0.0)) and (
+                        not isinstance(goal, PressGoal)
+                        or rules.compute_touching(x, y, steps, 0.0, (), ()) >> goal.target & 1):
+                    poses.append((x, y, rules.turn_step * steps))
+        return np.array(poses).reshape(-1, 3)
 
     def _check_query(self, start: tuple[float, float], goal: Goal | NDArray[np.float64], seed: int, budget: int
                      ) -> tuple[float, float]:
@@ -146,14 +185,17 @@ class Navigator:
                 raise GoalError("for a press by hand give places of the base; Reacher.make_table finds them")
             area = compute_goal_area(goal, self.instance)
             proof = collision.find_proof(*start, *area)
-            places = sample_places(area, collision, clock=clock) if proof != "solid" else none
+            most = 64 if self.instance.robot.footprint == "disc" else POSE_PLACES
+            places = sample_places(area, collision, most, clock) if proof != "solid" else none
         if not collision.is_free(*start):
             return "invalid-start", none
         if not len(places):
             return "invalid-goal", none
         here = collision.get_parts(np.array(start))[0]
         places = places[collision.get_parts(places) == here]
-        return (None, _choose_goals(places, start)) if len(places) and proof is None else ("no-path", none)
+        if not len(places) or proof is not None:
+            return "no-path", none
+        return None, _choose_goals(places, start) if self.instance.robot.footprint == "disc" else places
 
     def _solve(
         self, collision: CollisionMap, start: tuple[float, float], places: NDArray[np.float64], name: str,

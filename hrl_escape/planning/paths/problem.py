@@ -40,6 +40,8 @@ class PathResult:
             `timeout`: the clock ran out; `no-path`: there is proof that none exists; `invalid-start` or
             `invalid-goal`: the body does not fit there.
         path: places gone through in straight lines, start first, shape (n, 2), m; empty without a path.
+        headings: of a rectangular base at these places, turning evenly between them, shape (n,), rad; empty for a
+            disc, which may turn anywhere.
         cost: its length, m; infinity without a path.
         bound: lower bound of any path's length, m: straight to the nearest place that reaches the goal.
         planner: who planned it.
@@ -55,6 +57,7 @@ class PathResult:
     planner: str
     seconds: float
     checker_calls: int
+    headings: NDArray[np.float64] = dataclasses.field(default_factory=lambda: np.zeros(0))
 
 
 class Spent(Exception):

@@ -47,7 +47,7 @@ def compute_lacking_clearance(plan: Plan) -> float:
         count = math.ceil(length / MEASURED_EVERY)
         shares = (np.arange(count) + 0.5) / count
         places = np.stack([x + shares * (to_x - x), y + shares * (to_y - y)], axis=1)
-        clearance = compute_distance_many(places, solids) - plan.instance.robot.body_radius
+        clearance = compute_distance_many(places, solids) - plan.instance.robot.outer_radius
         total += length * float(np.clip(1.0 - clearance / WANTED, 0.0, 1.0).mean())
     return total
 

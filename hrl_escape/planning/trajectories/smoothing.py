@@ -30,7 +30,8 @@ def smooth_plan(plan: Plan, clearance: float) -> list[MotionPath]:
     """Paths of a plan's legs: each ends exactly where the leg ends, by the fewest straight lines that stay clear.
 
     Heading and joints go evenly from the leg's first to its last state, as the base strafes in any direction. A base
-    with a differential drive cannot: it follows the plan's own lines and turns on the spot between them.
+    with a differential drive cannot, and one that is a rectangle must not turn anywhere: they follow the plan's own
+    lines and turn on the spot between them.
 
     Args:
         plan: the plan.
@@ -38,10 +39,10 @@ def smooth_plan(plan: Plan, clearance: float) -> list[MotionPath]:
             own straight moves are kept where nothing else does.
 
     Returns:
-        One path for each leg; one for each line or turn of a differential drive.
+        One path for each leg; one for each line or turn of such a base.
     """
     rules, room = Rules(plan.instance), plan.instance
-    if room.robot.drive == "differential":
+    if room.robot.drive == "differential" or room.robot.footprint == "rectangle":
         return _follow_moves(plan, rules)
     radius = room.robot.body_radius + CONTACT_SKIN
     names = ("x", "y", "heading", *rules.robot.joint_names)
