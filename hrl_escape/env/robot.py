@@ -291,11 +291,9 @@ def _mount(config: RobotConfig, arm: ElementTree.Element) -> ElementTree.Element
     for material in arm.findall("material"):
         whole.append(material)
     middle = f"0 0 {config.body_height / 2!r}"
-    if config.footprint == "rectangle":
-        sizes = config.body_length, config.body_width, config.body_height
-        whole.append(make_box_link(BASE_LINK, 50.0, sizes, middle))
-    else:
-        whole.append(make_cylinder_link(BASE_LINK, 50.0, config.body_radius, config.body_height, middle, "0 0 0"))
+    sizes = config.body_length, config.body_width, config.body_height
+    whole.append(make_box_link(BASE_LINK, 50.0, sizes, middle) if config.footprint == "rectangle" else
+                 make_cylinder_link(BASE_LINK, 50.0, config.body_radius, config.body_height, middle, "0 0 0"))
     links = {link.get("name", "") for link in arm.findall("link")}
     if links:
         children = {child.get("link") for child in arm.iterfind("joint/child")}
