@@ -13,7 +13,7 @@ import importlib.util
 import math
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -37,9 +37,6 @@ _SHIPPED = {  # kind: (file in pybullet_data, hand link)
 }
 _ARM_AXES = ("0 0 1", "0 -1 0", "0 -1 0", "1 0 0", "0 -1 0", "0 0 1", "0 -1 0")
 
-Numbers: TypeAlias = Any
-"""A number, or an array of them."""
-
 
 @dataclasses.dataclass(frozen=True)
 class _Joint:
@@ -62,15 +59,14 @@ class _Joint:
         """The axis as numbers."""
         return tuple(self.axis.tolist())
 
-    def move(self, x: Numbers, y: Numbers, z: Numbers, value: Numbers) -> tuple[Numbers, Numbers, Numbers]:
-        """A point beyond the joint, moved by its angle in rad (or m), in the joint's own frame."""
+    def move(self, x: Any, y: Any, z: Any, value: Any) -> tuple[Any, Any, Any]:
+        """Coordinates of a point beyond the joint, moved by its angle in rad (or m), in the joint's own frame."""
         a, b, c = self.direction
         if self.kind == "prismatic":
             return x + a * value, y + b * value, z + c * value
         cos, sin = np.cos(value), np.sin(value)  # Rodrigues
         along = (a * x + b * y + c * z) * (1.0 - cos)
-        return (x * cos + (b * z - c * y) * sin + a * along,
-                y * cos + (c * x - a * z) * sin + b * along,
+        return (x * cos + (b * z - c * y) * sin + a * along, y * cos + (c * x - a * z) * sin + b * along,
                 z * cos + (a * y - b * x) * sin + c * along)
 
 
@@ -119,9 +115,7 @@ class Robot:
             Shape (..., 3), float64, metres.
         """
         q = np.asarray(angles, dtype=np.float64)
-        x: Numbers = 0.0
-        y: Numbers = 0.0
-        z: Numbers = 0.0
+        x, y, z = 0.0, 0.0, 0.0
         for joint in reversed(self.chain):  # the hand in the frame before each joint
             if joint.kind != "fixed":
                 used = joint.name in self.joint_names
@@ -168,13 +162,10 @@ def sample_joint_steps(robot: Robot, count: int) -> NDArray[np.int64]:
     low, high = np.array(robot.step_low, dtype=np.int64), np.array(robot.step_high, dtype=np.int64)
     sizes = (high - low + 1).tolist()
     total = math.prod(sizes)
-    if total <= count:
-        indices = np.unravel_index(np.arange(total), sizes) if sizes else ()
-        steps = low + np.stack(indices, axis=-1) if sizes else np.zeros((1, 0), dtype=np.int64)
-    else:
-        rng = np.random.default_rng(0)
-        steps = rng.integers(low, high + 1, size=(count, len(sizes)))
-    return steps
+    if total > count:
+        return np.random.default_rng(0).integers(low, high + 1, size=(count, len(sizes)))
+    indices = np.unravel_index(np.arange(total), sizes) if sizes else ()
+    return low + np.stack(indices, axis=-1) if sizes else np.zeros((1, 0), dtype=np.int64)
 
 
 def _rotate_about(axis: NDArray[np.float64], angle: ArrayLike) -> NDArray[np.float64]:
