@@ -118,7 +118,8 @@ def _view_robot(layout: Layout, things: Scenery, form: _Form, state: TensorState
     """Mounted above the front edge of the base, looking 12 degrees down."""
     cos, sin = (part.to(torch.float32) for part in compute_rotation(layout, tables, state))
     x, y = state.x.to(torch.float32), state.y.to(torch.float32)
-    forward, lift = 0.9 * layout.robot.body_radius, 1.15 * layout.robot.body_height + 0.1
+    robot = layout.robot
+    forward, lift = 0.9 * (robot.half_sizes[0] or robot.body_radius), 1.15 * robot.body_height + 0.1
     nought, down = torch.zeros_like(x), math.radians(12.0)
     return _View(
         eye=[x + forward * cos, y + forward * sin, nought + lift],
@@ -158,7 +159,7 @@ def _aim(form: _Form, view: _View) -> list[Tensor]:
 
 
 def _take(layout: Layout, form: _Form, tables: Tables, scenery: Scenery, state: TensorState) -> Pictures:
-    things: Scenery = pick(layout, scenery, state.instance)
+    things: Scenery = _add_box_base(layout, tables, pick(layout, scenery, state.instance), state)
     view = _VIEWS[form.camera](layout, things, form, state, tables)
     ray = _aim(form, view)
     inverse = [1.0 / torch.where(part.abs() < 1e-9, 1e-9, part) for part in ray]
@@ -170,7 +171,8 @@ def _take(layout: Layout, form: _Form, tables: Tables, scenery: Scenery, state: 
     looks = _find_looks(layout, form, tables, things, state)
     which, bright = floor_look, torch.ones_like(depth)
     for number in range(len(looks)):
-        met, face = _meet_box(view, ray, inverse, things.boxes[:, number], form.scenery.is_straight[number])
+        is_straight = number < len(form.scenery.is_straight) and form.scenery.is_straight[number]
+        met, face = _meet_box(view, ray, inverse, things.boxes[:, number], is_straight)
         is_seen = (met < depth) & (looks[number] > 0).unsqueeze(1)
         which = torch.where(is_seen, len(LOOKS) + _FACES * number + face, which)
         depth = torch.where(is_seen, met, depth)
@@ -213,6 +215,21 @@ def _tabulate(things: Scenery, looks: Tensor, rounds: int) -> Tensor:
     return (rgb[..., 0] | rgb[..., 1] << 8 | rgb[..., 2] << 16 | labels[entries] << 24).T.contiguous()
 
 
+def _add_box_base(layout: Layout, tables: Tables, things: Scenery, state: TensorState) -> Scenery:
+    """Add the robot's base as the last box, if it is rectangular."""
+    half_x, half_y = layout.robot.half_sizes
+    if not half_x:
+        return things
+    cos, sin = compute_rotation(layout, tables, state)
+    height = layout.robot.body_height
+    base = torch.stack([state.x, state.y, cos, sin, *(torch.full_like(state.x, value) for value in (
+        half_x, half_y, 0.15 * height, height))]).to(torch.float32)
+    looks = torch.full((1, len(state.x)), find_look("body"), device=base.device)
+    return things._replace(
+        boxes=torch.cat([things.boxes.expand(-1, -1, len(state.x)), base.unsqueeze(1)], dim=1),
+        looks=torch.cat([things.looks.expand(-1, len(state.x)), looks]))
+
+
 def _find_floor_look(layout: Layout, tables: Tables, things: Scenery, view: _View, ray: list[Tensor], depth: Tensor,
                      state: TensorState) -> Tensor:
     """Look of what the rays meet on the floor's level, int64 (rooms, pixels); 0 beside the floor."""
@@ -240,13 +257,13 @@ def _find_looks(layout: Layout, form: _Form, tables: Tables, things: Scenery, st
     """Looks of all boxes now, int64 (boxes, rooms); 0 for those that are not there."""
     puzzle, columns = get_tensor_puzzle(layout.puzzle), pick(layout, tables.puzzle, state.instance)
     looks = things.looks.expand(-1, len(state.x)).clone()
-    leaves = 2 if layout.has_door else 0
+    leaves, last = 2 if layout.has_door else 0, len(form.scenery.is_straight)
     if leaves:
         is_open = puzzle.is_solved(columns, state.puzzle)
-        looks[-1] = torch.where(is_open, looks[-1], 0)
-        looks[-2] = torch.where(is_open, 0, looks[-2])
+        looks[last - 1] = torch.where(is_open, looks[last - 1], 0)
+        looks[last - 2] = torch.where(is_open, 0, looks[last - 2])
     if layout.inner_doors:
-        inner = slice(len(looks) - leaves - layout.inner_doors, len(looks) - leaves)
+        inner = slice(last - leaves - layout.inner_doors, last - leaves)
         looks[inner] = torch.where(find_shut(layout, tables, state), looks[inner], 0)
     lit = unpack_bits(puzzle.get_lit(columns, state.puzzle), layout.targets, torch.bool)
     faces = slice(form.scenery.faces, form.scenery.faces + layout.targets)
@@ -282,8 +299,10 @@ def _meet_box(view: _View, ray: list[Tensor], inverse: list[Tensor], box: Tensor
 
 
 def _list_rounds(layout: Layout, things: Scenery, state: TensorState) -> Tensor:
-    """Cylinders and the robot's base, (6, cylinders and parts, rooms)."""
+    """Cylinders and the robot's base, if it is round, (6, cylinders and parts, rooms)."""
     x, y = state.x.to(torch.float32), state.y.to(torch.float32)
+    if layout.robot.half_sizes[0]:
+        return things.cylinders.expand(-1, -1, len(x))
     parts = [torch.stack([x, y, *(torch.full_like(x, value) for value in part)])
              for part in list_base_parts(layout.robot.body_radius, layout.robot.body_height)]
     return torch.cat([things.cylinders.expand(-1, -1, len(x)), torch.stack(parts, dim=1)], dim=1)
@@ -316,7 +335,7 @@ def _shade(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
 
 def _is_arrow(layout: Layout, tables: Tables, state: TensorState, place: list[Tensor]) -> Tensor:
     """Return true on the arrow on top of the base that shows the heading, bool (rooms, pixels)."""
-    radius, height = layout.robot.body_radius, layout.robot.body_height
+    radius, height = layout.robot.inner_radius, layout.robot.body_height
     cos, sin = (part.to(torch.float32).unsqueeze(1) for part in compute_rotation(layout, tables, state))
     dx, dy = (at - own.to(torch.float32).unsqueeze(1) for at, own in zip(place, (state.x, state.y), strict=False))
     ahead, aside = (cos * dx + sin * dy) / radius, ((cos * dy - sin * dx) / radius).abs()

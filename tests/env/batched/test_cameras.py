@@ -13,6 +13,7 @@ from hrl_escape.env.batched.scenery import LABELS
 from hrl_escape.env.bullet import cameras as bullet_cameras
 from hrl_escape.env.bullet.cameras import BulletRenderer
 from hrl_escape.env.bullet.engine import BulletRoom
+from hrl_escape.env.config import RobotConfig, RoomConfig
 from hrl_escape.env.sampling.generation import generate
 from tests.env.rooms import all_schematics
 
@@ -125,6 +126,16 @@ def test_distance_to_a_wall_is_exact():
     upwards = np.tan(np.radians(35)) * (1 - 2 * (rows + 0.5) / 21)
     along = np.cos(np.radians(12)) + upwards * np.sin(np.radians(12))  # of a ray's way, on the floor
     assert len(rows) > 2 and middle.numpy() == pytest.approx((ahead / along).numpy(), rel=1e-5)
+
+
+def test_a_rectangular_base_is_seen_as_one():
+    config = RoomConfig(robot=RobotConfig(footprint="rectangle", body_length=3.0, body_width=1.0))
+    batch = TensorRoom([generate(config, 0)], 1)
+    batch.reset(torch.arange(1))
+    batch.set_room_state(0, batch.get_room_state(0)._replace(x=0.0, y=0.0, heading_steps=0))
+    seen = BatchedCamera(batch, "overhead", 200, 200).take().segmentation[0] == LABELS.index("robot")
+    rows, columns = seen.any(dim=1).sum().item(), seen.any(dim=0).sum().item()
+    assert columns == pytest.approx(3 * rows, abs=4) and rows > 5
 
 
 def test_a_room_looks_the_same_in_any_batch():
