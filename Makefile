@@ -8,6 +8,7 @@ JOBS   ?= 2
 VENV  := .venv
 STAMP := $(VENV)/.installed
 export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
+unexport PYTHONDONTWRITEBYTECODE  # every process that tests start would compile the package anew
 
 .DEFAULT_GOAL := help
 .PHONY: help demo watch test docs lint clean
