@@ -54,7 +54,8 @@ def write_twins_page(study: TwinStudy, lines: Sequence[BaselineRun], path: Path,
         text += [f"## {question.heading}", "", f"{question.words}.", "",
                  *_list_findings(study, number, contrasts), ""]
         few = [room for room in rooms if room not in list_settled_rooms(study, number, lines)]
-        text += [f"Too few runs to conclude anything: {', '.join(few)}.", ""] if few else []
+        text += [f"The conclusion leaves {join_words(few)} out, where not all of these agents have {LEAST_RUNS} runs.",
+                 ""] if few else []
     text += ["A difference is named where a paired t test over training seeds shows it, after Holm's correction for "
              f"all {len(contrasts)} comparisons of this page. Fewer than {LEAST_RUNS} runs: nothing is concluded.", "",
              *more]

@@ -106,7 +106,7 @@ def make_factorial_room() -> RoomConfig:
 
 
 def make_factorial_grid(algorithm: str, rooms: int = ROOMS, runs: int = 5, primitives: int = 4_000) -> Grid:
-    """An algorithm's 24 agents in rooms drawn from one schematic, none of which settings were tuned in.
+    """An algorithm's 24 agents in rooms drawn from one schematic.
 
     Args:
         algorithm: one of `ALGORITHMS`.

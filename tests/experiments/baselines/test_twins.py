@@ -97,7 +97,7 @@ def test_findings_name_room_and_size(tmp_path: Path):
     assert page.count("| `maxq-q+planned` | 10 | 0.5") == 2
     assert "- `maxq-q+planned`: escapes later in far (by 300 primitives), near (by 300 primitives)." in page
     assert "- `hamq+planned`: no difference is shown." in page and "`hamq+planned` (program, state, planner)" in page
-    assert "then one episode of the frozen policy" in page and "Too few runs" not in page
+    assert "then one episode of the frozen policy" in page and "The conclusion leaves" not in page
 
 
 def test_another_truth_is_another_page(tmp_path: Path):
@@ -111,7 +111,8 @@ def test_another_truth_is_another_page(tmp_path: Path):
     assert "- `maxq-q+planned`: less efficient in far (-0.31), near (-0.31)." in beside
     assert "- `hamq+planned`: escapes sooner in far (by 60 primitives), near (by 60 primitives)." in beside
     assert "- `maxq-q+planned`: more efficient in far (+0.21), near (+0.21); escapes sooner in far (by 900" in page
-    assert page.count("Too few runs to conclude anything: far.") == 2, "of the questions that it is a part of"
+    left_out = "The conclusion leaves far out, where not all of these agents have 10 runs."
+    assert page.count(left_out) == 2, "of the questions that it is a part of"
     assert "then three episodes of the frozen policy" in page
     write_twins_page(GIVEN_HIERARCHIES, [line for line in fast if "+" not in line.agent], tmp_path / "page.md")
     assert "Privileged" not in (tmp_path / "page.md").read_text()
