@@ -157,7 +157,7 @@ def check_picture_size(width: int, height: int) -> None:
 
 def film(instance: RoomInstance, states: Iterable[RoomState], camera: str = "chase", width: int = 480,
          height: int = 360, *, trail: bool = True) -> Iterator[NDArray[np.uint8]]:
-    """Take a picture of each of an episode's states, for `save_video` and `make_filmstrip`.
+    """Take a picture of each of an episode's states, for `save_video` and strips of pictures.
 
     Args:
         instance: the room.

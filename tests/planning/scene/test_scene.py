@@ -96,7 +96,7 @@ def test_repaired_fields_are_those_searched_from_nothing():
         edited = edit_at_random(scene, number, rng) or scene
         maker = edited.planner.get_field_maker(True)
         for key, field in maker._fields.items():
-            seeds = maker.find_seeds(*edited.planner._search._make_problem(
+            seeds = maker.find_seeds(*edited.planner._search.make_problem(
                 edited.planner.rules.make_state(instance.starts[0]), key[0]).area)
             if field.seeds.equals(seeds):
                 assert np.array_equal(maker._repair(field, seeds), maker.make_field(seeds))
