@@ -6,7 +6,6 @@ goal, `*` a box on a goal, `+` the player on a goal, anything else floor.
 
 from __future__ import annotations
 
-import heapq
 import itertools
 import math
 from collections.abc import Iterator, Sequence
@@ -16,13 +15,14 @@ from typing import NamedTuple
 import numpy as np
 
 from hrl_escape.errors import ConfigError
+from hrl_escape.search import find_cheapest_steps
 
 __all__ = ["PUSH_SIDES", "BoxMap", "Shove", "draw_level", "find_fewest_shoves", "read_boxoban", "tidy_level"]
 
 PUSH_SIDES = {"east": (0, 1), "north": (-1, 0), "west": (0, -1), "south": (1, 0)}
 """Steps (row, column) to each side; rows count from the top."""
-_MOST_EXACT, _MOST_SEARCHED = 10_000, 300_000
-"""States of the search for the fewest moves, beyond which it goes on greedily, and gives up."""
+_MOST_SEARCHED = 300_000
+"""States of the search for the fewest moves, beyond which it gives up."""
 _GAMES, _PULLS = 10, 15
 """Games that are played backwards from each drawn map, and pulls a box in each."""
 _MOST_DRAWN = 1000
@@ -134,40 +134,18 @@ def find_fewest_shoves(rows: tuple[str, ...], player: int, boxes: frozenset[int]
         boxes: cells of the boxes.
     """
     level, pushes = _get_map(rows)
-    goals, tie = frozenset(level.goals), itertools.count()
+    goals = frozenset(level.goals)
 
     @cache
     def count_least(boxes: frozenset[int]) -> float:
         return _match([[table.get(box, math.inf) for table in pushes] for box in boxes])
 
-    begin = (boxes, player)
-    cost: dict[tuple[frozenset[int], int], int] = {begin: 0}
-    came: dict[tuple[frozenset[int], int], tuple[tuple[frozenset[int], int], Shove]] = {}
-    done, weight = set[tuple[frozenset[int], int]](), 1
-    queue = [(count_least(boxes), count_least(boxes), next(tie), begin)]
-    while queue and len(done) < _MOST_SEARCHED:
-        _, least, _, here = heapq.heappop(queue)
-        if least == math.inf:
-            return None
-        if here[0] == goals:
-            found: list[Shove] = []
-            while here in came:
-                here, shove = came[here]
-                found.append(shove)
-            return tuple(reversed(found))
-        if here in done:
-            continue
-        done.add(here)
-        if len(done) == _MOST_EXACT:
-            weight = 5
-            queue = [(cost[then] + weight * rest, rest, number, then) for _, rest, number, then in queue]
-            heapq.heapify(queue)
-        for shove, moves, moved in level.list_shoves(here[1], here[0]):
-            then, total = (moved, shove.cell), cost[here] + moves
-            if total < cost.get(then, math.inf) and (rest := count_least(moved)) < math.inf:
-                cost[then], came[then] = total, (here, shove)
-                heapq.heappush(queue, (total + weight * rest, rest, next(tie), then))
-    return None
+    def list_steps(state: tuple[frozenset[int], int]) -> Iterator[tuple[Shove, int, tuple[frozenset[int], int]]]:
+        for shove, moves, moved in level.list_shoves(state[1], state[0]):
+            yield shove, moves, (moved, shove.cell)
+
+    return find_cheapest_steps((boxes, player), lambda state: state[0] == goals, list_steps,
+                               lambda state: count_least(state[0]), _MOST_SEARCHED)
 
 
 def _match(prices: list[list[float]]) -> float:

@@ -5,8 +5,6 @@ A state gives for each block the block that it stands on, itself where it stands
 
 from __future__ import annotations
 
-import heapq
-import itertools
 import re
 from collections.abc import Iterator
 from functools import lru_cache
@@ -15,6 +13,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from hrl_escape.errors import ConfigError
+from hrl_escape.search import find_cheapest_steps
 
 __all__ = ["IN_HAND", "MOST_BLOCKS", "TowersGoal", "Problem", "Towers", "find_fewest_moves", "find_top", "list_moves",
            "meets_goal", "read_towers", "sample_towers"]
@@ -22,8 +21,6 @@ __all__ = ["IN_HAND", "MOST_BLOCKS", "TowersGoal", "Problem", "Towers", "find_fe
 IN_HAND = 15
 """Stands for the hand: a block in it stands on this."""
 MOST_BLOCKS = 12
-_MOST_EXACT = 10_000
-"""States of the search for the fewest moves, beyond which it goes on greedily."""
 
 Towers: TypeAlias = tuple[int, ...]
 """For each block what it stands on; blocks are numbers from 0."""
@@ -100,30 +97,10 @@ def find_fewest_moves(towers: Towers, goal: TowersGoal) -> tuple[tuple[int, int]
 
     A* with the number of blocks that must be moved. Beyond 10,000 states it goes on greedily.
     """
-    tie, weight = itertools.count(), 1
-    came: dict[Towers, tuple[Towers, tuple[int, int]] | None] = {towers: None}
-    cost, least = {towers: 0}, _count_least(towers, goal)
-    queue, done = [(least, least, next(tie), towers)], set[Towers]()
-    while queue:
-        *_, here = heapq.heappop(queue)
-        if meets_goal(here, goal):
-            moves: list[tuple[int, int]] = []
-            while (step := came[here]) is not None:
-                here, move = step
-                moves.append(move)
-            return tuple(reversed(moves))
-        if here in done:
-            continue
-        done.add(here)
-        if len(done) == _MOST_EXACT:
-            weight = 5
-            queue = [(cost[then] + weight * least, least, number, then) for _, least, number, then in queue]
-            heapq.heapify(queue)
-        for grip, base, then in list_moves(here):
-            if then not in cost or cost[here] + 1 < cost[then]:
-                cost[then], came[then], least = cost[here] + 1, (here, (grip, base)), _count_least(then, goal)
-                heapq.heappush(queue, (cost[then] + weight * least, least, next(tie), then))
-    return None
+    return find_cheapest_steps(
+        towers, lambda state: meets_goal(state, goal),
+        lambda state: (((grip, base), 1, then) for grip, base, then in list_moves(state)),
+        lambda state: _count_least(state, goal))
 
 
 # --- problems ------------------------------------------------------------------------------
