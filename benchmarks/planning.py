@@ -14,6 +14,7 @@ import gc
 import resource
 import sys
 import time
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -32,6 +33,8 @@ PRESETS = ("paper-one-button", "paper-two-button", "larg-2019", "clutter", "ten-
 MEDIAN_MS, P99_MS, PREPARE_S, CACHED_MS = 5.0, 50.0, 1.0, 0.2
 CANCELLED_MS, LONGEST_DELAY_S = 50.0, 0.5
 ALLOWED_GROWTH_MB = 4.0
+WATCHED = ("fields", "RRTConnect", "PRM", "answer")
+"""Plans whose memory is watched: of one search, along paths of OMPL, and answers to requests, improved now and then."""
 
 
 def get_memory_mb() -> float:
@@ -102,19 +105,23 @@ def measure_cancellation(calls: int) -> bool:
     return all(met)
 
 
-def measure_memory(plans: int) -> bool:
+def measure_memory(plans: int, kinds: Sequence[str]) -> bool:
     """Print how much memory plans of either kind leave behind; says whether that is little."""
     instance = generate(get_preset("clutter"), 1)
     search, navigator = PrimitiveSearch(instance), Navigator(instance)
     state = search.kinematics.make_state(instance.starts[0])
     grown = []
-    for name in ("fields", "RRTConnect", "PRM"):
+    planner = RoomPlanner(instance)
+    for name in kinds:
         warm, before = plans // 5, 0.0
         for number in range(plans + warm):
             if number == warm:
                 before = get_memory_mb()
             target = PressGoal(number % len(instance.targets))
-            if name == "fields":
+            if name == "answer":  # planned anew each time: nothing is remembered
+                planner.answer(PlanningRequest(state, target, improve=number % 200 == 0))
+                planner._routes.clear()
+            elif name == "fields":
                 search.search(state, target)
             else:
                 navigator.plan((state.x, state.y), target, name, seed=number if name != "PRM" else number % 4)
@@ -130,12 +137,13 @@ def main() -> int:
     parser.add_argument("--queries", type=int, default=40, help="plans in each room")
     parser.add_argument("--cancels", type=int, default=40, help="calls that are cancelled in a room; 0 for none")
     parser.add_argument("--plans", type=int, default=10_000, help="plans whose memory is watched; 0 for none")
+    parser.add_argument("--memory-of", nargs="+", choices=WATCHED, default=WATCHED, help="plans to watch")
     args = parser.parse_args()
     met = [measure_latency(name, args.rooms, args.queries) for name in PRESETS] if args.rooms else []
     if args.cancels:
         met.append(measure_cancellation(args.cancels))
     if args.plans:
-        met.append(measure_memory(args.plans))
+        met.append(measure_memory(args.plans, args.memory_of))
     return 0 if all(met) else 1
 
 

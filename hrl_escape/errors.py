@@ -285,6 +285,7 @@ class PlanningFailed(EscapeError, RuntimeError):  # noqa: N818  # an outcome tha
         planners: the planners that were tried, in order.
         nearest: what came closest, in words; empty where nothing is known.
         advice: what to do about it.
+        expansions: search nodes expanded in vain.
     """
 
     def __init__(
@@ -296,9 +297,10 @@ class PlanningFailed(EscapeError, RuntimeError):  # noqa: N818  # an outcome tha
         planners: tuple[str, ...] = (),
         nearest: str = "",
         advice: str = "",
+        expansions: int = 0,
     ) -> None:
         self.reason, self.goal, self.start, self.seconds = PlanningReason(reason), goal, start, seconds
-        self.planners, self.nearest, self.advice = planners, nearest, advice
+        self.planners, self.nearest, self.advice, self.expansions = planners, nearest, advice, expansions
         x, y, heading = start
         tried = f"; tried {', '.join(planners)} for {seconds:.2f} s" if planners else ""
         super().__init__(
@@ -309,7 +311,7 @@ class PlanningFailed(EscapeError, RuntimeError):  # noqa: N818  # an outcome tha
 
     def __reduce__(self) -> tuple[type, tuple]:
         return type(self), (self.reason, self.goal, self.start, self.seconds, self.planners, self.nearest,
-                            self.advice)
+                            self.advice, self.expansions)
 
 
 # --- the batched engine ----------------------------------------------------------------

@@ -12,7 +12,7 @@ from collections.abc import Iterable
 
 from rich import markup
 
-__all__ = ["join_words", "make_console_text", "make_file_name", "parse_whole"]
+__all__ = ["count_nouns", "join_words", "make_console_text", "make_file_name", "parse_whole"]
 
 LONGEST_FILE_NAME = 120
 """Bytes of a file name that is made from a name; file systems take 255, endings included."""
@@ -49,3 +49,8 @@ def join_words(words: Iterable[str], last: str = "and") -> str:
     """List words as a sentence does: `a`, `a and b`, `a, b and c`; nothing for none."""
     *before, end = list(words) or [""]
     return f"{', '.join(before)} {last} {end}" if before else end
+
+
+def count_nouns(number: int, noun: str) -> str:
+    """Number and noun: `1 room`, `2 rooms`, `1,000 rooms`."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"

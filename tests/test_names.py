@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from rich.console import Console
 
-from hrl_escape.names import LONGEST_FILE_NAME, join_words, make_console_text, make_file_name, parse_whole
+from hrl_escape.names import LONGEST_FILE_NAME, count_nouns, join_words, make_console_text, make_file_name, parse_whole
 
 HOSTILE = ["../../etc/passwd", "..", ".", "", "a/b", "a\\b", "nul\0", "line\nbreak", "x" * 300, "\N{SNOWMAN}" * 300,
            "[/bold]", "[bold", "\x1b[31mred", "\ud800", ".hidden", "C:\\x", "trailing\\"]
@@ -67,3 +67,7 @@ def test_a_number_in_a_name_is_of_plain_digits(text: str, number: int | None):
 def test_words_are_listed_as_in_a_sentence(words: list[str], text: str):
     assert join_words(words) == join_words(iter(words)) == text
     assert join_words(["a", "b"], "or") == "a or b"
+
+
+def test_nouns_are_counted_in_figures():
+    assert [count_nouns(number, "room") for number in (0, 1, 1_000)] == ["0 rooms", "1 room", "1,000 rooms"]

@@ -362,8 +362,6 @@ class RoomConfig(Settings):
         if self.robot.drive == "differential" and self.dynamics.slip_kind.startswith("lateral"):
             raise ConfigError("dynamics.slip_kind", self.dynamics.slip_kind, "'stay', 'any' or 'neighbour' for a "
                               "differential drive, which makes no moves sideways")
-        if self.robot.footprint == "rectangle" and self.dynamics.kind != "kinematic":
-            raise ConfigError("robot.footprint", "rectangle", "'disc' under physics")
         if self.dynamics.press_with == "hand" and self.robot.joints == 0:
             raise ConfigError("dynamics.press_with", "hand", "'body', or a robot with robot.joints >= 1")
         if self.puzzle.pads is not None and (self.dynamics.press_with, self.dynamics.kind) != ("body", "kinematic"):

@@ -212,10 +212,8 @@ class RoomInstance(Settings):
         if self.puzzle.can_push and (self.dynamics.blocked != "stay" or self.dynamics.noise):
             raise ConfigError("dynamics", (self.dynamics.blocked, self.dynamics.noise),
                               "blocked 'stay' and no noise where things are pushed from cell to cell")
-        if self.robot.footprint == "rectangle" and (
-                self.inner_doors or self.props or self.dynamics.kind != "kinematic"):
-            raise ConfigError("robot.footprint", "rectangle", "'disc' under physics, and for a puzzle with inner doors "
-                              "or props")
+        if self.robot.footprint == "rectangle" and (self.inner_doors or self.props):
+            raise ConfigError("robot.footprint", "rectangle", "'disc' for a puzzle with inner doors or props")
         if not self.starts:
             raise ConfigError("instance.starts", self.starts, "at least one start")
         headings = round(360 / self.robot.turn_step_deg)

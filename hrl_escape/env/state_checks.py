@@ -34,12 +34,13 @@ def check_state(rules: Rules, state: Any) -> None:
     """
     check_fields(rules, state)
     soft = rules.instance.dynamics.kind == "physics"
-    least = rules.instance.robot.inner_radius * (1.0 - _SOFT_CONTACT if soft else 1.0)
+    inner = rules.instance.robot.inner_radius
+    pressed_in = inner * _SOFT_CONTACT if soft else 0.0
     base, rotation = RectangularBase.make(rules.instance.robot, 0.0), rules.get_rotation(
         state.heading_steps, state.heading_offset)
     for solid in rules.instance.solids:
-        if compute_distance(state.x, state.y, solid.footprint) < least or (
-                base is not None and base.measure_gap(state.x, state.y, rotation, (solid.footprint,)) < 0.0):
+        if compute_distance(state.x, state.y, solid.footprint) < inner - pressed_in or (
+                base is not None and base.measure_gap(state.x, state.y, rotation, (solid.footprint,)) < -pressed_in):
             raise StateError(f"x = {state.x:g}, y = {state.y:g} is not possible: the body stands in the {solid.role} "
                              f"at ({solid.x:g}, {solid.y:g})")
 

@@ -146,19 +146,20 @@ class MarkovOption(Option):
         self.instance, self.goal = planner.instance, goal
         self.targets = (goal.target,) if isinstance(goal, (PressGoal, GripGoal)) else ()
         self._planner = planner
+        self._settings = planner.settings._replace(effort=-1)  # a better one from the next state on is found there
 
     def initiation(self, state: RoomState) -> bool:
         """Possible where a route leads to the goal, and it is not reached already."""
         if not self._planner.can_start(state, self.goal):
             return False
         try:
-            return bool(self._planner.find_route(state, self.goal).primitives)
+            return bool(self._planner.find_route(state, self.goal, settings=self._settings).primitives)
         except PlanningFailed:
             return False
 
     def policy(self, state: RoomState) -> int:
         """First primitive of the route. Raises `PlanningFailed`."""
-        route = self._planner.find_route(state, self.goal, self.report)
+        route = self._planner.find_route(state, self.goal, self.report, settings=self._settings)
         _tell_unavoidable(self, self._planner.instance, route)
         return route.primitives[0]
 

@@ -29,6 +29,7 @@ from hrl_escape.planning.arm.joint_lattice import NEVER, UNLIMITED
 from hrl_escape.planning.clock import NO_LIMIT, Clock, OutOfTime
 from hrl_escape.planning.collision_map import CollisionMap
 from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, RegionGoal, is_reached
+from hrl_escape.planning.lattice.a_star import FrontierPool
 from hrl_escape.planning.lattice.areas import Area, compute_goal_area, find_headings, get_presser
 from hrl_escape.planning.lattice.cost_to_go import FieldMaker, Seeds, make_collision
 from hrl_escape.planning.lattice.search_run import HeadingTable, SearchProblem, SearchResult, SearchRun
@@ -44,8 +45,8 @@ METHODS = ("auto", "fields", "corridor")
 LARGE = 3_000.0
 """Floor area beyond which the grid of a room's fields is dearer than the first few places asked for by corridors, m^2.
 
-From `hrl-escape bench planners`: on 20 x 20 m a first query in a corridor takes 0.6 to 1.0 of the time along fields and
-every later one twice the time or more; for places on 60 x 60 m the first one takes 0.5, on 200 x 200 m 0.3 of it."""
+On 20 x 20 m a first query in a corridor takes 0.6 to 1.1 of the time along fields, later ones 1.8 times the time or
+more; for places on 60 x 60 m the first one takes 0.7, on 200 x 200 m 0.6 of it (`hrl-escape bench planners`)."""
 EXPANSIONS = 300_000
 SCHEDULE = ((0, 1.0, 3_000), (-1, 1.05, 6_000), (-2, 1.1, 20_000), (-4, 1.5, EXPANSIONS))
 """Weighted-A* schedule: (heuristic offset, weight, node budget), from the fewest primitives to any plan at all."""
@@ -96,6 +97,7 @@ class PrimitiveSearch:
         self._pressed = {i for i, target in enumerate(instance.targets) if target.name in names}
         self._makers: dict[tuple[bool, int], FieldMaker] = {}
         self._maps: dict[bool, CollisionMap] = {}
+        self.frontiers = FrontierPool()
 
     def __reduce__(self) -> tuple[type, tuple]:
         return type(self), (self.instance,)
@@ -111,8 +113,8 @@ class PrimitiveSearch:
     def reacher(self) -> Reacher:
         """Arm of a room whose targets are pressed by hand."""
         from hrl_escape.planning.arm.reacher import Reacher  # loads Pinocchio, which body presses do not need
-
-        return Reacher(self.instance)
+        from hrl_escape.planning.motion.arm_paths import ArmPaths
+        return Reacher(self.instance, paths=ArmPaths(self.instance))
 
     def get_collision(self, door_shut: bool) -> CollisionMap:
         """Clearances of the room with the exit door shut or open, computed on first use."""
@@ -184,7 +186,7 @@ class PrimitiveSearch:
             time_limit: limit of the whole call, s; by default only the budget decides.
             clock: time limit of a call that this one is part of, instead of `time_limit`.
             seed: of the path planner.
-            effort: further searches for a shorter plan, at most `len(EFFORTS)`.
+            effort: further searches for a shorter plan, at most `len(EFFORTS)`; -1 for the first plan found.
 
         Raises:
             UnknownNameError: no such method or path planner.
@@ -253,15 +255,14 @@ class PrimitiveSearch:
 
     def _search_variants(self, problem: SearchProblem, variants: Iterator[_Variant], budget: int) -> SearchResult:
         """Search one variant after the other until one reaches the goal or the budget is spent."""
-        spent, nearest, offset = 0, (problem.state.x, problem.state.y), problem.state.heading_offset
-        reason, has_sought_proof = PlanningReason.UNREACHABLE_AT_RESOLUTION, False
+        spent, begin, offset = 0, (problem.state.x, problem.state.y), problem.state.heading_offset
+        reason, has_sought_proof, nearest = PlanningReason.UNREACHABLE_AT_RESOLUTION, False, begin
         for maker, field, avoiding, method in variants:
             if problem.clock.is_up():
                 reason = problem.clock.reason
                 break
             if maker.get_cost(field, problem.state) < 0:
-                x, y = problem.state.x, problem.state.y
-                proof = None if has_sought_proof else maker.collision.find_proof(x, y, *problem.area)
+                proof = None if has_sought_proof else maker.collision.find_proof(*begin, *problem.area)
                 has_sought_proof = True
                 if proof is not None:
                     reason = (PlanningReason.GOAL_INVALID if proof == "solid" and problem.table is None
@@ -270,13 +271,15 @@ class PrimitiveSearch:
                 continue
             run = SearchRun(problem, self.kinematics, maker, field, avoiding=avoiding,
                             headings=self.headings if offset == 0.0 else HeadingTable.make(self.kinematics, offset),
-                            reacher=None if problem.table is None else self.reacher)
+                            reacher=None if problem.table is None else self.reacher, frontiers=self.frontiers)
             limit = (budget - spent) // 2 if avoiding else budget - spent  # leave some for a search without avoiding
             ended, nodes = self._run_schedule(run, limit)
             spent += nodes
             if isinstance(ended, SearchResult):
+                run.end()
                 return dataclasses.replace(ended, method=method, expansions=spent)
             nearest = run.find_nearest()
+            run.end()
             if problem.clock.has_stopped or (ended is PlanningReason.BUDGET_EXHAUSTED and not avoiding):
                 reason = ended
                 break
@@ -296,11 +299,10 @@ class PrimitiveSearch:
             spent += run.expansions
             if ended is not PlanningReason.BUDGET_EXHAUSTED:
                 break
-        if not isinstance(ended, SearchResult):
+        if not isinstance(ended, SearchResult) or run.problem.effort < 0:
             return ended, spent
-        rounds = []
-        if spent < SCHEDULE[0][2] and run.problem.table is None:
-            rounds = [(1, IMPROVEMENT), *([(SHORT, IMPROVEMENT)] if len(ended.primitives) <= SHORT else [])]
+        is_quick, is_short = spent < SCHEDULE[0][2] and run.problem.table is None, len(ended.primitives) <= SHORT
+        rounds = [(1, IMPROVEMENT), *([(SHORT, IMPROVEMENT)] if is_short else [])] if is_quick else []
         for offset, nodes in (*rounds, *((offset, budget) for offset in EFFORTS[: run.problem.effort])):
             run.restart(offset=offset, most=len(ended.primitives))
             better = run.advance(min(nodes, budget - spent))
@@ -314,8 +316,7 @@ class PrimitiveSearch:
         is_open = self.instance.puzzle.is_solved(problem.state.puzzle)
         others = self._pressed - {getattr(problem.goal, "target", -1)}
         avoid = avoid and bool(others or (is_open and not isinstance(problem.goal, ExitGoal)))
-        door_shut = not is_open
-        state = problem.state
+        door_shut, state = not is_open, problem.state
         pose = state.x, state.y, self.kinematics.get_rotation(state.heading_steps, state.heading_offset)
         if door_shut and not self.get_collision(True).does_fit(*pose):  # in the doorway a shut door does not block it
             door_shut = not self.get_collision(False).does_fit(*pose)
@@ -341,9 +342,8 @@ class PrimitiveSearch:
                                     heading=self.kinematics.get_heading(problem.state))
         if found.status == "exact":
             for width in CORRIDORS:
-                yield FieldMaker(self.instance, self.kinematics, door_shut=door_shut,
-                                 collision=self.get_collision(door_shut), path=found.path, width=width,
-                                 clock=problem.clock)
+                yield FieldMaker(self.instance, self.kinematics, door_shut=door_shut, path=found.path, width=width,
+                                 collision=self.get_collision(door_shut), clock=problem.clock)
 
     # --- fields --------------------------------------------------------------------------
 

@@ -7,6 +7,7 @@ cheapest order and then out (`operator_order.py`). Every plan is checked by the 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 import threading
 from collections import OrderedDict
@@ -131,26 +132,34 @@ class RoomPlanner(TaskPlanner):
                 if result.cost <= bound or spent >= settings.budget or clock.is_up():
                     break
         except PlanningFailed as failure:
+            spent += failure.expansions
             if result.plan is None:
                 result = dataclasses.replace(result, status=failure.reason, failure=failure)
         return dataclasses.replace(result, spent=spent, seconds=read_clock() - began, cut_short=clock.has_stopped)
 
     def _iterate_plans(self, request: PlanningRequest, goals: Sequence[Goal], settings: SearchSettings, clock: Clock
                        ) -> Iterator[Plan]:
-        """Plans for a request: the first by the planner's usual way, then others that may be better."""
+        """Plans for a request: the first by the planner's usual way, then others while nodes are left."""
         state, is_thorough = request.state, request.improve or request.objective != "primitives"
         if not goals:
-            yield self._solve(state, settings, clock)
+            left = settings.budget
+            for effort in (0, 1, 2) if is_thorough else (0,):
+                plan = self._solve(state, settings._replace(effort=effort, budget=left), clock, left)
+                left -= plan.expansions
+                yield plan
+                if left <= 0:
+                    return
             if is_thorough:
-                yield from (self._solve(state, settings._replace(effort=effort), clock) for effort in (1, 2))
-                yield from self.list_escapes(state, ESCAPES, clock, settings)
+                yield from self.list_escapes(state, ESCAPES, clock, settings, left)
             return
         if len(goals) > 1:
             yield self.follow_goals(state, goals, clock, settings)
             return
-        yield self._make_leg(state, goals[0], self.find_route(state, goals[0], None, clock, settings))
+        first = self.find_route(state, goals[0], None, clock, settings)
+        yield self._make_leg(state, goals[0], first)
         if is_thorough:
-            for route in iterate_routes(self, state, goals[0], request, settings, clock):
+            rest = settings._replace(budget=settings.budget - first.expansions)
+            for route in iterate_routes(self, state, goals[0], request, rest, clock):
                 yield self._make_leg(state, goals[0], route)
 
     def _read_goal(self, goal: Goal | str) -> Goal:
@@ -179,18 +188,23 @@ class RoomPlanner(TaskPlanner):
         self.check_query(state)
         return self._solve(state, settings, Clock(self.time_limit))
 
-    def _solve(self, state: RoomState, settings: SearchSettings, clock: Clock) -> Plan:
-        """Escape leg by leg in the cheapest order, or a shorter one by a search over all legs and orders at once."""
+    def _solve(self, state: RoomState, settings: SearchSettings, clock: Clock, most_nodes: int | None = None) -> Plan:
+        """Escape leg by leg in the cheapest order, or a shorter one by a search over all legs and orders at once.
+
+        The budget of `settings` is that of each leg; both searches together end at `most_nodes`.
+        """
         began = read_clock()
         plan = self._solve_by_legs(state, settings, clock)
         if settings.method in ("auto", "fields"):
-            plan = self._shorten_escape(state, plan, settings, clock)
+            most_nodes = settings.budget if most_nodes is None else most_nodes
+            plan = self._shorten_escape(state, plan, settings, clock, most_nodes - plan.expansions)
         return dataclasses.replace(plan, seconds=read_clock() - began, timed_out=clock.has_stopped)
 
     def _solve_by_legs(self, state: RoomState, settings: SearchSettings, clock: Clock) -> Plan:
         return self.follow_goals(state, self._order_goals(state, clock, settings), clock, settings)
 
-    def _shorten_escape(self, state: RoomState, plan: Plan, settings: SearchSettings, clock: Clock) -> Plan:
+    def _shorten_escape(self, state: RoomState, plan: Plan, settings: SearchSettings, clock: Clock, most_nodes: int
+                        ) -> Plan:
         """The escape, or a shorter one found jointly; props, and headings and joints off their lattices, stay out."""
         order = [part.goal for part in plan.parts]
         if state.heading_offset or any(state.joint_offsets) or not order or not self._can_join(order):
@@ -199,7 +213,7 @@ class RoomPlanner(TaskPlanner):
             joint = self._get_joint_search()
             try:
                 found, spent = joint.find_escape(state, order, plan.cost, clock=clock, effort=settings.effort,
-                                                 budget=settings.budget)
+                                                 budget=most_nodes)
             except OutOfTime:
                 return plan
             if found is None:
@@ -285,8 +299,15 @@ class RoomPlanner(TaskPlanner):
         return self._join_legs(state, legs, ", ".join(dict.fromkeys(leg.planner for leg in legs)), 0.0)
 
     def list_escapes(self, state: RoomState, count: int, clock: Clock | None = None,
-                     settings: SearchSettings | None = None) -> list[Plan]:
+                     settings: SearchSettings | None = None, most_nodes: float = math.inf) -> list[Plan]:
         """List escapes leg by leg, as options make them, in several of the cheapest orders; the shortest first.
+
+        Args:
+            state: first state.
+            count: escapes to list, at most.
+            clock: time limit of a call that this one is part of; None for the planner's own.
+            settings: of each search; None for the planner's own.
+            most_nodes: search nodes after which no other leg is looked at.
 
         Raises:
             PlanningFailed: there is no escape; its reason says why.
@@ -296,18 +317,21 @@ class RoomPlanner(TaskPlanner):
         first = self._solve_by_legs(state, settings, clock)
         facts = self.instance.puzzle.get_facts(state.puzzle)
         search = TaskSearch(self._model, lower_bound=self._bounds.bound_leg, relevant_only=False)
-        tasks = search.find_orders(facts, state, self._make_extend(state, clock, settings, None, None), count,
-                                   REAL_LEGS * count)
-        orders = [[*(make_goal(op, self.instance) for op in task.operators), ExitGoal()] for task in tasks]
-        for op in search.operators:
-            if op.add & self._model.goal:  # with all that its preconditions need, as one meta-action does it
-                orders.append([*self.find_ancestors(state, make_goal(op, self.instance)), ExitGoal()])
+        extend = self._make_extend(state, clock, settings, None, None, most_nodes)
+        tasks = search.find_orders(facts, state, extend, count, REAL_LEGS * count)
+        orders = ([make_goal(op, self.instance) for op in task.operators] for task in tasks)
+        ancestors = (self.find_ancestors(state, make_goal(op, self.instance))  # as one meta-action does it
+                     for op in search.operators if op.add & self._model.goal)
         plans = {first.primitives: first}
-        for goals in orders:
+        for goals in itertools.chain(orders, ancestors):
+            if most_nodes <= 0:
+                break
             try:
-                plan = self.follow_goals(state, goals, clock, settings)
-            except PlanningFailed:
+                plan = self.follow_goals(state, [*goals, ExitGoal()], clock, settings)
+            except PlanningFailed as failure:
+                most_nodes -= failure.expansions
                 continue
+            most_nodes -= plan.expansions
             if self.has_escaped(plan.states[-1]):
                 plans.setdefault(plan.primitives, plan)
         return sorted(plans.values(), key=lambda plan: plan.cost)[:count]

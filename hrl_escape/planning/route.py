@@ -45,7 +45,8 @@ class SearchSettings(NamedTuple):
         method: as in `RoomPlanner`.
         budget: search nodes that may be expanded.
         seed: of path planners.
-        effort: further searches for a shorter plan, at most `len(EFFORTS)` of `primitive_search`.
+        effort: further searches for a shorter plan, at most `len(EFFORTS)` of `primitive_search`; -1 for the first
+            plan found, which may be some primitives longer.
     """
 
     method: str

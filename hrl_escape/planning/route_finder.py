@@ -350,7 +350,7 @@ class RouteFinder:
             effort=settings.effort)
         if not result.is_reached:
             return self.make_failure(
-                PlanningReason(result.status), state, goal, seconds=read_clock() - began,
+                PlanningReason(result.status), state, goal, seconds=read_clock() - began, expansions=result.expansions,
                 planners=(planner, "fields") if way == "corridor" else (way,),
                 nearest="" if result.nearest is None else "({:.2f}, {:.2f})".format(*result.nearest),
                 advice="" if clock.has_stopped else self._explain(goal),

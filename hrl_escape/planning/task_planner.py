@@ -111,11 +111,17 @@ class TaskPlanner(RouteFinder):
         return search.find_order(facts, "", extend_pair)
 
     def _make_extend(self, state: RoomState, clock: Clock, settings: SearchSettings, last: Goal | None,
-                     report: PlanningReport | None) -> ExtendLeg:
-        """Make the function that plans the next leg of a task from the true end of the one before."""
-        puzzle = self.instance.puzzle
+                     report: PlanningReport | None, most_nodes: float = math.inf) -> ExtendLeg:
+        """Make the function that plans the next leg of a task from the true end of the one before.
+
+        It finds no leg any more once `most_nodes` search nodes are spent; those of remembered routes count again.
+        """
+        puzzle, left = self.instance.puzzle, most_nodes
 
         def extend(here: RoomState, op: Operator | None) -> Leg | None:
+            nonlocal left
+            if left <= 0:
+                return None
             goal = make_goal(op, self.instance) if op is not None else None
             if isinstance(goal, PushGoal):
                 return self._guess_push(here, goal)
@@ -126,10 +132,12 @@ class TaskPlanner(RouteFinder):
                     route = self.find_route(here, last, report, clock, settings)
                 else:
                     route = self._find_exit(here, here is not state, clock, settings)
-            except PlanningFailed:
+            except PlanningFailed as failure:
                 if clock.has_stopped:
                     raise  # a time-out says nothing about the room, and another order would not help
+                left -= failure.expansions
                 return None
+            left -= route.expansions
             end = self.follow(here, route)
             return Leg(len(route.primitives), end, puzzle.get_facts(end.puzzle))
 

@@ -30,6 +30,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import ConfigError, InstanceFileError, StateError, UnsupportedError
 from hrl_escape.options.batched.cost_to_go import compute_instance_fields
+from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import ExitGoal, PoseGoal, PressGoal, is_reached, parse_goal
 from hrl_escape.planning.lattice.areas import compute_goal_area, get_presser
 from hrl_escape.planning.lower_bounds import LegBounds
@@ -47,6 +48,10 @@ NARROW = RoomConfig(room=ShapeConfig(width=10, depth=8, rooms=2, doorway_width=1
 
 def change(config: RoomConfig, **robot) -> RoomConfig:
     return dataclasses.replace(config, robot=dataclasses.replace(config.robot, **robot))
+
+
+def with_physics(config: RoomConfig) -> RoomConfig:
+    return dataclasses.replace(config, dynamics=dataclasses.replace(config.dynamics, kind="physics"))
 
 
 def measure_gap(rules: Kinematics, state: RoomState) -> float:
@@ -75,8 +80,6 @@ def test_a_footprint_is_part_of_a_room_and_a_disc_changes_no_id():
 
 
 def test_what_a_rectangle_does_not_do_is_refused_in_one_message():
-    with pytest.raises(ConfigError, match="'disc' under physics"):
-        dataclasses.replace(SMALL, dynamics=DynamicsConfig(kind="physics"))
     with pytest.raises(ConfigError, match="inner doors or props"):
         generate(change(get_preset("door-key"), footprint="rectangle", body_length=0.8, body_width=0.6), 0)
     with pytest.raises(ConfigError, match="body_length / 2 = 0.6"):
@@ -98,6 +101,48 @@ def test_starts_and_states_inside_a_solid_are_refused_at_the_heading_that_they_h
     env.set_state(state)
     with pytest.raises(StateError, match="the body stands in the"):
         env.set_state(state._replace(heading_steps=9))
+    env.close()
+
+
+# --- physics --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("drive", ["strafing", "differential"])
+def test_rigid_rectangles_stop_at_walls_turn_as_far_as_they_can_and_states_can_be_set(drive):
+    env = EscapeRoomEnv(instance=generate(with_physics(change(SMALL, drive=drive)), 3))
+    rules, rng = Kinematics(env.instance), np.random.default_rng(0)
+    env.reset(seed=0)
+    touched = 0
+    for action in rng.choice(len(rules.actions), size=60, p=np.array([5, *[1] * (len(rules.actions) - 1)])
+                             / (4 + len(rules.actions))).tolist():
+        env.step(action)
+        state = env.get_state()
+        gap = measure_gap(rules, state)
+        assert gap > -0.01
+        touched += gap < 0.005
+        env.set_state(state)
+    assert touched >= 10
+    env.close()
+    corridor = make_corridor(dataclasses.replace(ROBOT, drive=drive), 0.9)
+    env = EscapeRoomEnv(instance=dataclasses.replace(corridor, dynamics=DynamicsConfig(kind="physics")))
+    env.reset(seed=0)
+    for _ in range(12):
+        env.step(rules.actions.turns[0])
+    state = env.get_state()
+    turned = abs(math.remainder(rules.get_heading(state), math.tau))
+    limit = math.asin(0.9 / math.hypot(1.2, 0.6)) - math.atan2(0.6, 1.2)  # two corners touch the two sides
+    assert limit - 0.05 < turned < limit + 0.02
+    env.close()
+
+
+def test_options_press_with_a_rectangle_under_physics():
+    env = OptionsEnv(EscapeRoomEnv(instance=generate(with_physics(SMALL), 1)), include_primitives=False)
+    _, info = env.reset(seed=1)
+    rng, terminated, ends = np.random.default_rng(0), False, []
+    while not terminated and len(ends) < 30:
+        _, _, terminated, _, info = env.step(int(rng.choice(np.flatnonzero(info["action_mask"]))))
+        ends.append(info["option"]["ended"])
+    assert terminated and set(ends[:-1]) <= {"reached"}
     env.close()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import pickle
 import threading
 import time
 
@@ -127,6 +128,22 @@ def test_improvement_is_monotone_reported_and_reaches_the_reference():
         assert fewest is not None and best.lower_bound <= len(fewest)
         first_sum, best_sum, fewest_sum = first_sum + seen[0].cost, best_sum + best.cost, fewest_sum + len(fewest)
     assert best_sum <= first_sum and best_sum <= 1.01 * fewest_sum
+
+
+@pytest.mark.parametrize("name", ["paper-two-button", "arm-two-button"])
+def test_improvement_ends_when_the_search_nodes_of_its_budget_are_spent(name):
+    planner = RoomPlanner(generate(get_preset(name), 5))
+    start = planner.rules.make_state(planner.instance.starts[0])
+    for goal in (None, "button-1"):
+        result = planner.answer(PlanningRequest(start, goal, improve=True, budget=30_000))
+        assert result.plan is not None and not result.cut_short
+        assert result.spent <= 33_000, "a leg may be under way when the last node is spent"
+
+
+def test_nodes_of_a_search_that_failed_count_as_spent(planner, start):
+    result = planner.answer(PlanningRequest(start, "button-1", budget=5))
+    assert result.status is PlanningReason.BUDGET_EXHAUSTED and 0 < result.spent <= 5
+    assert result.failure is not None and pickle.loads(pickle.dumps(result.failure)).expansions == result.spent
 
 
 def test_answers_are_the_same_in_any_order_and_again(start, planner):

@@ -25,6 +25,7 @@ from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.free_space import FreeSpace
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import GenerationError
 from hrl_escape.files import write_text
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, describe_goal, is_reached
@@ -178,14 +179,17 @@ def make_queries(floor: str, seeds: Iterable[int], each: int, config: RoomConfig
 
     Args:
         floor: one of `FLOORS`, or any name if `config` is given.
-        seeds: instance seeds, one room each.
+        seeds: instance seeds, one room each; those of which no room can be made are left out.
         each: number of queries in a room; their goals cycle through its buttons and exit, or are free places.
         config: another schematic; its buttons are pressed by the body and its exit has no door.
     """
     kind = Floor(config) if config else FLOORS[floor]
     queries: list[Query] = []
     for seed in seeds:
-        instance = generate(kind.config, seed)
+        try:
+            instance = generate(kind.config, seed)
+        except GenerationError:
+            continue  # a floor of 200 m may take more work than a certificate is given
         search = PrimitiveSearch(instance)
         rules, rng = search.kinematics, np.random.default_rng([seed, 3])
         space = FreeSpace(instance.reach_x, instance.reach_y, instance.robot.body_radius, instance.solids)

@@ -37,7 +37,7 @@ class BenchPlannersArgs:
     """Kinds of queries, all by default: empty, '10 obstacles', '40 obstacles', 'interior walls', 'narrow passages',
     '60 m', '200 m', 'places, 10 obstacles', 'places, interior walls', 'places, 60 m', 'places, 200 m'."""
     rooms: int = 3
-    """Number of rooms of each kind."""
+    """Number of instance seeds of each kind; some rooms of 200 m cannot be certified and are left out."""
     queries: int = 5
     """Number of queries in each room."""
     csv: Path | None = None

@@ -14,7 +14,7 @@ import heapq
 import math
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -41,6 +41,14 @@ _MOST_HALVES = 60_000
 _CANDIDATES = 64  # configurations with equally many joint steps that are tried for collisions
 _SKIN = 1e-9  # rounding margin of a touch, m
 _PUSH = 0.01  # depth of a touch that presses by force, m
+
+
+class PathFinder(Protocol):
+    """Finder of paths of the arm round solids, such as `ArmPaths`."""
+
+    def find_path(self, state: RoomState, angles: NDArray[np.float64], step: float) -> NDArray[np.float64] | None:
+        """Joint angles along a path, (n, joints), rad, at most `step` apart; None if none is found."""
+        ...
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -96,13 +104,14 @@ class Reacher:
             takes force, a push into the target.
     """
 
-    def __init__(self, instance: RoomInstance, *, collide: bool | None = None) -> None:
+    def __init__(self, instance: RoomInstance, *, collide: bool | None = None, paths: PathFinder | None = None) -> None:
         """Prepare nothing yet; everything is computed on first use.
 
         Args:
             instance: the room.
             collide: whether configurations must be clear of walls, obstacles and the robot itself; by
                 default in physics dynamics only, as kinematic arms pass through everything.
+            paths: finds paths of the arm round solids for `path_steps.plan_steps`; None for no such paths.
 
         Raises:
             UnsupportedError: targets of this room are pressed with the body.
@@ -112,7 +121,7 @@ class Reacher:
                                    "a Reacher is for dynamics.press_with = 'hand'")
         self.instance = instance
         self.collide = instance.dynamics.kind == "physics" if collide is None else collide
-        self.kinematics = Kinematics(instance, is_still=True)
+        self.kinematics, self.paths = Kinematics(instance, is_still=True), paths
         hand = instance.robot.hand_radius
         self.limit = (max(hand - _PUSH, hand / 2) if self.collide else hand + instance.dynamics.press_margin) - _SKIN
         self._boxes = np.array([
@@ -125,7 +134,7 @@ class Reacher:
         self._get_costs = lru_cache(kept)(self._compute_costs)
 
     def __reduce__(self) -> tuple:
-        return _remake, (self.instance, self.collide)
+        return _remake, (self.instance, self.collide, self.paths)
 
     @cached_property
     def arm(self) -> ArmKinematics:
@@ -241,12 +250,12 @@ class Reacher:
     def _is_good(self, here: RoomState, joint_steps: tuple[int, ...], target: int) -> bool:
         there = here._replace(joint_steps=joint_steps)
         touching = self.kinematics.compute_touching(*there.pose)
-        return bool(touching >> target & 1) and not (self.collide and self._collides(there))
+        return bool(touching >> target & 1) and not (self.collide and self.collides(there))
 
     # --- joint steps in order ----------------------------------------------------------
 
     def order_steps(self, state: RoomState, moves: Sequence[int], joint_steps: tuple[int, ...], target: int,
-                    most: int | None = None) -> tuple[int, ...] | None:
+                    most: int | None = None, avoiding: bool = True) -> tuple[int, ...] | None:
         """Interleave joint steps with given moves of the base so that no other target is pressed on the way.
 
         Args:
@@ -255,6 +264,7 @@ class Reacher:
             joint_steps: last configuration.
             target: index of the target to touch; the primitives end with the touch.
             most: most states to try; by default 1000, or 250 where each is tested for collisions.
+            avoiding: other targets may not be pressed on the way.
 
         Returns:
             Primitives, verified by the room's kinematics: as many as moves and joint steps if possible, else
@@ -262,17 +272,17 @@ class Reacher:
         """
         most = most or (250 if self.collide else 1_000)
         for detours in (False, True):
-            actions = self._search_order(state, moves, joint_steps, target, detours, most)
+            actions = self._search_order(state, moves, joint_steps, target, detours, most, avoiding)
             if actions is not None:
                 return actions
         return None
 
     def _search_order(self, begin: RoomState, moves: Sequence[int], joint_steps: tuple[int, ...], target: int,
-                      detours: bool, most: int) -> tuple[int, ...] | None:
+                      detours: bool, most: int, avoiding: bool) -> tuple[int, ...] | None:
         """A* over (moves made, joint steps); a primitive is simulated when it is taken from the queue, moves first."""
-        others, table = ~(1 << target), self.kinematics.actions
+        others, table = ~(1 << target) if avoiding else 0, self.kinematics.actions
         known: set[tuple[int, tuple[int, ...]]] = set()
-        queue: list[tuple] = [(0, 0, 0, begin, None, 0, (), False, self.collide and self._collides(begin))]
+        queue: list[tuple] = [(0, 0, 0, begin, None, 0, (), False, self.collide and self.collides(begin))]
         queued = tried = 0
         while queue and tried <= most:
             _, _, _, state, action, made, actions, is_pressed, is_stuck = heapq.heappop(queue)
@@ -281,7 +291,7 @@ class Reacher:
                 tried += 1
                 begun = state.touching & ~before.touching
                 at_limit = action not in table.base and state.joint_steps == before.joint_steps
-                collides = self.collide and self._collides(state)
+                collides = self.collide and self.collides(state)
                 if at_limit or begun & others or (collides and not is_stuck):
                     continue
                 is_stuck = collides  # an arm pushed into something may take several steps to come out
@@ -314,16 +324,29 @@ class Reacher:
             moves: primitives, the last of which ends with the hand at the target.
             target: index of the target.
         """
-        is_stuck = self._collides(state)
-        for move in moves:
-            state = self.kinematics.step(state, move).state
-            collides = self._collides(state)
-            if collides and not is_stuck:
-                return False
-            is_stuck = collides
-        pose = (state.x, state.y, *self.kinematics.get_rotation(state.heading_steps, state.heading_offset))
-        hand = self.kinematics.get_hand_in_base(state.joint_steps, state.joint_offsets)
+        end = self.move_base(state, moves)
+        if end is None:
+            return False
+        pose = (end.x, end.y, *self.kinematics.get_rotation(end.heading_steps, end.heading_offset))
+        hand = self.kinematics.get_hand_in_base(end.joint_steps, end.joint_offsets)
         return measure_gap(pose, hand, self._boxes[target]) <= self.limit
+
+    def move_base(self, state: RoomState, moves: Sequence[int], others: int = 0) -> RoomState | None:
+        """State after moves of the base, the arm at rest; None where the arm meets a solid or begins to touch `others`.
+
+        Args:
+            state: first state; an arm in collision there may take several moves to come out.
+            moves: primitives of the base.
+            others: bits of targets that may not be pressed on the way.
+        """
+        is_stuck = self.collides(state)
+        for move in moves:
+            before, state = state, self.kinematics.step(state, move).state
+            collides = self.collides(state)
+            if state.touching & ~before.touching & others or (collides and not is_stuck):
+                return None
+            is_stuck = collides
+        return state
 
     # --- collisions --------------------------------------------------------------------
 
@@ -332,7 +355,8 @@ class Reacher:
         door = (self.instance.door,) if self.instance.door else ()
         return ArmCollisions(self.kinematics.robot, self.instance.robot.hand_radius, (*self.instance.solids, *door))
 
-    def _collides(self, state: RoomState) -> bool:
+    def collides(self, state: RoomState) -> bool:
+        """Return whether the arm meets a wall, an obstacle, the shut exit door or the robot itself."""
         heading = self.kinematics.get_heading(state)
         return not self.is_collision_free(state.x, state.y, heading, self.kinematics.get_angles(state))
 
@@ -354,5 +378,5 @@ def _bound_reach(lattice: ArmLattice) -> float:
     return float(np.hypot(lattice.first[:, 3], lattice.first[:, 7]).max()) + lattice.longest
 
 
-def _remake(instance: RoomInstance, collide: bool) -> Reacher:
-    return Reacher(instance, collide=collide)
+def _remake(instance: RoomInstance, collide: bool, paths: PathFinder | None) -> Reacher:
+    return Reacher(instance, collide=collide, paths=paths)

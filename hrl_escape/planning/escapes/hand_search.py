@@ -120,7 +120,7 @@ class HandSearch(JointSearch):
         while begun and spent < budget:
             ends: dict[Hashable, _Begun] = {}
             for before, leg in ((escape, leg) for escape in begun for leg in escape.legs):
-                if clock.is_up():
+                if clock.is_up() or spent >= budget:
                     return best, spent
                 for result in self._list_ends(before, leg, most + SLACK, beam, clock):
                     spent += result.expansions
@@ -193,7 +193,7 @@ class HandSearch(JointSearch):
             return
         problem, field = leg.search
         run = SearchRun(problem, self.rules, self._shut, field, headings=self._legs.headings, avoiding=True,
-                        reacher=self._legs.reacher)
+                        reacher=self._legs.reacher, frontiers=self._legs.frontiers)
         run.restart(offset=beam.offset)
         seen: set[Hashable] = set()
         spent = 0

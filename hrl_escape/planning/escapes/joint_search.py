@@ -98,9 +98,9 @@ class JointSearch:
         """
         fields = self.get_fields(state, order, clock)
         best, spent = None, 0
-        nodes = min(budget, NODES_A_SEARCH * 4**effort)
         for offset in HEURISTIC_OFFSETS[: 2 + effort]:
-            if clock.is_up() or state.puzzle not in fields:
+            nodes = min(budget - spent, NODES_A_SEARCH * 4**effort)
+            if clock.is_up() or state.puzzle not in fields or nodes <= 0:
                 break
             found, used = self._search(state, fields, offset, most if best is None else len(best), nodes, clock)
             best, spent = found or best, spent + used

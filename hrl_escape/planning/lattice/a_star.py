@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.primitives import TURNS
-from hrl_escape.kernels import kernel, kernel_part
+from hrl_escape.kernels import kernel_in_place, kernel_part
 from hrl_escape.planning.lattice.sweep_kernels import (
     can_turn_body,
     first_contact,
@@ -24,11 +24,13 @@ from hrl_escape.planning.lattice.sweep_kernels import (
     sweep_body,
 )
 
-__all__ = ["BUDGET", "EXHAUSTED", "GROW", "Frontier", "SearchQuery", "enlarge_frontier", "expand_until_goal",
-           "make_frontier", "put_back"]
+__all__ = ["BUDGET", "EXHAUSTED", "GROW", "Frontier", "FrontierPool", "SearchQuery", "expand_until_goal",
+           "put_back"]
 
 EXHAUSTED, BUDGET, GROW = -1, -2, -3
 MOST_PRIMITIVES = 32_768
+MOST_KEPT_NODES = 1 << 15
+"""Nodes of the largest frontier that is kept for the next search."""
 _OPEN, _GOAL, _BEATEN = 0, 1, 2
 _TURNS = tuple(primitive.turn for primitive in TURNS)
 
@@ -147,13 +149,13 @@ def _find_touched(query, x, y, heading):
 
 
 @kernel_part
-def _estimate_cost_to_go(query, x, y, heading):
-    """Weighted cost-to-go of a pose; -1 for one to prune."""
+def _estimate_cost_to_go(query, x, y, layer):
+    """Weighted cost-to-go of a pose, with the layer of its heading; -1 for one to prune."""
     i, j = int(math.floor((x - query.low[0]) / query.size)), int(math.floor((y - query.low[1]) / query.size))
     columns = query.field.shape[0] // (query.rows * query.layers)
     cost = -1
     if 0 <= i < columns and 0 <= j < query.rows:
-        cost = query.field[(i * query.rows + j) * query.layers + (heading + query.shift) % query.layers]
+        cost = query.field[(i * query.rows + j) * query.layers + layer]
     return int(query.weight * max(cost - query.offset, 0)) if cost >= 0 else -1
 
 
@@ -177,19 +179,22 @@ def _push(frontier, node, estimate):
 
 
 @kernel_part
-def _add(query, frontier, x, y, heading, touching, spent, parent, action, is_goal):
-    """Put a pose into the frontier unless its bin holds one that is as cheap."""
+def _add(query, frontier, x, y, heading, sector, layer, touching, spent, parent, action, is_goal):
+    """Put a pose into the frontier unless its bin holds one that is as cheap.
+
+    The sector of its heading tells bins apart, the layer states of the field; modulo is dear, and moves keep both.
+    """
     node = frontier.counts[0]
     estimate, slot, key = spent, np.int64(-1), np.int64(-1)
     if not is_goal:
         i = np.int64(math.floor(x / query.bin_size)) + (1 << 22)
         j = np.int64(math.floor(y / query.bin_size)) + (1 << 22)
-        key = (((i << 23) + j) << 10) + ((heading % query.bin_headings) << 1) + (touching != 0)
+        key = (((i << 23) + j) << 10) + (sector << 1) + (touching != 0)
         slot = _find_slot(frontier, key)
         known = frontier.keys[slot] == key
         if known and frontier.facts[frontier.owners[slot], 1] <= spent:
             return
-        more = _estimate_cost_to_go(query, x, y, heading)
+        more = _estimate_cost_to_go(query, x, y, layer)
         if more < 0:
             return
         estimate += more
@@ -223,8 +228,9 @@ def _expand(scene, query, frontier, node):
     x, y = frontier.places[node, 0], frontier.places[node, 1]
     heading, spent = np.int64(frontier.facts[node, 0]), np.int64(frontier.facts[node, 1]) + 1
     touching, headings, translations = frontier.touching[node], query.moves.shape[0], query.moves.shape[1]
+    sector, layer = heading % query.bin_headings, (heading + query.shift) % query.layers
     for action in range(translations + len(_TURNS)):
-        to_x, to_y, to_heading = x, y, heading
+        to_x, to_y, to_heading, to_sector, to_layer = x, y, heading, sector, layer
         if action < translations:
             dx, dy = query.moves[heading, action, 0], query.moves[heading, action, 1]
             fraction = sweep_body(scene, x, y, query.turns[heading], dx, dy, query.length)
@@ -244,6 +250,7 @@ def _expand(scene, query, frontier, node):
         else:
             turn = _TURNS[action - translations]
             to_heading = (heading + headings + turn) % headings
+            to_sector, to_layer = to_heading % query.bin_headings, (to_heading + query.shift) % query.layers
             if not can_turn_body(scene, x, y, query.turns[heading], query.turns[to_heading], turn * query.turn_step):
                 continue
         now = _find_touched(query, to_x, to_y, to_heading)
@@ -255,10 +262,10 @@ def _expand(scene, query, frontier, node):
             is_goal = measure_distance(to_x, to_y, get_shape(query.goal)) <= query.goal_reach
         if begun & query.forbidden:
             continue
-        _add(query, frontier, to_x, to_y, to_heading, now, spent, node, action, is_goal)
+        _add(query, frontier, to_x, to_y, to_heading, to_sector, to_layer, now, spent, node, action, is_goal)
 
 
-@kernel
+@kernel_in_place
 def expand_until_goal(scene, query, frontier, expansions):
     """Expand nodes until a goal node is cheapest.
 
@@ -274,7 +281,9 @@ def expand_until_goal(scene, query, frontier, expansions):
     counts = frontier.counts
     if counts[0] == 0:
         none = np.int64(-1)  # with literals numba would compile `_add` again
-        _add(query, frontier, query.x, query.y, query.heading, query.touched, np.int64(0), none, none, np.bool_(False))
+        sector, layer = query.heading % query.bin_headings, (query.heading + query.shift) % query.layers
+        _add(query, frontier, query.x, query.y, query.heading, sector, layer, query.touched, np.int64(0), none, none,
+             np.bool_(False))
     while counts[1] < frontier.heads.shape[0]:
         node = np.int64(frontier.heads[counts[1]])
         if node < 0:
@@ -293,13 +302,43 @@ def expand_until_goal(scene, query, frontier, expansions):
     return EXHAUSTED
 
 
-def make_frontier(nodes: int, most: int = MOST_PRIMITIVES) -> Frontier:
-    """Make an empty frontier for a number of nodes (a power of two), with estimates below `most`."""
-    return Frontier(
-        np.empty((nodes, 2)), np.empty((nodes, 5), dtype=np.int32), np.empty(nodes, dtype=np.uint64),
-        np.empty(nodes, dtype=np.int32), np.full(most, -1, dtype=np.int32),
-        np.full(4 * nodes, -1, dtype=np.int64), np.empty(4 * nodes, dtype=np.int32), np.zeros(3, dtype=np.int64),
-    )
+class FrontierPool:
+    """Frontiers that one search after another uses: clearing one is quicker than memory that is touched anew."""
+
+    def __init__(self) -> None:
+        self._kept: dict[int, Frontier] = {}
+
+    def take(self, nodes: int, most: int = MOST_PRIMITIVES) -> Frontier:
+        """Return an empty frontier for a number of nodes (a power of two), with estimates below `most`."""
+        frontier = self._kept.pop(nodes, None)
+        if frontier is None:
+            frontier = Frontier(
+                np.empty((nodes, 2)), np.empty((nodes, 5), dtype=np.int32), np.empty(nodes, dtype=np.uint64),
+                np.empty(nodes, dtype=np.int32), np.empty(MOST_PRIMITIVES, dtype=np.int32),
+                np.empty(4 * nodes, dtype=np.int64), np.empty(4 * nodes, dtype=np.int32), np.empty(3, dtype=np.int64),
+            )
+        frontier = frontier._replace(heads=frontier.heads[:most])
+        frontier.heads.fill(-1)
+        frontier.keys.fill(-1)
+        frontier.counts.fill(0)
+        return frontier
+
+    def give_back(self, frontier: Frontier) -> None:
+        """Keep a frontier that nobody reads any more, unless it is large."""
+        if len(frontier.links) <= MOST_KEPT_NODES:
+            heads = frontier.heads if frontier.heads.base is None else frontier.heads.base
+            self._kept[len(frontier.links)] = frontier._replace(heads=heads)
+
+    def enlarge(self, old: Frontier) -> Frontier:
+        """Move a frontier into one for four times as many nodes."""
+        used = len(old.links)
+        new = self.take(4 * used, len(old.heads))
+        for name in ("places", "facts", "touching", "links"):
+            getattr(new, name)[:used] = getattr(old, name)
+        new.heads[:], new.counts[:] = old.heads, old.counts
+        copy_owners(old, new)
+        self.give_back(old)
+        return new
 
 
 def put_back(frontier: Frontier, node: int, spent: int) -> None:
@@ -311,18 +350,7 @@ def put_back(frontier: Frontier, node: int, spent: int) -> None:
     frontier.heads[spent] = node
 
 
-def enlarge_frontier(old: Frontier) -> Frontier:
-    """Copy a frontier into one for four times as many nodes."""
-    used = len(old.links)
-    new = make_frontier(4 * used, len(old.heads))
-    for name in ("places", "facts", "touching", "links"):
-        getattr(new, name)[:used] = getattr(old, name)
-    new.heads[:], new.counts[:] = old.heads, old.counts
-    copy_owners(old, new)
-    return new
-
-
-@kernel
+@kernel_in_place
 def copy_owners(old, new):
     """Copy the poses of one hash table into another."""
     for slot in range(old.keys.shape[0]):

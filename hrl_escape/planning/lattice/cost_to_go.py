@@ -391,7 +391,8 @@ class FieldMaker:
 
     def get_cost(self, field: NDArray[np.int16], state: RoomState) -> int:
         """Cost-to-go of a pose by a field; -1 if the goal cannot be reached from there."""
-        i, j = np.floor((np.array([state.x, state.y]) - self.low) / self.size).astype(int)
+        low_x, low_y = self.low.tolist()
+        i, j = math.floor((state.x - low_x) / self.size), math.floor((state.y - low_y) / self.size)
         if not (0 <= i < self.shape[0] and 0 <= j < self.shape[1]):
             return -1
         layers = len(field) // len(self.points)

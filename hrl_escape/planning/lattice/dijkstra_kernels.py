@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from hrl_escape.kernels import kernel, kernel_part
+from hrl_escape.kernels import kernel, kernel_in_place, kernel_part
 from hrl_escape.planning.lattice.sweep_kernels import (
     can_turn_body,
     does_fit,
@@ -42,7 +42,7 @@ def _find_cell(points, fits, layers, layer, columns, rows, i, j, x, y):
     return best
 
 
-@kernel
+@kernel_in_place
 def choose_points(scene, low, size, rows, first, last, within, points, standing):
     """Choose a representative place in each cell of some columns of a grid, and test whether the body fits there.
 
@@ -78,7 +78,7 @@ def choose_points(scene, low, size, rows, first, last, within, points, standing)
             standing[cell] = widest >= scene.inner
 
 
-@kernel
+@kernel_in_place
 def choose_headings(scene, points, standing, turns, turn_step, first, last, fits, can_turn):
     """Test at which headings a rectangular base fits in some cells, and where it can turn on the spot.
 
@@ -106,7 +106,7 @@ def choose_headings(scene, points, standing, turns, turn_step, first, last, fits
                 and can_turn_body(scene, x, y, turns[c], turns[c + 1], turn_step))
 
 
-@kernel
+@kernel_in_place
 def find_landings(scene, points, fits, turns, cells_a_row, low, size, moves, steps, first, last, landing, link_cost):
     """Find the cells to which moves lead from some cells.
 
@@ -322,7 +322,7 @@ def run_dijkstra(starts, sources, costs, classes, headings, can_turn, allowed, s
     return buckets
 
 
-@kernel_part
+@kernel
 def _widen(buckets, filled):
     """Copy the buckets into ones for twice as many states."""
     wider = np.empty((buckets.shape[0], 2 * buckets.shape[1]), dtype=np.int32)

@@ -15,8 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.geometry import Footprint, compute_distance_many, stack_footprints
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import PlanningReason
+from hrl_escape.planning.arm.path_steps import plan_steps
 from hrl_escape.planning.clock import Clock
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, is_reached
 from hrl_escape.planning.lattice import a_star
@@ -30,6 +32,8 @@ __all__ = ["HeadingTable", "SearchProblem", "SearchResult", "SearchRun"]
 
 _SLICE = 5_000  # nodes between two looks at the clock
 _NODES = 1 << 11
+MOST_PATHS = 4
+"""Paths of the arm round solids that one search plans: each takes a tenth of a second or two."""
 _ROUNDING = 1e-9  # margin of candidates, m; the replay decides
 
 
@@ -78,7 +82,7 @@ class SearchProblem(NamedTuple):
         keep_out: footprints that the body must not meet.
         clock: time limit.
         seed: of the path planner.
-        effort: further searches for a shorter plan.
+        effort: further searches for a shorter plan; -1 for none at all.
         onward: cost-to-go after a press by hand, shape (cells * headings,), int16, -1 where there is none; the table
             holds it, too.
     """
@@ -101,16 +105,23 @@ class HeadingTable(NamedTuple):
     Attributes:
         turns: cosine and sine, shape (headings, 2).
         moves: displacement of each translation, shape (headings, translations, 2), m.
+        reaches: floor distance at which the base touches each target, or -1, shape (targets,), m.
+        pressers: half sizes of a rectangular base that presses each target, else 0 and 0, shape (targets, 2), m.
     """
 
     turns: NDArray[np.float64]
     moves: NDArray[np.float64]
+    reaches: NDArray[np.float64]
+    pressers: NDArray[np.float64]
 
     @classmethod
     def make(cls, rules: Kinematics, heading_offset: float) -> HeadingTable:
         """Compute the table for headings that lie beside the lattice by an offset, rad."""
         turns = np.array([rules.get_rotation(n, heading_offset) for n in range(rules.headings)])
-        return cls(turns, rules.instance.robot.move_step * rules.actions.compute_moves(*turns.T))
+        instance = rules.instance
+        pressers = np.array([get_presser(PressGoal(i), instance) for i in range(len(instance.targets))]).reshape(-1, 2)
+        return cls(turns, instance.robot.move_step * rules.actions.compute_moves(*turns.T),
+                   _compute_reaches(instance, 0.0), pressers)
 
 
 class SearchRun:
@@ -121,7 +132,8 @@ class SearchRun:
     """
 
     def __init__(self, problem: SearchProblem, kinematics: Kinematics, maker: FieldMaker, field: NDArray[np.int16], *,
-                 headings: HeadingTable, avoiding: bool, reacher: Reacher | None) -> None:
+                 headings: HeadingTable, avoiding: bool, reacher: Reacher | None,
+                 frontiers: a_star.FrontierPool) -> None:
         """State the query.
 
         Args:
@@ -132,13 +144,16 @@ class SearchRun:
             headings: of the state's heading offset.
             avoiding: forbid touching other targets and entering an open exit.
             reacher: the arm, for a press by hand.
+            frontiers: memory that searches share.
         """
         self.problem, self.kinematics, self._maker, self._avoiding = problem, kinematics, maker, avoiding
         self._reacher = reacher
         self._query = self._make_query(field, headings)
-        self._frontier: a_star.Frontier
+        self._frontiers = frontiers
+        self._frontier: a_star.Frontier | None = None
         self._nodes = _NODES
         self._completed: dict[int, tuple[int, ...]] = {}
+        self._paths_left = MOST_PATHS
 
     def restart(self, *, offset: int = 0, weight: float = 1.0, most: int = a_star.MOST_PRIMITIVES) -> None:
         """Start with a heuristic; start again with another for a shorter plan, or for any plan with fewer nodes.
@@ -150,13 +165,26 @@ class SearchRun:
             most: plans of this many primitives or more are discarded.
         """
         self._query = self._query._replace(offset=offset, weight=weight)
-        self._frontier = a_star.make_frontier(self._nodes, most)
+        self.end()
+        self._frontier = self._frontiers.take(self._nodes, most)
         self._completed.clear()
+
+    def end(self) -> None:
+        """Give the memory back; only `restart` may follow."""
+        if self._frontier is not None:
+            self._frontiers.give_back(self._frontier)
+        self._frontier = None
+
+    @property
+    def frontier(self) -> a_star.Frontier:
+        """Nodes of the search, between `restart` and `end`."""
+        assert self._frontier is not None
+        return self._frontier
 
     @property
     def expansions(self) -> int:
         """Nodes expanded so far."""
-        return int(self._frontier.counts[2])
+        return int(self.frontier.counts[2])
 
     def advance(self, budget: int) -> SearchResult | PlanningReason:
         """Search until the goal is reached, the frontier is empty, or time or budget are spent.
@@ -166,13 +194,13 @@ class SearchRun:
         """
         while True:
             limit = min(budget, self.expansions + _SLICE)
-            node = a_star.expand_until_goal(self._maker.scene, self._query, self._frontier, limit)
+            node = a_star.expand_until_goal(self._maker.scene, self._query, self.frontier, limit)
             if node >= 0:
                 result = self._finish(int(node))
                 if result is not None:
                     return result
             elif node == a_star.GROW:
-                self._frontier = a_star.enlarge_frontier(self._frontier)
+                self._frontier = self._frontiers.enlarge(self.frontier)
                 self._nodes = len(self._frontier.links)
             elif node == a_star.EXHAUSTED:
                 return PlanningReason.UNREACHABLE_AT_RESOLUTION
@@ -183,7 +211,7 @@ class SearchRun:
 
     def find_nearest(self) -> tuple[float, float]:
         """Visited place nearest to the goal, m."""
-        places = self._frontier.places[: self._frontier.counts[0]]
+        places = self.frontier.places[: self.frontier.counts[0]]
         if not len(places):
             return self.problem.state.x, self.problem.state.y
         x, y = places[compute_distance_many(places, stack_footprints([self.problem.area.footprint])).argmin()].tolist()
@@ -197,11 +225,11 @@ class SearchRun:
         target = goal.target if isinstance(goal, PressGoal) else -1
         others = sum(1 << i for i in range(len(instance.targets)) if i != target)
         by_hand = instance.dynamics.press_with == "hand"
-        hand = rules.get_hand_in_base(state.joint_steps, state.joint_offsets) if by_hand else (0.0, 0.0, 0.0)
-        turns = headings.turns
-        reaches = np.array([instance.compute_press_reach(target, hand[2]) for target in instance.targets], dtype=float)
-        pressers = np.array([get_presser(PressGoal(i), instance) for i in range(len(reaches))]).reshape(-1, 2)
-        presser = np.stack([turns @ (hand[0], -hand[1]), turns @ (hand[1], hand[0])], axis=1)
+        turns, reaches, presser = headings.turns, headings.reaches, np.zeros_like(headings.turns)
+        if by_hand:
+            hand = rules.get_hand_in_base(state.joint_steps, state.joint_offsets)
+            reaches = _compute_reaches(instance, hand[2])
+            presser = np.stack([turns @ (hand[0], -hand[1]), turns @ (hand[1], hand[0])], axis=1)
         shun_exit = self._avoiding and not isinstance(goal, ExitGoal) and instance.puzzle.is_solved(state.puzzle)
         area = instance.exit
         closed = (area.x_min, area.x_max, area.y_min, area.y_max) if shun_exit else (1.0, 0.0, 1.0, 0.0)
@@ -215,7 +243,7 @@ class SearchRun:
             x=state.x, y=state.y, heading=state.heading_steps, touched=np.uint64(state.touching),
             turns=turns, turn_step=rules.turn_step, moves=headings.moves, length=instance.robot.move_step,
             stays=instance.dynamics.blocked == "stay", presser=presser,
-            targets=maker.targets, reaches=reaches, pressers=pressers,
+            targets=maker.targets, reaches=reaches, pressers=headings.pressers,
             forbidden=np.uint64(others if self._avoiding else 0), keep_out=stack_footprints(problem.keep_out),
             closed=np.array(closed), target=target, goal=stack_footprints([problem.area.footprint])[0],
             goal_reach=problem.area.reach + _ROUNDING, goal_headings=facing, field=field,
@@ -237,9 +265,9 @@ class SearchRun:
             if onward < 0:
                 return None
             cost = len(primitives) + onward
-            if cost > int(self._frontier.facts[node, 1]):
+            if cost > int(self.frontier.facts[node, 1]):
                 self._completed[node] = primitives
-                a_star.put_back(self._frontier, node, cost)
+                a_star.put_back(self.frontier, node, cost)
                 return None
         return self._replay(primitives)
 
@@ -247,13 +275,13 @@ class SearchRun:
         """Cost-to-go after the press at a goal node; 0 where only the press counts."""
         if self.problem.onward is None:
             return 0
-        i, j = np.floor((self._frontier.places[node] - self._maker.low) / self._maker.size).astype(int)
+        i, j = np.floor((self.frontier.places[node] - self._maker.low) / self._maker.size).astype(int)
         cell = int(i) * self._maker.shape[1] + int(j)
-        return int(self.problem.onward[cell * self._maker.headings + int(self._frontier.facts[node, 0])])
+        return int(self.problem.onward[cell * self._maker.headings + int(self.frontier.facts[node, 0])])
 
     def _complete(self, node: int) -> tuple[int, ...] | None:
         """Primitives to a goal node, with the joint steps of a press by hand."""
-        facts, problem = self._frontier.facts, self.problem
+        facts, problem = self.frontier.facts, self.problem
         by_table = facts[node, 3] < 0
         last = int(facts[node, 2]) if by_table else node
         moves: list[int] = []
@@ -267,18 +295,30 @@ class SearchRun:
         assert isinstance(problem.goal, PressGoal)
         state, target = problem.state, problem.goal.target
         if not by_table:
-            may_jam = self._reacher.collide and self._avoiding and not self._reacher.is_push(state, moves, target)
+            may_jam = self._reacher.collide and not self._reacher.is_push(state, moves, target)
             return None if may_jam else tuple(moves)
-        x, y = self._frontier.places[last].tolist()
+        x, y = self.frontier.places[last].tolist()
         joints = self._reacher.get_configuration(
             x, y, int(facts[last, 0]), state.joint_steps, target, joint_offsets=state.joint_offsets,
             heading_offset=state.heading_offset,
         )
         if joints is None:
             return None
-        if self._avoiding:
-            return self._reacher.order_steps(state, moves, joints, target)
-        return (*moves, *self._list_joint_steps(state.joint_steps, joints))
+        if not (self._avoiding or self._reacher.collide):
+            return (*moves, *self._list_joint_steps(state.joint_steps, joints))
+        steps = self._reacher.order_steps(state, moves, joints, target, avoiding=self._avoiding)
+        return steps if steps is not None or not self._reacher.collide else self._plan_round(moves, joints, target)
+
+    def _plan_round(self, moves: Sequence[int], joints: tuple[int, ...], target: int) -> tuple[int, ...] | None:
+        """Primitives to a press whose joint steps go round solids after the moves; few such paths are planned."""
+        assert self._reacher is not None
+        others = ~(1 << target) if self._avoiding else 0
+        end = self._reacher.move_base(self.problem.state, moves, others) if self._paths_left else None
+        if end is None:
+            return None
+        self._paths_left -= 1
+        steps = plan_steps(self._reacher, end, joints, others)
+        return None if steps is None else (*moves, *steps)
 
     def _list_joint_steps(self, begin: tuple[int, ...], end: tuple[int, ...]) -> list[int]:
         """Primitives that take the joints from one configuration to another, joint by joint."""
@@ -308,3 +348,7 @@ class SearchRun:
 
 
 _NO_TABLE = np.zeros((0, 0, 1), dtype=np.int16)
+
+
+def _compute_reaches(instance: RoomInstance, hand_z: float) -> NDArray[np.float64]:
+    return np.array([instance.compute_press_reach(target, hand_z) for target in instance.targets], dtype=float)

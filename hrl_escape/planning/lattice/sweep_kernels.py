@@ -18,8 +18,8 @@ from hrl_escape.env import geometry
 from hrl_escape.env.body import rectangle
 from hrl_escape.kernels import kernel_part
 
-__all__ = ["SweepScene", "can_turn_body", "compile_geometry", "does_fit", "first_contact", "get_shape", "is_touched",
-           "measure_clearance", "measure_distance", "sweep", "sweep_body"]
+__all__ = ["SweepScene", "can_turn_body", "compile_geometry", "does_fit", "first_contact", "get_shape",
+           "is_clear_of_all", "is_touched", "measure_clearance", "measure_distance", "sweep", "sweep_body"]
 
 
 def _compile(function: Callable, **names: Any) -> Any:
@@ -85,13 +85,22 @@ def get_shape(row):
 
 
 @kernel_part
-def sweep(scene, x, y, dx, dy, length):
-    """Free fraction of a displacement of a disc, as `Kinematics.compute_free_fraction` computes it."""
+def is_clear_of_all(scene, x, y, length):
+    """Return whether no solid is within a distance of the base at a place, by the grid of clearances.
+
+    From the middle of a move, half of its length decides: that is more than its length does from where it begins.
+    """
     i = int(math.floor((x - scene.low[0]) / scene.resolution))
     j = int(math.floor((y - scene.low[1]) / scene.resolution))
-    if 0 <= i < scene.distance.shape[0] and 0 <= j < scene.distance.shape[1]:
-        if scene.distance[i, j] - scene.slack >= scene.radius + length:
-            return 1.0
+    inside = 0 <= i < scene.distance.shape[0] and 0 <= j < scene.distance.shape[1]
+    return inside and scene.distance[i, j] - scene.slack >= scene.radius + length
+
+
+@kernel_part
+def sweep(scene, x, y, dx, dy, length):
+    """Free fraction of a displacement of a disc, as `Kinematics.compute_free_fraction` computes it."""
+    if is_clear_of_all(scene, x + 0.5 * dx, y + 0.5 * dy, 0.5 * length):
+        return 1.0
     i = min(max(int((x - scene.low[0]) / scene.near_size), 0), scene.near_shape[0] - 1)
     j = min(max(int((y - scene.low[1]) / scene.near_size), 0), scene.near_shape[1] - 1)
     cell = i * scene.near_shape[1] + j
@@ -120,15 +129,6 @@ def measure_clearance(scene, x, y):
 
 
 @kernel_part
-def _is_clear_of_all(scene, x, y, length):
-    """Return whether no solid is near enough to matter to a move of that length, by the grid of clearances."""
-    i = int(math.floor((x - scene.low[0]) / scene.resolution))
-    j = int(math.floor((y - scene.low[1]) / scene.resolution))
-    inside = 0 <= i < scene.distance.shape[0] and 0 <= j < scene.distance.shape[1]
-    return inside and scene.distance[i, j] - scene.slack >= scene.radius + length
-
-
-@kernel_part
 def _list_near(scene, x, y):
     """First and last place in `near_items` of the solids near a place."""
     i = min(max(int((x - scene.low[0]) / scene.near_size), 0), scene.near_shape[0] - 1)
@@ -148,7 +148,7 @@ def sweep_body(scene, x, y, turn, dx, dy, length):
     """Free fraction of a displacement at a heading, whose cosine and sine a disc does not need."""
     if scene.half_length == 0.0:
         return sweep(scene, x, y, dx, dy, length)
-    if _is_clear_of_all(scene, x, y, length):
+    if is_clear_of_all(scene, x + 0.5 * dx, y + 0.5 * dy, 0.5 * length):
         return 1.0
     fraction = 1.0
     first, last = _list_near(scene, x, y)
@@ -163,7 +163,7 @@ def sweep_body(scene, x, y, turn, dx, dy, length):
 @kernel_part
 def does_fit(scene, x, y, turn):
     """Return whether a rectangular base fits at a pose."""
-    if _is_clear_of_all(scene, x, y, 0.0):
+    if is_clear_of_all(scene, x, y, 0.0):
         return True
     first, last = _list_near(scene, x, y)
     for k in range(first, last):
@@ -176,7 +176,7 @@ def does_fit(scene, x, y, turn):
 @kernel_part
 def can_turn_body(scene, x, y, turn, to, angle):
     """Return whether a base can turn on the spot from one heading to another by an angle in rad."""
-    if scene.half_length == 0.0 or _is_clear_of_all(scene, x, y, 0.0):
+    if scene.half_length == 0.0 or is_clear_of_all(scene, x, y, 0.0):
         return True
     first, last = _list_near(scene, x, y)
     for k in range(first, last):

@@ -34,28 +34,34 @@ PATH_PLANNERS = ("BITstar", "InformedRRTstar")
 
 def iterate_routes(finder: RouteFinder, state: RoomState, goal: Goal, request: PlanningRequest,
                    settings: SearchSettings, clock: Clock) -> Iterator[Route]:
-    """Routes to one goal after the first one, each search with the whole budget; failures are skipped."""
-    for effort in range(1, len(EFFORTS) + 1):
-        route = _try(finder, state, goal, settings._replace(effort=effort), clock)
-        if route is not None:
-            yield route
-    if request.objective == "primitives":
-        return
-    for margin in WAY_MARGINS:
-        keep_out = list_obstacles(state, finder.instance)[-1] + grow_solids(finder.instance, state, goal, margin)
+    """Routes to one goal after the first one, until the nodes of `settings.budget` are spent; failures are skipped."""
+    left = settings.budget
+    for number in range(_count_ways(request)):
         try:
-            yield finder.find_route_around(state, goal, keep_out, settings.budget, PlanningReport(), refine=False,
-                                           clock=clock)
-        except PlanningFailed:
-            continue
-    for planner in PATH_PLANNERS:
-        route = _try(finder, state, goal, settings._replace(method=planner), clock)
-        if route is not None:
+            route = _find_way(finder, state, goal, number, settings._replace(budget=left), clock)
+        except PlanningFailed as failure:
+            left -= failure.expansions
+        else:
+            left -= route.expansions
             yield route
+        if left <= 0 or clock.is_up():
+            return
 
 
-def _try(finder: RouteFinder, state: RoomState, goal: Goal, settings: SearchSettings, clock: Clock) -> Route | None:
-    try:
-        return finder.find_route(state, goal, None, clock, settings)
-    except PlanningFailed:
-        return None
+def _count_ways(request: PlanningRequest) -> int:
+    return len(EFFORTS) + (len(WAY_MARGINS) + len(PATH_PLANNERS) if request.objective != "primitives" else 0)
+
+
+def _find_way(finder: RouteFinder, state: RoomState, goal: Goal, number: int, settings: SearchSettings, clock: Clock
+              ) -> Route:
+    """Route number `number`: lower and lower heuristics, then growing margins, then path planners."""
+    if number < len(EFFORTS):
+        return finder.find_route(state, goal, None, clock, settings._replace(effort=number + 1))
+    number -= len(EFFORTS)
+    if number < len(WAY_MARGINS):
+        keep_out = (*list_obstacles(state, finder.instance)[-1],
+                    *grow_solids(finder.instance, state, goal, WAY_MARGINS[number]))
+        return finder.find_route_around(state, goal, keep_out, settings.budget, PlanningReport(), refine=False,
+                                        clock=clock)
+    planner = PATH_PLANNERS[number - len(WAY_MARGINS)]
+    return finder.find_route(state, goal, None, clock, settings._replace(method=planner))

@@ -20,6 +20,10 @@ from hrl_escape.commands.bench.planner_contenders import (
     score_contenders,
     write_csv,
 )
+from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import GenerationError
 from hrl_escape.planning.goals import is_reached
 from hrl_escape.planning.paths.registry import list_planners
 
@@ -32,6 +36,14 @@ def test_queries_begin_at_free_places_where_something_is_left_to_do():
         assert query.search.get_maker(True).collision.is_free(state.x, state.y)
         assert not state.touching and not is_reached(query.goal, state, state, rules)
         assert query.fewest >= 1
+
+
+def test_instance_seeds_of_which_no_room_can_be_made_have_no_queries():
+    crowded = RoomConfig(room=ShapeConfig(width=5, depth=5), robot=RobotConfig(body_radius=2.2),
+                         puzzle=ButtonsConfig(count=40))
+    with pytest.raises(GenerationError):
+        generate(crowded, 0)
+    assert make_queries("crowded", range(2), 1, crowded) == []
 
 
 def test_the_same_seeds_give_the_same_queries():

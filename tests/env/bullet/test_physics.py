@@ -65,7 +65,8 @@ WIDE = RoomConfig(room=ShapeConfig(width=200, depth=200), start=StartConfig(plac
 @pytest.mark.parametrize("robot", [
     RobotConfig(), RobotConfig(joints=7, link_length=0.1), RobotConfig(kind="kuka-iiwa", joints=7),
     RobotConfig(move_step=0.3, turn_step_deg=45, joints=2, joint_step_deg=3),
-], ids=["base", "arm", "kuka", "small-steps"])
+    RobotConfig(footprint="rectangle", drive="differential"),
+], ids=["base", "arm", "kuka", "small-steps", "rectangle"])
 def test_free_moves_agree_with_kinematics(make_room, robot):
     room = make_room(dataclasses.replace(WIDE, robot=robot))
     rules = Kinematics(room.instance)

@@ -683,6 +683,15 @@ def test_a_move_presses_by_force_only_where_the_hand_pushes_and_meets_no_wall(y:
     assert reacher.is_push(state, [FORWARD], 0) == presses
 
 
+def test_a_base_presses_no_target_on_its_way_that_it_must_not():
+    reacher = Reacher(make_room(z=0.8, physics=True))
+    state = make_state(reacher.instance, 0.0, -3.4, 27, (0, 0, 0))
+    end = reacher.move_base(state, [FORWARD])
+    assert end is not None and end.touching == 1
+    assert reacher.move_base(state, [FORWARD], others=1) is None
+    assert reacher.move_base(state, [FORWARD], others=2) == end
+
+
 @pytest.mark.parametrize(("post", "presses"), [(None, True), (-1.0, False), (-2.0, True)],
                          ids=["nothing in the way", "a post in the way", "clear of it after the first move"])
 def test_an_arm_is_not_swung_into_an_obstacle_but_may_come_out_of_one(post: float | None, presses: bool):

@@ -108,7 +108,10 @@ def plan_by_legs(planner: RoomPlanner, state):
 
 
 def compare(counts, seeds) -> tuple[int, int, int, int]:
-    """Primitives in all: by `solve`, with more effort, leg after leg, and by the near-exact search."""
+    """Primitives in all: by `solve`, with more effort, leg after leg, and by the near-exact search.
+
+    Prints a line a room, with the planner's lower bound.
+    """
     jointly = thorough = by_legs = fewest = 0
     for count, seed in itertools.product(counts, seeds):
         planner = RoomPlanner(make_room(count, seed))
@@ -118,7 +121,10 @@ def compare(counts, seeds) -> tuple[int, int, int, int]:
         assert improved.plan is not None and improved.lower_bound <= improved.cost
         thorough += improved.plan.cost
         by_legs += plan_by_legs(planner, start).cost
-        fewest += find_joint_optimum(planner, start)
+        least = find_joint_optimum(planner, start)
+        fewest += least
+        print(f"{count} buttons, seed {seed}: {improved.cost:.0f} primitives, near-exact {least}, lower bound "
+              f"{improved.lower_bound:.0f}", flush=True)
     return jointly, thorough, by_legs, fewest
 
 

@@ -186,7 +186,7 @@ def test_watch_pauses_steps_and_shows_the_agents_own_option_values(watched, two_
               "document.querySelectorAll('#values .action[data-chosen=\"1\"]').length === 1")
     done = view.watch.decisions[-1]
     page.click("SMDP")
-    page.wait("!!document.querySelector('#smdp td')")
+    page.wait("document.querySelectorAll('#smdp tbody tr:first-child td').length > 1")
     cells = page.run("[...document.querySelector('#smdp tbody tr').children].map(c => c.innerText)")
     assert cells[:4] == [done.name, str(done.duration), f"{done.reward:.2f}", f"{done.discount:.4f}"]
     page.click("What if")
