@@ -1,7 +1,7 @@
 """Cost-to-go fields for a batch of rooms: one for every press and one for the exit, defined at any pose.
 
-Each instance's fields start from the planners' grid and first estimate (`lattice/cost_to_go.py`),
-are smoothed by value iteration (`value_iteration.py`), and are kept for later batches. Body
+Each instance's fields start from estimates on the planners' grid (`lattice/cost_to_go.py`), are
+found together by value iteration on a finer one (`value_iteration.py`), and are kept for later batches. Body
 presses only: the cost-to-go of a hand depends on every joint of every room.
 """
 
@@ -21,13 +21,15 @@ from torch import Tensor
 
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.tables import Layout, pick
+from hrl_escape.env.geometry import compute_distance_many
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.options.batched.value_iteration import UNREACHABLE, iterate_values, trace_moves
+from hrl_escape.options.batched.value_iteration import UNREACHABLE, encode_values, iterate_values, trace_moves
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.lattice.areas import compute_goal_area
 from hrl_escape.planning.lattice.cost_to_go import FieldMaker, lay_grid
+from hrl_escape.planning.lattice.dijkstra_kernels import choose_points
 
 __all__ = [
     "OTHER_PRESS_COST",
@@ -46,7 +48,6 @@ OTHER_PRESS_COST = 100.0
 MOST_BYTES = 512_000_000
 _FINE_STATES = 600_000  # cells are halved, at most twice, up to this many (cell, heading) states
 _TOLERANCE, _SWEEPS = 0.02, 80
-_NONE = -1  # stored where the body does not fit or the goal cannot be reached
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -135,80 +136,81 @@ def _compute(instance: RoomInstance) -> InstanceFields:
     rules = Kinematics(instance, is_still=True)
     offsets = {start.heading_offset for start in instance.starts}
     offset = offsets.pop() if len(offsets) == 1 and not instance.dynamics.noise else 0.0
-    shut = _FieldGrid(instance, rules, offset, door_shut=True)
-    grids = shut, shut if instance.door is None else _FieldGrid(instance, rules, offset, door_shut=False)
-    maker = shut.maker
-    goals: list[Goal] = [PressGoal(i) for i in range(len(instance.targets))]
-    costs: list[NDArray[np.float32]] = []
-    for goal in goals:
-        unsolved = shut.compute_costs(goal, is_solved=False)
-        costs += unsolved, grids[True].compute_costs(goal, True, unsolved if instance.door is None else None)
-    costs.append(grids[True].compute_costs(ExitGoal(), is_solved=True))
-    largest = [max(float(field[field < UNREACHABLE].max(initial=1.0)), 1.0) for field in costs]
-    scales = np.array([value / 32_000 for value in largest], np.float32)
-    values = np.stack([np.where(field < UNREACHABLE, np.rint(field / scale), _NONE).astype(np.int16)
-                       for field, scale in zip(costs, scales, strict=True)])
-    return InstanceFields(values, scales, (float(maker.low[0]), float(maker.low[1])), maker.size, maker.shape, offset)
+    presses: list[Goal] = [PressGoal(i) for i in range(len(instance.targets))]
+    unsolved = [(goal, False) for goal in presses]
+    solved = [*((goal, True) for goal in presses), (ExitGoal(), False)]
+    grid = _FieldGrid(instance, rules, offset, door_shut=True)
+    if instance.door is None:
+        values, scales = grid.compute_fields(unsolved + solved)
+    else:
+        opened = _FieldGrid(instance, rules, offset, door_shut=False).compute_fields(solved)
+        shut = grid.compute_fields(unsolved)
+        values, scales = np.concatenate([shut[0], opened[0]]), np.concatenate([shut[1], opened[1]])
+    order = [*np.arange(2 * len(presses)).reshape(2, -1).T.ravel(), 2 * len(presses)]
+    return InstanceFields(values[order], scales[order], (float(grid.maker.low[0]), float(grid.maker.low[1])),
+                          grid.size, grid.shape, offset)
 
 
 class _FieldGrid:
     """Grid of one room with its door, if any, shut or open, on which fields are computed."""
 
     def __init__(self, instance: RoomInstance, rules: Kinematics, offset: float, door_shut: bool) -> None:
-        states = lay_grid(instance, rules).states
-        refinement = min(int(math.log(max(_FINE_STATES / states, 1.0), 4)), 2)
-        self.instance, exit_ = instance, instance.exit
-        self.maker = maker = FieldMaker(instance, rules, door_shut=door_shut, refinement=refinement)
+        self._instance, exit_ = instance, instance.exit
+        self.maker = maker = FieldMaker(instance, rules, door_shut=door_shut)
+        self._refinement = min(int(math.log(max(_FINE_STATES / maker.states, 1.0), 4)), 2)
+        _, self.size, self.shape = lay_grid(instance, rules, self._refinement)
+        points, standing = np.empty((math.prod(self.shape), 2)), np.zeros(math.prod(self.shape), dtype=np.bool_)
+        choose_points(maker.scene, maker.low, self.size, self.shape[1], 0, self.shape[0], np.ones_like(standing),
+                      points, standing)
+        self._standing = standing
         angles = np.arange(maker.classes) * rules.turn_step + offset
         moves = instance.robot.move_step * rules.actions.compute_moves(np.cos(angles), np.sin(angles))
         reaches = np.array([instance.compute_press_reach(target) for target in instance.targets], dtype=np.float64)
-        self._links = trace_moves(maker.scene, maker.points, maker.standing, maker.shape[1], maker.low, maker.size,
-                                  moves, maker.targets, reaches,
+        self._moves = trace_moves(maker.scene, points, standing, self.shape[1], maker.low, self.size, moves,
+                                  maker.targets, reaches,
                                   np.array([exit_.x_min, exit_.x_max, exit_.y_min, exit_.y_max]))
-        self._touched = self._links[-1]
-        self._states = np.flatnonzero(np.repeat(maker.standing, maker.classes))
+        self._touches = np.array([compute_distance_many(maker.points, row[None]) <= reach
+                                  for row, reach in zip(maker.targets, reaches, strict=True)]
+                                 ).reshape(-1, len(maker.points))
         x, y = maker.points.T
         self._is_outside = (x < exit_.x_min) | (x > exit_.x_max) | (y < exit_.y_min) | (y > exit_.y_max)
 
-    def compute_costs(self, goal: Goal, is_solved: bool, unsolved: NDArray[np.float32] | None = None
-                      ) -> NDArray[np.float32]:
-        """Compute the cost-to-go of a goal, float32 (cells, classes); `UNREACHABLE` where there is no way.
+    def compute_fields(self, goals: Sequence[tuple[Goal, bool]]) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
+        """Compute the cost-to-go of goals, each beside whether entering the exit ends the episode without it.
 
-        Args:
-            goal: a press, or the exit.
-            is_solved: the exit is open, and entering it for a press ends the episode.
-            unsolved: costs of the same press on this grid where it is not: most of them are right.
+        Returns:
+            `values` and `scales` of `InstanceFields`.
+        """
+        columns, rows = (np.arange(side) >> self._refinement for side in self.shape)
+        cells = (columns[:, None] * self.maker.shape[1] + rows).ravel()
+        estimates = {goal: self._estimate(goal) for goal in dict.fromkeys(goal for goal, _ in goals)}
+        values = np.stack([estimates[goal][leaves].T[:, cells] for goal, leaves in goals], axis=2)
+        values = np.where(self._standing[:, None], values, np.float32(UNREACHABLE)).reshape(self.maker.classes, -1)
+        own = np.array([1 << goal.target if isinstance(goal, PressGoal) else 0 for goal, _ in goals], dtype=np.uint64)
+        iterate_values(values, self._moves, own, np.array([leaves for _, leaves in goals]),
+                       np.float32(OTHER_PRESS_COST), np.float32(_TOLERANCE), _SWEEPS)
+        return encode_values(values, len(goals))
+
+    def _estimate(self, goal: Goal) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Estimate the cost-to-go of a goal on the planners' grid, float32 (cells, classes), twice.
+
+        Presses go round the exit, in the first estimate where that is possible, in the second always.
         """
         maker = self.maker
-        area = compute_goal_area(goal, self.instance)
-        target = goal.target if isinstance(goal, PressGoal) else -1
-        leaves = is_solved and target >= 0
-        if unsolved is not None:
-            values = np.where(self._is_outside[:, None], unsolved, np.float32(UNREACHABLE))  # nobody stays in the exit
-            if self._iterate(values, target, leaves, is_near=True):
-                return values
-        others = self._touched & ~_make_bit(target) != 0
-        stays = self._is_outside if leaves else maker.everywhere
-        seeds = maker.find_seeds(*area)
-        costs = maker.make_field(seeds, stays & ~others)
-        if (costs.reshape(-1, maker.classes)[maker.standing & stays & ~others] < 0).any():
-            # some places can be left only past another target
-            any_way = maker.make_field(seeds, stays)
-            costs = np.where((costs < 0) & (any_way >= 0), any_way + np.int16(OTHER_PRESS_COST), costs)
-        values = np.where(costs >= 0, costs, np.float32(UNREACHABLE)).reshape(-1, maker.classes)
-        values[~maker.standing] = UNREACHABLE
-        self._iterate(values, target, leaves, is_near=False)
-        return values
-
-    def _iterate(self, values: NDArray[np.float32], target: int, leaves: bool, is_near: bool) -> bool:
-        """Run value iteration in place; returns True if it has come to an end."""
-        order = self._states[np.argsort(values.ravel()[self._states].astype(np.int16), kind="stable")]
-        return iterate_values(values, order, *self._links, self.maker.shape[1], target, leaves, OTHER_PRESS_COST,
-                              _TOLERANCE, _SWEEPS, is_near)
-
-
-def _make_bit(target: int) -> np.uint64:
-    return np.uint64(1 << target if target >= 0 else 0)
+        is_press = isinstance(goal, PressGoal)
+        others = np.delete(self._touches, goal.target, axis=0) if is_press else self._touches
+        seeds = maker.find_seeds(*compute_goal_area(goal, self._instance))
+        stays = self._is_outside if is_press else maker.everywhere
+        allowed = stays & ~others.any(axis=0)
+        costs = [maker.make_field(seeds, allowed)] * 2
+        if (costs[0].reshape(-1, maker.classes)[maker.standing & allowed] < 0).any():
+            # some places can be left only past another target or through the exit
+            wider = maker.make_field(seeds), maker.make_field(seeds, stays)
+            costs = [np.where((least < 0) & (more >= 0), more + np.int16(OTHER_PRESS_COST), least)
+                     for least, more in zip(costs, wider, strict=True)]
+        first, second = (np.where(cost >= 0, cost, np.float32(UNREACHABLE)).reshape(-1, maker.classes)
+                         for cost in costs)
+        return first, second
 
 
 def stack_fields(instances: Sequence[RoomInstance], device: torch.device) -> CostFields:

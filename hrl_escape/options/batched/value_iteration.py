@@ -1,42 +1,176 @@
 """Kernels of smooth cost-to-go fields: ends of primitives on a grid, and value iteration over them.
 
 The end of a primitive lies between four cells and has their interpolated value; the value of any
-exact pose is interpolated in the same way (Munos and Moore 2002, section 3). Arrays in, arrays
-out; `cost_to_go.py` gives them their meaning.
+exact pose is interpolated in the same way (Munos and Moore 2002, section 3). All fields of a room
+are iterated together, their values side by side, and where nothing is near, all moves at a heading
+end between the same cells relative to their start: both let the compiler use vector instructions.
+Arrays in, arrays out; `cost_to_go.py` gives them their meaning.
 """
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hrl_escape.kernels import kernel, kernel_part
-from hrl_escape.planning.lattice.sweep_kernels import get_shape, measure_distance, sweep
+from hrl_escape.planning.lattice.sweep_kernels import get_shape, is_clear_of_all, measure_distance, sweep
 
-__all__ = ["UNREACHABLE", "iterate_values", "trace_moves"]
+__all__ = ["UNREACHABLE", "Moves", "encode_values", "iterate_values", "trace_moves"]
 
 UNREACHABLE = 10_000.0
 """Cost-to-go of places from which the goal cannot be reached."""
+_MOST = np.float32(UNREACHABLE)
+_ONE = np.float32(1.0)
+_FREE, _ABSENT = -1, -2
+_BLOCKED = 0.01  # moves shorter than this do not count, m
+
+
+class Moves(NamedTuple):
+    """Ends of all moves from the representative places of a grid's cells; a state is a (heading class, cell).
+
+    Attributes:
+        rows: cells along y; a cell's index is i * rows + j.
+        reach: most columns or rows from a cell to one of the four round the end of a move.
+        offsets: how many cells after its own the lowest of the four comes if nothing is in the way, int64
+            (classes, translations).
+        shares: weights of the four there, lower row first, float32 (classes, translations, 4).
+        listed: row of each state in the following tables, int32 (classes, cells); -1 where all its moves are free,
+            touch no target and stay out of the exit, and -2 where the body does not fit.
+        corners: lowest of the four cells, int32 (listed, translations); -1 where a move is blocked.
+        weights: their weights, 0 where the body does not fit, float32 (listed, translations, 4).
+        special: row of each listed state in the last two tables, int32 (listed,); -1 where no move begins to touch a
+            target or ends in the exit.
+        begun: bits of the targets that are touched at a move's end and not at its start, uint64 (special,
+            translations).
+        outside: True unless the move ends in the exit, bool (special, translations).
+    """
+
+    rows: int
+    reach: int
+    offsets: NDArray[np.int64]
+    shares: NDArray[np.float32]
+    listed: NDArray[np.int32]
+    corners: NDArray[np.int32]
+    weights: NDArray[np.float32]
+    special: NDArray[np.int32]
+    begun: NDArray[np.uint64]
+    outside: NDArray[np.bool_]
 
 
 @kernel_part
-def _find_touched(x, y, targets, reaches):
-    """Bits of the targets that the body touches at a place."""
+def _find_touched(x, y, targets, reaches, near):
+    """Bits of the targets of `near` that the body touches at a place, or comes within those reaches of."""
     bits = np.uint64(0)
     for k in range(targets.shape[0]):
-        if measure_distance(x, y, get_shape(targets[k])) <= reaches[k]:
-            bits |= np.uint64(1) << np.uint64(k)
+        bit = np.uint64(1) << np.uint64(k)
+        if near & bit and measure_distance(x, y, get_shape(targets[k])) <= reaches[k]:
+            bits |= bit
     return bits
 
 
 @kernel
-def trace_moves(scene, points, standing, rows, low, size, moves, targets, reaches, way_out):
-    """End of every move from every cell's representative place.
+def _trace_free(size, rows, moves):
+    """`offsets` and `shares` of `Moves`."""
+    classes, translations = moves.shape[0], moves.shape[1]
+    offsets = np.empty((classes, translations), dtype=np.int64)
+    shares = np.empty((classes, translations, 4), dtype=np.float32)
+    for c in range(classes):
+        for m in range(translations):
+            u, v = moves[c, m, 0] / size, moves[c, m, 1] / size
+            i, j = int(math.floor(u + 1e-9)), int(math.floor(v + 1e-9))
+            a, b = max(u - i, 0.0), max(v - j, 0.0)
+            offsets[c, m] = i * rows + j
+            for k in range(4):
+                shares[c, m, k] = (a if k // 2 else 1.0 - a) * (b if k % 2 else 1.0 - b)
+    return offsets, shares
+
+
+@kernel
+def _trace_listed(scene, points, standing, rows, low, size, moves, shares, targets, reaches, way_out):
+    """`listed`, `corners`, `weights`, `special`, `begun` and `outside` of `Moves`."""
+    cells, classes, translations = points.shape[0], moves.shape[0], moves.shape[1]
+    columns = cells // rows
+    length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
+    edge = int(math.ceil(length / size)) + 1
+    near, here = np.zeros(cells, dtype=np.uint64), np.zeros(cells, dtype=np.uint64)
+    listed = np.full((classes, cells), _ABSENT, dtype=np.int32)
+    count = specials = 0
+    for cell in range(cells):
+        if not standing[cell]:
+            continue
+        x, y = points[cell, 0], points[cell, 1]
+        near[cell] = _find_touched(x, y, targets, reaches + length + 1e-6, ~np.uint64(0))
+        here[cell] = _find_touched(x, y, targets, reaches, near[cell])
+        away = max(way_out[0] - x, x - way_out[1], way_out[2] - y, y - way_out[3]) - length - 1e-6
+        i, j = cell // rows, cell % rows
+        is_inside = edge <= min(i, j, columns - 1 - i, rows - 1 - j)
+        if near[cell] == 0 and away > 0.0 and is_inside and is_clear_of_all(scene, x, y, length + 3.0 * size):
+            listed[:, cell] = _FREE
+        else:
+            listed[:, cell] = 0
+            count += classes
+            specials += classes if near[cell] != 0 or away <= 0.0 else 0
+    corners = np.full((count, translations), -1, dtype=np.int32)
+    weights = np.zeros((count, translations, 4), dtype=np.float32)
+    special = np.full(count, -1, dtype=np.int32)
+    begun = np.zeros((specials, translations), dtype=np.uint64)
+    outside = np.ones((specials, translations), dtype=np.bool_)
+    at = row = 0
+    for n in range(cells * classes):  # column after column, in the order in which values are backed up
+        i, c, j = n // (classes * rows), n // rows % classes, n % rows
+        cell = i * rows + j
+        if listed[c, cell] != 0:
+            continue
+        x, y = points[cell, 0], points[cell, 1]
+        is_free = math.hypot(x - low[0] - (i + 0.5) * size, y - low[1] - (j + 0.5) * size) < 1e-9
+        is_special = False
+        corners[at] = -1
+        for m in range(translations):
+            dx, dy = moves[c, m, 0], moves[c, m, 1]
+            fraction = sweep(scene, x, y, dx, dy, length)
+            is_free &= fraction == 1.0
+            if fraction * length < _BLOCKED:
+                continue
+            ex, ey = x + fraction * dx, y + fraction * dy
+            bits = _find_touched(ex, ey, targets, reaches, near[cell]) & ~here[cell]
+            is_out = not (way_out[0] <= ex <= way_out[1] and way_out[2] <= ey <= way_out[3])
+            if bits != 0 or not is_out:
+                if not is_special:
+                    is_special, special[at] = True, row
+                    begun[row], outside[row] = 0, True
+                begun[row, m], outside[row, m] = bits, is_out
+            u, v = (ex - low[0]) / size - 0.5, (ey - low[1]) / size - 0.5
+            to_i = min(max(int(math.floor(u + 1e-9)), 0), columns - 2)
+            to_j = min(max(int(math.floor(v + 1e-9)), 0), rows - 2)
+            a, b = min(max(u - to_i, 0.0), 1.0), min(max(v - to_j, 0.0), 1.0)
+            total = 0.0
+            for k in range(4):
+                weight = (a if k // 2 else 1.0 - a) * (b if k % 2 else 1.0 - b)
+                fits = standing[(to_i + k // 2) * rows + to_j + k % 2]
+                weights[at, m, k] = weight if fits else 0.0
+                total += weight if fits else 0.0
+                is_free &= abs(weights[at, m, k] - shares[c, m, k]) < 1e-6
+            if total > 1e-6:
+                corners[at, m] = to_i * rows + to_j
+                for k in range(4):
+                    weights[at, m, k] /= total
+        if is_free and not is_special:
+            listed[c, cell] = _FREE
+        else:
+            listed[c, cell] = at
+            at, row = at + 1, row + (1 if is_special else 0)
+    return listed, corners[:at], weights[:at], special[:at], begun[:row], outside[:row]
+
+
+def trace_moves(scene, points, standing, rows, low, size, moves, targets, reaches, way_out) -> Moves:
+    """Find the ends of all moves of a disc from every cell's representative place.
 
     Args:
         scene: the room.
-        points: a representative place in each cell, shape (cells, 2), m.
+        points: a representative place in each cell, shape (cells, 2), m; the centre where nothing is near.
         standing: True where the body fits, shape (cells,).
         rows: cells along y; a cell's index is i * rows + j.
         low: corner of the grid, shape (2,), m.
@@ -45,127 +179,164 @@ def trace_moves(scene, points, standing, rows, low, size, moves, targets, reache
         targets: rows of `stack_footprints`, shape (targets, 7).
         reaches: distance at which each is touched, shape (targets,), m.
         way_out: x_min, x_max, y_min, y_max of the exit, m.
-
-    Returns:
-        corners (links,), int32: lowest of the four cells round the end of each link, -1 where there is none; link
-        (cell * classes + class) * translations + move; weights (links, 4), float32: theirs, lower row first; touched
-        (links,), uint64: bits of the targets touched there; outside (links,): true unless that is in the exit; here
-        (cells,), uint64: bits of the targets touched at the places themselves.
     """
-    cells, classes, translations = points.shape[0], moves.shape[0], moves.shape[1]
-    links = cells * classes * translations
-    columns = cells // rows
-    corners = np.full(links, -1, dtype=np.int32)
-    weights = np.zeros((links, 4), dtype=np.float32)
-    touched = np.zeros(links, dtype=np.uint64)
-    outside = np.ones(links, dtype=np.bool_)
-    here = np.zeros(cells, dtype=np.uint64)
-    length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
-    for cell in range(cells):
-        if not standing[cell]:
-            continue
-        x, y = points[cell, 0], points[cell, 1]
-        here[cell] = _find_touched(x, y, targets, reaches)
-        for c in range(classes):
-            for m in range(translations):
-                dx, dy = moves[c, m, 0], moves[c, m, 1]
-                fraction = sweep(scene, x, y, dx, dy, length)
-                if fraction * length < 0.01:
-                    continue
-                ex, ey = x + fraction * dx, y + fraction * dy
-                link = (cell * classes + c) * translations + m
-                touched[link] = _find_touched(ex, ey, targets, reaches)
-                outside[link] = not (way_out[0] <= ex <= way_out[1] and way_out[2] <= ey <= way_out[3])
-                u, v = (ex - low[0]) / size - 0.5, (ey - low[1]) / size - 0.5
-                i, j = min(max(int(math.floor(u)), 0), columns - 2), min(max(int(math.floor(v)), 0), rows - 2)
-                a, b = min(max(u - i, 0.0), 1.0), min(max(v - j, 0.0), 1.0)
-                total = 0.0
-                for k in range(4):
-                    corner = (i + k // 2) * rows + j + k % 2
-                    weight = (a if k // 2 else 1.0 - a) * (b if k % 2 else 1.0 - b)
-                    if standing[corner]:
-                        weights[link, k] = weight
-                        total += weight
-                if total > 1e-6:
-                    corners[link] = i * rows + j
-                    for k in range(4):
-                        weights[link, k] /= total
-    return corners, weights, touched, outside, here
+    offsets, shares = _trace_free(size, rows, moves)
+    tables = _trace_listed(scene, points, standing, rows, low, size, moves, shares, targets, reaches, way_out)
+    return Moves(rows, math.ceil(math.hypot(*moves[0, 0]) / size) + 1, offsets, shares, *tables)
 
 
 @kernel
-def iterate_values(values, order, corners, weights, touched, outside, here, rows, target, leaves, penalty, tolerance,
-                   most, is_near):
-    """Gauss-Seidel value iteration from the goal outwards, in place, until no value changes.
+def iterate_values(values, moves, own, leaves, penalty, tolerance, most):
+    """Value iteration of several fields at once, in place, until no value changes.
 
-    After the first sweep only states are backed up from which one primitive leads to a state that has changed since.
+    Sweeps go over the grid in turn from each of its corners, tile by tile. The states in a tile's column are backed up
+    together, and skipped while no value near enough to matter changes.
 
     Args:
-        values: cost-to-go, shape (cells, classes), float32; `UNREACHABLE` where unknown.
-        order: states cell * classes + class, those near the goal first.
-        corners: from `trace_moves`.
-        weights: from `trace_moves`.
-        touched: from `trace_moves`.
-        outside: from `trace_moves`.
-        here: from `trace_moves`.
-        rows: cells along y.
-        target: index of the target to press; -1 for the exit.
-        leaves: True if entering the exit ends the episode without the goal.
-        penalty: cost of touching another target.
-        tolerance: largest change that counts as none.
-        most: most sweeps, at most 250.
-        is_near: the values are those of the same goal with the exit free to enter; then the first sweep backs up only
-            the states from which one primitive leads into it.
+        values: cost-to-go, shape (classes, cells * fields), float32; `UNREACHABLE` where unknown.
+        moves: from `trace_moves`.
+        own: bit of the target that each field is to press, 0 for the exit, uint64 (fields,).
+        leaves: True if entering the exit ends the episode without the goal, bool (fields,).
+        penalty: cost of touching another target, float32.
+        tolerance: largest change that counts as none, float32.
+        most: most sweeps.
 
     Returns:
-        True if no value changes any more.
+        The number of sweeps; `most` if values may still have changed in the last.
     """
-    classes = values.shape[1]
-    translations = corners.shape[0] // values.size
-    own = np.uint64(1) << np.uint64(max(target, 0)) if target >= 0 else np.uint64(0)
-    # number of the last sweep in which a state changed, and in which one of the four cells from a corner on did
-    changed = np.zeros(values.shape, dtype=np.uint8)
-    changed_near = np.zeros(values.shape, dtype=np.uint8)
+    fields, classes, cells, rows = own.shape[0], moves.listed.shape[0], moves.listed.shape[1], moves.rows
+    columns, side = cells // rows, moves.reach
+    wide, high = (columns + side - 1) // side, (rows + side - 1) // side
+    changed = np.zeros((columns, high), dtype=np.int64)  # number of the last sweep in which a tile's column did
+    fresh = np.empty((classes, side * fields), dtype=np.float32)
     for number in range(1, most + 1):
         is_done = True
-        for n in range(order.shape[0]):
-            cell = order[n] // classes
-            c = order[n] - cell * classes
-            left, right = c + 1 if c + 1 < classes else 0, c - 1 if c > 0 else classes - 1
-            first = order[n] * translations
-            if number > 1 or is_near:
-                last = number - 1
-                is_stale = last > 0 and (changed[cell, left] >= last or changed[cell, right] >= last)
-                for link in range(first, first + translations):
-                    if corners[link] >= 0:
-                        is_stale |= changed_near[corners[link], c] >= last if last else not outside[link]
-                if not is_stale:
-                    continue
-            best = 1.0 + min(values[cell, left], values[cell, right])
-            for link in range(first, first + translations):
-                corner = corners[link]
-                if corner < 0:
-                    continue
-                begun = touched[link] & ~here[cell]
-                if (target >= 0 and begun & own) or (target < 0 and not outside[link]):
-                    cost = 1.0
-                elif leaves and not outside[link]:
-                    continue
-                else:
-                    cost = 1.0
-                    for k in range(4):
-                        if weights[link, k] > 0.0:
-                            cost += weights[link, k] * values[corner + (k // 2) * rows + k % 2, c]
-                if begun & ~own:
-                    cost += penalty
-                best = min(best, cost)
-            best = min(best, UNREACHABLE)
-            if abs(best - values[cell, c]) >= tolerance:
+        for n in range(wide * side * high):
+            i, tj = n // (high * side) * side + n % side, n // side % high
+            if number % 2:
+                i = wide * side - 1 - i
+            if number // 2 % 2:
+                tj = high - 1 - tj
+            if i >= columns or (number > 1 and not _is_stale(changed, i, tj, side, number - 1)):
+                continue
+            first, last = tj * side, min(tj * side + side, rows)
+            if _back_up(values, moves, own, leaves, penalty, tolerance, i * rows + first, last - first, fresh):
+                changed[i, tj] = number
                 is_done = False
-                changed[cell, c] = number
-                for near in (cell, cell - 1, cell - rows, cell - rows - 1):
-                    changed_near[max(near, 0), c] = number
-            values[cell, c] = best
         if is_done:
-            return True
+            return number
+    return most
+
+
+@kernel_part
+def _is_stale(changed, i, tj, side, since):
+    """Return whether a value on which those of a tile's column rest has changed since a sweep."""
+    for near_i in range(max(i - side, 0), min(i + side + 1, changed.shape[0])):
+        for near_j in range(max(tj - 1, 0), min(tj + 2, changed.shape[1])):
+            if changed[near_i, near_j] >= since:
+                return True
     return False
+
+
+@kernel_part
+def _back_up(values, moves, own, leaves, penalty, tolerance, begin, count, fresh):
+    """Back up `count` cells in a row from cell `begin` on; returns True if a value has changed."""
+    fields, classes, translations = own.shape[0], moves.listed.shape[0], moves.offsets.shape[1]
+    for c in range(classes):
+        cell = begin
+        while cell < begin + count:
+            at = moves.listed[c, cell]
+            end = cell + 1
+            if at == _FREE:
+                while end < begin + count and moves.listed[c, end] == _FREE:
+                    end += 1
+            best = fresh[c, (cell - begin) * fields:(end - begin) * fields]
+            best[:] = _MOST
+            if at == _FREE:
+                for m in range(translations):
+                    _take_less(values[c], cell + moves.offsets[c, m], moves.rows, fields, moves.shares[c, m], best)
+            elif at >= 0:
+                row = moves.special[at]
+                for m in range(translations):
+                    if moves.corners[at, m] >= 0 and row < 0:
+                        _take_less(values[c], moves.corners[at, m], moves.rows, fields, moves.weights[at, m], best)
+                    elif moves.corners[at, m] >= 0:
+                        _take_less_by_goal(values[c], moves.corners[at, m], moves.rows, moves.weights[at, m],
+                                           moves.begun[row, m], moves.outside[row, m], own, leaves, penalty, best)
+            cell = end
+    length, around = count * fields, classes + classes // 2
+    for k in range(around):  # turns to either side, as far round as pays
+        _take_less_after_turn(fresh[k % classes, :length], fresh[(k + 1) % classes, :length])
+    for k in range(around, 0, -1):
+        _take_less_after_turn(fresh[k % classes, :length], fresh[(k - 1) % classes, :length])
+    changes = 0
+    for c in range(classes):
+        new, old = fresh[c, :length], values[c, begin * fields:begin * fields + length]
+        for n in range(length):
+            changes += abs(new[n] - old[n]) >= tolerance
+            old[n] = new[n]
+    return changes > 0
+
+
+@kernel_part
+def _take_less(line, corner, rows, fields, weights, best):
+    """Lower `best` to the cost of moves that end between the four cells from `corner` on, or those after it."""
+    start, above, length = corner * fields, (corner + rows) * fields, best.shape[0]
+    p, q = line[start:start + length], line[start + fields:start + fields + length]
+    r, s = line[above:above + length], line[above + fields:above + fields + length]
+    wp, wq, wr, ws = weights[0], weights[1], weights[2], weights[3]
+    for n in range(length):
+        cost = _ONE + wp * p[n] + wq * q[n] + wr * r[n] + ws * s[n]
+        best[n] = min(best[n], cost)
+
+
+@kernel_part
+def _take_less_by_goal(line, corner, rows, weights, begun, is_out, own, leaves, penalty, best):
+    """As `_take_less`, for a move that may begin to touch targets or end in the exit."""
+    fields = own.shape[0]
+    for n in range(fields):
+        cost = _ONE
+        if not (begun & own[n] if own[n] else not is_out):
+            if leaves[n] and not is_out:
+                continue
+            for k in range(4):
+                cost += weights[k] * line[(corner + (k // 2) * rows + k % 2) * fields + n]
+        if begun & ~own[n]:
+            cost += penalty
+        best[n] = min(best[n], cost)
+
+
+@kernel_part
+def _take_less_after_turn(source, best):
+    """Lower `best` to the costs of turning first."""
+    for n in range(best.shape[0]):
+        best[n] = min(best[n], source[n] + _ONE)
+
+
+@kernel
+def encode_values(values, fields):
+    """Round fields to whole numbers.
+
+    Args:
+        values: from `iterate_values`.
+        fields: how many there are.
+
+    Returns:
+        int16 (fields, cells, classes), -1 where there is no way; and the cost of one unit, float32 (fields,).
+    """
+    classes, cells = values.shape[0], values.shape[1] // fields
+    most = np.ones(fields, dtype=np.float32)
+    for c in range(classes):
+        for cell in range(cells):
+            for n in range(fields):
+                value = values[c, cell * fields + n]
+                if most[n] < value < _MOST:
+                    most[n] = value
+    scales = (most / np.float32(32_000)).astype(np.float32)
+    found = np.empty((fields, cells, classes), dtype=np.int16)
+    for cell in range(cells):
+        for c in range(classes):
+            for n in range(fields):
+                value = values[c, cell * fields + n]
+                found[n, cell, c] = int(value / scales[n] + np.float32(0.5)) if value < _MOST else -1
+    return found, scales
