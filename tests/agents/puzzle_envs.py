@@ -31,26 +31,30 @@ class PuzzleEnv(gymnasium.Env):
         horizon: primitives until truncation, also inside an action.
         anywhere: begin with random bits instead of the puzzle's first state.
         failure: probability that an action fails: one primitive is spent, and nothing happens.
+        has_door: the exit's action is masked until the puzzle is solved, and a further action always is.
     """
 
     def __init__(
         self, puzzle: Puzzle, side: float = 20.0, seed: int = 0, horizon: int = 1_000, anywhere: bool = False,
-        failure: float = 0.0,
+        failure: float = 0.0, has_door: bool = False,
     ) -> None:
         self.puzzle, self.horizon, self.anywhere, self.failure = puzzle, horizon, anywhere, failure
+        self.has_door = has_door
         self.targets = len(puzzle.target_names)
         places = np.random.default_rng(seed).uniform(0, side, (self.targets + 2, 2))
         self.places = np.floor(places) + 0.25
         low, high = np.zeros(2 + self.targets), np.r_[side + 1, side + 1, np.ones(self.targets)]
         self.observation_space = spaces.Box(low, high, dtype=np.float64)
-        self.action_space = spaces.Discrete(self.targets + 1)
+        self.action_space = spaces.Discrete(self.targets + 1 + has_door)
 
     def observe(self) -> NDArray[np.float64]:
         return np.r_[self.places[self.place], self.puzzle.observe(self.state)]
 
     def compute_mask(self) -> NDArray[np.int8]:
-        """An action is legal unless the robot is at its place."""
-        return (np.arange(self.targets + 1) != self.place).astype(np.int8)
+        """An action is legal unless the robot is at its place, or behind a door."""
+        actions = np.arange(self.targets + 1 + self.has_door)
+        shut = self.has_door and actions >= self.targets + self.puzzle.is_solved(self.state)
+        return ((actions != self.place) & ~shut).astype(np.int8)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         super().reset(seed=seed)

@@ -1,8 +1,9 @@
 """Factored model learned from a history of decisions: outcomes, rewards and durations.
 
 Everything but the history is derived from it, so the history is the checkpoint. The reward is modelled as a usual rate
-a primitive plus a bonus at a decision's end, and the bonus as an outcome like others. Agents choose the hypotheses to
-believe, and explore.
+a primitive plus a bonus at a decision's end, and the bonus as an outcome like others. An action that is masked is a
+sample too: of doing nothing there, so that where an option may start is learned like what it does. Agents choose the
+hypotheses to believe, and explore.
 """
 
 from __future__ import annotations
@@ -133,6 +134,7 @@ class FactoredModel:
         self._all_on = conditions == "all-on" and bool((self._reader.sizes == 2).all())
         self._before: list[NDArray[np.float64]] = []
         self._after: list[NDArray[np.float64]] = []
+        self._masks: list[NDArray[np.bool_]] = []  # before
         # action, duration, summed reward, over, previous, legal again
         self._rows: list[tuple[int, int, float, bool, int, bool]] = []
         self._previous = -1  # the action before in the same episode
@@ -148,17 +150,33 @@ class FactoredModel:
         self._levels: dict[float, int] = {0.0: 0}
         self._durations: DurationModel | None = None
         self._repeatable = np.ones(self._actions, dtype=np.bool_)
+        self._tried: set[int] = set()
+        self._done: set[int] = set()  # and masked ever since
+        self._masked: set[tuple[bytes, int]] = set()
         for number in range(len(self._rows)):
             self._learn(number)
         for belief in self._beliefs:
             belief.forget()
 
     def _learn(self, number: int) -> None:
-        action, duration, reward, over, _, again = self._rows[number]
-        first = self.learner.count_samples(action) == 0
-        self._repeatable[action] = again or (self._repeatable[action] and not first)
+        action, duration, reward, over, previous, again = self._rows[number]
+        self._repeatable[action] = again or (self._repeatable[action] and action in self._tried)
+        self._tried.add(action)
         before, after = self._reader.read(self._before[number]), self._reader.read(self._after[number])
+        self._learn_mask(before, self._masks[number], previous)
         self.learner.add(before, action, after, over, self._get_level(round(reward - self.rate * duration, 6)))
+
+    def _learn_mask(self, state: NDArray[np.int64], mask: NDArray[np.bool_], previous: int) -> None:
+        """Take in, once a state, that masked actions do nothing; one masked since it was done may just have worked."""
+        masked = (~mask).nonzero()[0].tolist()
+        self._done = {action for action in masked if previous >= 0 and (action == previous or action in self._done)}
+        for action in masked:
+            key = state.tobytes(), action
+            if action not in self._done and key not in self._masked:
+                self._masked.add(key)
+                self.learner.add(state, action, state, False, 0)
+                for belief in self._beliefs:
+                    belief.forget(action)
 
     def _get_level(self, bonus: float) -> int:
         if bonus not in self._levels:
@@ -213,6 +231,7 @@ class FactoredModel:
         after = self._reader.flatten(transition.next_observation)
         self._before.append(before)
         self._after.append(after)
+        self._masks.append(np.asarray(transition.action_mask, dtype=np.bool_))
         again = bool(transition.next_action_mask[transition.action])
         row = (transition.action, transition.duration, transition.summed_reward, transition.terminated, previous, again)
         self._rows.append(row)
@@ -287,13 +306,14 @@ class FactoredModel:
             "last": self._previous,
             "before": np.array(self._before),
             "after": np.array(self._after),
+            "masks": np.array(self._masks),
             **{name: np.array(list(column)) for name, column in zip(names, columns, strict=True)},
         }
 
     def load_state_dict(self, state: StateTree) -> None:
         """Restore the result of `state_dict`."""
         self._previous = int(state["last"])
-        self._before, self._after = list(state["before"]), list(state["after"])
+        self._before, self._after, self._masks = list(state["before"]), list(state["after"]), list(state["masks"])
         columns = (state[name].tolist() for name in ("action", "duration", "reward", "over", "previous", "again"))
         self._rows = [tuple(row) for row in zip(*columns, strict=True)]
         for rows in (self._before, self._after):

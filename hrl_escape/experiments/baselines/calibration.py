@@ -1,11 +1,12 @@
 """Sentences on whether a ladder is calibrated, by rule from the lines of its baselines.
 
-Chance stays below half the efficiency, the planner reaches all of it, numbers of buttons tell nothing, and learners
-fall off step by step. Only cells of `LEAST_RUNS` runs or more count.
+Chance stays below half the efficiency and falls from rung to rung, the planner reaches all of it, numbers of buttons
+tell nothing, and learners fall off step by step. Only cells of `LEAST_RUNS` runs or more count.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
@@ -24,7 +25,7 @@ IN_ORDER, KNOWN = "smdp-index-order+no-primitives", "planner"
 
 def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], rungs: Sequence[str],
                      noisy: Collection[str]) -> list[str]:
-    """Sentences on chance, the planner, the order of the numbers, and steps; none about what was not measured.
+    """Sentences on chance, the planner, orders of rungs and numbers, and steps; none about what was not measured.
 
     Args:
         cells: runs by rung and agent, all of one budget in each.
@@ -42,6 +43,8 @@ def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], run
         above = [rung for rung, value in chance.items() if find_miscalibration(value, 1.0)]
         told.append(f"Random choices among the options stay below an efficiency of {MOST_CHANCE:g} "
                     f"{_count(above, chance)}.")
+    if len(chance) > 1:
+        told.append(_tell_chance_order(chance))
     if known := curves.get(KNOWN):
         below = [rung for rung, value in known.items() if find_miscalibration(0.0, value, rung in noisy)]
         told.append(f"The planner, who knows the graph, is as efficient as can be {_count(below, known)}.")
@@ -61,6 +64,15 @@ def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], run
     if told and open_rungs:
         told.append(f"Open, for want of runs: {join_words(open_rungs)}.")
     return told
+
+
+def _tell_chance_order(chance: Mapping[str, float]) -> str:
+    """Sentence on whether chance falls from each rung to the next, which is what rungs are in order of."""
+    rises = [f"`{after}` ({high:.2f}) after `{before}` ({low:.2f})"
+             for (before, low), (after, high) in itertools.pairwise(chance.items()) if high > low]
+    if rises:
+        return f"The rungs are not in the order of what chance reaches: {join_words(rises)}."
+    return "The rungs are in the order of what chance reaches: it falls from each to the next."
 
 
 def _tell_order(enough: Mapping[tuple[str, str], Sequence[BaselineRun]], rungs: Sequence[str]) -> str:

@@ -61,7 +61,8 @@ def make_sizes_grid(bench: Benchmark, args: GeneralisationArgs) -> Grid:
     agents = tuple(map(AgentSpec.parse, args.agents or (FLAT, VECTORS, OBJECTS, MEMORY, CHANCE)))
     sizes = tuple(size for size in args.sizes if size <= bench[args.rung].record.train.count)
     settings = LadderSettings(args.runs, args.primitives, args.rooms, sizes, first_seed=args.first_seed)
-    return make_protocol_grid(bench, args.rung, "generalise", agents, settings)
+    grid = make_protocol_grid(bench, args.rung, "generalise", agents, settings)
+    return dataclasses.replace(grid, eval_every=args.primitives)  # only what is known at the end is shown
 
 
 def make_depth_grid(bench: Benchmark, args: GeneralisationArgs, folder: Path) -> Grid:

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import matplotlib
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import save_figure
-from hrl_escape.experiments.baselines.generalisation import DEPTHS, FLAT, MEMORY, OBJECTS, VECTORS
+from hrl_escape.experiments.baselines.calibration import CHANCE
+from hrl_escape.experiments.baselines.generalisation import DEPTHS, FLAT, MEMORY, OBJECTS, TRAINED, VECTORS
 from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
 from hrl_escape.files import write_text
-from hrl_escape.names import join_words
+from hrl_escape.names import count_nouns, join_words
 
 __all__ = ["draw_sizes", "write_generalisation_page"]
 
@@ -38,53 +41,70 @@ def write_generalisation_page(lines: Sequence[BaselineRun], docs: Path) -> None:
     """
     sizes = [line for line in lines if line.protocol == "sizes"]
     depth = [line for line in lines if line.protocol == "depth"]
+    rungs = {rung: [line for line in sizes if line.rung == rung] for rung in dict.fromkeys(line.rung for line in sizes)}
     text = ["# Generalisation", ""]
     if sizes:
-        save_figure(docs / "figures" / "generalisation.svg", draw_sizes(sizes))
-        text += [_summarise(sizes), "", "![Efficiency against training rooms](figures/generalisation.svg)", "",
-                 _describe(sizes), "", *_tabulate_sizes(sizes), ""]
+        save_figure(docs / "figures" / "generalisation.svg", draw_sizes(rungs))
+        text += ["![Efficiency against training rooms](figures/generalisation.svg)", "",
+                 "Solid: in rooms that no run was trained in. Dotted: in rooms trained in. Dots: single runs. Dashed: "
+                 "random choices among the options.", ""]
+    for own in rungs.values():
+        text += [_summarise(own), "", _describe(own), "", *_tabulate_sizes(own), ""]
     text += ["## Deeper than trained", ""]
-    text += [_describe(depth), "", *_tabulate_depths(depth)] if depth else ["Not run yet."]
-    text += ["", "```console", _make_command(sizes or depth), "```", "",
-             "Every run is a line of `raw/generalisation.jsonl`.", ""]
+    text += [f"Trained in rooms of {TRAINED}. {_describe(depth)}", "", *_tabulate_depths(depth)] if depth else [
+        "Not run yet."]
+    commands = [_make_command(own) for own in (*rungs.values(), depth) if own]
+    text += ["", "```console", *commands, "```", "", "Every run is a line of `raw/generalisation.jsonl`.", ""]
     write_text(docs / "generalisation.md", "\n".join(text))
 
 
 def _make_command(lines: Sequence[BaselineRun]) -> str:
-    """The command line that makes these runs."""
+    """The command line that makes at least these runs, all of one rung or of the part `depth`."""
     first = lines[0]
     part = f" --part sizes --rung {first.rung}" if first.protocol == "sizes" else " --part depth"
     return (f"{_COMMAND}{part} --primitives {max(line.primitives for line in lines)} --rooms {first.episodes} "
             f"--runs {1 + max(line.seed for line in lines)}")
 
 
-def draw_sizes(lines: Sequence[BaselineRun]) -> Figure:
-    """Efficiency against training rooms: solid in unseen rooms, dotted in rooms trained in; dots are runs."""
+def draw_sizes(rungs: Mapping[str, Sequence[BaselineRun]]) -> Figure:
+    """Efficiency against training rooms, a panel a rung, from the runs of each.
+
+    Solid in unseen rooms, dotted in rooms trained in; dots are runs.
+    """
     with matplotlib.rc_context(FIGURE_STYLE):
-        figure = Figure(figsize=(6.4, 3.6), facecolor=palette.BACKGROUND, layout="constrained")
-        axes = figure.subplots()
-        for agent, name in _NAMES.items():
-            own = [line for line in lines if line.agent == agent]
-            counts = sorted(set(map(_count_rooms, own)))
-            unseen = [_average([line.efficiency for line in own if _count_rooms(line) == count]) for count in counts]
-            seen = [_average([line.seen or 0.0 for line in own if _count_rooms(line) == count]) for count in counts]
-            axes.plot(counts, unseen, color=_COLOURS[agent], marker="o", markersize=4, linewidth=1.5, label=name)
-            axes.plot(counts, seen, color=_COLOURS[agent], linestyle=":", linewidth=1)
-            axes.scatter([_count_rooms(line) for line in own], [line.efficiency for line in own],
-                         color=_COLOURS[agent], s=8, alpha=0.5)
-        chance = [line.efficiency for line in lines if line.agent not in _NAMES]
-        if chance:
-            axes.axhline(_average(chance), color=palette.MUTED, linestyle="--", linewidth=1, label="chance")
-        axes.set_xscale("log")
-        axes.set_ylim(-0.03, 1.03)
-        axes.set_xlabel("training rooms", color=palette.INK)
-        axes.set_ylabel("efficiency in unseen rooms", color=palette.INK)
-        finish_axes(axes)
-        counts = sorted(set(map(_count_rooms, lines)))
-        axes.set_xticks(counts, [f"{count:,}" for count in counts])
-        axes.minorticks_off()
-        axes.legend(fontsize=8, frameon=False)
+        figure = Figure(figsize=(2.8 + 3.6 * len(rungs), 3.6), facecolor=palette.BACKGROUND, layout="constrained")
+        panels = figure.subplots(1, len(rungs), squeeze=False)[0]
+        for axes, (rung, lines) in zip(panels, rungs.items(), strict=True):
+            _draw_panel(axes, lines)
+            axes.set_title(rung, fontsize=9, color=palette.INK)
+        panels[0].set_ylabel("efficiency in unseen rooms", color=palette.INK)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside right center", fontsize=8, frameon=False)
     return figure
+
+
+def _draw_panel(axes: Axes, lines: Sequence[BaselineRun]) -> None:
+    """Curves of one rung."""
+    agents = {line.agent for line in lines}
+    for agent, name in ((agent, name) for agent, name in _NAMES.items() if agent in agents):
+        own = [line for line in lines if line.agent == agent]
+        counts = sorted(set(map(_count_rooms, own)))
+        unseen = [_average([line.efficiency for line in own if _count_rooms(line) == count]) for count in counts]
+        seen = [_average([line.seen or 0.0 for line in own if _count_rooms(line) == count]) for count in counts]
+        axes.plot(counts, unseen, color=_COLOURS[agent], marker="o", markersize=4, linewidth=1.5, label=name)
+        axes.plot(counts, seen, color=_COLOURS[agent], linestyle=":", linewidth=1)
+        axes.scatter([_count_rooms(line) for line in own], [line.efficiency for line in own], color=_COLOURS[agent],
+                     s=8, alpha=0.5)
+    chance = [line.efficiency for line in lines if line.agent == CHANCE]
+    if chance:
+        axes.axhline(_average(chance), color=palette.MUTED, linestyle="--", linewidth=1, label="chance")
+    axes.set_xscale("log")
+    axes.set_ylim(-0.03, 1.03)
+    axes.set_xlabel("training rooms", color=palette.INK)
+    finish_axes(axes)
+    counts = sorted(set(map(_count_rooms, lines)))
+    axes.set_xticks(counts, [f"{count:,}" for count in counts])
+    axes.minorticks_off()
 
 
 def _count_rooms(line: BaselineRun) -> int:
@@ -99,9 +119,11 @@ def _average(values: Sequence[float]) -> float:
 
 def _describe(lines: Sequence[BaselineRun]) -> str:
     budgets = sorted({line.primitives for line in lines if line.primitives})
-    seeds, episodes = len({line.seed for line in lines}), max(line.episodes for line in lines)
-    few = f" Nothing is concluded from fewer than {LEAST_RUNS} seeds." if seeds < LEAST_RUNS else ""
-    return (f"{len(lines)} runs: {seeds} training {'seed' if seeds == 1 else 'seeds'}, "
+    cells = Counter((line.agent, line.rung, line.rooms) for line in lines if line.primitives)
+    fewest, most, episodes = min(cells.values()), max(cells.values()), max(line.episodes for line in lines)
+    seeds = f"{fewest} to {most} training seeds" if fewest < most else count_nouns(most, "training seed")
+    few = f" Nothing is concluded from fewer than {LEAST_RUNS} seeds." if fewest < LEAST_RUNS else ""
+    return (f"{len(lines)} runs: {seeds}, "
             f"{join_words(f'{budget:,}' for budget in budgets)} primitives, tested in {episodes} rooms "
             f"that no run was trained in.{few}")
 
@@ -123,7 +145,8 @@ def _summarise(lines: Sequence[BaselineRun]) -> str:
 def _tabulate_sizes(lines: Sequence[BaselineRun]) -> list[str]:
     counts = sorted(set(map(_count_rooms, lines)))
     rows = ["| agent | " + " | ".join(f"{count:,}" for count in counts) + " |", "|---" * (len(counts) + 1) + "|"]
-    for agent in [*_NAMES, *sorted({line.agent for line in lines} - set(_NAMES))]:
+    agents = {line.agent for line in lines}
+    for agent in [*(agent for agent in _NAMES if agent in agents), *sorted(agents - set(_NAMES))]:
         cells = []
         for count in counts:
             own = [line for line in lines if line.agent == agent and _count_rooms(line) == count]

@@ -1,11 +1,11 @@
-"""The studies of twins: hierarchies that are given, and hierarchies that are learned. Data only."""
+"""The studies of twins: hierarchies that are given or learned, and learning inside options. Data only."""
 
 from __future__ import annotations
 
 from hrl_escape.experiments.baselines.twins import Question, TwinStudy
-from hrl_escape.experiments.presets import HIERARCHICAL
+from hrl_escape.experiments.presets import HIERARCHICAL, INTRA_OPTION_LEARNERS
 
-__all__ = ["GIVEN_HIERARCHIES", "LEARNED_HIERARCHIES"]
+__all__ = ["GIVEN_HIERARCHIES", "INTRA_OPTION", "LEARNED_HIERARCHIES"]
 
 
 def _name_options(*algorithms: str) -> tuple[str, ...]:
@@ -73,4 +73,30 @@ LEARNED_HIERARCHIES = TwinStudy(
         "ever 0 or 1. All of these but the first and the last two: a result depends on few of them. `hrc`: bits stay "
         "on. All other learners take the observation as it is, with the robot's pose.",
     ),
+)
+
+INTRA_OPTION = TwinStudy(
+    name="intra-option",
+    command="intra-option",
+    title="Intra-option learning: options that follow plans, and options that are functions of the state",
+    introduction="`smdp-intra-option-q` learns from every primitive inside an option, for each option that would have "
+    "done the same; `smdp-q-learning` learns from whole options. An option that follows a plan is no function of the "
+    "state, so that a primitive inside one says nothing of another. With `+markov` they are functions of the "
+    "state (`press-markov`): each primitive is the first of a route that is planned anew. Both agents "
+    "learn in tables at their default settings. "
+    "A room is called by its number of buttons, which have at most two parents each and shuffled numbers; a press "
+    "with unmet parents does nothing. With noise, displacements err by 10 % and a tenth of all primitives do nothing. "
+    "One room of each kind; runs differ in the training seed. Runs that never escape are in all numbers.",
+    questions=(
+        Question("Learning inside options that are functions of the state",
+                 "Against `smdp-q-learning+markov+no-primitives`, which has the same options", "`intra-option-q`",
+                 (("smdp-intra-option-q+markov+no-primitives", "smdp-q-learning+markov+no-primitives"),)),
+        Question("Learning inside options that follow plans",
+                 "Against `smdp-q-learning+no-primitives`, which has the same options", "`intra-option-q`",
+                 _pair("q-learning", "intra-option-q")),
+        Question("Functions of the state in place of plans", "Against the same learner with options that follow plans",
+                 "some learner", tuple((f"smdp-{name}+markov+no-primitives", f"smdp-{name}+no-primitives")
+                                       for name in INTRA_OPTION_LEARNERS)),
+    ),
+    episodes="rooms have one start, and chance where there is noise alone",
 )

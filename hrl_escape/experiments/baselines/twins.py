@@ -27,7 +27,7 @@ class Question(NamedTuple):
     Attributes:
         heading: in the page.
         words: what is held against what.
-        who: the agents together, as the subject of a sentence about any of them: `some hierarchy`.
+        who: the agents together, as the subject of a sentence about any of them: `some hierarchy`; of one, its name.
         pairs: (agent, twin), labels.
     """
 
@@ -47,6 +47,7 @@ class TwinStudy:
         title: of the page.
         introduction: what the agents are and have in common.
         questions: in the order of the page.
+        episodes: what an episode of the frozen policy says of a room, in words.
         notes: paragraphs after the tables.
     """
 
@@ -55,6 +56,7 @@ class TwinStudy:
     title: str
     introduction: str
     questions: tuple[Question, ...]
+    episodes: str = "these rooms have one start and no chance"
     notes: tuple[str, ...] = ()
 
 
@@ -121,7 +123,8 @@ def _conclude(study: TwinStudy, number: int, contrasts: Sequence[Contrast], line
     of_rooms = f"of {len(rooms)} rooms" if len(rooms) > 1 else f"room, {rooms[0]}"
     words = [f"{question.who} gains in {len(better)} {of_rooms}" if better else
              f"no gain is shown in {'any' if len(rooms) > 1 else 'the one'} {of_rooms}"]
-    words += [f"some loses in {len(worse)}"] if worse else []
+    loser = "some" if len(question.pairs) > 1 else question.who
+    words += [f"{loser} loses in {len(worse)}"] if worse else []
     return f"{question.heading}: {', '.join(words)}."
 
 

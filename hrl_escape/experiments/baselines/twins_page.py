@@ -47,8 +47,8 @@ def write_twins_page(study: TwinStudy, lines: Sequence[BaselineRun], path: Path,
     episodes = count_things(max(line.episodes for line in lines), "episode")
     text = [
         f"# {study.title}", "", f"**{' '.join(conclusions)}**", "",
-        f"{study.introduction} {budget:,} primitives of training, then {episodes} of the frozen policy: these rooms "
-        "have one start and no chance.", "",
+        f"{study.introduction} {budget:,} primitives of training, then {episodes} of the frozen policy: "
+        f"{study.episodes}.", "",
     ]
     for number, question in enumerate(study.questions):
         text += [f"## {question.heading}", "", f"{question.words}.", "",

@@ -16,9 +16,10 @@ from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.agents.registry import make_agent
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
+from hrl_escape.env.puzzles.graphs import find_ancestors
 from hrl_escape.errors import UnsupportedSpaceError
-from tests.agents.puzzle_envs import learn_puzzle, make_button_env
-from tests.agents.running import interact
+from tests.agents.puzzle_envs import PuzzleEnv, learn_puzzle, make_button_env
+from tests.agents.running import interact, learn
 
 GAMMA = 0.9
 
@@ -183,6 +184,26 @@ def test_factored_r_max_escapes_and_recovers_every_edge_that_matters(kind, butto
     assert returns[-1] == returns[-2] > returns[0], "it has settled on a better way"
 
 
+def test_where_an_action_is_masked_is_learned_like_what_it_does():
+    """Behind a door the exit's action never fails when it is legal, so its mask alone says what has to be on."""
+    puzzle = make_button_env("layered", 6, "ignore", 1).puzzle
+    env = PuzzleEnv(puzzle, seed=1, has_door=True)
+    agent = make_agent("factored-r-max", env.observation_space, env.action_space, 0)
+    learn(agent, env, 200)
+    again = make_agent("factored-r-max", env.observation_space, env.action_space, 0)
+    again.load_state_dict(agent.state_dict())
+    for learned in (agent, again):
+        observation, info = env.reset()
+        pressed, terminated = [], False
+        while not terminated and len(pressed) < 10:
+            action = learned.act_greedy(observation, info["action_mask"].astype(bool), np.random.default_rng(0))
+            observation, _, terminated, _, info = env.step(action)
+            pressed.append(action)
+        needed = find_ancestors(puzzle.edges, puzzle.goal_targets)
+        assert terminated
+        assert sorted(pressed) == [*sorted(needed), env.targets]
+
+
 def test_sampled_partial_models_escape_and_recover_most_edges():
     first, precision, recall, _ = learn_puzzle(
         "monte-carlo-model", make_button_env("layered", 15, "ignore", 1), 4_000, 1)
@@ -233,6 +254,19 @@ def test_what_a_cut_ended_inside_is_no_evidence():
     assert model.is_empty
     model.record(cut._replace(duration=1))
     assert not model.is_empty
+
+
+def test_an_action_masked_since_it_was_done_is_no_sample():
+    """Action 0 is done and masked from then on, for its place was reached; action 1 is masked wherever one looks."""
+    model = FactoredModel(spaces.MultiBinary(1), 3, 0.9, 1, "all-on", "test")
+    off, on = np.zeros(1), np.ones(1)
+    legal = {0: np.array([True, False, True]), 1: np.array([False, False, True])}
+    for before, action, after, mask in ((off, 0, on, 0), (on, 2, on, 1), (on, 2, on, 1)):
+        model.record(SMDPTransition(before, action, legal[mask], -1.0, -1.0, 1, 0.9, after, legal[1], False, False))
+    assert [model.learner.count_samples(action) for action in range(3)] == [1, 2, 2], "1 is masked in two states"
+    model.record(SMDPTransition(on, 2, legal[0], -1.0, -1.0, 1, 0.9, on, legal[1], True, False))
+    model.record(SMDPTransition(on, 2, legal[1], -1.0, -1.0, 1, 0.9, on, legal[1], False, False))
+    assert model.learner.count_samples(0) == 2, "in another episode it was not done"
 
 
 def test_old_durations_are_forgotten(monkeypatch):

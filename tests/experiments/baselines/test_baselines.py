@@ -81,10 +81,13 @@ ALL = "stay below an efficiency of 0.5 on 3 of 3 rungs."
 
 
 @pytest.mark.parametrize(("references", "learner", "noisy", "told"), [
-    ({}, [1.0, 0.5, 0.0], (), [ALL, "as efficient as can be on 3 of 3 rungs.", "on none of 3 rungs",
+    ({}, [1.0, 0.5, 0.0], (), [ALL, "order of what chance reaches: it falls from each to the next.",
+                               "as efficient as can be on 3 of 3 rungs.", "on none of 3 rungs",
                                "No learner falls from above 0.9 on one rung to below 0.1"]),
     ({CHANCE: [0.8, 0.3, 0.1]}, [1.0, 0.05, 0.0], (),
      ["on 2 of 3 rungs, but not on `low` (0.80).", "The fall is not smooth: dqn falls from 1.00 on low to 0.05"]),
+    ({CHANCE: [0.3, 0.4, 0.1]}, [0.2, 0.1, 0.0], (),
+     ["not in the order of what chance reaches: `middle` (0.40) after `low` (0.30)."]),
     ({KNOWN: [1.0, 1.0, 0.96]}, [0.2, 0.1, 0.0], (), ["as can be on 2 of 3 rungs, but not on `high` (0.96)"]),
     ({KNOWN: [1.0, 1.0, 0.96]}, [0.2, 0.1, 0.0], ("high",), ["as efficient as can be on 3 of 3 rungs."]),
     ({IN_ORDER: [0.5, 0.6, 0.2]}, [0.2, 0.1, 0.0], (), ["drawn by lot on `middle` (by 0.19), so numbers tell"]),
@@ -101,6 +104,12 @@ def test_calibration_tells_what_the_lines_say(references: dict, learner: list, n
     write_baselines_page([line for line in lines if not line.rooms.endswith("[9]")], RUNGS, tmp_path / "page.md")
     page = (tmp_path / "page.md").read_text()
     assert "### Calibration" not in page and "Ladder score" not in page, "nine rooms are too few"
+
+
+def test_the_rungs_that_come_with_the_package_fall_smoothly_by_their_published_runs():
+    page = (Path(__file__).parents[3] / "docs" / "results" / "ladder.md").read_text()
+    for sentence in ("order of what chance reaches: it falls", "on 14 of 14 rungs.", "No learner falls from above"):
+        assert sentence in page
 
 
 def test_of_a_learner_on_one_rung_no_fall_is_denied(tmp_path: Path):

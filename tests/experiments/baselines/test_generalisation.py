@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from pathlib import Path
 
+from hrl_escape.experiments.baselines.calibration import CHANCE
 from hrl_escape.experiments.baselines.generalisation import (
     DEPTHS,
     MEMORY,
@@ -60,3 +61,16 @@ def test_the_page_tells_sizes_and_depths_by_the_lines_alone(tmp_path: Path):
     write_generalisation_page([*lines, depth], tmp_path)
     page = (tmp_path / "generalisation.md").read_text()
     assert f"| `{VECTORS}` | - | - | 0.30 | - | 1.00 |" in page and "Not run yet." not in page
+
+
+def test_rungs_have_tables_and_commands_of_their_own_and_seeds_are_counted_by_cell(tmp_path: Path):
+    other = dataclasses.replace(LINE, rung="chain-3", efficiency=0.7)
+    chance = dataclasses.replace(LINE, agent=CHANCE, primitives=0)
+    lines = [LINE, *(dataclasses.replace(other, seed=seed) for seed in range(3)), chance,
+             dataclasses.replace(other, agent=MEMORY, rooms="x/train[:4] > x/test")]
+    write_generalisation_page(lines, tmp_path)
+    page = (tmp_path / "generalisation.md").read_text()
+    assert f"| `{VECTORS}` | 0.20 (1.00) |\n" in page and f"| `{VECTORS}` | 0.70 (1.00) | - |\n" in page
+    assert "2 runs: 1 training seed, 500" in page and "4 runs: 1 to 3 training seeds, 500" in page
+    assert "--rung pair --primitives 500 --rooms 3 --runs 1\n" in page
+    assert "--rung chain-3 --primitives 500 --rooms 3 --runs 3\n" in page

@@ -1,4 +1,4 @@
-"""Studies of twins, hierarchies given and learned: what their pages say follows from the lines, whatever they say."""
+"""Studies of twins, of hierarchies and of learning inside options: what their pages say follows from the lines."""
 
 from __future__ import annotations
 
@@ -10,16 +10,18 @@ import pytest
 
 from hrl_escape.agents.registry import find_agent_module
 from hrl_escape.cli import main
+from hrl_escape.commands.experiment.intra_option import IntraOptionArgs
 from hrl_escape.experiments.baselines.dial import DialStudy
 from hrl_escape.experiments.baselines.lines import BaselineRun, load_lines, save_lines
-from hrl_escape.experiments.baselines.twin_studies import GIVEN_HIERARCHIES, LEARNED_HIERARCHIES
+from hrl_escape.experiments.baselines.twin_studies import GIVEN_HIERARCHIES, INTRA_OPTION, LEARNED_HIERARCHIES
 from hrl_escape.experiments.baselines.twins import compare_twins, conclude_contrasts
 from hrl_escape.experiments.baselines.twins_page import write_twins_page
 from hrl_escape.experiments.baselines.twins_running import TwinArgs
 from hrl_escape.experiments.presets import GRIDS, HIERARCHICAL, HIERARCHY_LEARNERS, get_grid
 
 ROOMS = ("near", "far")
-STUDIES = pytest.mark.parametrize("study", [GIVEN_HIERARCHIES, LEARNED_HIERARCHIES], ids=lambda study: study.name)
+STUDIES = pytest.mark.parametrize("study", [GIVEN_HIERARCHIES, LEARNED_HIERARCHIES, INTRA_OPTION],
+                                  ids=lambda study: study.name)
 LINE = BaselineRun("per-instance", "hierarchies", "near", "", 0, 1_000, 0.0, None, 0.0, 1, 0.0, None, "abc")
 
 
@@ -37,7 +39,8 @@ def test_every_learner_of_the_grid_is_asked_about_or_a_twin_and_nobody_else(stud
     grid = get_grid(study.name)
     asked = {label for question in study.questions for pair in question.pairs for label in pair}
     assert asked == {agent.label for agent in grid.agents if agent.learns}
-    assert (TwinArgs.runs, TwinArgs.primitives) == (grid.runs, grid.primitives)
+    args = IntraOptionArgs if study is INTRA_OPTION else TwinArgs
+    assert (args.runs, args.primitives) == (grid.runs, grid.primitives)
 
 
 def test_questions_ask_about_every_hierarchy():
@@ -73,6 +76,19 @@ def test_another_truth_about_learned_hierarchies_is_another_conclusion(better, t
     found = conclude(LEARNED_HIERARCHIES, make_lines(better, study=LEARNED_HIERARCHIES))
     assert [sentence.split(": ")[1] for sentence in found] == [f"{said}." for said in
                                                                (tables, networks, structure, ways)]
+
+
+@pytest.mark.parametrize(("better", "functions", "plans", "instead"), [
+    ({"intra-option-q+markov": 0.9}, "`intra-option-q` gains in 2 of 2 rooms", "no gain is shown in any of 2 rooms",
+     "some learner gains in 2 of 2 rooms"),
+    ({"intra-option-q+markov": 0.5, "q-learning+markov": 0.9, "intra": 0.8, "": 0.7},
+     "no gain is shown in any of 2 rooms, `intra-option-q` loses in 2", "`intra-option-q` gains in 2 of 2 rooms",
+     "some learner gains in 2 of 2 rooms, some loses in 2"),
+    ({"": 0.5}, *["no gain is shown in any of 2 rooms"] * 3),
+])
+def test_another_truth_about_learning_inside_options_is_another_conclusion(better, functions, plans, instead):
+    found = conclude(INTRA_OPTION, make_lines(better, study=INTRA_OPTION))
+    assert [sentence.split(": ")[1] for sentence in found] == [f"{said}." for said in (functions, plans, instead)]
 
 
 def conclude(study, lines):
@@ -136,17 +152,20 @@ def test_settings_that_are_no_defaults_are_those_that_the_page_names():
 
 
 @STUDIES
-def test_rooms_have_one_start_and_no_chance(study):
+def test_rooms_have_one_start_and_no_chance_but_where_there_is_noise(study):
     grid = get_grid(study.name)
     for room in grid.rooms:
         instance = room.make_instance()
-        assert len(instance.starts) == len(instance.puzzle.list_starts()) == 1 and not instance.dynamics.is_random
+        assert len(instance.starts) == len(instance.puzzle.list_starts()) == 1
+        assert instance.dynamics.is_random == ("-noise" in room.label)
+    assert ("noise" in study.introduction) == any("-noise" in room.label for room in grid.rooms)
 
 
-def test_rooms_of_learned_hierarchies_are_what_the_page_says():
-    for room in get_grid("learned-hierarchies").rooms:
+@pytest.mark.parametrize("study", [LEARNED_HIERARCHIES, INTRA_OPTION], ids=lambda study: study.name)
+def test_rooms_are_what_the_page_says(study):
+    for room in get_grid(study.name).rooms:
         place, puzzle = room.make_place(), room.make_instance().puzzle
-        _, buttons, rule = place.name.partition("#")[0].split("-")
+        _, buttons, rule, *_ = place.name.partition("#")[0].split("-")
         needy = [child for _, child in puzzle.edge_list]
         assert place.name == room.label
         assert (puzzle.count, puzzle.on_violation) == (int(buttons), rule)
@@ -160,8 +179,8 @@ def test_what_is_said_of_everybody_names_everybody():
 
 
 @pytest.mark.parametrize(("study", "agent", "first"), [
-    (GIVEN_HIERARCHIES, "hamq+planned", 36), (LEARNED_HIERARCHIES, "smdp-hrc+no-primitives", 57)],
-    ids=["given", "learned"])
+    (GIVEN_HIERARCHIES, "hamq+planned", 36), (LEARNED_HIERARCHIES, "smdp-hrc+no-primitives", 57),
+    (INTRA_OPTION, "smdp-intra-option-q+markov+no-primitives", None)], ids=["given", "learned", "intra-option"])
 def test_the_command_runs_and_writes_the_page_again_from_its_lines(study, agent, first, tmp_path: Path, monkeypatch,
                                                                    capsys):
     from hrl_escape.commands.experiment import learned
