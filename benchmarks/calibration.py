@@ -13,18 +13,23 @@ from __future__ import annotations
 import argparse
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.experiments.baselines.lines import BaselineRun
+from hrl_escape.experiments.baselines.twin_studies import GIVEN_HIERARCHIES
+from hrl_escape.experiments.baselines.twins import compare_twins
 from hrl_escape.experiments.inference import compute_interval
 from hrl_escape.experiments.pairs import compare_agents, is_better
 from hrl_escape.experiments.presets import get_grid
 from hrl_escape.experiments.statistics import compute_iqm, compute_mean
 from hrl_escape.experiments.studies.claims import CLAIMS, FIGURES, judge_claims
 from hrl_escape.experiments.studies.contrasts import make_screening_design
-from hrl_escape.experiments.studies.factorial import get_factors, make_label
+from hrl_escape.experiments.studies.factorial import get_factors, make_label, read_levels
 from hrl_escape.experiments.studies.factorial_effects import Screening, compute_effects, measure_area
+from hrl_escape.experiments.studies.mediation import compute_paths
 from hrl_escape.experiments.studies.raw import BINS, OPTIMAL_SCORE, RawRun
 
 Draw = Callable[[np.random.Generator, int], NDArray[np.float64]]
@@ -111,16 +116,39 @@ def is_wrong_of_screening(draw: Draw, rng: np.random.Generator) -> bool:
     return any(effect.is_shown for effect in compute_effects(Screening.make("sarsa", runs), measure_area))
 
 
+def is_wrong_of_paths(draw: Draw, rng: np.random.Generator) -> bool:
+    """The same page shows a path through the logs, where exploration moves a quantity that moves nothing else."""
+    labels = [make_label("sarsa", row) for row in make_screening_design(len(get_factors("sarsa"))).tolist()]
+    raised = [read_levels(label)[get_factors("sarsa").index("exploration")] for label in labels]
+    runs = [replace(make_run(label, room, seed, float(value)), greedy=(0.5 + 0.1 * level + float(noise),) * BINS)
+            for room in "abcde" for seed in range(5) for label, value, level, noise in
+            zip(labels, draw(rng, len(labels)), raised, rng.normal(0, 0.1, len(labels)), strict=True)]
+    return any(path.is_shown for path in
+               compute_paths(Screening.make("sarsa", runs), ["exploration"], measure_area, rng, resamples=500))
+
+
+def is_wrong_of_twins(draw: Draw, rng: np.random.Generator) -> bool:
+    """The page of given hierarchies calls an agent better or worse than its twin; 10 runs in each of 4 rooms."""
+    study, grid = GIVEN_HIERARCHIES, get_grid(GIVEN_HIERARCHIES.name)
+    lines = [BaselineRun("per-instance", study.name, room.label, agent.label, seed, 1000, float(value), None,
+                         float(value > 0.5), 1, float(value), round(1000 * (1 - float(value))) or None, "")
+             for room in grid.rooms for agent in grid.agents if agent.learns
+             for seed, value in enumerate(draw(rng, 10))]
+    return any(contrast.is_shown for contrast in compare_twins(study, lines))
+
+
 PAGES: dict[str, Callable[[Draw, np.random.Generator], bool]] = {
     "claims of the paper": is_wrong_of_claims,
     "why it worsens": is_wrong_of_screening,
+    "its paths": is_wrong_of_paths,
+    "hierarchies and their twins": is_wrong_of_twins,
 }
 """Verdict -> whether one simulated page is wrong."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables as Markdown."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--trials", type=int, default=2_000)
     parser.add_argument("--pages", action="store_true", help="print the table of pages alone")
     chosen = parser.parse_args(arguments)

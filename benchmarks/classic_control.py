@@ -4,10 +4,11 @@
     python -m benchmarks.classic_control --tasks CartPole-v1   # one task
     python -m benchmarks.classic_control --quick               # seconds: shows that everything runs
 
-Agents run at their default settings, `sb3-dqn` (Stable-Baselines3) at those that RL Baselines3 Zoo tuned for each task,
-all for the same number of primitives. `final` is the mean return of the greedy policy when the budget ends, `best` that
-of its best evaluation on the way: reaching a threshold is not holding it. Finished runs are kept, a line each, in the
-file `--out`; the command goes on where it was stopped.
+Agents run at their default settings, `dqn-tuned` at those that were chosen for the task on seeds 500 to 504, `sb3-dqn`
+(Stable-Baselines3) at those that RL Baselines3 Zoo tuned for it, all for the same number of primitives. `final` is the
+mean return of the greedy policy when the budget ends, `best` that of its best evaluation on the way: reaching a
+threshold is not holding it. Comparisons are paired by seed. Finished runs are kept, a line each, in the file `--out`;
+the command goes on where it was stopped.
 """
 
 from __future__ import annotations
@@ -27,6 +28,9 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents import evaluate, make_agent
 from hrl_escape.agents.agent import Agent, count_actions, make_transition
+from hrl_escape.agents.components.fixed_policy import FixedPolicy
+from hrl_escape.experiments.inference import compare_pairs, compute_sign_flip_p, correct_by_holm
+from hrl_escape.experiments.statistics import compute_iqm
 
 EPISODES = 20
 """Greedy episodes in an evaluation, the same ones for every contender and seed."""
@@ -36,37 +40,40 @@ EVALUATIONS = 8
 
 @dataclass(frozen=True)
 class Task:
-    """An environment, a budget, and what Stable-Baselines3's DQN was tuned to for it.
+    """An environment, a budget, and what `dqn` and Stable-Baselines3's DQN were tuned to for it.
 
     Attributes:
         primitives: budget of a run.
         threshold: mean return from which the task counts as solved.
         tuned: arguments of `stable_baselines3.DQN`, from RL Baselines3 Zoo's `hyperparams/dqn.yml`.
+        settings: of `dqn-tuned`, where they are not the defaults.
     """
 
     primitives: int
     threshold: float
-    tuned: dict[str, Any] = field(default_factory=dict)
+    tuned: dict[str, Any]
+    settings: dict[str, Any] = field(default_factory=dict)
 
 
 _WIDE = {"policy_kwargs": {"net_arch": [256, 256]}, "gamma": 0.99}
 _LONG = {"learning_rate": 6.3e-4, "batch_size": 128, "buffer_size": 50_000, "learning_starts": 0,
          "target_update_interval": 250, "train_freq": 4, "gradient_steps": -1, "exploration_fraction": 0.12,
          "exploration_final_eps": 0.1, **_WIDE}
+_RAW = {"scale_observations": False, "updates_per_step": 1.0}
 TASKS = {
     "CartPole-v1": Task(40_000, 475.0, {
         "learning_rate": 2.3e-3, "batch_size": 64, "buffer_size": 100_000, "learning_starts": 1_000,
         "target_update_interval": 10, "train_freq": 256, "gradient_steps": 128, "exploration_fraction": 0.16,
         "exploration_final_eps": 0.04, **_WIDE,
     }),
-    "Acrobot-v1": Task(100_000, -100.0, _LONG),
-    "LunarLander-v3": Task(100_000, 200.0, _LONG),
+    "Acrobot-v1": Task(30_000, -100.0, _LONG, _RAW),
+    "LunarLander-v3": Task(25_000, 200.0, _LONG, _RAW),
 }
 Trainer = Callable[[str, Task, int, int], Iterator[tuple[int, float]]]
 """From task, its settings, seed and budget to pairs (primitives, mean return of an evaluation)."""
 
 
-class Peer:
+class Peer(FixedPolicy):
     """The greedy policy of a model of Stable-Baselines3, as `evaluate` needs it."""
 
     gamma = 0.99
@@ -74,7 +81,7 @@ class Peer:
     def __init__(self, model: Any) -> None:
         self._model = model
 
-    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """The likeliest action."""
         return int(self._model.predict(observation, deterministic=True)[0])
 
@@ -84,12 +91,13 @@ def measure(agent: Any, env: gymnasium.Env) -> float:
     return evaluate(agent, env, EPISODES, seed=0).mean_return
 
 
-def train_agent(name: str) -> Trainer:
-    """A trainer of one of our agents at its default settings."""
+def train_agent(name: str, is_tuned: bool = False) -> Trainer:
+    """A trainer of one of our agents at its default settings, or at those that were tuned for the task."""
 
     def run(task_id: str, task: Task, seed: int, budget: int) -> Iterator[tuple[int, float]]:
         env, eval_env = gymnasium.make(task_id), gymnasium.make(task_id)
-        agent: Agent = make_agent(name, env.observation_space, env.action_space, seed)
+        agent: Agent = make_agent(name, env.observation_space, env.action_space, seed,
+                                  **task.settings if is_tuned else {})
         observation, _ = env.reset(seed=seed)
         mask = np.ones(count_actions(env.action_space, name), np.bool_)
         for primitives in range(1, budget + 1):
@@ -125,7 +133,9 @@ def train_peer(task_id: str, task: Task, seed: int, budget: int) -> Iterator[tup
 
 
 CONTENDERS: dict[str, Trainer] = {name: train_agent(name) for name in ("dqn", "ppo", "dac", "ppoc")} | {
-    "sb3-dqn": train_peer}
+    "dqn-tuned": train_agent("dqn", is_tuned=True), "sb3-dqn": train_peer}
+PAIRS = (("dqn", "sb3-dqn"), ("dqn-tuned", "sb3-dqn"), ("dqn-tuned", "dqn"))
+"""Contenders that are compared seed by seed."""
 
 
 def summarise(rows: Sequence[dict[str, Any]]) -> str:
@@ -148,6 +158,38 @@ def summarise(rows: Sequence[dict[str, Any]]) -> str:
             lines.append(f"| {task_id} | {name} | {len(final)} | {final.mean():.0f} | {low:.0f} to {high:.0f} | "
                          f"{best.mean():.0f} | {held} |")
     return "\n".join(lines)
+
+
+def compare(rows: Sequence[dict[str, Any]]) -> str:
+    """A table of differences between the final returns of two contenders with the same seed.
+
+    `all` is the mean over a run's evaluations, which says who learned sooner. Each difference has Student's interval
+    and the test of signs; the verdict tells two contenders apart where Holm's correction
+    over all rows leaves p below 0.05.
+
+    Args:
+        rows: finished runs; a pair has those seeds that both contenders ran.
+    """
+    found = []
+    for task_id in TASKS:
+        for pair in PAIRS:
+            runs = [{row["seed"]: [score for _, score in row["scores"]] for row in rows
+                     if (row["task"], row["contender"]) == (task_id, name)} for name in pair]
+            seeds = sorted(runs[0].keys() & runs[1].keys())
+            if len(seeds) > 1:
+                final, best, whole = (np.array([[pick(of[seed]) for seed in seeds] for of in runs])
+                                      for pick in (lambda scores: scores[-1], max, np.mean))
+                p = min(1.0, *(2 * compute_sign_flip_p(final[0] - final[1], side) for side in ("above", "below")))
+                found.append((task_id, pair, final, best, whole, p))
+    lines = ["| task | first, second | pairs | final, IQM | best, IQM | all, IQM | difference of final, mean "
+             "| 95 % interval | p, Holm | verdict |", "|---|---|---|---|---|---|---|---|---|---|"]
+    for (task_id, pair, *measures, _), p in zip(found, correct_by_holm([each[-1] for each in found]), strict=True):
+        test = compare_pairs([measures[0][0] - measures[0][1]])
+        verdict = "not told apart" if p >= 0.05 else f"{pair[0]} {'better' if test.difference > 0 else 'worse'}"
+        middles = " | ".join(f"{compute_iqm([of[0]]):.0f}, {compute_iqm([of[1]]):.0f}" for of in measures)
+        lines.append(f"| {task_id} | {', '.join(pair)} | {test.pairs} | {middles} | {test.difference:+.0f} | "
+                     f"{test.low:+.0f} to {test.high:+.0f} | {p:.3f} | {verdict} |")
+    return "\n".join(lines) if found else ""
 
 
 def find_budget(task: Task, arguments: argparse.Namespace) -> int:
@@ -182,7 +224,8 @@ def main() -> None:
             file.write(json.dumps(rows[-1]) + "\n")
         print(f"{name} on {task_id}, seed {seed}: {run['scores'][-1][1]:.1f} at the end", flush=True)
     budgets = {(each, find_budget(TASKS[each], arguments)) for each in arguments.tasks}
-    print(summarise([row for row in rows if (row["task"], row["primitives"]) in budgets]))
+    rows = [row for row in rows if (row["task"], row["primitives"]) in budgets and row["seed"] in arguments.seeds]
+    print(summarise(rows), compare(rows), sep="\n\n")
 
 
 if __name__ == "__main__":

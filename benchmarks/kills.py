@@ -1,8 +1,8 @@
 """Kills (SIGKILL) at random moments, each resumed by the same command, against work that was left alone.
 
 Run: `python benchmarks/kills.py --only train --kills 100` and so on; exits with 1 if a byte differs or a process
-outlives its parent. `train` is one run of smdp-dqn, `compare` a comparison of six agents, `study` the study of flat
-agents, `ray` the comparison on a Ray of this machine (extra `ray`). What is finished is compared and begun anew in
+outlives its parent. `train` is one run of smdp-dqn, `compare` a comparison of six agents, `study` that of given
+hierarchies, `ray` the comparison on a Ray of this machine (extra `ray`). What is finished is compared and begun anew in
 another folder, until the kills are done.
 """
 
@@ -98,9 +98,9 @@ def read_train(folder: Path) -> Any:
 
 
 def study(folder: Path) -> None:
-    """The study of flat agents with one run of each."""
-    sys.exit(main_of_cli(["experiment", "flat", "--runs", "1", "--primitives", "400", "--out", str(folder / "runs"),
-                          "--docs", str(folder / "docs")]))
+    """The study of given hierarchies with one run of each."""
+    sys.exit(main_of_cli(["experiment", "hierarchies", "--runs", "1", "--primitives", "400",
+                          "--out", str(folder / "runs"), "--docs", str(folder / "docs")]))
 
 
 def read_study(folder: Path) -> Any:

@@ -55,16 +55,14 @@ def train_peer(count: int, seed: int, budget: int) -> list[float]:
     eval_env = gymnasium.make(CURVES)
     for _ in range(EVALUATIONS):
         model.learn(budget // EVALUATIONS, reset_num_timesteps=False)
-        player: Any = Peer(model)
-        scores.append(evaluate(player, eval_env, EPISODES, seed=0).mean_return)
+        scores.append(evaluate(Peer(model), eval_env, EPISODES, seed=0).mean_return)
     return scores
 
 
 def measure_ours(count: int, budget: int, settings: dict[str, Any]) -> float:
     """Primitives of a room that `ppo` learns from in a second of processor time."""
-    arguments = {"observation": "features"}
-    env: Any = (gymnasium.make(RATES, **arguments) if count == 1 else
-                gymnasium.make_vec(RATES, num_envs=count, output="torch", **arguments))
+    env: Any = (gymnasium.make(RATES, observation="features") if count == 1 else
+                gymnasium.make_vec(RATES, num_envs=count, output="torch", observation="features"))
     started = time.process_time()
     result = train("ppo", env, primitives=budget, eval_episodes=0, progress=False, settings=settings)
     return result.primitives / (time.process_time() - started)
@@ -97,7 +95,8 @@ def measure_options(contender: str, count: int, quick: bool) -> float:
             if terminated or truncated:
                 _, info = env.reset()
         return 10 * steps / (time.process_time() - started)
-    env = gymnasium.make_vec(OPTIONS, num_envs=count, output="torch", autoreset_mode="SameStep", **arguments)
+    env = gymnasium.make_vec(OPTIONS, num_envs=count, output="torch", autoreset_mode="SameStep",
+                             compile=contender.endswith("compiled"), **arguments)
     if contender == "vector environment":
         _, info = env.reset(seed=0)
         started = time.process_time()
@@ -107,6 +106,8 @@ def measure_options(contender: str, count: int, quick: bool) -> float:
     streams: Any = env.unwrapped
     streams, ended = streams.get_streams(), 0
     streams.reset(0)
+    for _ in range(2):  # kernels are compiled or loaded
+        streams.step(torch.multinomial(streams.action_mask.float(), 1).squeeze(1))
     started = time.process_time()
     for _ in range(steps):
         ended += int(streams.step(torch.multinomial(streams.action_mask.float(), 1).squeeze(1)).where.sum())
@@ -144,7 +145,8 @@ def list_runs(arguments: argparse.Namespace) -> list[dict[str, Any]]:
         return [{"what": "options", "contender": contender, "count": count, "round": number}
                 for number in range(arguments.rounds)
                 for contender, counts in (("single", [1]), ("vector environment", arguments.counts),
-                                          ("own pace", arguments.counts)) for count in counts]
+                                          ("own pace", arguments.counts), ("own pace, compiled", arguments.counts))
+                for count in counts]
     if arguments.what == "pixels":
         return [{"what": "pixels", "contender": contender, "count": count, "round": number, "room": room}
                 for number in range(arguments.rounds) for room in PICTURED

@@ -58,6 +58,7 @@ TRAITS: dict[str, dict[str, dict[str, Any]]] = {
     "memory": {"options": {"memory": True}},
     "gru": {"settings": {"memory": "gru"}},
     "no-primitives": {"options": {"include_primitives": False}},
+    "markov": {"options": {"flavour": "press-markov"}},
     "planned": {"agent": {"leaves": "planned"}},
     "learned": {"agent": {"leaves": "learned"}},
 }
@@ -70,8 +71,7 @@ class AgentSpec(Settings):
 
     _section = "agent"
     name: str = "random"
-    """Name in the registry, or smdp-index-order, smdp-shuffled-round or planner, which learn nothing; smdp- in front
-    chooses options."""
+    """Name in the registry, smdp- in front to choose options; or one of `REFERENCES`, which learn nothing."""
     label: str = ""
     """Name in tables and curves; empty for the agent's name (and recipe)."""
     recipe: str = "corrected"

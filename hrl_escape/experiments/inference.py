@@ -8,7 +8,9 @@ paired by room and training seed. `benchmarks/calibration.py` measures how often
 
 from __future__ import annotations
 
+import itertools
 import math
+import operator
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal, NamedTuple, Protocol
@@ -28,6 +30,7 @@ __all__ = [
     "compute_interval",
     "compute_restricted_mean",
     "compute_sign_flip_p",
+    "compute_survival",
     "compute_wilson_interval",
     "correct_by_benjamini_hochberg",
     "correct_by_holm",
@@ -132,14 +135,26 @@ def compute_restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: floa
         observed: (n,) the event came.
         horizon: where to stop; after the last time the curve stays as it is.
     """
+    ends, waiting = compute_survival(times, observed)
+    inside = ends < horizon
+    edges = np.concatenate([[0.0], ends[inside], [horizon]])
+    return float(np.sum(np.diff(edges) * np.concatenate([[1.0], waiting[inside]])))
+
+
+def compute_survival(times: ArrayLike, observed: ArrayLike) -> tuple[Floats, Floats]:
+    """Kaplan-Meier curve: the share for which an event has not come.
+
+    Args:
+        times: (n,) of the event, or until which it was waited for.
+        observed: (n,) the event came.
+
+    Returns:
+        The different times, ascending, and the share from each of them on.
+    """
     at, seen = np.asarray(times, dtype=np.float64), np.asarray(observed, dtype=bool)
-    ends = np.unique(np.minimum(at, horizon))
-    alive, area, before = 1.0, 0.0, 0.0
-    for end in ends:
-        area += alive * (end - before)
-        alive *= 1 - np.sum(seen & (at == end)) / np.sum(at >= end)
-        before = end
-    return float(area + alive * (horizon - before))
+    ends = np.unique(at)
+    falls = [1 - np.sum(seen & (at == end)) / np.sum(at >= end) for end in ends]
+    return ends, np.array(list(itertools.accumulate(falls, operator.mul)), dtype=np.float64)
 
 
 class PairedTest(NamedTuple):

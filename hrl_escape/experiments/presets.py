@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-from hrl_escape.env.config import RobotConfig, RoomConfig
+from hrl_escape.env.config import DynamicsConfig, RobotConfig, RoomConfig
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig, ViolationRule
 from hrl_escape.env.puzzles.graphs import GraphConfig
@@ -15,7 +15,7 @@ from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.references import REFERENCES
 from hrl_escape.synthesis.kinds import LEAVES
 
-__all__ = ["GRIDS", "HIERARCHICAL", "HIERARCHY_LEARNERS", "get_grid"]
+__all__ = ["GRIDS", "HIERARCHICAL", "HIERARCHY_LEARNERS", "INTRA_OPTION_LEARNERS", "get_grid"]
 
 
 def _parse_agents(*texts: str) -> tuple[AgentSpec, ...]:
@@ -32,15 +32,18 @@ def _parse_rooms(*texts: str) -> tuple[RoomSpec, ...]:
     return tuple(RoomSpec.parse(text) for text in texts)
 
 
-def _make_layered_room(buttons: int, rule: ViolationRule) -> RoomSpec:
+def _make_layered_room(buttons: int, rule: ViolationRule, noisy: bool = False) -> RoomSpec:
     """A room of buttons anywhere on the walls, their numbers shuffled, each with at most two parents.
 
-    It is the first instance in which some button needs another.
+    It is the first instance in which some button needs another. With noise, displacements err by 10 % and a tenth of
+    all primitives do nothing.
     """
     graph = GraphConfig(kind="layered", max_parents=2)
     puzzle = ButtonsConfig(count=buttons, graph=graph, on_violation=rule, buttons=Panels(width=1.5))
-    return RoomSpec(config=RoomConfig(name=f"layered-{buttons}-{rule}", robot=RobotConfig(body_radius=0.5),
-                                      puzzle=puzzle).to_dict(), seed=1 if buttons == 2 else 0)
+    dynamics = DynamicsConfig(noise=0.1, slip=0.1) if noisy else DynamicsConfig()
+    room = RoomConfig(name=f"layered-{buttons}-{rule}{'-noise' * noisy}", robot=RobotConfig(body_radius=0.5),
+                      puzzle=puzzle, dynamics=dynamics)
+    return RoomSpec(config=room.to_dict(), seed=1 if buttons == 2 else 0)
 
 
 _FLAT = _parse_agents("random", "dqn@paper", "sarsa@paper", "ddpg@paper", "dqn", "sarsa", "ddpg")
@@ -52,6 +55,7 @@ HIERARCHY_LEARNERS = (
     "q-learning", "option-critic", "eigenoptions", "covering-options", "skill-chaining", "ppo", "dac", "ppoc", "a2oc",
     "diayn", "r-max", "factored-r-max", "met-r-max", "vigorito-barto", "monte-carlo-model", "hrc")
 """Agents that learn options, skills or structure, each kind behind the flat agent that learns in the same way."""
+INTRA_OPTION_LEARNERS = ("q-learning", "intra-option-q")
 _SHORT = {"rollout": 32, "batch_size": 32}
 _FEW_DECISIONS = {"ppo": _SHORT, "dac": _SHORT, "ppoc": _SHORT | {"least_samples": 32}, "diayn": _SHORT,
                   "eigenoptions": {"discover_every": 50}, "covering-options": {"discover_every": 50}}
@@ -143,6 +147,20 @@ GRIDS: dict[str, Grid] = {
             primitives=10_000,
             eval_every=5_000,
             eval_episodes=1,  # as above
+        ),
+        Grid(
+            name="intra-option",
+            description="What does learning from the primitives inside options bring, with options that follow plans "
+            "and with those that are functions of the state?",
+            agents=_parse_agents("smdp-random+no-primitives",
+                                 *(f"smdp-{name}{kind}+no-primitives" for kind in ("", "+markov")
+                                   for name in INTRA_OPTION_LEARNERS), *REFERENCES),
+            rooms=(*(_make_layered_room(buttons, "ignore") for buttons in (2, 4, 6)),
+                   _make_layered_room(4, "ignore", noisy=True)),
+            runs=10,
+            primitives=5_000,
+            eval_every=2_500,
+            eval_episodes=1,
         ),
     )
 }

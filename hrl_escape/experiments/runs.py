@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate, evaluate_trials
-from hrl_escape.agents.training.results import TrainResult, find_first_escape
+from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
@@ -87,7 +87,7 @@ class RunResult:
         """Sum up a finished training run."""
         return cls(
             budget, result.primitives, result.decisions, len(result.episodes), result.planner_calls,
-            find_first_escape(result.episodes), result.evaluations, score_range, solution,
+            result.first_escape, result.evaluations, score_range, solution,
             tuple(result.curve(against="seconds")[0].tolist()), result.planner_seconds, list_versions(),
         )
 

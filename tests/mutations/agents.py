@@ -39,6 +39,20 @@ MUTATIONS = [
         "agents/algorithms/test_deep_losses.py agents/training/test_train.py",
     ),
     Mutation(
+        "masked actions are no samples",
+        "agents/factored/model.py",
+        "if action not in self._done and key not in self._masked:",
+        "if False:",
+        "agents/algorithms/test_model_based.py::test_where_an_action_is_masked_is_learned_like_what_it_does",
+    ),
+    Mutation(
+        "an action that worked and is masked for it counts as doing nothing",
+        "agents/factored/model.py",
+        "self._done = {action for action in masked if previous >= 0 and (action == previous or action in self._done)}",
+        "self._done = set()",
+        "agents/algorithms/test_model_based.py::test_an_action_masked_since_it_was_done_is_no_sample",
+    ),
+    Mutation(
         "boltzmann multiplies by its temperature",
         "agents/components/exploration.py",
         "scaled = legal_values / settings.temperature",

@@ -4,6 +4,34 @@ from tests.mutations.mutation import Mutation
 
 MUTATIONS = [
     Mutation(
+        "a flat run that was given up counts as if it had arrived",
+        "experiments/price/ratios.py",
+        "float(np.log(spent)) if has_arrived else np.inf",
+        "float(np.log(spent))",
+        "experiments/price/test_price.py",
+    ),
+    Mutation(
+        "a ratio's ends take both costs from the same side",
+        "experiments/price/ratios.py",
+        "(paid[replicate][0] - others[replicate][1], paid[replicate][1] - others[replicate][0])",
+        "(paid[replicate][0] - others[replicate][0], paid[replicate][1] - others[replicate][1])",
+        "experiments/price/test_price.py",
+    ),
+    Mutation(
+        "the interval of a median leaves out one number too many",
+        "experiments/price/ratios.py",
+        "outside = _count_outside(len(logs))",
+        "outside = _count_outside(len(logs)) + 1",
+        "experiments/price/test_price.py",
+    ),
+    Mutation(
+        "one evaluation that is good enough ends a run",
+        "agents/training/run.py",
+        "return all(found.mean_return >= least for found in self.evaluations[-2:])",
+        "return any(found.mean_return >= least for found in self.evaluations[-2:])",
+        "agents/training/test_train.py",
+    ),
+    Mutation(
         "a score is measured from 0, not from the worst",
         "experiments/statistics.py",
         "return (np.asarray(returns, dtype=np.float64) - low) / (high - low)",

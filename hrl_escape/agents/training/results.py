@@ -9,7 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -23,8 +23,8 @@ from hrl_escape.errors import CheckpointError, EscapeError, FileReadError, descr
 from hrl_escape.files import read_json, read_text
 from hrl_escape.settings import read_record
 
-__all__ = ["METRICS", "EpisodeRecord", "SegmentRecord", "TrainResult", "find_first_escape", "load_episode_rows",
-           "load_result", "make_evaluation_row", "read_result", "read_row"]
+__all__ = ["METRICS", "EpisodeRecord", "SegmentRecord", "TrainResult", "load_episode_rows", "load_result",
+           "make_evaluation_row", "read_result", "read_row"]
 
 METRICS = {
     "train/return": "undiscounted return of a training episode, exploration included",
@@ -128,11 +128,6 @@ class SegmentRecord:
     seconds: float = field(compare=False)
 
 
-def find_first_escape(episodes: Sequence[EpisodeRecord]) -> int | None:
-    """Primitives trained for at the end of the first episode that succeeded; None if none did."""
-    return next((episode.primitives for episode in episodes if episode.success), None)
-
-
 def make_evaluation_row(evaluation: Evaluation) -> dict[str, Any]:
     """Row of the log for an evaluation."""
     return {
@@ -216,6 +211,16 @@ class TrainResult:
     segments: tuple[SegmentRecord, ...] = ()
     agent: Agent | None = field(default=None, compare=False, repr=False)
     folder: Path | None = field(default=None, compare=False)
+
+    @property
+    def first_escape(self) -> int | None:
+        """Primitives trained for at the end of the first episode that succeeded; None if none did.
+
+        In many streams it is the end of the segment in which it did.
+        """
+        if self.segments:
+            return next((segment.primitives for segment in self.segments if segment.successes), None)
+        return next((episode.primitives for episode in self.episodes if episode.success), None)
 
     def curve(self, metric: str = "mean_return", against: str = "primitives") -> tuple[NDArray, NDArray]:
         """Learning curve from the evaluations.

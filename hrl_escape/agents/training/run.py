@@ -163,8 +163,15 @@ class Run:
 
     @property
     def is_over(self) -> bool:
-        """True once the budget is spent or the probe has seen enough."""
-        return self.is_spent or (self.probe is not None and self.probe.is_done)
+        """True once the budget is spent, the probe has seen enough, or two evaluations in a row were good enough."""
+        return self.is_spent or (self.probe is not None and self.probe.is_done) or self._is_good_enough
+
+    @property
+    def _is_good_enough(self) -> bool:
+        least = self.arguments.until_return
+        if least is None or len(self.evaluations) < 2:
+            return False
+        return all(found.mean_return >= least for found in self.evaluations[-2:])
 
     @property
     def is_spent(self) -> bool:

@@ -16,6 +16,7 @@ class RunArguments:
     Attributes:
         agent_state: hash of the state of an agent that was given as an object; None for one made by name.
         threads: of torch.
+        until_return: mean return of two evaluations in a row that ends the run; None where the budget alone does.
     """
 
     name: str
@@ -27,9 +28,11 @@ class RunArguments:
     eval_seed: int
     agent_state: str | None = None
     threads: int = 1
+    until_return: float | None = None
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The arguments as JSON values; one thread, which most runs have, goes without saying."""
-        values = dataclasses.asdict(self)
-        return values if self.threads != 1 else {name: value for name, value in values.items() if name != "threads"}
+        """The arguments as JSON values; one thread and no end but the budget's, as most runs have, go unsaid."""
+        unsaid = {"threads": 1, "until_return": None}
+        return {name: value for name, value in dataclasses.asdict(self).items()
+                if name not in unsaid or value != unsaid[name]}

@@ -52,6 +52,7 @@ def train(
     progress: bool | None = None,
     probe: Probe | None = None,
     threads: int = 1,
+    until_return: float | None = None,
 ) -> TrainResult:
     """Train an agent on an environment, flat or with options.
 
@@ -82,6 +83,8 @@ def train(
         probe: measures the agent on the way, and may end the run before its budget.
         threads: of torch while the run lasts, a part of what decides its numbers. One is quickest for small networks;
             many environments at once on a CPU are quicker with one per core.
+        until_return: end before the budget, after two evaluations in a row whose mean return is at least this; None
+            trains for all of it.
 
     Returns:
         Curves, episodes, totals and the trained agent.
@@ -107,6 +110,9 @@ def train(
             raise AgentSettingsError(name, value, f"a whole number of at least {least}")
     if settings is not None and not isinstance(settings, Mapping):
         raise AgentSettingsError("settings", settings, "a mapping from names of settings to values, or None")
+    if until_return is not None and (not isinstance(until_return, (int, float)) or not eval_episodes):
+        raise AgentSettingsError("until_return", until_return, "a return of evaluations, of which eval_episodes are "
+                                 "above 0, or None")
     if tensorboard and out is None:
         raise AgentSettingsError("tensorboard", True, "False, or give out= for the event files")
     if isinstance(agent, str):
@@ -121,7 +127,7 @@ def train(
             name, learner = type(agent).__name__, agent
         agent_state = None if out is None or isinstance(agent, str) else compute_state_digest(learner.state_dict())
         arguments = RunArguments(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state,
-                                 threads)
+                                 threads, until_return)
         if isinstance(env, gymnasium.Env):
             run = Run(learner, env, eval_env or env, arguments, probe)
         else:

@@ -10,17 +10,10 @@ Examples:
 
 from __future__ import annotations
 
-import dataclasses
-
 from hrl_escape.experiments.baselines.twin_studies import GIVEN_HIERARCHIES
 from hrl_escape.experiments.baselines.twins_running import TwinArgs, load_twin_lines, write_page
 
 
-@dataclasses.dataclass(frozen=True)
-class HierarchiesArgs(TwinArgs):
-    """Options of `hrl-escape experiment hierarchies`."""
-
-
-def run(args: HierarchiesArgs) -> None:
+def run(args: TwinArgs) -> None:
     """Run, write the page, and print its conclusions."""
     write_page(GIVEN_HIERARCHIES, load_twin_lines(GIVEN_HIERARCHIES, args), args)

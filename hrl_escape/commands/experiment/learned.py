@@ -11,8 +11,6 @@ Examples:
 
 from __future__ import annotations
 
-import dataclasses
-
 from hrl_escape.experiments.baselines.dial import DIAL, DialLine, make_dial_section, measure_dial
 from hrl_escape.experiments.baselines.lines import load_data_lines
 from hrl_escape.experiments.baselines.twin_studies import LEARNED_HIERARCHIES
@@ -20,12 +18,7 @@ from hrl_escape.experiments.baselines.twins_running import TwinArgs, load_twin_l
 from hrl_escape.experiments.studies.running import get_raw_file
 
 
-@dataclasses.dataclass(frozen=True)
-class LearnedArgs(TwinArgs):
-    """Options of `hrl-escape experiment learned`."""
-
-
-def run(args: LearnedArgs) -> None:
+def run(args: TwinArgs) -> None:
     """Run, write the page, and print its conclusions."""
     lines, dial = load_twin_lines(LEARNED_HIERARCHIES, args), get_raw_file(args.docs, "option-dial")
     if not args.from_raw:

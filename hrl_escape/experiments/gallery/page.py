@@ -10,7 +10,7 @@ from hrl_escape.experiments.baselines.lines import LEAST_RUNS
 from hrl_escape.experiments.gallery.entries import EXACTNESS, Entry, load_entries
 from hrl_escape.experiments.gallery.measure import LEARNER, PLAYERS, PlayedRun, SolvedRoom
 from hrl_escape.files import write_text
-from hrl_escape.names import join_words
+from hrl_escape.names import count_nouns, join_words
 
 __all__ = ["GALLERY_PAGE", "write_gallery"]
 
@@ -54,9 +54,10 @@ def _introduce(runs: Sequence[PlayedRun]) -> str:
     seeds, budget = len({run.seed for run in learned}), max((run.primitives for run in learned), default=0)
     few = "few runs, " if seeds < LEAST_RUNS else ""
     return ("One room of each puzzle, solved by the planner and played by three agents that choose among options: at "
-            f"random, in the order of the numbers, and learning (`{LEARNER}`). These are {few}{seeds} training "
-            f"seed{'' if seeds == 1 else 's'} of {budget:,} primitives and {_count_episodes(runs)} evaluation episodes "
-            "each: they tell what is easy, and rank no agents. [The puzzle zoo](../puzzles.md) has sources and proofs.")
+            f"random, in the order of the numbers, and learning (`{LEARNER}`). These are {few}"
+            f"{count_nouns(seeds, 'training seed')} of {budget:,} primitives and {_count_episodes(runs)} evaluation "
+            "episodes each: they tell what is easy, and rank no agents. [The puzzle zoo](../puzzles.md) has sources "
+            "and proofs.")
 
 
 def _summarise(shown: Sequence[Entry], runs: Sequence[PlayedRun]) -> list[str]:

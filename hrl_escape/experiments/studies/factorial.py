@@ -19,7 +19,7 @@ from hrl_escape.experiments.places import RoomSpec
 from hrl_escape.experiments.studies.contrasts import make_screening_design
 
 __all__ = ["ALGORITHMS", "FACTORS", "ROOMS", "Factor", "get_factors", "make_factorial_grid", "make_factorial_room",
-           "make_label", "read_levels"]
+           "make_label", "name_factorial", "read_levels"]
 
 ALGORITHMS = ("sarsa", "ddpg")
 ROOMS = 5
@@ -105,24 +105,32 @@ def make_factorial_room() -> RoomConfig:
     return ladder_room("three-button-chain", 3, GraphConfig(kind="chain"), 12.0, horizon=300)
 
 
-def make_factorial_grid(algorithm: str, rooms: int = ROOMS, runs: int = 5, primitives: int = 4_000) -> Grid:
+def name_factorial(algorithm: str, is_fresh: bool = False) -> str:
+    """Name of an algorithm's grid and of its raw results: of the study, or of runs that were kept for the end."""
+    return f"factorial-{algorithm}{'-fresh' if is_fresh else ''}"
+
+
+def make_factorial_grid(algorithm: str, rooms: int = ROOMS, runs: int = 5, primitives: int = 4_000,
+                        first: int = 0) -> Grid:
     """An algorithm's 24 agents in rooms drawn from one schematic.
 
     Args:
         algorithm: one of `ALGORITHMS`.
-        rooms: number of rooms, instances 0, 1, ... of `make_factorial_room`.
+        rooms: number of rooms, instances of `make_factorial_room`.
         runs: training seeds.
         primitives: budget of a run; epsilon falls over three quarters of it, where the recipe takes 5,000.
+        first: lowest instance and lowest training seed.
     """
     config = make_factorial_room().to_dict()
     schedule = {"epsilon_steps": max(1, 3 * primitives // 4)}
     return Grid(
-        name=f"factorial-{algorithm}",
+        name=name_factorial(algorithm, first > 0),
         description=f"What makes {algorithm} worsen with meta-actions: eleven factors at two levels.",
         agents=tuple(_make_agent(algorithm, row, schedule)
                      for row in make_screening_design(len(FACTORS[algorithm])).tolist()),
-        rooms=tuple(RoomSpec(config=config, seed=number) for number in range(rooms)),
+        rooms=tuple(RoomSpec(config=config, seed=number) for number in range(first, first + rooms)),
         runs=runs,
+        first_seed=first,
         primitives=primitives,
         eval_every=primitives,  # the response is read off training episodes
         eval_episodes=1,

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from hrl_escape.experiments.inference import correct_by_holm
 from hrl_escape.experiments.studies.factorial_effects import (
+    SIGNIFICANT,
     MainEffect,
     Screening,
     compute_effects,
@@ -16,13 +19,15 @@ from hrl_escape.experiments.studies.factorial_effects import (
     measure_change,
 )
 from hrl_escape.experiments.studies.mediation import Path, compute_paths
-from hrl_escape.names import join_words
+from hrl_escape.names import count_nouns, join_words
 
-__all__ = ["FEWEST_ROOMS", "FEWEST_SEEDS", "Findings", "analyse", "conclude"]
+__all__ = ["FEWEST_ROOMS", "FEWEST_SEEDS", "Findings", "analyse", "conclude", "tell_first_look", "tell_fresh_runs"]
 
 FEWEST_SEEDS = 5
 """With fewer training seeds a cell nothing is concluded."""
 FEWEST_ROOMS = 3
+FIRST_LOOK = {"sarsa": 3}
+"""Algorithm -> rooms whose results had been looked at when the published runs in others were decided on."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +85,48 @@ def conclude(findings: Findings) -> list[str]:
     if unshown and findings.shown:
         sentences.append(f"Nothing is shown of {join_words(effect.factor for effect in unshown)}.")
     return [*sentences, *(_tell_paths(effect, findings.paths) for effect in findings.shown)]
+
+
+def tell_first_look(algorithm: str, findings: Findings) -> str:
+    """Sentence on rooms that were added after a look at the first ones; empty where none were."""
+    screening = findings.screening
+    rooms = screening.rooms[: FIRST_LOOK.get(algorithm, len(screening.rooms))]
+    if rooms == screening.rooms:
+        return ""
+    first = {effect.factor: effect for effect in
+             compute_effects(dataclasses.replace(screening, rooms=rooms), measure_area)}
+    chosen = [first[effect.factor] for effect in findings.shown] or sorted(first.values(), key=lambda own: own.p)[:1]
+    told = join_words(f"{effect.factor} had {_tell_p(effect.p)}" for effect in chosen)
+    return (f"Rooms of {algorithm} after the first {len(rooms)} were added once these had been looked at, in which "
+            f"{told}. So p above is too small, by some unknown amount.")
+
+
+def tell_fresh_runs(fresh: Screening, published: Findings) -> str:
+    """Sentence on fresh rooms and seeds: do they show what the published runs show, or nothing where these do not?
+
+    Only effects that the published runs show are tested, so that the correction is for these alone (Holm); where they
+    show none, all factors are.
+    """
+    if not published.is_enough or len(fresh.rooms) < FEWEST_ROOMS:
+        rooms, seeds = count_nouns(len(fresh.rooms), "room"), count_nouns(len(fresh.seeds), "training seed")
+        return f"{rooms} and {seeds}: too few to conclude anything."
+    effects = {effect.factor: effect for effect in compute_effects(fresh, measure_area)}
+    if not published.shown:
+        found = [effect for effect in effects.values() if effect.is_shown]
+        return (f"Another conclusion: {join_words(map(_describe, found))} is shown." if found else
+                "The same conclusion: no effect is shown.")
+    chosen = [effects[effect.factor] for effect in published.shown]
+    corrected = correct_by_holm([effect.test.p for effect in chosen])
+    told = []
+    for before, now, p in zip(published.shown, chosen, corrected, strict=True):
+        is_alike = before.test.difference * now.test.difference > 0
+        verdict = ("the same conclusion" if is_alike else "the contrary") if p < SIGNIFICANT else "not shown again"
+        told.append(f"{_describe(now)}, {verdict} ({_tell_p(p)})")
+    return _capitalise(f"{'; '.join(told)}.")
+
+
+def _tell_p(p: float) -> str:
+    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
 
 
 def _tell_raising(raising: Sequence[MainEffect]) -> str:

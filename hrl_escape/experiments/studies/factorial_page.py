@@ -12,12 +12,20 @@ from matplotlib.figure import Figure
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import save_figure
 from hrl_escape.experiments.studies.factorial import FACTORS
-from hrl_escape.experiments.studies.factorial_cause import FEWEST_ROOMS, FEWEST_SEEDS, Findings, analyse, conclude
+from hrl_escape.experiments.studies.factorial_cause import (
+    FEWEST_ROOMS,
+    FEWEST_SEEDS,
+    Findings,
+    analyse,
+    conclude,
+    tell_first_look,
+    tell_fresh_runs,
+)
 from hrl_escape.experiments.studies.factorial_effects import SIGNIFICANT, MainEffect, Screening, mark_gaps
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
 from hrl_escape.experiments.studies.raw import BINS, RawRun
 from hrl_escape.files import write_text
-from hrl_escape.names import join_words
+from hrl_escape.names import count_nouns, join_words
 
 __all__ = ["write_factorial_page"]
 
@@ -25,12 +33,14 @@ _COMMAND = "hrl-escape experiment factorial"
 FIFTHS = 5
 
 
-def write_factorial_page(results: Mapping[str, Sequence[RawRun]], docs: Path) -> dict[str, Findings]:
+def write_factorial_page(results: Mapping[str, Sequence[RawRun]], docs: Path,
+                         fresh: Mapping[str, Sequence[RawRun]] | None = None) -> dict[str, Findings]:
     """Write the page and its figures; returns the findings by algorithm.
 
     Args:
         results: algorithm -> runs of its screening.
         docs: folder of the page.
+        fresh: algorithm -> runs in rooms and with seeds that nobody had tried before, of those that have any.
 
     Raises:
         ComparisonError: runs are missing.
@@ -39,7 +49,8 @@ def write_factorial_page(results: Mapping[str, Sequence[RawRun]], docs: Path) ->
     found = {name: analyse(Screening.make(name, runs)) for name, runs in results.items()}
     for name, findings in found.items():
         save_figure(docs / "figures" / f"why-{name}.svg", draw_effects(findings.effects))
-    write_text(docs / "why-it-worsens.md", "\n".join(_write_lines(found)))
+    again = {name: Screening.make(name, runs) for name, runs in (fresh or {}).items()}
+    write_text(docs / "why-it-worsens.md", "\n".join(_write_lines(found, again)))
     return found
 
 
@@ -69,7 +80,7 @@ def draw_effects(effects: Sequence[MainEffect]) -> Figure:
 # --- the page --------------------------------------------------------------------------------
 
 
-def _write_lines(found: Mapping[str, Findings]) -> list[str]:
+def _write_lines(found: Mapping[str, Findings], again: Mapping[str, Screening]) -> list[str]:
     names = join_words(name.upper() for name in found)
     lines = [f"# Why {names} {'gets' if len(found) == 1 else 'get'} worse with meta-actions", "",
              "The response is the area under the efficiency curve of training episodes, from 0 (never escaping) to 1 "
@@ -77,6 +88,7 @@ def _write_lines(found: Mapping[str, Findings]) -> list[str]:
              "all factors of an algorithm (Holm); it is tested over rooms, as a random factor, so that it is claimed "
              "of rooms like these. The sentences are chosen by rule from the tables below.", ""]
     lines += [f"- **{name}**. {' '.join(conclude(findings))}" for name, findings in found.items()]
+    lines += _write_replication(found, again)
     lines += ["", "## What was run", "",
               "A folded-over Plackett-Burman design of 24 agents: main effects are free of interactions of two "
               "factors, which are mixed with each other and not told. Low is what keras-rl 0.4.2 and the published "
@@ -84,33 +96,49 @@ def _write_lines(found: Mapping[str, Findings]) -> list[str]:
               "all. The clock of schedules is in primitives throughout, epsilon falls over three quarters of the "
               "budget, and keras-rl's late flag at the end of an episode (`late_terminal`) is left out, since replay "
               "knows none. Rooms are instances of one schematic: three buttons in a chain, 12 x 12 m, at most 300 "
-              "primitives an episode. Their size, the budget and the fall of epsilon were set after pilots of the "
-              "corrected and of mixed agents in two of them, the first and the third; no other setting was tuned in "
+              "primitives an episode. Their size, the budget and the fall of epsilon were set after pilots of sarsa's "
+              "corrected and mixed agents in two of them, the first and the third; no other setting was tuned in "
               "them.", ""]
+    lines += [part for name, findings in found.items() if (told := tell_first_look(name, findings))
+              for part in (told, "")]
     for name, findings in found.items():
         lines += _write_design(name, findings.screening)
     for name, findings in found.items():
         lines += [f"## {name}", "", f"![Main effects on {name}](figures/why-{name}.svg)", "",
                   *_write_effects(findings), *_write_sufficient(findings), *_write_paths(findings),
                   *_write_course(findings.screening)]
-    first = next(iter(found.values())).screening
-    budget = next(iter(first.runs.values()))[0].budget
     missing = [name for name in FACTORS if name not in found]
     lines += [*([f"{join_words(name.upper() for name in missing)} is not on this page; its design stands in the "
-                 f"command, `--algorithms {' '.join(FACTORS)}`, and was not run.", ""] if missing else []),
+                 f"command, `--algorithms {' '.join(missing)}`, and was not run.", ""] if missing else []),
               "## Make it again", "",
-              f"One command; finished runs are kept, and with `--from-raw` nothing is trained. With fewer than "
-              f"{FEWEST_SEEDS} training seeds a cell or {FEWEST_ROOMS} rooms the page concludes nothing.", "",
-              "```console",
-              f"{_COMMAND} --algorithms {' '.join(found)} --rooms {len(first.rooms)} --runs {len(first.seeds)} "
-              f"--primitives {budget}", "```", ""]
+              "Finished runs are kept, and with `--from-raw` nothing is trained. With fewer than "
+              f"{FEWEST_SEEDS} training seeds a cell or {FEWEST_ROOMS} rooms the page concludes nothing. With another "
+              "first seed rooms are others, too, and the runs are held against those that are published.", "",
+              "```console", *(_make_command(name, findings.screening) for name, findings in found.items()),
+              *(_make_command(name, screening) for name, screening in again.items()), "```", ""]
     return lines
+
+
+def _write_replication(found: Mapping[str, Findings], again: Mapping[str, Screening]) -> list[str]:
+    """Sentences on fresh rooms and seeds; none where there are no such runs."""
+    told = [f"- **{name}** ({len(screening.rooms)} rooms, {sum(map(len, screening.runs.values()))} runs, from seed "
+            f"{min(screening.seeds)} on). {tell_fresh_runs(screening, found[name])}"
+            for name, screening in again.items()]
+    return ["", "With training seeds and rooms that nobody had tried before; what is shown above is tested, or all "
+            "where nothing is:", "", *told] if told else []
+
+
+def _make_command(name: str, screening: Screening) -> str:
+    budget = next(iter(screening.runs.values()))[0].budget
+    first = f" --first-seed {min(screening.seeds)}" if min(screening.seeds) else ""
+    return (f"{_COMMAND} --algorithms {name}{first} --rooms {len(screening.rooms)} --runs {len(screening.seeds)} "
+            f"--primitives {budget}")
 
 
 def _write_design(name: str, screening: Screening) -> list[str]:
     total = sum(map(len, screening.runs.values()))
-    return [f"**{name}**: {len(screening.design)} agents in {len(screening.rooms)} rooms with {len(screening.seeds)} "
-            f"training seed{'' if len(screening.seeds) == 1 else 's'}, {total} runs of "
+    return [f"**{name}**: {len(screening.design)} agents in {len(screening.rooms)} rooms with "
+            f"{count_nouns(len(screening.seeds), 'training seed')}, {total} runs of "
             f"{next(iter(screening.runs.values()))[0].budget:,} primitives.", "",
             "| factor | low: the published program | high: corrected |", "|---|---|---|",
             *(f"| {factor.name} | {factor.paper} | {factor.corrected} |" for factor in FACTORS[name]), ""]

@@ -105,8 +105,8 @@ def _write_lines(results: Results, findings: Sequence[Finding]) -> list[str]:
             "One command writes this page, its figures and the raw results in `raw/`; finished runs are kept, and with "
             "`--from-raw` nothing is trained. Each figure alone is one command too, given under it.", "",
             "```console", _COMMAND, "```", "",
-            "Why two of the algorithms get worse is asked in [why it worsens](why-it-worsens.md); whether two "
-            "buttons are out of reach without options, in [flat learners](flat.md).", ""]
+            "Why two of the algorithms get worse is asked in [why it worsens](why-it-worsens.md); how much "
+            "more learning costs without options, in [the price of flatness](price.md).", ""]
 
 
 def _count_runs(results: Results, figure: str) -> str:

@@ -274,6 +274,13 @@ def test_what_cannot_train_in_many_environments_says_so():
         train("ppo", poles, primitives=10)
 
 
+def test_a_run_in_many_environments_ends_with_two_evaluations_that_are_good_enough(monkeypatch):
+    monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 64)
+    arguments = {"primitives": 600, "settings": SMALL, "eval_every": 100, "eval_episodes": 1}
+    ended, whole = (train("ppo", make_rooms(), **arguments, until_return=least) for least in (-1_000, None))
+    assert len(ended.evaluations) == 2 < len(whole.evaluations)
+
+
 def test_equal_seeds_give_equal_runs_and_others_differ():
     def run(seed):
         result = train("ppo", make_rooms(), primitives=300, seed=seed, settings=SMALL, eval_episodes=0)

@@ -257,6 +257,21 @@ def test_threads_are_a_part_of_the_run_and_those_around_it_are_not(tmp_path):
         run("dqn", CountsThreads(trace=True, horizon=40), out=tmp_path / "1" / keys[2], primitives=100)
 
 
+def test_a_run_ends_with_two_evaluations_in_a_row_that_are_good_enough(tmp_path):
+    arguments = {"env": gymnasium.make("CartPole-v1"), "primitives": 2_000, "seed": 2, "settings": {}}
+    whole = run(out=tmp_path / "{key}", **arguments)
+    ended = run(out=tmp_path / "{key}", **arguments, until_return=32)
+    assert whole.folder != ended.folder, "the rule is a part of the run"
+    goods = [found.mean_return >= 32 for found in whole.evaluations]
+    last = next(number for number in range(1, len(goods)) if goods[number - 1] and goods[number])
+    assert goods.index(True) < last - 1 and last < len(goods) - 1, "one alone comes before"
+    assert ended.evaluations == whole.evaluations[: last + 1]
+    assert ended.episodes == whole.episodes[: len(ended.episodes)]
+    assert run(out=tmp_path / "{key}", **arguments, until_return=32) == ended
+    with pytest.raises(AgentSettingsError, match="until_return"):
+        run(until_return=32, eval_episodes=0)
+
+
 def test_another_seed_gives_another_run():
     assert run(seed=1).episodes != run(seed=2).episodes
 

@@ -14,7 +14,7 @@ from hrl_escape.cli import main
 from hrl_escape.errors import ComparisonError
 from hrl_escape.experiments.studies.contrasts import make_screening_design
 from hrl_escape.experiments.studies.factorial import ALGORITHMS, FACTORS, get_factors, make_factorial_grid, make_label
-from hrl_escape.experiments.studies.factorial_cause import analyse, conclude
+from hrl_escape.experiments.studies.factorial_cause import analyse, conclude, tell_first_look, tell_fresh_runs
 from hrl_escape.experiments.studies.factorial_effects import (
     Screening,
     compute_effects,
@@ -32,14 +32,15 @@ Levels = Mapping[str, bool]
 
 
 def make_runs(truth: Callable[[Levels], float], *, algorithm: str = "sarsa", rooms: int = 4, seeds: int = 5,
-              noise: float = 0.02, repeat: Callable[[Levels], float] = lambda _: 2.0) -> list[RawRun]:
+              first_seed: int = 0, noise: float = 0.02,
+              repeat: Callable[[Levels], float] = lambda _: 2.0) -> list[RawRun]:
     """Runs whose efficiency is the truth and noise, and whose longest repeat is 2 to the power that `repeat` says.
 
     The repeat's own noise moves efficiency by -0.1 a doubling.
     """
     source, names, runs = np.random.default_rng(3), get_factors(algorithm), []
     for room in range(rooms):
-        for seed in range(seeds):
+        for seed in range(first_seed, first_seed + seeds):
             for levels in make_screening_design(len(names)).tolist():
                 corrected = {name: level > 0 for name, level in zip(names, levels, strict=True)}
                 doubling = source.normal(0, 0.3)
@@ -79,6 +80,9 @@ def test_rooms_are_drawn_from_one_schematic_and_relabelled():
     rooms = make_factorial_grid("sarsa", rooms=8).make_places()
     assert len({room.name for room in rooms}) == 8
     assert len({room.instance.puzzle.edges for room in rooms}) > 2, "numbers say nothing of the order"
+    fresh = make_factorial_grid("sarsa", rooms=2, first=100)
+    assert not {room.id for room in fresh.make_places()} & {room.id for room in rooms}
+    assert (fresh.name, fresh.first_seed) == ("factorial-sarsa-fresh", 100), "raw results of their own"
 
 
 # --- effects ---------------------------------------------------------------------------
@@ -210,6 +214,52 @@ def test_nothing_is_concluded_from_few_seeds_or_rooms(rooms: int, seeds: int):
     assert len(said) == 1 and "nothing is concluded" in said[0]
 
 
+@pytest.mark.parametrize(("published", "fresh", "words"), [
+    (lambda on: 0.1 + 0.5 * on["buffer"], lambda on: 0.2 + 0.3 * on["buffer"], "Buffer (+0.2"),
+    (lambda on: 0.1 + 0.5 * on["buffer"], lambda on: 0.2 + 0.3 * on["buffer"], "the same conclusion (p < 0.001)"),
+    (lambda on: 0.1 + 0.5 * on["buffer"], lambda on: 0.6 - 0.3 * on["buffer"], "the contrary (p < 0.001)"),
+    (lambda on: 0.1 + 0.5 * on["buffer"], lambda on: 0.3 + 0.3 * on["loss"], "not shown again (p = "),
+    (lambda on: 0.5, lambda on: 0.5, "The same conclusion: no effect is shown."),
+    (lambda on: 0.5, lambda on: 0.3 + 0.3 * on["loss"], "Another conclusion: loss (+0.3"),
+])
+def test_fresh_runs_agree_or_not(published: Callable[[Levels], float], fresh: Callable[[Levels], float], words: str):
+    again = Screening.make("sarsa", make_runs(fresh, rooms=3, seeds=1, first_seed=100))
+    said = tell_fresh_runs(again, analyse(Screening.make("sarsa", make_runs(published))))
+    assert words in said and len(said) < 120, "only what was shown is tested"
+
+
+@pytest.mark.parametrize(("truth", "rooms", "words"), [
+    (lambda on: 0.1 + 0.5 * on["buffer"], 5, "looked at, in which buffer had p <"),
+    (lambda on: 0.3 + 0.03 * on["choices"], 5, "in which choices had p = 0."),
+    (lambda on: 0.5, 5, "had p = 0."),
+    (lambda on: 0.1 + 0.5 * on["buffer"], 3, ""),
+])
+def test_rooms_that_were_added_after_a_look_are_told(truth: Callable[[Levels], float], rooms: int, words: str):
+    findings = analyse(Screening.make("sarsa", make_runs(truth, rooms=rooms, noise=0.05)))
+    said = tell_first_look("sarsa", findings)
+    assert words in said and bool(said) == bool(words)
+    assert not tell_first_look("ddpg", findings)
+
+
+def test_a_first_look_is_at_the_first_rooms_alone():
+    weak, strong = (make_runs(lambda on, height=height: 0.3 + height * on["choices"], rooms=5, noise=0.05)
+                    for height in (0.03, 0.3))
+    rooms = Screening.make("sarsa", weak).rooms[:3]
+    looked = [run for run in weak if run.room in rooms]
+    findings = analyse(Screening.make("sarsa", [*looked, *(run for run in strong if run.room not in rooms)]))
+    p = next(effect.p for effect in analyse(Screening.make("sarsa", looked)).effects if effect.factor == "choices")
+    assert 0.001 < p and f"choices had p = {p:.3f}" in tell_first_look("sarsa", findings)
+
+
+def test_two_fresh_rooms_say_nothing():
+    def truth(on: Levels) -> float:
+        return 0.1 + 0.5 * on["buffer"]
+
+    again = Screening.make("sarsa", make_runs(truth, rooms=2, seeds=1, first_seed=100))
+    published = analyse(Screening.make("sarsa", make_runs(truth)))
+    assert tell_fresh_runs(again, published) == "2 rooms and 1 training seed: too few to conclude anything."
+
+
 # --- page and command ------------------------------------------------------------------
 
 
@@ -217,13 +267,20 @@ def test_the_page_is_written_from_raw_results_alone(tmp_path: Path, capsys: pyte
     for name in ALGORITHMS:
         save_runs(tmp_path / "raw" / f"factorial-{name}.jsonl",
                   make_runs(lambda on: 0.1 + 0.5 * on["exploration"], algorithm=name))
-    assert main(["experiment", "factorial", "--from-raw", "--docs", str(tmp_path), "--algorithms", *ALGORITHMS]) == 0
+    fresh = tmp_path / "raw" / "factorial-sarsa-fresh.jsonl"
+    save_runs(fresh, make_runs(lambda on: 0.1 + 0.5 * on["exploration"], rooms=3, seeds=1, first_seed=100))
+    assert main(["experiment", "factorial", "--from-raw", "--docs", str(tmp_path)]) == 0, "all whose results are there"
     page = (tmp_path / "why-it-worsens.md").read_text()
     assert page.startswith("# Why SARSA and DDPG get worse with meta-actions\n")
     assert "- **sarsa**. One correction is shown to raise the area: exploration (+0." in page
-    assert page.count("| exploration | +0.4") == 2 and "--algorithms sarsa ddpg --rooms 4 --runs 5" in page
+    assert page.count("| exploration | +0.4") == 2 and "the same conclusion" in page
+    for words in ("sarsa --rooms 4 --runs 5", "ddpg --rooms 4 --runs 5", "sarsa --first-seed 100 --rooms 3 --runs 1"):
+        assert f"factorial --algorithms {words} --primitives" in page
     assert (tmp_path / "figures" / "why-ddpg.svg").exists() and "was not run" not in page
     assert "One correction is shown" in capsys.readouterr().out
+    fresh.unlink()
+    assert main(["experiment", "factorial", "--from-raw", "--docs", str(tmp_path), "--algorithms", "ddpg"]) == 0
+    assert "nobody had tried before" not in (tmp_path / "why-it-worsens.md").read_text()
     write_factorial_page({"sarsa": make_runs(lambda on: 0.5)}, tmp_path)
     page = (tmp_path / "why-it-worsens.md").read_text()
     assert page.startswith("# Why SARSA gets worse") and "DDPG is not on this page" in page

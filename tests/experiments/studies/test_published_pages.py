@@ -13,8 +13,9 @@ RESULTS = Path(__file__).parents[3] / "docs" / "results"
 
 
 @pytest.mark.parametrize(("study", "page"), [
-    ("paper", "paper.md"), ("factorial", "why-it-worsens.md"), ("flat", "flat.md"), ("scaling", "scaling.md"),
-    ("hierarchies", "hierarchies.md"), ("learned", "learned.md"), ("ladder", "ladder.md"),
+    ("paper", "paper.md"), ("factorial", "why-it-worsens.md"), ("price", "price.md"), ("scaling", "scaling.md"),
+    ("hierarchies", "hierarchies.md"), ("learned", "learned.md"), ("intra-option", "intra-option.md"),
+    ("ladder", "ladder.md"),
     ("generalisation", "generalisation.md"),
 ])
 def test_a_published_page_is_what_its_raw_results_give(tmp_path: Path, study: str, page: str):

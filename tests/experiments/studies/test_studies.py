@@ -16,14 +16,6 @@ from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.presets import get_grid
 from hrl_escape.experiments.studies.claims import CLAIMS, FIGURES, Criterion, judge_claims
-from hrl_escape.experiments.studies.flat import (
-    BUTTONS,
-    CHAIN_AGENTS,
-    FLAT_AGENTS,
-    find_break,
-    make_flat_grid,
-    write_flat_page,
-)
 from hrl_escape.experiments.studies.measures import (
     Measurement,
     Side,
@@ -230,7 +222,7 @@ def test_a_damaged_run_is_named_by_file_and_line(tmp_path: Path, damage: dict[st
 
 
 @pytest.mark.parametrize("workers", ["0", "-1"])
-@pytest.mark.parametrize("study", ["flat", "scaling"])
+@pytest.mark.parametrize("study", ["paper", "scaling"])
 def test_a_study_wants_at_least_one_worker(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], study: str, workers: str
 ):
@@ -245,32 +237,3 @@ def test_a_page_that_cannot_be_written_is_noticed_before_anything_runs(
     (tmp_path / "docs").write_text("a file where the folder should be")
     assert main(["experiment", study, "--docs", str(tmp_path / "docs"), "--out", str(tmp_path / "runs")]) == 2
     assert "cannot write" in capsys.readouterr().err and not (tmp_path / "runs").exists()
-
-
-# --- flat learners ---------------------------------------------------------------------
-
-
-def test_an_agent_breaks_where_less_than_half_of_its_runs_escape():
-    runs = [make_run("dqn", [0, 0], training=[float(seed >= buttons - 1)] * BINS, seed=seed, room=f"chain-{buttons}")
-            for buttons in BUTTONS for seed in range(4)]
-    assert find_break(runs) == 4
-    assert find_break([run for run in runs if run.room == "chain-1"]) is None
-
-
-def test_chains_have_the_buttons_they_say_and_the_flat_page_tells_all_agents(tmp_path: Path):
-    rooms = [room.make_instance() for room in make_flat_grid(1, 100).rooms]
-    assert [len(room.targets) for room in rooms] == list(BUTTONS)
-    for room in rooms:
-        ends = list(zip(*room.puzzle.edges, strict=True)) or [(), ()]
-        assert len(room.puzzle.edges) == len(room.targets) - 1 and all(len(set(end)) == len(end) for end in ends)
-    labels = [agent.label for agent in CHAIN_AGENTS]
-    chains = [make_run(label, [0, 0.5], seed=seed, room=f"chain-{n}") for label in labels for n in BUTTONS
-              for seed in range(2)]
-    paper = [make_run(agent.label, [0, 0.5], training=[float(agent.label == "dqn")] * BINS, room="paper-two-button")
-             for agent in FLAT_AGENTS]
-    breaks = write_flat_page({"flat-paper-room": paper, "flat-chains": chains}, tmp_path)
-    assert set(breaks.values()) == {None}
-    page = (tmp_path / "flat.md").read_text()
-    assert "not out of reach of flat learning" in page and "dqn (1 of 1 runs)" in page
-    assert all(f"| {label} |" in page for label in [*labels, *(agent.label for agent in FLAT_AGENTS)])
-    assert (tmp_path / "figures" / "flat.svg").exists()

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hrl_escape.agents.training.results import find_first_escape, load_result
+from hrl_escape.agents.training.results import load_result
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.comparison import Comparison
@@ -98,7 +98,7 @@ def collect_scaling_runs(comparison: Comparison, rooms: Mapping[RoomKind, RoomIn
             "agent": run.agent.label, "run": run.seed, "room": run.place_id,
             "best": float(np.mean(result.score_range.reachable)), "worst": result.score_range.worst,
             "primitives": result.primitives, "decisions": result.decisions, "seconds": round(training.seconds, 1),
-            "first_escape": find_first_escape(training.episodes), **vars(result.solution),
+            "first_escape": training.first_escape, **vars(result.solution),
         }  # fmt: skip
         found += [ScalingRun(*task, **measured, depth=_measure_depth(room)) for task, room in rooms.items()
                   if room.id == run.place_id]

@@ -1,0 +1,236 @@
+"""The price of flatness: ratios that are known from one side, sentences by rule, and runs that end when efficient."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.experiments.baselines.lines import load_data_lines
+from hrl_escape.experiments.price.contestants import (
+    BUTTON_COUNTS,
+    CONTESTANTS,
+    EFFICIENT,
+    PAIRS,
+    Contestant,
+    make_chain_room,
+    sample_replicate_room,
+)
+from hrl_escape.experiments.price.price_page import write_price_page
+from hrl_escape.experiments.price.price_runs import PriceRun, list_price_runs, measure_price_runs, run_contestant
+from hrl_escape.experiments.price.price_words import compare_with_chance, conclude_price, tell_longest, tell_number
+from hrl_escape.experiments.price.ratios import COSTS, compare_costs, find_median, measure_growth
+from hrl_escape.experiments.price.trials import SettingsTrial, load_trials, tell_exploration
+from hrl_escape.options.best_with_options import find_best_with_options
+from hrl_escape.planning.best_known import find_best_known
+
+QUICK = Contestant("options", "smdp-q-learning", 3_000, 250, sizes=(1,))
+
+
+def make_line(agent: str, buttons: int, replicate: int, efficient_at: float | None, budget: int = 100_000) -> PriceRun:
+    at = None if efficient_at is None or efficient_at > budget else round(efficient_at)
+    return PriceRun(agent, buttons, replicate, 30, budget, at or budget, at and max(at, 1), at, 1.0, 10, 5, 2.0, "")
+
+
+def make_truth(price: float, growth: float, replicates: int = 10, budget: int = 10**9) -> list[PriceRun]:
+    """Options need some 1,000 primitives a button; flat `price` times as many, times `growth` for each further one."""
+    rng = np.random.default_rng(7)
+    lines = []
+    for buttons in BUTTON_COUNTS:
+        for replicate in range(replicates):
+            cost = 1_000 * buttons * rng.lognormal(0, 0.2)
+            paid = price * growth ** (buttons - 1) * cost * rng.lognormal(0, 0.2)
+            lines += [make_line("o", buttons, replicate, cost), make_line("f", buttons, replicate, paid, budget)]
+    return lines
+
+
+def conclude(lines: list[PriceRun]) -> str:
+    ratios = compare_costs([line for line in lines if line.agent == "f"], [line for line in lines if line.agent == "o"],
+                           COSTS[0])
+    return conclude_price(ratios, measure_growth(ratios), "f", "o", COSTS[0])
+
+
+# --- ratios --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [10, 11, 12, 15, 20])
+def test_the_median_has_the_interval_of_the_quantile_test(count: int):
+    values = np.random.default_rng(count).normal(size=count)
+    found = find_median([(value, value) for value in values])
+    low, high = stats.quantile_test(values, p=0.5).confidence_interval(0.95)
+    assert (found.low, found.high) == pytest.approx((math.exp(low), math.exp(high)))
+    assert found.factor == pytest.approx(math.exp(np.median(values))) and found.knowledge == "measured"
+
+
+def test_ends_that_are_not_known_widen_the_interval_on_their_own_side():
+    logs = [(float(n), float(n)) for n in range(10)]
+    assert find_median([*logs[:9], (9.0, math.inf)]).high == find_median(logs).high
+    bound = find_median([*logs[:8], (8.0, math.inf), (9.0, math.inf)])
+    assert bound.knowledge == "bound" and bound.low == pytest.approx(math.e) and bound.high == math.inf
+    unknown = find_median([(-math.inf, 0.0), (-math.inf, 1.0), *logs[2:]])
+    assert unknown.knowledge == "unknown" and unknown.high == pytest.approx(math.exp(8))
+    assert find_median(logs[:9]).knowledge == "unknown"
+
+
+def test_a_cost_that_was_never_paid_in_full_counts_as_more_than_was_spent():
+    flat, options = make_line("f", 1, 0, None, 5_000), make_line("o", 1, 0, 100)
+    (ratio,) = compare_costs([flat], [options], COSTS[0])
+    assert ratio.logs[0] == (pytest.approx(math.log(50)), math.inf)
+    (ratio,) = compare_costs([options], [dataclasses.replace(flat, agent="o")], COSTS[0])
+    assert ratio.logs[0] == (-math.inf, pytest.approx(math.log(1 / 50)))
+    lucky = make_line("o", 1, 0, 0)
+    (ratio,) = compare_costs([options], [lucky], COSTS[0])
+    assert ratio.logs[0][0] == pytest.approx(math.log(100 / lucky.fewest)), "one escape at least"
+
+
+# --- sentences -----------------------------------------------------------------------------
+
+
+def test_where_flat_is_free_no_price_is_shown():
+    told = conclude(make_truth(price=1.0, growth=1.0))
+    assert "is not shown to pay more or fewer primitives than `o` with 1, 2, 3, 4 or 6 buttons" in told
+    assert "That the factor grows with a button is not shown" in told
+
+
+def test_a_price_that_grows_is_told_with_its_growth():
+    lines = make_truth(price=10.0, growth=2.0)
+    told = conclude(lines)
+    assert "`f` pays" in told and "with 6 buttons" in told
+    assert "Each button from 1 to 6 multiplies the factor by" in told
+    flat, options = ([line for line in lines if line.agent == name] for name in "fo")
+    growth = measure_growth(compare_costs(flat, options, COSTS[0]))
+    assert growth.median.low < 2 < growth.median.high < 2.3
+
+
+def test_where_no_flat_run_gets_there_only_a_bound_is_told():
+    told = conclude(make_truth(price=10_000.0, growth=2.0, budget=100_000))
+    assert "pays more than" in told and "(" not in told.split("primitives")[0]
+    assert "How the factor grows with a button is not known." in told
+    bound = float(told.split("more than ")[1].split(" times the primitives of `o` with 1 button")[0])
+    assert 60 < bound < 120, "the budget is some 100 times what options need with one button"
+
+
+def test_a_price_measured_in_small_rooms_alone_grows_by_a_bound_at_least():
+    told = conclude(make_truth(price=10.0, growth=20.0, budget=300_000))
+    assert "times the primitives of `o` with 1 button; it pays more than" in told
+    assert "Each button from 1 to 2 multiplies the factor by more" in told
+
+
+def test_cheap_flat_learners_and_too_few_runs_are_told_as_such():
+    assert "pays only" in conclude(make_truth(price=0.1, growth=1.0))
+    told = conclude(make_truth(price=10.0, growth=2.0, replicates=9))
+    assert told.startswith("How much `f` pays until it is efficient is not known")
+    lines = [line if line.agent == "f" else dataclasses.replace(line, efficient_at=None) for line in make_truth(9, 2)]
+    assert conclude(lines).startswith("How much `f` pays until it is efficient is not known")
+
+
+def test_chance_is_beaten_fallen_behind_or_not_told_apart():
+    chance = [make_line("c", 1, n, 500 if n < 10 else None) for n in range(20)]
+    for hits, words in ((20, "more than by chance"), (0, "fewer than by chance"), (10, "not told apart from chance")):
+        learner = [make_line("l", 1, n, 500 if n < hits else None) for n in range(20)]
+        assert compare_with_chance(learner, chance, "l", 1_000).endswith(words)
+    late = [make_line("l", 1, n, 5_000) for n in range(20)]
+    assert compare_with_chance(late, chance, "l", 1_000).endswith("fewer than by chance")
+
+
+def test_exploration_is_said_to_help_where_two_trials_that_differ_in_it_alone_tell_so():
+    default = SettingsTrial("dqn", {}, 0, 1, 100, 9_000, 0, 0.25)
+    longer = dataclasses.replace(default, settings={"epsilon_steps": 60_000}, escapes=0.75)
+    assert "from 25% to 75%" in tell_exploration([longer, default])
+    assert not tell_exploration([longer, dataclasses.replace(default, buttons=2)])
+    assert not tell_exploration([default, dataclasses.replace(longer, settings={"epsilon_steps": 9, "gamma": 0.9})])
+
+
+def test_the_longest_runs_are_counted_with_what_they_paid():
+    runs = [make_line("f", 1, 0, 70_000, 80_000), make_line("f", 1, 1, None, 80_000),
+            make_line("f", 2, 0, None, 80_000), make_line("o", 1, 0, 100, 500)]
+    told = tell_longest(runs)
+    assert "80,000 primitives" in told and "`o`" not in told
+    assert told.endswith("`f` in 1 of 2 with 1 button, after 70,000; `f` in 0 of 1 with 2 buttons.")
+
+
+@pytest.mark.parametrize(("value", "told"), [(0.523, "0.52"), (3.44, "3.4"), (26.4, "26"), (1_344.0, "1,340")])
+def test_numbers_have_two_digits_and_all_before_the_point(value: float, told: str):
+    assert tell_number(value) == told
+
+
+# --- rooms and runs ------------------------------------------------------------------------
+
+
+def test_rooms_are_relabelled_chains_in_which_presses_can_be_efficient():
+    orders = set()
+    for buttons in BUTTON_COUNTS:
+        room = sample_replicate_room(buttons, 0)
+        ends = list(zip(*room.puzzle.edges, strict=True)) or [(), ()]
+        assert len(room.targets) == buttons == len(room.puzzle.edges) + 1
+        assert all(len(set(end)) == len(end) for end in ends)
+        orders.add(room.puzzle.goal_targets)
+    assert len(orders) > 1, "the numbers tell nothing of the order"
+    efficiencies = []
+    for room in (generate(make_chain_room(4), 4), sample_replicate_room(4, 0)):
+        env = EscapeRoomEnv(instance=room)
+        env.reset(seed=0)
+        fewest = find_best_known(room, env.get_state()).primitives
+        presses = find_best_with_options(room, env.get_state(), "press").primitives
+        assert fewest is not None and presses is not None
+        efficiencies.append(fewest / presses)
+    assert efficiencies[0] < EFFICIENT <= efficiencies[1], "the first is left out"
+    assert [sample_replicate_room(4, number).seed for number in range(4)] == [1, 2, 3, 5]
+
+
+def test_every_flat_learner_has_its_twin_and_trials_are_in_other_rooms():
+    labels = {contestant.label: contestant for contestant in CONTESTANTS}
+    for flat, options in PAIRS.items():
+        assert labels[options].agent == f"smdp-{labels[flat].agent}"
+    used = {sample_replicate_room(buttons, number).seed for buttons in BUTTON_COUNTS for number in range(10)}
+    assert not used & {trial.room for trial in load_trials()}
+    planned = list(list_price_runs(0, 10))
+    assert len({(contestant.label, *rest) for contestant, *rest in planned}) == len(planned)
+
+
+def test_a_run_over_presses_ends_with_two_efficient_evaluations(tmp_path: Path):
+    run = run_contestant(QUICK, sample_replicate_room(1, 0), 0)
+    assert run.efficient_at is not None and run.efficiency >= EFFICIENT
+    assert run.efficient_at < run.primitives < QUICK.budget
+    assert run.first_escape is not None and run.first_escape <= run.efficient_at
+    assert run.buttons == 1 and 0 < run.escapes <= run.episodes
+
+
+@pytest.mark.parametrize("streams", [0, 4])
+def test_a_run_over_primitives_is_given_up_at_its_budget(streams: int):
+    few = {"rollout": 256, "epochs": 1}
+    flat = Contestant("ppo", "ppo", 2_048, 1_024, few, streams=streams, sizes=(1,))
+    run = run_contestant(flat, sample_replicate_room(1, 0), 0)
+    assert run.efficient_at is None and run.primitives == 2_048 and run.efficiency == 0
+    assert (run.first_escape is not None) == (run.escapes > 0)
+
+
+def test_a_study_goes_on_where_it_was_stopped_and_makes_changed_runs_anew(tmp_path: Path):
+    path = tmp_path / "price.jsonl"
+    assert not list(measure_price_runs(path, 0, 2, minutes=0, contestants=[QUICK]))
+    first = next(measure_price_runs(path, 0, 2, contestants=[QUICK]))
+    assert load_data_lines(path, PriceRun) == [first]
+    assert [run.replicate for run in measure_price_runs(path, 0, 2, contestants=[QUICK])] == [1]
+    assert not list(measure_price_runs(path, 0, 2, contestants=[dataclasses.replace(QUICK, replicates=1)]))
+    other = dataclasses.replace(QUICK, settings={"gamma": 0.95})
+    assert [run.replicate for run in measure_price_runs(path, 0, 2, contestants=[other])] == [0, 1]
+
+
+def test_the_page_tells_every_learner_and_its_figure_is_drawn(tmp_path: Path):
+    labels = {contestant.label for contestant in CONTESTANTS}
+    lines = [make_line(label, buttons, number, 300.0 * buttons * (1 + 30 * (label in PAIRS)))
+             for label in labels for buttons in BUTTON_COUNTS for number in range(10)]
+    conclusions = write_price_page(lines, tmp_path)
+    page = (tmp_path / "price.md").read_text()
+    assert all(f"**{conclusion}**" in page for conclusion in conclusions)
+    assert "Until its first escape" in page
+    assert "31 (31 to 31) times the primitives of `options, dqn` with 1 button" in conclusions[0]
+    assert all(f"| {contestant.label} | 10 of 10; " in page for contestant in CONTESTANTS)
+    assert "not told apart from chance" in page
+    assert (tmp_path / "figures" / "price.svg").exists()
