@@ -25,6 +25,20 @@ MUTATIONS = [
         "experiments/price/test_price.py",
     ),
     Mutation(
+        "equal differences are certain, however few they are",
+        "experiments/inference.py",
+        "math.prod(4.0 ** (1 - len(room)) for room in lasting)",
+        "0.0",
+        "experiments/test_inference.py",
+    ),
+    Mutation(
+        "results of one part of the scaling study take the place of all others",
+        "commands/experiment/scaling.py",
+        "joined = join_scaling_runs(earlier, runs)",
+        "joined = runs",
+        "experiments/studies/test_scaling.py",
+    ),
+    Mutation(
         "one evaluation that is good enough ends a run",
         "agents/training/run.py",
         "return all(found.mean_return >= least for found in self.evaluations[-2:])",

@@ -45,7 +45,8 @@ KNOWN = (*AGENTS, *(spec.label for spec in TOLD))
 
 def make_result(agent="smdp-factored-r-max", buttons=10, rule="ignore", run=0, graph="layered", first=400, near=900):
     structure = ((100, 0.5, 0.25), (800, 1.0, 1.0)) if agent != "smdp-random" else ()
-    measured = {"best": 50.0, "worst": -1000.0, "primitives": 20_000, "decisions": 900, "seconds": 1.5}
+    measured = {"best": 50.0, "worst": -1000.0, "budget": 20_000, "primitives": 20_000, "decisions": 900,
+                "seconds": 1.5}
     return ScalingRun(graph, buttons, rule, agent, run, "abc", **measured, first_escape=first, near_best=near, edges=4,
                       depth=3, structure=structure)
 
@@ -216,6 +217,47 @@ def test_raw_results_come_back_and_the_page_tells_them(tmp_path):
     before = page, (tmp_path / "figures" / "scaling.svg").read_bytes()
     write_scaling_page(load_scaling_runs(raw, KNOWN), tmp_path)
     assert ((tmp_path / "scaling.md").read_text(), (tmp_path / "figures" / "scaling.svg").read_bytes()) == before
+
+
+def test_a_part_of_some_agents_joins_the_results_that_are_there(tmp_path, monkeypatch):
+    """A run that was made again takes its line's place; all other lines stay, and what they tell stays on the page."""
+    for name, value in (("GRAPHS", ("chain",)), ("RULES", ("ignore",)), ("SIZES", (2,))):
+        monkeypatch.setattr(scaling, name, value)
+    raw = tmp_path / "raw" / "scaling.csv"
+    kept = [dataclasses.replace(run, budget=60) for run in (make_result(buttons=20), make_result(TOLD[1].label))]
+    old = dataclasses.replace(make_result("smdp-r-max", 2, graph="chain"), budget=60, room="old")
+    other = dataclasses.replace(old, agent="smdp-q-learning")
+    save_scaling_runs(raw, [*kept, old, other])
+    call = ["experiment", "scaling", "--docs", str(tmp_path), "--out", str(tmp_path), "--runs", "1", "--workers", "1"]
+    assert main([*call, "--primitives", "60", "--parts", "agents", "--agents", "smdp-r-max"]) == 0
+    found = {run.place: run for run in load_scaling_runs(raw, KNOWN)}
+    assert len(found) == 4 and all(found[run.place] == run for run in (*kept, other))
+    assert found[old.place].room != "old" and found[old.place].budget == 60
+    assert "| ignore | all-on, 2 | 1 | 1 | 1 | 1 | 60 |" in (tmp_path / "scaling.md").read_text()
+
+
+def test_runs_of_another_budget_and_unknown_agents_are_refused_before_anything_runs(tmp_path, capsys):
+    raw = tmp_path / "raw" / "scaling.csv"
+    save_scaling_runs(raw, [make_result()])
+    call = ["experiment", "scaling", "--docs", str(tmp_path), "--out", str(tmp_path / "runs")]
+    assert main([*call[:2], "--docs", str(tmp_path / "new"), *call[4:], "--minutes", "0.000001"]) == 2
+    assert "no run is finished after 1e-06 minutes" in capsys.readouterr().err
+    assert main([*call, "--primitives", "60"]) == 2
+    assert "the runs in" in (said := capsys.readouterr().err) and "have 20000. Choose another --docs" in said
+    assert main([*call, "--agents", "smdp-dqm"]) == 2
+    assert "unknown agent of the scaling study 'smdp-dqm'" in (said := capsys.readouterr().err) and "smdp-dqn" in said
+    assert not list(tmp_path.glob("runs/*/runs/*")) and load_scaling_runs(raw, KNOWN) == [make_result()]
+
+
+@pytest.mark.parametrize(("told_runs", "commands"), [
+    (1, ["hrl-escape experiment scaling --runs 1 --primitives 20000"]),
+    (3, ["hrl-escape experiment scaling --parts bar agents --runs 1 --primitives 20000",
+         "hrl-escape experiment scaling --parts told --runs 3 --primitives 20000"]),
+])
+def test_the_page_ends_with_commands_that_make_its_runs_again(tmp_path, told_runs, commands):
+    told = [make_result(spec.label, run=run) for spec in TOLD for run in range(told_runs)]
+    write_scaling_page([make_result(buttons=4), make_result(rule="reset", run=9), *told], tmp_path)
+    assert (tmp_path / "scaling.md").read_text().endswith("\n".join(["```console", *commands, "```", ""]))
 
 
 def test_failures_stay_in_medians_and_means():

@@ -145,7 +145,6 @@ def _sample(result: ScalingRun, measure: int, grid: np.ndarray) -> np.ndarray:
 def _write_lines(results: Sequence[ScalingRun], everything: Sequence[ScalingRun], fresh: Sequence[ScalingRun]
                  ) -> list[str]:
     budget = _get_budget(results)
-    runs = 1 + max((r.run for r in results if r.task not in BAR), default=0)
     trials = {(result.task, result.agent, result.run) for result in everything}
     hours = sum(result.seconds for result in everything) / 3600
     again = tell_replication(fresh, results)
@@ -208,9 +207,20 @@ def _write_lines(results: Sequence[ScalingRun], everything: Sequence[ScalingRun]
         "## Make it again", "",
         "Finished trials are kept; with `--from-raw` the page is written anew from "
         "[raw/scaling.csv](raw/scaling.csv).", "",
-        "```console", f"{_COMMAND} --runs {runs} --primitives {budget}", "```", "",
+        "```console", *_list_commands(everything, budget), "```", "",
     ]  # fmt: skip
     return lines
+
+
+def _list_commands(everything: Sequence[ScalingRun], budget: int) -> list[str]:
+    """Command lines that make at least these runs, one where all parts have as many."""
+    agents = [run for run in everything if run.agent in AGENTS and run.task not in BAR]
+    told = [run for run in everything if run.agent not in AGENTS]
+    counts = {parts: 1 + max(run.run for run in runs)
+              for parts, runs in (("bar agents", agents), ("told", told)) if runs}
+    if len(set(counts.values())) < 2:
+        return [f"{_COMMAND} --runs {max(counts.values(), default=1)} --primitives {budget}"]
+    return [f"{_COMMAND} --parts {parts} --runs {runs} --primitives {budget}" for parts, runs in counts.items()]
 
 
 def _tell_bar(results: Sequence[ScalingRun]) -> list[str]:
@@ -249,8 +259,7 @@ def _get_escape(run: ScalingRun) -> int | None:
 
 
 def _get_budget(results: Sequence[ScalingRun]) -> int:
-    most = max(result.primitives for result in results)
-    return most // 1_000 * 1_000 or most  # the last option may have gone beyond it
+    return max(result.budget for result in results)
 
 
 def _follow(results: Sequence[ScalingRun], rule: str, agent: str, size: int, pick: Pick, budget: int

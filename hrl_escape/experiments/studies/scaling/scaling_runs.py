@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -19,7 +19,8 @@ from hrl_escape.experiments.probes.graph_recovery import compute_edge_depth, fin
 from hrl_escape.experiments.runs import get_training_folder
 from hrl_escape.files import read_text, write_text
 
-__all__ = ["ScalingRun", "RoomKind", "collect_scaling_runs", "load_scaling_runs", "save_scaling_runs"]
+__all__ = ["ScalingRun", "RoomKind", "collect_scaling_runs", "join_scaling_runs", "load_scaling_runs",
+           "save_scaling_runs"]
 
 
 class RoomKind(NamedTuple):
@@ -47,6 +48,7 @@ class ScalingRun:
         room: content hash of the instance.
         best: best return known for these options.
         worst: return without escape.
+        budget: most primitives of training; the last option may go beyond.
         primitives: trained for.
         decisions: trained for.
         seconds: of training.
@@ -65,6 +67,7 @@ class ScalingRun:
     room: str
     best: float
     worst: float
+    budget: int
     primitives: int
     decisions: int
     seconds: float
@@ -78,6 +81,11 @@ class ScalingRun:
     def task(self) -> RoomKind:
         """Kind of its room."""
         return RoomKind(self.graph, self.buttons, self.rule)
+
+    @property
+    def place(self) -> tuple[RoomKind, str, int]:
+        """Subject of the line: another line about the same replaces it."""
+        return self.task, self.agent, self.run
 
 
 def collect_scaling_runs(comparison: Comparison, rooms: Mapping[RoomKind, RoomInstance]) -> list[ScalingRun]:
@@ -97,8 +105,8 @@ def collect_scaling_runs(comparison: Comparison, rooms: Mapping[RoomKind, RoomIn
         measured: dict[str, Any] = {
             "agent": run.agent.label, "run": run.seed, "room": run.place_id,
             "best": float(np.mean(result.score_range.reachable)), "worst": result.score_range.worst,
-            "primitives": result.primitives, "decisions": result.decisions, "seconds": round(training.seconds, 1),
-            "first_escape": training.first_escape, **vars(result.solution),
+            "budget": comparison.grid.primitives, "primitives": result.primitives, "decisions": result.decisions,
+            "seconds": round(training.seconds, 1), "first_escape": training.first_escape, **vars(result.solution),
         }  # fmt: skip
         found += [ScalingRun(*task, **measured, depth=_measure_depth(room)) for task, room in rooms.items()
                   if room.id == run.place_id]
@@ -108,6 +116,11 @@ def collect_scaling_runs(comparison: Comparison, rooms: Mapping[RoomKind, RoomIn
 def _measure_depth(room: RoomInstance) -> int:
     goals = room.puzzle.goal_targets
     return compute_edge_depth(find_edges_that_matter(room.puzzle.edges, goals), goals)
+
+
+def join_scaling_runs(old: Iterable[ScalingRun], new: Iterable[ScalingRun]) -> list[ScalingRun]:
+    """All runs, new ones in place of old ones about the same."""
+    return list({run.place: run for run in (*old, *new)}.values())
 
 
 def save_scaling_runs(path: Path, runs: Sequence[ScalingRun]) -> None:
@@ -146,8 +159,8 @@ def load_scaling_runs(path: Path, agents: Collection[str]) -> list[ScalingRun]:
                 raise ValueError(f"no agent of this study is called {row['agent']!r}")
             found.append(ScalingRun(
                 row["graph"], int(row["buttons"]), row["rule"], row["agent"], int(row["run"]), row["room"],
-                float(row["best"]), float(row["worst"]), int(row["primitives"]), int(row["decisions"]),
-                float(row["seconds"]), int(row["first_escape"]) if row["first_escape"] else None,
+                float(row["best"]), float(row["worst"]), int(row["budget"]), int(row["primitives"]),
+                int(row["decisions"]), float(row["seconds"]), int(row["first_escape"]) if row["first_escape"] else None,
                 int(row["near_best"]) if row["near_best"] else None,
                 edges=edges, depth=depth, structure=tuple((int(n), float(p), float(r)) for n, p, r in steps),
             ))  # fmt: skip

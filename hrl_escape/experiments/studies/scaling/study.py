@@ -125,7 +125,7 @@ def make_room(task: RoomKind) -> RoomConfig:
 
 def run_scaling(
     out: Path, runs: int, primitives: int, workers: int | None, minutes: float, console: Console | None = None,
-    first_seed: int = 0, parts: Sequence[str] = STUDY_PARTS,
+    first_seed: int = 0, parts: Sequence[str] = STUDY_PARTS, agents: Sequence[str] | None = None,
 ) -> list[ScalingRun]:
     """Run what is not finished in a folder: seed by seed, from small rooms to large, agent by agent.
 
@@ -138,6 +138,7 @@ def run_scaling(
         console: where progress is shown; standard error by default.
         first_seed: lowest seed of rooms and training.
         parts: of `STUDY_PARTS`.
+        agents: of the part `agents`, of `AGENTS`; None for all.
 
     Returns:
         All finished runs, also those of earlier calls.
@@ -149,8 +150,10 @@ def run_scaling(
     finished: dict[tuple[RoomKind, str, int], ScalingRun] = {}
     rounds: list[Round] = []
 
+    seeds = range(first_seed, first_seed + runs)
+
     def make_grids() -> Iterator[Grid]:
-        for following in _list_rounds(range(first_seed, first_seed + runs), first_seed, parts, finished):
+        for following in _list_rounds(seeds, first_seed, parts, agents or AGENTS, finished):
             rounds.append(following)
             yield following.make_grid(primitives)
 
@@ -162,7 +165,7 @@ def run_scaling(
     return list(finished.values())
 
 
-def _list_rounds(seeds: Sequence[int], first_seed: int, parts: Sequence[str],
+def _list_rounds(seeds: Sequence[int], first_seed: int, parts: Sequence[str], agents: Sequence[str],
                  finished: dict[tuple[RoomKind, str, int], ScalingRun]) -> Iterator[Round]:
     """Rounds in order; each depends on what those before have finished."""
     if "bar" in parts:
@@ -173,7 +176,7 @@ def _list_rounds(seeds: Sequence[int], first_seed: int, parts: Sequence[str],
             yield Round(TOLD_TASKS, TOLD, seed)
     for seed in seeds if "agents" in parts else ():
         for place, buttons in enumerate(SIZES):
-            for agent in AGENTS:
+            for agent in agents:
                 tasks = []
                 for graph in GRAPHS:
                     for rule in RULES:
