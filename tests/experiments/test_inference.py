@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 
 import numpy as np
 import pytest
@@ -118,6 +119,28 @@ def test_rooms_are_strata_whose_differences_are_no_noise():
 def test_identical_runs_are_no_difference_and_one_pair_says_nothing():
     assert compare_pairs([np.zeros(8)]).p == 1
     assert compare_pairs([np.array([0.3])]).p == compare_pairs([]).p == 1
+
+
+@pytest.mark.parametrize("law", [(0.5, 0.5), (0.3, 0.4, 0.3), (0.25, 0.25, 0.25, 0.25), (0.4, 0.1, 0.1, 0.4)])
+@pytest.mark.parametrize("count", [2, 3])
+def test_equal_differences_of_identical_agents_are_rarer_than_their_p_says(law: tuple[float, ...], count: int):
+    """Exact: scores 0, 1, ... with these chances, and all pairs of runs that so many seeds may have."""
+    share, p = 0.0, 0.0
+    scores = range(len(law))
+    for runs in itertools.product(itertools.product(scores, scores), repeat=count):
+        differences = np.array([float(first - second) for first, second in runs])
+        if differences[0] != 0 and np.all(differences == differences[0]):
+            share += math.prod(law[first] * law[second] for first, second in runs)
+            p = compare_pairs([differences]).p
+    assert 0 < share <= p < 1
+
+
+@pytest.mark.parametrize("count", range(5, 11))
+def test_equal_differences_say_more_than_those_with_one_tie_among_them(count: int):
+    ones = np.ones(count)
+    clean, tied = compare_pairs([0.37 * ones]).p, compare_pairs([np.append(ones[1:], 0.0)]).p
+    assert 0 < clean < tied and clean == 4.0 ** (1 - count)
+    assert compare_pairs([0.37 * ones, -0.1 * ones, 0 * ones]).p == pytest.approx(clean**2), "each room by itself"
 
 
 def test_holms_correction_is_that_of_the_textbook():
