@@ -7,6 +7,7 @@
     hrl-escape train dqn --recipe paper --training-seed 7 --json
     hrl-escape train maxq-q --leaves planned
     hrl-escape train ppo --batch 1024 --primitives 5000000
+    hrl-escape train dac --batch 64 --primitives 500000
 
 `hrl-escape list agents` names the agents; with smdp- in front they choose options beside primitives.
 """
@@ -73,7 +74,7 @@ class TrainArgs(RoomChoice):
     eval_episodes: int = 5
     """Episodes in an evaluation."""
     batch: int | None = None
-    """Train in so many copies of the room at once, by the batched engine; for ppo and dqn."""
+    """Train in so many copies of the room at once, by the batched engine; for ppo, dqn, dac and ppoc."""
     device: str = "cpu"
     """Device of the copies, the networks and all that lies between, such as cuda; with --batch."""
     out: Path | None = None

@@ -2,6 +2,14 @@
 
 from tests.mutations.mutation import Mutation
 
+OPTIONS = "agents/algorithms/options"
+
+
+def _streams(bug: str, file: str, old: str, new: str, test: str) -> Mutation:
+    """A bug of learners of options over many streams."""
+    return Mutation(bug, f"agents/{file}.py", old, new, f"{OPTIONS}/test_option_streams.py::test_{test}")
+
+
 MUTATIONS = [
     Mutation(
         "a full replay overwrites its last row only",
@@ -100,5 +108,53 @@ MUTATIONS = [
         "total / self._counts[name] for name",
         "total / self.decisions for name",
         "agents/training/test_train.py::test_a_logged_metric_is_the_mean_over_the_decisions_that_gave_it",
+    ),
+    Mutation(
+        "generators of streams' options are left out of checkpoints",
+        "agents/components/options/open_options.py",
+        '        self._generator.set_state(torch.from_numpy(state["generator"]))\n',
+        "",
+        "agents/training/test_streams.py::test_a_run_cut_off_resumes_to_the_same_bits",
+    ),
+    _streams("the decision after an option's is that of the next stream", "components/options/choices",
+             "after = rows[place + 1, stream]", "after = rows[place + 1, (stream + 1) % shape[1]]",
+             "both_processes_are_taught_stream_by_stream_what_the_formulas_say"),
+    _streams("a stream's option goes on into the next episode", "components/options/open_options",
+             "        self._option[stream[over]] = NONE\n", "",
+             "no_outcome_shows_the_next_episode_and_no_option_goes_on_into_it"),
+    _streams("options of streams end with the chance that they go on", "components/options/open_options",
+             "(draws < take_column(", "(draws > take_column(",
+             "streams_draw_ends_and_options_with_the_chances_that_are_kept_with_them"),
+    _streams("a stream's option has the chance of a first one", "components/options/open_options",
+             "mix_with_former(betas, choice, former), option", "choice, option",
+             "streams_draw_ends_and_options_with_the_chances_that_are_kept_with_them"),
+    _streams("runs of a stream's options count from the first", "components/options/open_options",
+             "        self._decisions[stream] = 0\n", "",
+             "runs_of_options_are_counted_in_every_stream"),
+    _streams("an action of a stream has the chance that it has by now", "components/options/clipped",
+             "if choices.log_probability is not None:", "if False:",
+             "a_decision_that_outlasts_its_rollout_keeps_the_chances_that_it_was_made_with"),
+    _streams("a choice of a stream has the chance that it has by now", "algorithms/options/dac",
+             "log_choice = choices.log_probability\n", "log_choice = None\n",
+             "the_choice_of_an_option_is_taught_with_the_chance_that_it_was_made_with"),
+    _streams("a dropped episode goes on in the next", "components/options/streams",
+             "over = rollout.over | self._open[0].find_last(rollout)", "over = rollout.over",
+             "episodes_that_are_dropped_count_as_truncated_and_options_do_not_go_on"),
+    _streams("an option outlives a dropped episode", "components/options/open_options",
+             "        self._option.fill_(NONE)\n", "",
+             "episodes_that_are_dropped_count_as_truncated_and_options_do_not_go_on"),
+    _streams("minibatches of many streams stay small", "components/options/clipped",
+             "size = max(size, collected * size // self.settings.rollout)", "size = max(size, 0)",
+             "a_rollout_of_many_streams_is_cut_into_as_many_minibatches_as_one_of_one"),
+    _streams("a masked stream acts as if it were not", "components/options/streams",
+             "self.compute_log_policies(seen, option, mask)", "self.compute_log_policies(seen, option, mask | True)",
+             "both_processes_are_taught_stream_by_stream_what_the_formulas_say"),
+    Mutation(
+        "ppo in one environment goes by what was kept of streams",
+        "agents/algorithms/ppo.py",
+        "            self._open = None\n",
+        "            pass\n",
+        "agents/training/test_streams.py"
+        "::test_ppo_that_learned_from_many_goes_on_in_one_environment_with_the_chances_of_its_own_choices",
     ),
 ]

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -30,6 +30,7 @@ from hrl_escape.agents.components.object_network import (
 from hrl_escape.agents.components.policy_gradient import (
     ClippedSettings,
     Rollout,
+    StreamRolloutSettings,
     compute_advantages,
     compute_clipped_parts,
     compute_log_policy,
@@ -40,18 +41,13 @@ from hrl_escape.agents.components.policy_gradient import (
 )
 from hrl_escape.agents.components.streams.open_choices import OpenChoices
 from hrl_escape.agents.streams import StreamAgent, StreamTransitions, compute_backups
-from hrl_escape.settings import Range
 
 __all__ = ["PPO", "PPOSettings"]
 
 
 @dataclass(frozen=True)
-class PPOSettings(MemorySettings, ClippedSettings, DeepBonusSettings, ObjectNetworkSettings):
+class PPOSettings(StreamRolloutSettings, MemorySettings, ClippedSettings, DeepBonusSettings, ObjectNetworkSettings):
     """Settings of `ppo`."""
-
-    stream_rollout: Annotated[int, Range(1)] = 32
-    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
-    `rollout` is cut into as many minibatches, so into larger ones."""
 
 
 class PPO(StreamAgent):
@@ -147,7 +143,10 @@ class PPO(StreamAgent):
         return choose_best(self._forward(seen), action_mask)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Keep the decision; update when the rollout is full."""
+        """Keep the decision; update when the rollout is full. Streams are over with it, and what they collected."""
+        if self._open is not None:
+            self._open = None
+            self._forget()
         reward, bootstrap = compute_backup(transition, self.settings)
         reward += self._bonus.visit(transition.next_observation)
         over = transition.terminated or transition.truncated

@@ -19,9 +19,9 @@ from hrl_escape.agents.components.networks import NetworkSettings
 from hrl_escape.agents.settings import AgentSettings, LearningSettings
 from hrl_escape.settings import Range
 
-__all__ = ["AdvantageSettings", "ClippedSettings", "Rollout", "compute_advantages", "compute_clipped_loss",
-           "compute_clipped_parts", "compute_entropy", "compute_log_policy", "draw_minibatches", "sample_policy",
-           "stack_decisions", "take_column", "unstack_decisions"]
+__all__ = ["AdvantageSettings", "ClippedSettings", "Rollout", "StreamRolloutSettings", "compute_advantages",
+           "compute_clipped_loss", "compute_clipped_parts", "compute_entropy", "compute_log_policy",
+           "draw_minibatches", "sample_policy", "stack_decisions", "take_column", "unstack_decisions"]
 
 
 @dataclass(frozen=True)
@@ -56,6 +56,15 @@ class ClippedSettings(AdvantageSettings, NetworkSettings, LearningSettings):
     """Weight of the policy's entropy in the loss."""
     value_weight: Annotated[float, Range(0)] = 0.5
     """Weight of half the squared value error in the loss."""
+
+
+@dataclass(frozen=True)
+class StreamRolloutSettings(AgentSettings):
+    """Rollouts of many streams."""
+
+    stream_rollout: Annotated[int, Range(1)] = 32
+    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
+    `rollout` is cut into as many minibatches, so into larger ones."""
 
 
 class Rollout(NamedTuple):

@@ -62,7 +62,8 @@ def train(
             before `reset(seed=...)`, which is called for every episode. Let an environment of your own keep its
             arguments under their names, or give it a `describe` method (see `DescribedEnv`), so that runs with other
             arguments are told apart. A vector environment, or a `BatchedOptionsEnv`, trains agents that learn from
-            many streams (`ppo`, `dqn`) on its device; returns are then logged by segments of steps instead of episodes.
+            many streams (`ppo`, `dqn`, `dac`, `ppoc`) on its device; returns are then logged by segments of steps
+            instead of episodes.
         primitives: budget, of all streams together. The decision that reaches it is the last.
         decisions: budget of decisions, if it is spent earlier; for programs that counted decisions.
         seed: 0 or more; fixes the agent (if named) and every training episode.
@@ -132,8 +133,8 @@ def train(
             run = Run(learner, env, eval_env or env, arguments, probe)
         else:
             if not isinstance(learner, StreamAgent):
-                raise AgentSettingsError("agent", name, "one that learns from many environments at once, such as ppo "
-                                         "or dqn; or give train an ordinary environment")
+                raise AgentSettingsError("agent", name, "one that learns from many environments at once, such as ppo, "
+                                         "dqn or dac; or give train an ordinary environment")
             if probe is not None:
                 raise AgentSettingsError("probe", probe, "None in a run of many environments at once")
             from hrl_escape.agents.training.stream_run import StreamRun  # brings torch in

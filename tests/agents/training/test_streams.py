@@ -9,7 +9,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from hrl_escape.agents import evaluate, load_agent, load_env, train
 from hrl_escape.agents.algorithms.ppo import PPO, PPOSettings
 from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
-from hrl_escape.agents.components.policy_gradient import compute_advantages
+from hrl_escape.agents.components.policy_gradient import compute_advantages, compute_log_policy
 from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.agents.training.vector_streams import VectorStreams
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
@@ -213,11 +213,13 @@ def make_interrupted(kind):
     return env
 
 
-@pytest.mark.parametrize(("name", "kind", "stop"), [("ppo", "rooms", 37), ("ppo", "poles", 200), ("dqn", "rooms", 37)])
+@pytest.mark.parametrize(("name", "kind", "stop"), [
+    ("ppo", "rooms", 37), ("ppo", "poles", 200), ("dqn", "rooms", 37), ("dac", "rooms", 37), ("dac", "poles", 200),
+    ("ppoc", "rooms", 37)])
 def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, kind, stop, monkeypatch):
     monkeypatch.setattr("hrl_escape.agents.training.stream_run.SEGMENT_PRIMITIVES", 256)
     arguments = {"primitives": 800 if kind == "rooms" else 1_000, "seed": 1, "eval_every": 250, "eval_episodes": 1,
-                 "settings": SMALL if name == "ppo" else SMALL_DQN, "checkpoint_seconds": 0.0}
+                 "settings": SMALL_DQN if name == "dqn" else SMALL, "checkpoint_seconds": 0.0}
     whole = train(name, make_interrupted(kind), out=tmp_path / "whole", **arguments)
     env = make_interrupted(kind)
     env.left = stop
@@ -232,10 +234,10 @@ def test_a_run_cut_off_resumes_to_the_same_bits(tmp_path, name, kind, stop, monk
     assert evaluate(again, env, 2) == evaluate(whole.agent, env, 2)
 
 
-@pytest.mark.parametrize("name", ["smdp-ppo", "smdp-dqn"])
+@pytest.mark.parametrize("name", ["smdp-ppo", "smdp-dqn", "smdp-dac"])
 def test_the_budget_is_in_primitives_of_all_streams_and_of_every_option(name):
     env = BatchedOptionsEnv(8, "paper-one-button", discount=0.99)
-    settings = SMALL if name == "smdp-ppo" else SMALL_DQN
+    settings = SMALL_DQN if name == "smdp-dqn" else SMALL
     result = train(name, env, primitives=300, seed=0, settings=settings, eval_every=300, eval_episodes=1)
     assert 300 <= result.primitives < 300 + 8 * 60 and result.decisions < result.primitives
     last = result.segments[-1]
@@ -279,6 +281,23 @@ def test_a_run_in_many_environments_ends_with_two_evaluations_that_are_good_enou
     arguments = {"primitives": 600, "settings": SMALL, "eval_every": 100, "eval_episodes": 1}
     ended, whole = (train("ppo", make_rooms(), **arguments, until_return=least) for least in (-1_000, None))
     assert len(ended.evaluations) == 2 < len(whole.evaluations)
+
+
+def test_ppo_that_learned_from_many_goes_on_in_one_environment_with_the_chances_of_its_own_choices():
+    agent = train("ppo", make_rooms(), primitives=300, seed=1, settings=SMALL, eval_episodes=0).agent
+    batches, compute_loss = [], agent.compute_loss
+    agent.compute_loss = lambda *numbers: (batches.append((agent.policy.weights.clone(), numbers)),
+                                           compute_loss(*numbers))[1]
+    before = agent.policy.weights.clone()
+    train(agent, gymnasium.make("hrl_escape/PaperOneButton-v1", observation="features"),
+          primitives=SMALL["rollout"], eval_episodes=0)
+    assert len(batches) == SMALL["epochs"] * SMALL["rollout"] // SMALL["batch_size"], "what streams collected is gone"
+    weights, (observation, mask, action, old, *_) = batches[0]
+    assert torch.equal(weights, before)
+    with torch.no_grad():
+        agent.policy.weights.copy_(before)
+        log_policy = compute_log_policy(agent.policy(observation), mask)
+    assert torch.allclose(old, log_policy.gather(1, action[:, None]).squeeze(1), atol=1e-6)
 
 
 def test_equal_seeds_give_equal_runs_and_others_differ():

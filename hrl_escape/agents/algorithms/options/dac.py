@@ -13,12 +13,13 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.components.options.choices import OptionChoices, mix_values
-from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
+from hrl_escape.agents.components.options.choices import SMALLEST, OptionChoices, mix_values
 from hrl_escape.agents.components.options.networks import EndingSettings
+from hrl_escape.agents.components.options.streams import StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import (
     ClippedSettings,
     Rollout,
+    StreamRolloutSettings,
     compute_advantages,
     compute_clipped_loss,
     take_column,
@@ -27,12 +28,9 @@ from hrl_escape.settings import Range
 
 __all__ = ["DAC", "DACSettings"]
 
-SMALLEST = 1e-12
-"""Probability below which the logarithm of a choice is cut off."""
-
 
 @dataclass(frozen=True)
-class DACSettings(ClippedSettings, EndingSettings):
+class DACSettings(StreamRolloutSettings, ClippedSettings, EndingSettings):
     """Settings of `dac`."""
 
     option_entropy_weight: Annotated[float, Range(0)] = 0.01
@@ -41,7 +39,7 @@ class DACSettings(ClippedSettings, EndingSettings):
     """Weight of the mean termination in the loss; above 0 options last longer."""
 
 
-class DAC(ClippedOptionAgent):
+class DAC(StreamOptionAgent):
     """PPO in two decision processes with the same rewards and one critic q(s, o).
 
         high: state (s, o-), action o    pi(o | s, o-) = (1 - beta_o-(s)) [o = o-] + beta_o-(s) pi_Omega(o | s)
@@ -66,12 +64,13 @@ class DAC(ClippedOptionAgent):
             high_values = mix_values(choice, critic, former)
             low_next, high_next = self.compute_next_values(rollout, choices)
             low = compute_advantages(rollout, low_values, low_next, settings)
-            log_probability = take_column(self.compute_log_policies(rollout.observation, option, rollout.mask),
-                                    rollout.action)
+            log_probability = self.compute_old_log_probability(rollout, choices)
             updates = [(self.compute_low_loss, log_probability, low, low + low_values)]
             if self.options > 1:  # a choice among one is none
                 high = compute_advantages(rollout, high_values, high_next, settings)
-                log_choice = take_column(choice, option).clamp(min=SMALLEST).log()
+                log_choice = choices.log_probability
+                if log_choice is None:
+                    log_choice = take_column(choice, option).clamp(min=SMALLEST).log()
                 updates.append((self.compute_high_loss, log_choice, high, high + high_values))
                 if self._batch_rng.random() < 0.5:
                     updates.reverse()
@@ -79,7 +78,7 @@ class DAC(ClippedOptionAgent):
         for compute_loss, *numbers in updates:
             metrics |= self._learner.minimise_each(
                 compute_loss(rollout, choices, rows, *(each[rows] for each in numbers))
-                for rows in self._draw_batches(len(option)))
+                for rows in self._draw_batches(len(option), len(option)))
         return metrics | {"gradient_norm": self._learner.gradient_norm,
                           "value": low_values.mean().item() / settings.reward_scale}
 

@@ -20,16 +20,16 @@ from torch.nn import functional
 from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.options.choices import OptionChoices, mix_values
-from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
 from hrl_escape.agents.components.options.networks import EndingSettings
-from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, take_column
+from hrl_escape.agents.components.options.streams import StreamOptionAgent
+from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, StreamRolloutSettings, take_column
 from hrl_escape.settings import Range
 
 __all__ = ["PPOC", "OptionSamples", "PPOCSettings"]
 
 
 @dataclass(frozen=True)
-class PPOCSettings(ClippedSettings, EndingSettings):
+class PPOCSettings(StreamRolloutSettings, ClippedSettings, EndingSettings):
     """Settings of `ppoc`."""
 
     options: Annotated[int, Range(1)] = 2
@@ -68,7 +68,7 @@ class OptionSamples(NamedTuple):
     is_chosen: Tensor
 
 
-class PPOC(ClippedOptionAgent):
+class PPOC(StreamOptionAgent):
     """Learn pi_o, Q(s, o), pi_Omega and beta_o from decisions (s, o, a) -> R, s'.
 
         arrival      U = Q(s', o) if o goes on, Q(s', o') - cost if it ended and o' was chosen; where neither is known
@@ -117,7 +117,7 @@ class PPOC(ClippedOptionAgent):
             own = self._waiting.pop(option)
             metrics |= self._learner.minimise_each(
                 self.compute_loss(option, OptionSamples(*(field[rows] for field in own)))
-                for rows in self._draw_batches(len(own.action)))
+                for rows in self._draw_batches(len(own.action), len(choices.option)))
             metrics["gradient_norm"] = self._learner.gradient_norm
         betas = take_column(self.compute_betas(rollout.next_observation), choices.option)
         return metrics | {"termination": betas.mean().item(),
@@ -130,9 +130,9 @@ class PPOC(ClippedOptionAgent):
         advantage = self.compute_advantages(rollout, choices, values, self.settings.deliberation_cost)
         target = advantage + values
         mean = mix_values(self.compute_fresh_choice(rollout.observation), critic, option)
-        log_policy = self.compute_log_policies(rollout.observation, option, rollout.mask)
-        return OptionSamples(rollout.observation, rollout.mask, rollout.action, take_column(log_policy, rollout.action),
-                             advantage, target, (target - mean) * choices.is_chosen, choices.is_chosen)
+        return OptionSamples(rollout.observation, rollout.mask, rollout.action,
+                             self.compute_old_log_probability(rollout, choices), advantage, target,
+                             (target - mean) * choices.is_chosen, choices.is_chosen)
 
     def compute_loss(self, option: int, batch: OptionSamples) -> dict[str, Tensor]:
         """Loss of an option over some of its decisions, and its parts."""
@@ -146,17 +146,26 @@ class PPOC(ClippedOptionAgent):
         loss = parts.pop("loss") + choice_loss - self.settings.option_entropy_weight * choice_entropy
         return {"loss": loss, **parts, "choice_loss": choice_loss, "choice_entropy": choice_entropy}
 
+    def move(self, device: torch.device) -> None:
+        """Move networks, optimisers and what waits for updates to a device."""
+        self._ending_learner.move(device)
+        super().move(device)
+        self._waiting = {option: OptionSamples(*(field.to(device) for field in samples))
+                         for option, samples in self._waiting.items()}
+
     def state_dict(self) -> StateTree:
         """Networks, optimisers, the rollout so far, what waits for updates, the running option, generators."""
         return super().state_dict() | {
             "ending_learner": self._ending_learner.state_dict(),
-            "waiting": [[option, samples._asdict()] for option, samples in self._waiting.items()],
+            "waiting": [[option, {name: field.cpu().numpy() for name, field in samples._asdict().items()}]
+                        for option, samples in self._waiting.items()],
         }
 
     def load_state_dict(self, state: StateTree) -> None:
         """Restore the result of `state_dict`."""
         super().load_state_dict(state)
         self._ending_learner.load_state_dict(state["ending_learner"])
-        self._waiting = {int(option): OptionSamples(**{name: torch.from_numpy(np.asarray(field))
+        device = self.policy.weights.device
+        self._waiting = {int(option): OptionSamples(**{name: torch.from_numpy(np.asarray(field)).to(device)
                                                        for name, field in samples.items()})
                          for option, samples in state["waiting"]}

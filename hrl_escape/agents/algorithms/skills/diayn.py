@@ -156,7 +156,7 @@ class DIAYN(ClippedOptionAgent):
             log_policy = self.compute_log_policies(rollout.observation, option, rollout.mask)
             columns = (rollout.observation, rollout.mask, option, rollout.action,
                        take_column(log_policy, rollout.action), advantage, advantage + values)
-        batches = list(self._draw_batches(len(option)))
+        batches = list(self._draw_batches(len(option), len(option)))
         metrics = self._learner.minimise_each(
             self.compute_option_loss(*(column[rows] for column in columns)) for rows in batches)
         goals = self.read_goals(rollout.next_observation)

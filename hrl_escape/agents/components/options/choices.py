@@ -11,12 +11,14 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from hrl_escape.agents.components.policy_gradient import take_column
+from hrl_escape.agents.components.policy_gradient import Rollout, take_column
 
-__all__ = ["NONE", "OptionChoices", "find_followed", "mix_values", "mix_with_former"]
+__all__ = ["NONE", "SMALLEST", "OptionChoices", "find_next", "mix_values", "mix_with_former"]
 
 NONE = -1
 """In place of the option before an episode's first decision."""
+SMALLEST = 1e-12
+"""Probability below which the logarithm of a choice is cut off."""
 
 
 class OptionChoices(NamedTuple):
@@ -26,11 +28,14 @@ class OptionChoices(NamedTuple):
         option: int64 (n,), that ran.
         former: int64 (n,), that ran before it; `NONE` at an episode's first decision.
         is_chosen: bool (n,), the former had ended, or there was none.
+        log_probability: float32 (n,), of the option that ran, as it was drawn; None where the networks are still those
+            that drew.
     """
 
     option: Tensor
     former: Tensor
     is_chosen: Tensor
+    log_probability: Tensor | None = None
 
 
 def mix_with_former(beta: Tensor, choice: Tensor, former: Tensor) -> Tensor:
@@ -46,13 +51,18 @@ def mix_with_former(beta: Tensor, choice: Tensor, former: Tensor) -> Tensor:
     return torch.where(ends == 1.0, choice, kept + ends * (choice - kept))
 
 
-def find_followed(over: Tensor) -> Tensor:
-    """Decisions of one environment after which the next row goes on in the same episode, bool (n,).
+def find_next(rollout: Rollout) -> tuple[Tensor, Tensor]:
+    """Next decision of the same stream.
 
-    Args:
-        over: bool (n,), the episode ended with the decision.
+    Returns:
+        Its row, int64 (n,), and bool (n,): it is in the rollout, in the same episode. Where it is not, the row is 0.
     """
-    return torch.cat([~over[:-1], torch.zeros(1, dtype=torch.bool)])
+    place, stream = rollout.place, rollout.stream
+    shape = int(place.max()) + 2, int(stream.max()) + 1
+    rows = torch.full(shape, -1, dtype=torch.int64, device=place.device)
+    rows[place, stream] = torch.arange(len(place), device=place.device)
+    after = rows[place + 1, stream]
+    return after.clamp(min=0), (after >= 0) & ~rollout.over
 
 
 def mix_values(choice: Tensor, values: Tensor, former: Tensor) -> Tensor:

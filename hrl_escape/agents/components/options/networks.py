@@ -31,7 +31,7 @@ from hrl_escape.agents.components.options.agent import OptionAgent
 from hrl_escape.agents.components.options.choices import (
     NONE,
     OptionChoices,
-    find_followed,
+    find_next,
     mix_values,
     mix_with_former,
 )
@@ -148,8 +148,8 @@ class NetworkOptionAgent(OptionAgent):
 
     def compute_log_policies(self, observation: Tensor, option: Tensor, mask: Tensor) -> Tensor:
         """Log probabilities of the actions of one option a row, (n, actions)."""
-        logits = self.policy(observation).view(len(option), self.options, -1)
-        return compute_log_policy(logits[torch.arange(len(option)), option], mask)
+        logits = self.policy(observation).view(len(option), self.options, self._actions)
+        return compute_log_policy(logits[torch.arange(len(option), device=option.device), option], mask)
 
     def compute_betas(self, observation: Tensor) -> Tensor:
         """beta_o(s) of all options, (n, options)."""
@@ -241,7 +241,8 @@ class NetworkOptionAgent(OptionAgent):
         """
         values = self.critic(rollout.next_observation)
         mean = mix_values(self.compute_option_choice(rollout.next_observation, choices.option), values, choices.option)
-        return torch.where(find_followed(rollout.over), take_column(values, choices.option.roll(-1)), mean), mean
+        after, goes_on = find_next(rollout)
+        return torch.where(goes_on, take_column(values, choices.option[after]), mean), mean
 
     def compute_advantages(self, rollout: Rollout, choices: OptionChoices, values: Tensor, cost: float) -> Tensor:
         """Advantages of actions within options, (n,), where ending an option has a cost upon arrival.
@@ -254,7 +255,8 @@ class NetworkOptionAgent(OptionAgent):
         """
         next_values, _ = self.compute_next_values(rollout, choices)
         betas = take_column(self.compute_betas(rollout.next_observation), choices.option)
-        ends = torch.where(find_followed(rollout.over), choices.is_chosen.roll(-1).float(), betas)
+        after, goes_on = find_next(rollout)
+        ends = torch.where(goes_on, choices.is_chosen[after].float(), betas)
         return compute_advantages(rollout, values, next_values - cost * ends, self.settings)
 
     def compute_termination_loss(self, rollout: Rollout, choices: OptionChoices, margin: float) -> Tensor:
@@ -286,7 +288,7 @@ class NetworkOptionAgent(OptionAgent):
         self._forget()
         if state["rollout"] is not None:
             self._rows = unstack_decisions(state["rollout"])
-            columns = [np.asarray(state["choices"][name]).tolist() for name in OptionChoices._fields]
+            columns = [np.asarray(state["choices"][name]).tolist() for name in ("option", "former", "is_chosen")]
             self._choices = list(zip(*columns, strict=True))
         self.log.load_state_dict(state["log"])
         self._option, self._former, is_chosen, self._decisions = map(int, state["running"])
