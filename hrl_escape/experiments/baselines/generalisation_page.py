@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import matplotlib
 import numpy as np
@@ -16,6 +17,7 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import save_figure
 from hrl_escape.experiments.baselines.calibration import CHANCE
 from hrl_escape.experiments.baselines.generalisation import DEPTHS, FLAT, MEMORY, OBJECTS, TRAINED, VECTORS
+from hrl_escape.experiments.baselines.generalisation_findings import tell_puzzle_depths, tell_room_numbers
 from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
 from hrl_escape.files import write_text
@@ -27,6 +29,7 @@ _NAMES = {FLAT: "primitives", VECTORS: "options, a vector", OBJECTS: "options, o
           MEMORY: "options, objects, memory"}
 _COLOURS = dict(zip(_NAMES, ("#777777", "#0072b2", "#e69f00", "#d55e00"), strict=True))
 _COMMAND = "hrl-escape experiment generalisation"
+_Key = TypeVar("_Key")
 
 
 def write_generalisation_page(lines: Sequence[BaselineRun], docs: Path) -> None:
@@ -49,13 +52,34 @@ def write_generalisation_page(lines: Sequence[BaselineRun], docs: Path) -> None:
                  "Solid: in rooms that no run was trained in. Dotted: in rooms trained in. Dots: single runs. Dashed: "
                  "random choices among the options.", ""]
     for own in rungs.values():
-        text += [_summarise(own), "", _describe(own), "", *_tabulate_sizes(own), ""]
+        cells = _group((line.agent, _count_rooms(line), line) for line in own)
+        text += [_summarise(own), "", _describe(own), "", *_tabulate_sizes(own), "",
+                 *_list(tell_room_numbers(cells, tuple(_NAMES), CHANCE))]
     text += ["## Deeper than trained", ""]
-    text += [f"Trained in rooms of {TRAINED}. {_describe(depth)}", "", *_tabulate_depths(depth)] if depth else [
-        "Not run yet."]
+    if depth:
+        told = tell_puzzle_depths(_group((line.agent, line.rung, line) for line in depth), tuple(_NAMES))
+        text += [f"Trained in rooms of {TRAINED}. {_describe(depth)}", "", *_tabulate_depths(depth), "", *_list(told)]
+    else:
+        text += ["Not run yet.", ""]
     commands = [_make_command(own) for own in (*rungs.values(), depth) if own]
-    text += ["", "```console", *commands, "```", "", "Every run is a line of `raw/generalisation.jsonl`.", ""]
+    text += ["```console", *commands, "```", "", "Every run is a line of `raw/generalisation.jsonl`.", ""]
     write_text(docs / "generalisation.md", "\n".join(text))
+
+
+def _group(lines: Iterable[tuple[str, _Key, BaselineRun]]) -> dict[tuple[str, _Key], list[BaselineRun]]:
+    """Runs by agent and a second key."""
+    cells: dict[tuple[str, _Key], list[BaselineRun]] = {}
+    for agent, key, line in lines:
+        cells.setdefault((agent, key), []).append(line)
+    return cells
+
+
+def _list(sentences: Sequence[str]) -> list[str]:
+    """A list in the text, with what it rests on; nothing without sentences."""
+    if not sentences:
+        return []
+    return [f"Efficiency in unseen rooms, by pairs of runs of the same training seed in cells of {LEAST_RUNS} seeds or "
+            "more (Student's t, with Holm's correction):", "", *(f"- {sentence}" for sentence in sentences), ""]
 
 
 def _make_command(lines: Sequence[BaselineRun]) -> str:
@@ -151,9 +175,12 @@ def _tabulate_sizes(lines: Sequence[BaselineRun]) -> list[str]:
         for count in counts:
             own = [line for line in lines if line.agent == agent and _count_rooms(line) == count]
             seen = [line.seen for line in own if line.seen is not None]
-            cells.append(f"{_average([line.efficiency for line in own]):.2f} ({_average(seen):.2f})" if own else "-")
+            unseen = f"{_average([line.efficiency for line in own]):.2f}"
+            unseen = f"**{unseen}**" if len(own) >= LEAST_RUNS else unseen
+            cells.append(f"{unseen} ({_average(seen):.2f})" if own else "-")
         rows.append(f"| `{agent}` | " + " | ".join(cells) + " |")
-    return [*rows, "", "In brackets: the efficiency at the end in rooms that were trained in."]
+    return [*rows, "", "In brackets: the efficiency at the end in rooms that were trained in. Bold: "
+            f"{LEAST_RUNS} seeds or more."]
 
 
 def _tabulate_depths(lines: Sequence[BaselineRun]) -> list[str]:

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import Any
+
+import pytest
 
 from hrl_escape.experiments.baselines.calibration import CHANCE
 from hrl_escape.experiments.baselines.generalisation import (
     DEPTHS,
     MEMORY,
+    OBJECTS,
     VECTORS,
     GeneralisationArgs,
     make_depth_grid,
@@ -74,3 +78,68 @@ def test_rungs_have_tables_and_commands_of_their_own_and_seeds_are_counted_by_ce
     assert "2 runs: 1 training seed, 500" in page and "4 runs: 1 to 3 training seeds, 500" in page
     assert "--rung pair --primitives 500 --rooms 3 --runs 1\n" in page
     assert "--rung chain-3 --primitives 500 --rooms 3 --runs 3\n" in page
+
+
+def make_seeds(agent: str, rooms: int, efficiency: float, shift: int, **fields: Any) -> list[BaselineRun]:
+    """Lines of ten seeds around an efficiency, by amounts that are shifted from seed to seed."""
+    return [dataclasses.replace(LINE, agent=agent, rooms=f"x/train[:{rooms}] > x/test", seed=seed,
+                                efficiency=efficiency + 0.01 * ((3 * seed + shift) % 10 - 4.5), **fields)
+            for seed in range(10)]
+
+
+@pytest.mark.parametrize(("vectors", "objects", "told"), [
+    ((0.2, 0.2), (0.5, 0.7), (f"- `{OBJECTS}` with 1,000 training rooms reaches 0.50 more than `{VECTORS}` (95 % int",
+                              f"- `{OBJECTS}` with 1,000 training rooms reaches 0.20 more than with 1 training room (",
+                              f"- `{OBJECTS}` with 1,000 training rooms reaches 0.40 more than random choices (",
+                              f"- `{VECTORS}` with 1,000 training rooms is not shown to reach more or less than with 1",
+                              f"- `{VECTORS}` with 1,000 training rooms reaches 0.10 less than random choices (")),
+    ((0.4, 0.6), (0.6, 0.3), (f"- `{OBJECTS}` with 1,000 training rooms reaches 0.30 less than `{VECTORS}` (95 % int",
+                              f"- `{OBJECTS}` with 1,000 training rooms reaches 0.30 less than with 1 training room (",
+                              f"- `{OBJECTS}` with 1,000 training rooms is not shown to reach more or less than random",
+                              f"- `{VECTORS}` with 1,000 training rooms reaches 0.20 more than with 1 training room (",
+                              f"- `{VECTORS}` with 1,000 training rooms reaches 0.30 more than random choices (")),
+])
+def test_ten_seeds_lead_to_sentences_and_nine_to_none(vectors: tuple, objects: tuple, told: tuple, tmp_path: Path):
+    lines = [*make_seeds(CHANCE, 1, 0.3, 0, primitives=0)]
+    for agent, values in ((VECTORS, vectors), (OBJECTS, objects)):
+        for rooms, value in zip((1, 1000), values, strict=True):
+            lines += make_seeds(agent, rooms, value, 1 + len(lines) // 10)
+    write_generalisation_page(lines, tmp_path)
+    page = (tmp_path / "generalisation.md").read_text()
+    assert not [words for words in told if words not in page], page
+    assert page.count("\n- ") == len(told)
+    few = [line for line in lines if (line.agent, line.seed) != (OBJECTS, 9)]
+    write_generalisation_page(few, tmp_path)
+    page = (tmp_path / "generalisation.md").read_text()
+    assert f"- `{OBJECTS}`" not in page and page.count("\n- ") == 2
+    assert f"| `{OBJECTS}` | {objects[0]:.2f} (" in page and f"| `{VECTORS}` | **{vectors[0]:.2f}** (" in page
+    assert "9 to 10 training seeds" in page and "Nothing is concluded from fewer than 10" in page
+
+
+@pytest.mark.parametrize(("chain", "deepest", "told"), [
+    (0.3, 0.2, ("one chain reaches 0.30 less than in rooms of 6 buttons, layered",
+                "10 buttons, layered reaches 0.40 less than in")),
+    (0.6, 0.8, ("one chain is not shown to reach more or less than in rooms of 6 buttons, layered",
+                "10 buttons, layered reaches 0.20 more than in"))])
+def test_depth_is_told_at_an_equal_number_of_buttons(chain: float, deepest: float, told: tuple, tmp_path: Path):
+    values = dict(zip(DEPTHS, (0.6, chain, 0.5, deepest), strict=True))
+    lines = [line for shift, (rung, value) in enumerate(values.items())
+             for line in make_seeds(MEMORY, 1, value, shift, protocol="depth", rung=rung)]
+    write_generalisation_page(lines, tmp_path)
+    page = (tmp_path / "generalisation.md").read_text()
+    assert not [words for words in told if words not in page], page
+    assert page.count(f"\n- `{MEMORY}` in rooms of ") == 2
+
+
+def test_a_difference_by_luck_alone_is_not_told_where_many_are_asked_about(tmp_path: Path):
+    """One question of p = 0.03 is answered; among five, Holm's correction leaves it open."""
+    gains = [0.12, -0.02, 0.1, 0.03, -0.04, 0.14, 0.07, -0.03, 0.05, 0.06]
+    lines = [*make_seeds(VECTORS, 1, 0.5, 0)]
+    lines += [dataclasses.replace(line, rooms="x/train[:16] > x/test", efficiency=line.efficiency + gain)
+              for line, gain in zip(lines, gains, strict=True)]
+    write_generalisation_page(lines, tmp_path)
+    assert "with 16 training rooms reaches 0.05 more than with 1" in (tmp_path / "generalisation.md").read_text()
+    others = [*make_seeds(CHANCE, 1, 0.5, 2), *make_seeds(OBJECTS, 1, 0.5, 2), *make_seeds(OBJECTS, 16, 0.5, 4)]
+    write_generalisation_page([*lines, *others], tmp_path)
+    page = (tmp_path / "generalisation.md").read_text()
+    assert f"`{VECTORS}` with 16 training rooms is not shown to reach more or less than with 1 training room" in page

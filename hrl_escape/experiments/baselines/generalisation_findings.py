@@ -1,0 +1,102 @@
+"""Sentences on generalisation, by rule from the lines of the runs: agents against each other, and sizes and depths.
+
+Runs are paired by their training seed. Only cells of `LEAST_RUNS` seeds or more are asked about, and the questions of
+one table share Holm's correction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.experiments.baselines.generalisation import DEPTHS
+from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun
+from hrl_escape.experiments.inference import compare_pairs, correct_by_holm
+from hrl_escape.experiments.pairs import ALPHA
+
+__all__ = ["tell_puzzle_depths", "tell_room_numbers"]
+
+_Seeds = Mapping[int, float]
+"""Efficiency in unseen rooms by training seed."""
+
+
+class _Question(NamedTuple):
+    """Two conditions, in words, and the efficiencies of the first less those of the second, (seeds,)."""
+
+    first: str
+    second: str
+    differences: NDArray[np.float64]
+
+
+def tell_room_numbers(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Sequence[str], chance: str
+               ) -> list[str]:
+    """Sentences on one rung: each agent against the one before it, against chance, and many rooms against few.
+
+    Args:
+        cells: runs by agent and number of training rooms.
+        agents: in the order of what they are given.
+        chance: the agent that chooses at random; how many rooms it trained in makes no difference to it.
+    """
+    enough = {place: seeds for place, runs in cells.items() if len(seeds := _index(runs)) >= LEAST_RUNS}
+    floor = next((seeds for (agent, _), seeds in enough.items() if agent == chance), None)
+    known = [agent for agent in agents if any(agent == other for other, _ in enough)]
+    asked = []
+    for before, agent in zip((None, *known), known, strict=False):
+        own = sorted(count for other, count in enough if other == agent)
+        most = enough[agent, own[-1]]
+        both = [count for count in own if (before, count) in enough] if before is not None else []
+        if before is not None and both:
+            asked.append(_ask(f"`{agent}` with {_count(both[-1])}", f"`{before}`",
+                              enough[agent, both[-1]], enough[before, both[-1]]))
+        if floor is not None:
+            asked.append(_ask(f"`{agent}` with {_count(own[-1])}", "random choices", most, floor))
+        if len(own) > 1:
+            asked.append(_ask(f"`{agent}` with {_count(own[-1])}", f"with {_count(own[0])}", most,
+                              enough[agent, own[0]]))
+    return _answer(asked)
+
+
+def tell_puzzle_depths(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], agents: Sequence[str]) -> list[str]:
+    """Sentences on deeper puzzles: of each agent, a chain against layers at the same number, and most against fewest.
+
+    Args:
+        cells: runs by agent and kind of room tested in, of `DEPTHS`.
+        agents: those to be asked about.
+    """
+    enough = {place: seeds for place, runs in cells.items() if len(seeds := _index(runs)) >= LEAST_RUNS}
+    layered, chain, *_, deepest = DEPTHS
+    return _answer([_ask(f"`{agent}` in rooms of {first}", f"in rooms of {second}", enough[agent, first],
+                         enough[agent, second])
+                    for agent in agents for first, second in ((chain, layered), (deepest, layered))
+                    if (agent, first) in enough and (agent, second) in enough])
+
+
+def _index(runs: Sequence[BaselineRun]) -> _Seeds:
+    return {run.seed: run.efficiency for run in runs}
+
+
+def _count(rooms: int) -> str:
+    return f"{rooms:,} training room{'s' if rooms != 1 else ''}"
+
+
+def _ask(first: str, second: str, ours: _Seeds, theirs: _Seeds) -> _Question:
+    both = sorted(ours.keys() & theirs.keys())
+    return _Question(first, second, np.array([ours[seed] - theirs[seed] for seed in both]))
+
+
+def _answer(asked: Sequence[_Question]) -> list[str]:
+    """One sentence a question with enough pairs."""
+    asked = [question for question in asked if len(question.differences) >= LEAST_RUNS]
+    tests = [compare_pairs([question.differences]) for question in asked]
+    told = []
+    for question, test, p in zip(asked, tests, correct_by_holm([test.p for test in tests]), strict=True):
+        interval = f"95 % interval {test.low:.2f} to {test.high:.2f}"
+        if p < ALPHA:
+            words = f"reaches {abs(test.difference):.2f} {'more' if test.difference > 0 else 'less'}"
+        else:
+            words = "is not shown to reach more or less"
+        told.append(f"{question.first} {words} than {question.second} ({interval}).")
+    return told
