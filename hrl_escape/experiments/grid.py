@@ -55,12 +55,12 @@ class OptionsView(Settings):
 
 TRAITS: dict[str, dict[str, dict[str, Any]]] = {
     "objects": {"settings": {"network": "objects"}},
-    "memory": {"options": {"memory": True}},
     "gru": {"settings": {"memory": "gru"}},
+    "three-parents": {"settings": {"max_parents": 3}},
+    "memory": {"options": {"memory": True}},
     "no-primitives": {"options": {"include_primitives": False}},
     "markov": {"options": {"flavour": "press-markov"}},
-    "planned": {"agent": {"leaves": "planned"}},
-    "learned": {"agent": {"leaves": "learned"}},
+    **{leaves: {"agent": {"leaves": leaves}} for leaves in ("planned", "learned")},
 }
 """Words behind + in an agent's short text, and what they change: settings, options, or fields of the agent itself."""
 

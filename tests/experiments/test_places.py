@@ -120,6 +120,7 @@ def test_traits_of_agents_are_read_from_short_texts():
     assert spec.settings == {"network": "objects"}
     assert spec.options == OptionsView(include_primitives=False, memory=True)
     assert AgentSpec.parse("smdp-ppo+gru").settings == {"memory": "gru"}
+    assert AgentSpec.parse("smdp-factored-r-max+three-parents").resolve_settings()["max_parents"] == 3
     names = ("smdp-ppo+gru", "smdp-dqn+memory", "ppo+gru", "smdp-ppo")
     assert [AgentSpec.parse(name).remembers for name in names] == [True, True, True, False]
     with pytest.raises(UnknownNameError, match="objects"):

@@ -46,7 +46,8 @@ def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], pat
     text = ["# Baselines of the ladder", "", _summarise(lines, rungs), "",
             "Efficiency is the interquartile mean over runs (fewer than four: the mean); in brackets the runs, rooms "
             f"times seeds. Bold: {PASSED_ESCAPES:.0%} of the episodes or more escape, with an efficiency of "
-            f"{PASSED_EFFICIENCY:g} or more. A dash: not run. Every run is a line of `raw/ladder.jsonl`.", ""]
+            f"{PASSED_EFFICIENCY:g} or more. A dash: not run. Every run is a line of `raw/ladder.jsonl`.", "",
+            *_explain_traits(lines)]
     for protocol in [name for name in _WORDS if any(line.protocol == name for line in lines)]:
         own = [line for line in lines if line.protocol == protocol]
         cells = _group(own)
@@ -60,6 +61,14 @@ def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], pat
              "missing, and more `--rooms`, `--runs` or `--minutes` add others. Without options the command is the "
              "whole: 10 rooms, 10 seeds, 20 episodes, and the rungs' own budgets.", ""]
     write_text(path, "\n".join(text))
+
+
+def _explain_traits(lines: Sequence[BaselineRun]) -> list[str]:
+    """Meaning of the traits in the agents' names."""
+    if not any("+three-parents" in line.agent for line in lines):
+        return []
+    return ["`+three-parents`: told that up to three buttons may have to be on together for another to come on, where "
+            "the same agent otherwise considers up to two.", ""]
 
 
 def _list_commands(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:

@@ -28,8 +28,8 @@ from hrl_escape.ladder.trained import CHECKPOINT
 __all__ = ["GENERALISTS", "LEARNERS", "BaselineArgs", "make_baseline_grids", "run_baselines", "ship_agents"]
 
 _REFERENCES = (CHANCE, ROUND, IN_ORDER, KNOWN)
-LEARNERS = (*_REFERENCES, *(f"smdp-{name}+no-primitives" for name in ("q-learning", "factored-r-max", "dqn", "ppo")),
-            "random", "q-learning", "dqn", "ppo")
+_CHOOSERS = ("q-learning", "factored-r-max", "factored-r-max+three-parents", "dqn", "ppo")
+LEARNERS = (*_REFERENCES, *(f"smdp-{name}+no-primitives" for name in _CHOOSERS), "random", "q-learning", "dqn", "ppo")
 """Agents that learn a room from nothing, and references: options alone, then primitives alone, the cheapest first."""
 GENERALISTS = (*_REFERENCES, *(f"smdp-{name}+objects+memory+no-primitives" for name in ("dqn", "ppo")))
 """Agents that learn in some rooms and act in others, and references."""
@@ -115,7 +115,7 @@ def collect_lines(found: dict[BaselinePlace, Comparison]) -> list[BaselineRun]:
 
 
 def ship_agents(found: dict[BaselinePlace, Comparison], folder: Path) -> dict[str, str]:
-    """Copy the best agent that learned in one room of each rung, as of its best evaluation.
+    """Copy the best agent that learned in the first test room of each rung, as of its best evaluation.
 
     Of several that are equally efficient the smallest is taken.
 
@@ -130,7 +130,11 @@ def ship_agents(found: dict[BaselinePlace, Comparison], folder: Path) -> dict[st
     for (protocol, rung, kind), comparison in found.items():
         if protocol != "per-instance" or kind != "learners" or not comparison.runs:
             continue
-        run, _ = max(comparison.runs, key=lambda each: _rate(comparison, *each))
+        first = comparison.grid.rooms[0].label
+        own = [each for each in comparison.runs if each[0].room == first]
+        if not own:
+            continue
+        run, _ = max(own, key=lambda each: _rate(comparison, *each))
         source = get_training_folder(comparison.out, run)
         claim_folder(folder / rung)
         shutil.copyfile(source / "run.json", folder / rung / "run.json")

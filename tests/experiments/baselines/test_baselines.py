@@ -15,7 +15,7 @@ from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.baselines.calibration import CHANCE, IN_ORDER, KNOWN, ROUND
 from hrl_escape.experiments.baselines.lines import BaselineRun, join_lines, load_lines, save_lines
 from hrl_escape.experiments.baselines.page import write_baselines_page
-from hrl_escape.experiments.baselines.running import BaselineArgs, make_baseline_grids
+from hrl_escape.experiments.baselines.running import BaselineArgs, make_baseline_grids, run_baselines, ship_agents
 from hrl_escape.experiments.ladder_score import compute_ladder_score
 from hrl_escape.ladder.benchmark import load_benchmark
 
@@ -48,7 +48,7 @@ def test_the_page_names_the_highest_rung_mastered_and_the_highest_that_enough_ru
     write_baselines_page(lines, RUNGS, tmp_path / "page.md")
     page = (tmp_path / "page.md").read_text()
     assert "| `dqn` | middle | low |" in page, "34 of 34 leave Wilson's interval below 0.9, 35 of 35 do not"
-    assert "| `ppo` | none | none |" in page
+    assert "| `ppo` | none | none |" in page and "three-parents" not in page
     assert ("hrl-escape experiment ladder --protocol per-instance --rung low middle high --agents dqn ppo --runs 35 "
             "--rooms 1 --eval-episodes 5 --primitives 1000\n") in page
     assert "reaches 0.9 with no fewer. Some cells have 1." in page
@@ -149,6 +149,30 @@ def test_whole_cells_come_first_and_grids_of_more_agents_and_seeds_hold_the_runs
     keys = [{run.folder for run in grid.make_runs(grid.make_places())} for place, grid in grids
             if place.rung == "doormat" and place.kind == "learners"]
     assert keys[0] < keys[1] < keys[3] and keys[0] < keys[2] < keys[3]
+
+
+def test_the_page_says_what_an_agent_with_three_parents_is_told(tmp_path: Path):
+    agents = [f"smdp-factored-r-max{trait}+no-primitives" for trait in ("", "+three-parents")]
+    lines = [line for agent, value in zip(agents, (0.4, 0.9), strict=True)
+             for line in make_lines("high", agent, value, 1.0, 10)]
+    write_baselines_page(lines, RUNGS, tmp_path / "page.md")
+    page = (tmp_path / "page.md").read_text()
+    assert "`+three-parents`: told that up to three buttons may have to be on together" in page
+    assert f"| rung | `{agents[0]}` | `{agents[1]}` |" in page and f"masters is `high`, by `{agents[1]}`.**" in page
+
+
+def test_only_agents_that_learned_the_first_test_room_are_shipped(tmp_path: Path):
+    args = BaselineArgs(rung=("doormat",), protocol=("per-instance",), agents=("smdp-q-learning+no-primitives",),
+                        rooms=2, runs=1, primitives=60, eval_episodes=1, out=tmp_path, workers=1)
+    bench = load_benchmark("ladder-1")
+    place, found = next((place, one) for place, one in run_baselines(bench, args, minutes=60).items() if one.runs)
+    assert [run.room for run, _ in found.runs] == ["ladder-1/doormat/test[0]", "ladder-1/doormat/test[1]"]
+    elsewhere = dataclasses.replace(found, runs=found.runs[1:])
+    assert ship_agents({place: elsewhere}, tmp_path / "agents") == {}
+    assert ship_agents({place: found}, tmp_path / "agents") == {"doormat": "smdp-q-learning+no-primitives"}
+    env = load_env(tmp_path / "agents" / "doormat")
+    assert env.unwrapped.instance == bench["doormat"].test[0]
+    env.close()
 
 
 def test_baselines_run_join_what_is_there_ship_the_best_agent_and_need_no_runs_for_the_page(tmp_path: Path, capsys):
