@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.arm import compute_hand
+from hrl_escape.env.batched.devices import store
 from hrl_escape.env.batched.geometry import Shapes, compute_distance
 from hrl_escape.env.batched.rectangle import TensorBase
 from hrl_escape.env.batched.tables import Layout, Tables, pick
@@ -98,7 +99,8 @@ def compute_touching(layout: Layout, tables: Tables, state: TensorState) -> Tens
     if dynamics.press_with == "hand":
         hand_x, hand_y, hand_z = compute_hand(layout.arm, compute_angles(layout, state).to(torch.float32))
         cos, sin = compute_rotation(layout, tables, state)
-        away = compute_distance(state.x + cos * hand_x - sin * hand_y, state.y + sin * hand_x + cos * hand_y, targets)
+        x, y = store(state.x + cos * hand_x - sin * hand_y), store(state.y + sin * hand_x + cos * hand_y)
+        away = compute_distance(x, y, targets)
         height = pick(layout, tables.target_z, state.instance)
         half_height = pick(layout, tables.target_half_z, state.instance)
         above = ((hand_z - height).abs() - half_height).clamp(min=0.0)

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from hrl_escape.env.batched.devices import store
 from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact
 from hrl_escape.env.batched.noise import compute_noise, draw_chance, draw_puzzle_start, draw_words, scale_word
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching, make_base
@@ -138,7 +139,7 @@ def _compute_displacement(layout: Layout, tables: Tables, state: TensorState, ac
     length = layout.robot.move_step if scale is None else layout.robot.move_step * scale
     forward, left = (length * _sum_effects(layout, action, name).to(torch.float64) for name in ("forward", "left"))
     cos, sin = compute_rotation(layout, tables, state)
-    return forward * cos - left * sin, forward * sin + left * cos
+    return store(forward * cos - left * sin), store(forward * sin + left * cos)
 
 
 def _is_free(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor) -> Tensor:
