@@ -22,6 +22,7 @@ from typing import Any
 import gymnasium
 
 from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.goal_rule import read_goal_rule
 from hrl_escape.agents.larg2019.recipes import PAPER
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
 from hrl_escape.settings import replace_settings
@@ -45,6 +46,8 @@ SMDP_PREFIX = "smdp-"
 
 GIVEN_PARTS = ("hierarchy", "program", "goals", "landmarks", "tree")
 """Names under which agents take a structure, each a kind of its own."""
+GOAL_RULE = "goal_rule"
+"""Name under which agents take what an environment says of its goals; those that do not take it do without."""
 
 _CATALOGUE = "hrl_escape.agents.algorithms"
 
@@ -161,8 +164,8 @@ def make_agent(
         raise AgentSettingsError("seed", seed, "a whole number of at least 0")
     chosen = replace_settings(get_recipe(name, recipe), settings)
     agent_class: Any = get_agent_class(name)
-    given = structure or {}
     taken = inspect.signature(agent_class).parameters
+    given = {part: what for part, what in (structure or {}).items() if part != GOAL_RULE or part in taken}
     if unknown := [part for part in given if part not in taken]:
         takes = find_given_part(name)
         raise AgentSettingsError(f"structure of {name}", ", ".join(unknown),
@@ -187,8 +190,13 @@ def find_given_part(name: str) -> str | None:
 
 
 def read_structure(env: gymnasium.Env) -> Mapping[str, Any]:
-    """Structure that an environment gives the agents in it: the attribute `structure` of one of its wrappers."""
-    return env.get_wrapper_attr("structure") if env.has_wrapper_attr("structure") else {}
+    """Structure for the agents in an environment: the attribute `structure` of one of its wrappers, and its `GoalRule`.
+
+    The rule is under `goal_rule`, where observations have goals.
+    """
+    given = env.get_wrapper_attr("structure") if env.has_wrapper_attr("structure") else {}
+    rule = read_goal_rule(env)
+    return given if rule is None else {**given, GOAL_RULE: rule}
 
 
 def _find_others() -> dict[str, Any]:

@@ -1,7 +1,8 @@
-"""Goals: a room as a task of reaching given patterns of lit targets, in the form that goal-conditioned learners read.
+"""Goals: a room as a task of reaching given patterns of lit targets, or the exit, as goal-conditioned learners read it.
 
 The Dict view of Gymnasium-Robotics' `GoalEnv` (Plappert et al. 2018), which hindsight experience replay (Andrychowicz
-et al. 2017) relabels: `observation`, `achieved_goal`, `desired_goal`, and a reward that is a function of the two goals.
+et al. 2017) relabels: `observation`, `achieved_goal`, `desired_goal`, and a reward and a termination that are functions
+of the two goals.
 """
 
 from __future__ import annotations
@@ -23,31 +24,35 @@ _TRIES = 100
 
 
 class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
-    """Asks for a pattern of lit targets that the episode draws, in place of the exit.
+    """Asks for a pattern of lit targets that the episode draws, or for the exit.
 
-    A goal is what is lit after 1 to `operators` operators of the room's symbolic model, drawn at random; one that
-    differs from what is lit at the start. The episode ends when it is achieved, as it ends at the horizon and wherever
-    the room ends it. The reward of a step is 0 if the goal is achieved after it, else -1; `info["is_success"]` says
-    which, and `info["room_reward"]` keeps the room's own reward.
+    A pattern is what is lit after 1 to `operators` operators of the room's symbolic model, drawn at random; one that
+    differs from what is lit at the start. The exit is one goal more, whatever is lit there. The episode ends when its
+    goal is achieved, as it ends at the horizon and wherever the room ends it. The reward of a step is 0 if the goal is
+    achieved after it, else -1; `info["is_success"]` says which, and `info["room_reward"]` keeps the room's own reward.
+    In a decision of several primitives that reward is the last one's, and the others have 0.
 
-    Observations are a Dict of the observation, and of `achieved_goal` and `desired_goal`: 1 for each target that is
-    lit, or is to be, float32 (targets,).
+    Observations are a Dict of the observation, and of `achieved_goal` and `desired_goal`, float32 (targets + 1,): 1 for
+    each target that is lit, or is to be, and 0; or, at the exit, 0 for all targets and 1.
 
     Args:
         env: a room or a set of rooms, or an `OptionsEnv` over one.
-        operators: most operators that a goal is away from the start.
+        operators: most operators that a pattern is away from the start.
+        escapes: share of the episodes that ask for the exit, from 0 to 1; with 1 the goal is the room's own.
 
     Raises:
-        ConfigError: no operators at all.
+        ConfigError: no operators at all, or an impossible share.
     """
 
-    def __init__(self, env: gymnasium.Env, operators: int = 4) -> None:
+    def __init__(self, env: gymnasium.Env, operators: int = 4, escapes: float = 0.0) -> None:
         if isinstance(operators, bool) or not isinstance(operators, int) or operators < 1:
             raise ConfigError("operators", operators, "a whole number of at least 1")
-        RecordConstructorArgs.__init__(self, operators=operators)
+        if isinstance(escapes, bool) or not isinstance(escapes, (int, float)) or not 0 <= escapes <= 1:
+            raise ConfigError("escapes", escapes, "a number from 0 to 1")
+        RecordConstructorArgs.__init__(self, operators=operators, escapes=escapes)
         super().__init__(env)
-        self._operators = operators
-        self._desired = np.zeros(len(self._room.frame.target_names), dtype=np.float32)
+        self._operators, self._escapes = operators, escapes
+        self._desired = self._make_goal((), False)
         goal = spaces.Box(0.0, 1.0, self._desired.shape, np.float32)
         self.observation_space = spaces.Dict(
             {"observation": env.observation_space, "achieved_goal": goal, "desired_goal": goal})
@@ -62,13 +67,15 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         """Begin an episode with a new goal.
 
         Raises:
-            UnsupportedError: nothing that can be done in this room changes what is lit.
+            UnsupportedError: the goal is a pattern, and nothing that can be done in this room changes what is lit.
         """
         observation, info = self.env.reset(seed=seed, options=options)
-        self._desired = self._draw_goal()
-        return self._show(observation), {**info, "is_success": False}
+        rng = self.env.unwrapped.np_random
+        is_exit = self._escapes == 1 or (self._escapes > 0 and rng.random() < self._escapes)
+        self._desired = self._make_goal((), True) if is_exit else self._draw_pattern()
+        return self._show(observation, False), {**info, "is_success": False}
 
-    def _draw_goal(self) -> NDArray[np.float32]:
+    def _draw_pattern(self) -> NDArray[np.float32]:
         unwrapped: Any = self.env.unwrapped
         puzzle, begin, rng = self._room.puzzle, unwrapped.get_state().puzzle, self.env.unwrapped.np_random
         model = self._room.symbolic_model
@@ -81,17 +88,20 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
                     break
                 state = puzzle.update(state, puzzle.make_contacts(able[int(rng.integers(len(able)))]))
             if puzzle.get_lit(state) != puzzle.get_lit(begin):
-                return self._spread(puzzle.get_lit(state))
+                return self._make_goal(puzzle.get_lit(state), False)
         raise UnsupportedError(f"nothing that can be done in the room {self._room.name!r} changes which of its targets "
                                "are lit, so there are no goals to draw")
 
     def step(self, action: Any) -> tuple[dict[str, Any], SupportsFloat, bool, bool, dict[str, Any]]:
         """Act; achieving the goal ends the episode."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        seen = self._show(observation)
+        seen = self._show(observation, terminated and info["success"])
         earned = float(self.compute_reward(seen["achieved_goal"], seen["desired_goal"], info))
-        is_success = earned == 0.0
+        is_success = bool(self.compute_terminated(seen["achieved_goal"], seen["desired_goal"], info))
         info = {**info, "room_reward": reward, "is_success": is_success}
+        if (duration := info.get("duration", 1)) > 1:
+            discounted = self.env.get_wrapper_attr("gamma") ** (duration - 1) * earned
+            info |= {"rewards": (*(0.0,) * (duration - 1), earned), "discounted_reward": discounted}
         return seen, earned, terminated or is_success, truncated and not is_success, info
 
     def compute_reward(self, achieved_goal: NDArray[np.float32], desired_goal: NDArray[np.float32], info: Any
@@ -99,19 +109,33 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         """Reward of a step after which a goal was achieved and another one desired: 0 where they are equal, else -1.
 
         Args:
-            achieved_goal: float32 (..., targets).
-            desired_goal: float32 (..., targets).
+            achieved_goal: float32 (..., targets + 1).
+            desired_goal: float32 (..., targets + 1).
             info: not looked at.
         """
-        return -np.any(np.asarray(achieved_goal) != np.asarray(desired_goal), axis=-1).astype(np.float64)
+        return self.compute_terminated(achieved_goal, desired_goal, info).astype(np.float64) - 1
 
-    def _spread(self, lit: tuple[bool, ...]) -> NDArray[np.float32]:
-        """One number a target of the frame; those that this room lacks are never lit."""
-        goal = np.zeros(len(self._room.frame.target_names), dtype=np.float32)
-        goal[: len(lit)] = lit
+    def compute_terminated(self, achieved_goal: NDArray[np.float32], desired_goal: NDArray[np.float32], info: Any
+                           ) -> NDArray[np.bool_]:
+        """Termination of a step after which a goal was achieved and another one desired: true where they are equal.
+
+        Args:
+            achieved_goal: float32 (..., targets + 1).
+            desired_goal: float32 (..., targets + 1).
+            info: not looked at.
+        """
+        return np.all(np.asarray(achieved_goal) == np.asarray(desired_goal), axis=-1)
+
+    def _make_goal(self, lit: tuple[bool, ...], is_exit: bool) -> NDArray[np.float32]:
+        """One number a target of the frame, of which this room may lack some, and one for the exit."""
+        goal = np.zeros(len(self._room.frame.target_names) + 1, dtype=np.float32)
+        if is_exit:
+            goal[-1] = 1
+        else:
+            goal[: len(lit)] = lit
         return goal
 
-    def _show(self, observation: Any) -> dict[str, Any]:
+    def _show(self, observation: Any, has_escaped: bool) -> dict[str, Any]:
         unwrapped: Any = self.env.unwrapped
-        lit = self._room.puzzle.get_lit(unwrapped.get_state().puzzle)
-        return {"observation": observation, "achieved_goal": self._spread(lit), "desired_goal": self._desired.copy()}
+        achieved = self._make_goal(self._room.puzzle.get_lit(unwrapped.get_state().puzzle), has_escaped)
+        return {"observation": observation, "achieved_goal": achieved, "desired_goal": self._desired.copy()}

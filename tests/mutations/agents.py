@@ -61,6 +61,62 @@ MUTATIONS = [
         "agents/algorithms/test_model_based.py::test_an_action_masked_since_it_was_done_is_no_sample",
     ),
     Mutation(
+        "hindsight takes goals from the past",
+        "agents/components/hindsight.py",
+        "self._rng.integers(start, len(self._episode), size=self._goals)",
+        "self._rng.integers(0, len(self._episode), size=self._goals)",
+        "agents/components/test_hindsight.py"
+        "::test_an_episode_is_stored_as_asked_and_under_goals_it_achieved_later",
+    ),
+    Mutation(
+        "hindsight stores the goal that was asked for",
+        "agents/components/hindsight.py",
+        "observation=self._encoder.replace_goal(first.observation, goal),",
+        "observation=first.observation,",
+        "agents/components/test_hindsight.py"
+        "::test_an_episode_is_stored_as_asked_and_under_goals_it_achieved_later",
+    ),
+    Mutation(
+        "hindsight keeps the reward of the goal that was asked for",
+        "agents/components/hindsight.py",
+        "decision.transition._replace(reward=reward, summed_reward=reward, terminated=terminated), self._settings)",
+        "decision.transition._replace(terminated=terminated), self._settings)",
+        "agents/components/test_hindsight.py"
+        "::test_an_episode_is_stored_as_asked_and_under_goals_it_achieved_later",
+    ),
+    Mutation(
+        "hindsight keeps the termination of the goal that was asked for",
+        "agents/components/hindsight.py",
+        "summed_reward=reward, terminated=terminated)",
+        "summed_reward=reward)",
+        "agents/components/test_hindsight.py"
+        "::test_an_episode_is_stored_as_asked_and_under_goals_it_achieved_later",
+    ),
+    Mutation(
+        "hindsight goes on where the episode ended for a reason of its own",
+        "agents/components/hindsight.py",
+        "if decision.transition.terminated and not terminated:",
+        "if False:",
+        "agents/components/test_hindsight.py"
+        "::test_where_achieving_ends_nothing_backups_go_on_and_other_ends_stay",
+    ),
+    Mutation(
+        "hindsight stores decisions under goals achieved already",
+        "agents/components/hindsight.py",
+        "if not self._judge(decision.before, goal, known).terminated:",
+        "if True:",
+        "agents/components/test_hindsight.py"
+        "::test_no_decision_is_stored_under_a_goal_that_was_achieved_before_it",
+    ),
+    Mutation(
+        "a backup in hindsight goes on past its goal",
+        "agents/components/hindsight.py",
+        "bootstrap *= own_bootstrap",
+        "bootstrap *= self._settings.gamma",
+        "agents/components/test_hindsight.py"
+        "::test_an_episode_is_stored_as_asked_and_under_goals_it_achieved_later",
+    ),
+    Mutation(
         "boltzmann multiplies by its temperature",
         "agents/components/exploration.py",
         "scaled = legal_values / settings.temperature",

@@ -21,11 +21,14 @@ from hrl_escape.agents.agent import SMDPTransition, StateTree
 from hrl_escape.agents.components.action_value_agent import ActionValueAgent, ActionValueSettings
 from hrl_escape.agents.components.distillation import DeepBonusSettings, make_bonus
 from hrl_escape.agents.components.exploration import compute_epsilon, make_rng
+from hrl_escape.agents.components.hindsight import HindsightReplay
 from hrl_escape.agents.components.replay import Experience, NStep
 from hrl_escape.agents.components.streams.exploration import sample_actions
 from hrl_escape.agents.components.streams.open_choices import OpenChoices
 from hrl_escape.agents.components.streams.replay import StreamNStep, StreamReplay
+from hrl_escape.agents.goal_rule import GoalRule
 from hrl_escape.agents.streams import StreamAgent, StreamTransitions, compute_backups
+from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
 __all__ = ["DQN", "DQNSettings"]
@@ -46,6 +49,9 @@ class DQNSettings(DeepBonusSettings, ActionValueSettings):
     average_rate: Annotated[float, Range(0, 1)] = 0.005
     """Share of the online network blended, at each update, into the averaged network that the greedy policy follows;
     0 keeps none."""
+    hindsight_goals: Annotated[int, Range(0)] = 0
+    """Goals achieved later in its episode that are drawn for a decision; replay holds it once more under each
+    (Andrychowicz et al. 2017, who take 4). 0 for none. For environments with goals, such as `GoalsEnv`."""
     stream_updates: Annotated[int, Range(1)] = 1
     """Most updates after a step of many streams. Where more are due, minibatches grow, so that every decision is
     learned from as often."""
@@ -58,6 +64,16 @@ class DQN(ActionValueAgent, StreamAgent):
 
     R = sum gamma^i r_i, b = gamma^k (1 - terminated), the argmax over actions legal at s'. With `n_step` n, R and b are
     those of n decisions joined. Without `double`, o* is the argmax of Q_target.
+
+    Args:
+        observation_space: of the environment.
+        action_space: Discrete.
+        seed: fixes weights, exploration, batches and goals.
+        settings: of the agent.
+        goal_rule: reward and termination as functions of goals, for `hindsight_goals`.
+
+    Raises:
+        AgentSettingsError: `hindsight_goals` in an environment without goals.
     """
 
     name: ClassVar[str] = "dqn"
@@ -70,24 +86,38 @@ class DQN(ActionValueAgent, StreamAgent):
         action_space: gymnasium.Space,
         seed: int,
         settings: DQNSettings | None = None,
+        goal_rule: GoalRule | None = None,
     ) -> None:
         super().__init__(observation_space, action_space, seed, settings)
         self._n_step = NStep(self.settings.n_step)
         self._stream_rng = make_rng(seed, "streams")
         self._streams: _DQNStreams | None = None
         self._bonus = make_bonus(observation_space, seed, self.settings, self.settings, self.name)
+        self._hindsight = HindsightReplay(
+            observation_space, goal_rule, self.settings.hindsight_goals, self.settings.n_step, self._encoder,
+            self.settings, make_rng(seed, "goals")) if self.settings.hindsight_goals else None
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Store the decision, then make the updates that are due."""
-        experience = self.make_experience(transition, self._bonus.visit(transition.next_observation))
+        bonus = self._bonus.visit(transition.next_observation)
+        experience = self.make_experience(transition, bonus)
         for joined in self._n_step.push(experience, transition.terminated or transition.truncated):
             self.replay.add(joined)
+        if self._hindsight is not None:
+            for relabelled in self._hindsight.push(transition, experience, bonus):
+                self.replay.add(relabelled)
         return self.learn_from_replay(transition)
 
     # --- streams -------------------------------------------------------------------------
 
     def begin_streams(self, count: int, device: torch.device) -> None:
-        """Move networks and replay to a device; every stream begins an episode, and what replay holds stays."""
+        """Move networks and replay to a device; every stream begins an episode, and what replay holds stays.
+
+        Raises:
+            AgentSettingsError: `hindsight_goals` in many environments.
+        """
+        if self._hindsight is not None:
+            raise AgentSettingsError("hindsight_goals", self.settings.hindsight_goals, "0 in many environments at once")
         if self._streams is not None and self._streams.open.has(count, device):
             self._streams.n_step.forget()
             return
@@ -147,10 +177,11 @@ class DQN(ActionValueAgent, StreamAgent):
         return batch.reward + batch.bootstrap * next_values.gather(1, best).squeeze(1)
 
     def state_dict(self) -> StateTree:
-        """Unfinished n-step backups, streams and the bonus's memory beside networks, replay, counters, generators."""
+        """Unfinished backups, episode and streams, the bonus's memory, networks, replay, counters, generators."""
         streams = self._streams and {name: part.state_dict() for name, part in self._streams._asdict().items()}
-        return super().state_dict() | {"n_step": self._n_step.state_dict(), "bonus": self._bonus.state_dict(),
-                                       "streams": streams, "stream_rng": self._stream_rng.bit_generator.state}
+        state = super().state_dict() | {"n_step": self._n_step.state_dict(), "bonus": self._bonus.state_dict(),
+                                        "streams": streams, "stream_rng": self._stream_rng.bit_generator.state}
+        return state if self._hindsight is None else state | {"hindsight": self._hindsight.state_dict()}
 
     def load_state_dict(self, state: StateTree) -> None:
         """Restore the result of `state_dict`."""
@@ -158,6 +189,8 @@ class DQN(ActionValueAgent, StreamAgent):
         self._n_step.load_state_dict(state["n_step"])
         self._bonus.load_state_dict(state["bonus"])
         self._stream_rng.bit_generator.state = state["stream_rng"]
+        if self._hindsight is not None:
+            self._hindsight.load_state_dict(state["hindsight"])
         if self._streams is not None and state["streams"] is not None:
             for name, part in self._streams._asdict().items():
                 part.load_state_dict(state["streams"][name])

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeGuard
 
 import gymnasium
 import numpy as np
@@ -31,6 +31,7 @@ __all__ = [
     "ObservationEncoder",
     "compute_td_loss",
     "initialise_layer",
+    "is_goal_space",
     "make_forward",
     "make_generator",
     "make_network",
@@ -62,7 +63,8 @@ class ObservationEncoder:
     """Turns observations of a space into network inputs.
 
     Images (uint8, three axes with 1, 3 or 4 channels last) stay uint8 and become channels first; every other space
-    becomes a float32 vector, by `gymnasium.spaces.flatten` (one-hot for discrete parts) where it is not a Box.
+    becomes a float32 vector, by `gymnasium.spaces.flatten` (one-hot for discrete parts) where it is not a Box. An
+    observation with goals becomes the vector of the observation, then that of the desired goal.
 
     Attributes:
         space: of the observations.
@@ -70,13 +72,21 @@ class ObservationEncoder:
         dtype: uint8 for images, else float32.
 
     Raises:
-        UnsupportedSpaceError: the space has no fixed size.
+        UnsupportedSpaceError: the space has no fixed size, or pictures come with goals.
     """
 
     def __init__(self, space: gymnasium.Space, scale: bool) -> None:
         self.space = space
         self._is_box = isinstance(space, spaces.Box)
         self.is_image = is_image_space(space)
+        self._parts: dict[str, ObservationEncoder] = {}
+        if is_goal_space(space):
+            self._parts = {name: ObservationEncoder(space[name], scale) for name in ("observation", "desired_goal")}
+            if any(part.is_image for part in self._parts.values()):
+                raise UnsupportedSpaceError("pictures with goals cannot be used: observations with goals must be "
+                                            "vectors")
+            self.shape, self.dtype = (sum(part.shape[0] for part in self._parts.values()),), np.dtype(np.float32)
+            return
         if self.is_image:
             height, width, channels = space.shape or (0, 0, 0)
             self.shape, self.dtype = (channels, height, width), np.dtype(np.uint8)
@@ -96,6 +106,8 @@ class ObservationEncoder:
         """Encode one observation; the result owns its memory."""
         if self.is_image:
             return np.moveaxis(np.asarray(observation), -1, 0).copy()
+        if self._parts:
+            return np.concatenate([part.encode(observation[name]) for name, part in self._parts.items()])
         if not self._is_box:
             observation = flatten(self.space, observation)
         flat = np.array(observation, dtype=np.float32).reshape(-1)
@@ -104,6 +116,11 @@ class ObservationEncoder:
         flat -= self._middle
         flat *= self._factor
         return flat
+
+    def replace_goal(self, encoded: NDArray, goal: Any) -> NDArray:
+        """An encoded observation with another desired goal, a copy."""
+        vector = self._parts["desired_goal"].encode(goal)
+        return np.concatenate([encoded[: -len(vector)], vector])
 
     def encode_many(self, observation: torch.Tensor) -> torch.Tensor:
         """Encode a batch of observations on its device, (n, ...) to (n, *shape).
@@ -122,6 +139,11 @@ class ObservationEncoder:
             return flat
         middle, factor = (torch.from_numpy(part).to(flat.device) for part in (self._middle, self._factor))
         return (flat - middle) * factor
+
+
+def is_goal_space(space: gymnasium.Space) -> TypeGuard[spaces.Dict]:
+    """True for observations with goals: a Dict of `observation`, `achieved_goal` and `desired_goal`."""
+    return isinstance(space, spaces.Dict) and set(space) == {"observation", "achieved_goal", "desired_goal"}
 
 
 def is_image_space(space: gymnasium.Space) -> bool:

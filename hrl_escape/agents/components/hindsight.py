@@ -1,0 +1,166 @@
+"""Hindsight experience replay (Andrychowicz et al. 2017): an episode as if other goals had been asked for.
+
+At the end of an episode each of its decisions goes into replay again, with goals that were achieved at it or later, the
+strategy `future`. Reward and termination are computed anew from the achieved goal and the new one, before decisions are
+joined into backups, so that a backup of n decisions ends where the new goal is achieved. A goal drawn for a decision
+before which it was achieved already is left out: an episode that asked for it would have ended there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup
+from hrl_escape.agents.components.networks import ObservationEncoder, is_goal_space
+from hrl_escape.agents.components.replay import Experience
+from hrl_escape.agents.components.replay_agent import ReplaySettings
+from hrl_escape.agents.goal_rule import GoalRule
+from hrl_escape.errors import AgentSettingsError, StepContractError
+
+__all__ = ["HindsightReplay"]
+
+
+class HindsightReplay:
+    """The episode so far, and its backups under goals that it achieved.
+
+    Args:
+        space: of the observations, a Dict with goals.
+        rule: reward and termination as functions of two goals; None where the environment has no goals.
+        goals: k, how many are drawn for a decision.
+        n_step: decisions joined into one backup.
+        encoder: of the observations.
+        settings: of the agent.
+        rng: draws the new goals.
+
+    Raises:
+        AgentSettingsError: the environment has no goals.
+    """
+
+    def __init__(self, space: gymnasium.Space, rule: GoalRule | None, goals: int, n_step: int,
+                 encoder: ObservationEncoder, settings: ReplaySettings, rng: np.random.Generator) -> None:
+        if rule is None or not is_goal_space(space):
+            raise AgentSettingsError(
+                "hindsight_goals", goals, "0 here, for the environment has no goals. One that has shows a Dict of "
+                "observation, achieved_goal and desired_goal, and has the methods compute_reward and "
+                "compute_terminated, as those of Gymnasium-Robotics and hrl_escape.ladder.GoalsEnv")
+        self._rule, self._goals, self._n_step = rule, goals, n_step
+        self._encoder, self._settings, self._rng = encoder, settings, rng
+        self._episode: list[_Decision] = []
+
+    def push(self, transition: SMDPTransition, experience: Experience, bonus: float) -> list[Experience]:
+        """Take in one decision; returns the backups under new goals, once the episode is over.
+
+        Args:
+            transition: of one primitive.
+            experience: its backup under the goal that was asked for.
+            bonus: in its reward, in units of return.
+
+        Raises:
+            StepContractError: the decision ran several primitives, so that nobody knows what was achieved inside.
+        """
+        if transition.duration != 1:
+            raise StepContractError(f"action {transition.action} ran {transition.duration} primitives; hindsight_goals "
+                                    "are for decisions of one primitive: leave options out, or set them to 0")
+        before, after = transition.observation, transition.next_observation
+        bare = transition._replace(observation=None, next_observation=None, trace=())
+        self._episode.append(_Decision(bare, experience, np.array(before["achieved_goal"]),
+                                       np.array(after["achieved_goal"]), np.array(after["desired_goal"]), bonus))
+        if not (transition.terminated or transition.truncated):
+            return []
+        relabelled = list(self._relabel())
+        self._episode.clear()
+        return relabelled
+
+    def _relabel(self) -> Iterator[Experience]:
+        """Each decision with goals achieved at it or later in the episode."""
+        known: dict[tuple[bytes, bytes], _Judgement] = {}
+        for start, decision in enumerate(self._episode):
+            for chosen in self._rng.integers(start, len(self._episode), size=self._goals):
+                goal = self._episode[chosen].achieved
+                if not self._judge(decision.before, goal, known).terminated:
+                    yield self._join(start, goal, known)
+
+    def _join(self, start: int, goal: NDArray, known: dict[tuple[bytes, bytes], _Judgement]) -> Experience:
+        """The backup of n decisions under another goal; of fewer where it is achieved, or the episode ends."""
+        reward, bootstrap, last = 0.0, 1.0, start
+        for last in range(start, min(start + self._n_step, len(self._episode))):
+            own_reward, own_bootstrap = self._back_up(self._episode[last], goal, known)
+            reward += bootstrap * own_reward
+            bootstrap *= own_bootstrap
+            if not bootstrap:
+                break
+        first, then = self._episode[start].experience, self._episode[last].experience
+        return first._replace(
+            observation=self._encoder.replace_goal(first.observation, goal),
+            reward=reward * self._settings.reward_scale,
+            bootstrap=bootstrap,
+            next_observation=self._encoder.replace_goal(then.next_observation, goal),
+            next_mask=then.next_mask,
+        )
+
+    def _back_up(self, decision: _Decision, goal: NDArray, known: dict[tuple[bytes, bytes], _Judgement]
+                 ) -> tuple[float, float]:
+        """R and b of a decision under another goal. What ended the episode for a reason of its own still ends it."""
+        reward, terminated = self._judge(decision.achieved, goal, known)
+        if decision.transition.terminated and not terminated:
+            terminated = not self._judge(decision.achieved, decision.desired, known).terminated
+        reward, bootstrap = compute_backup(
+            decision.transition._replace(reward=reward, summed_reward=reward, terminated=terminated), self._settings)
+        return reward + decision.bonus, bootstrap
+
+    def _judge(self, achieved: NDArray, goal: NDArray, known: dict[tuple[bytes, bytes], _Judgement]) -> _Judgement:
+        """Reward and end by the environment's rule, which is asked once in an episode for a pair of goals."""
+        pair = achieved.tobytes(), goal.tobytes()
+        if pair not in known:
+            known[pair] = _Judgement(float(self._rule.compute_reward(achieved, goal, {})),
+                                     bool(self._rule.compute_terminated(achieved, goal, {})))
+        return known[pair]
+
+    def state_dict(self) -> StateTree:
+        """The unfinished episode, and the generator."""
+        return {"rng": self._rng.bit_generator.state,
+                "episode": [decision._asdict() | {"transition": decision.transition._asdict() | {"trace": []},
+                                                  "experience": decision.experience._asdict()}
+                            for decision in self._episode]}
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`."""
+        self._rng.bit_generator.state = state["rng"]
+        self._episode = [_Decision(**{**saved, "transition": _load_transition(saved["transition"]),
+                                      "experience": Experience(**saved["experience"])}) for saved in state["episode"]]
+
+
+class _Judgement(NamedTuple):
+    """Reward of a decision after which one goal was achieved and another one desired, and whether that ends it."""
+
+    reward: float
+    terminated: bool
+
+
+class _Decision(NamedTuple):
+    """A decision of the episode, without its observations, which are in the experience.
+
+    Attributes:
+        transition: the rest of it.
+        experience: its backup.
+        before: goal achieved before it.
+        achieved: goal achieved after it.
+        desired: goal asked for.
+        bonus: in its reward.
+    """
+
+    transition: SMDPTransition
+    experience: Experience
+    before: NDArray
+    achieved: NDArray
+    desired: NDArray
+    bonus: float
+
+
+def _load_transition(saved: Mapping[str, Any]) -> SMDPTransition:
+    return SMDPTransition(**{**saved, "trace": ()})
