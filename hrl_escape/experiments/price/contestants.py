@@ -19,7 +19,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.sampling.generation import generate
 
-__all__ = ["BUTTON_COUNTS", "CONTESTANTS", "EFFICIENT", "PAIRS", "Contestant", "make_chain_room",
+__all__ = ["BUTTON_COUNTS", "CONTESTANTS", "EFFICIENT", "PAIRS", "VARIANTS", "Contestant", "make_chain_room",
            "sample_replicate_room"]
 
 BUTTON_COUNTS = (1, 2, 3, 4, 6)
@@ -80,6 +80,11 @@ class Contestant:
         """It chooses among presses."""
         return self.agent.startswith("smdp-")
 
+    @property
+    def has_goals(self) -> bool:
+        """It is asked for the exit as one goal among others, and learns in hindsight."""
+        return "hindsight_goals" in self.settings
+
 
 _PATIENT: dict[str, Any] = {"learning_rate": 1e-3, "epsilon_end": 0.1, "epsilon_steps": 30_000,
                             "replay_capacity": 100_000}
@@ -87,6 +92,7 @@ _COUNTS: dict[str, Any] = {"bins": 21, "learning_rate": 0.3, "bonus_weight": 2.0
 _LOOSE: dict[str, Any] = {"learning_rate": 3e-4, "epochs": 4, "reward_scale": 0.01, "entropy_weight": 0.1}
 _SHORT: dict[str, Any] = {"rollout": 32, "batch_size": 32}  # a run over options has some hundred decisions
 _NOVEL: dict[str, Any] = _PATIENT | {"bonus": "distillation", "bonus_weight": 1.0}
+_HINDSIGHT: dict[str, Any] = _PATIENT | {"hindsight_goals": 4, "n_step": 1, "replay_capacity": 500_000}
 
 CONTESTANTS = (
     Contestant("options, dqn", "smdp-dqn", 20_000, 250, sizes=(1, 2, 3, 4)),
@@ -99,6 +105,8 @@ CONTESTANTS = (
     Contestant("dqn", "dqn", 100_000, 2_500, _PATIENT, sizes=(1,)),
     Contestant("dqn", "dqn", 60_000, 2_500, _PATIENT, sizes=(2, 3, 4, 6)),
     Contestant("dqn, distillation", "dqn", 100_000, 2_500, _NOVEL, sizes=(1,)),
+    Contestant("dqn, hindsight", "dqn", 100_000, 2_500, _HINDSIGHT, sizes=(1,)),
+    Contestant("dqn, hindsight", "dqn", 60_000, 2_500, _HINDSIGHT, sizes=(2, 3)),
     Contestant("dqn, long", "dqn", 1_000_000, 25_000, _PATIENT, replicates=1, stage=2, sizes=(2, 3)),
     Contestant("q-learning, counts", "q-learning", 100_000, 5_000, _COUNTS, stage=1, sizes=(1, 2, 3)),
     Contestant("ppo", "ppo", 1_000_000, 50_000, _LOOSE, streams=256, replicates=4, stage=1),
@@ -109,3 +117,10 @@ CONTESTANTS = (
 PAIRS = {"dqn": "options, dqn", "q-learning, counts": "options, q-learning", "ppo": "options, ppo"}
 """Learner over primitives -> the same over options. The first pair is the one of the headline: the learner that did
 best in the rooms in which settings were tried."""
+VARIANTS: Mapping[str, str] = MappingProxyType({
+    "dqn, distillation": "explores by random network distillation (`bonus`)",
+    "dqn, hindsight": "is asked for the exit as one goal among patterns of lit buttons, and learns from each episode "
+                      "as if patterns had been asked for that it achieved (`hindsight_goals`); none is asked for in "
+                      "fact, for the learner has to find out which of them lead on",
+})
+"""Other ways to learn of the headline's learner over primitives -> what each does, in words."""

@@ -17,11 +17,19 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import save_figure
 from hrl_escape.experiments.baselines.lines import LEAST_RUNS
 from hrl_escape.experiments.inference import compute_restricted_mean, compute_survival
-from hrl_escape.experiments.price.contestants import BUTTON_COUNTS, CONTESTANTS, EFFICIENT, PAIRS, make_chain_room
+from hrl_escape.experiments.price.contestants import (
+    BUTTON_COUNTS,
+    CONTESTANTS,
+    EFFICIENT,
+    PAIRS,
+    VARIANTS,
+    make_chain_room,
+)
 from hrl_escape.experiments.price.price_runs import PriceRun
 from hrl_escape.experiments.price.price_words import (
     compare_with_chance,
     conclude_price,
+    conclude_variant,
     tell_factor,
     tell_longest,
     tell_number,
@@ -91,6 +99,7 @@ def _write_lines(runs: Sequence[PriceRun], conclusions: Sequence[str]) -> list[s
         *_tabulate(runs, "The last evaluation", _tell_end), "",
         "Each cell: runs whose greedy policy escapes in it; median efficiency of these.", "",
         *_describe_budgets(runs), "",
+        *_tell_variants(runs),
         *_tell_untuned(runs),
         "## Settings", "", *describe_trials(), "",
         "## Make it again", "",
@@ -144,8 +153,19 @@ def _describe_budgets(runs: Sequence[PriceRun]) -> list[str]:
             parts = [f"{number} of {budget:,}" for budget, number in sorted(budgets.items())]
             lines.append(f"| {label} | {count} | {', '.join(parts)} |")
     return [*lines, "", f"Processor time of all runs: {sum(run.seconds for run in runs) / 60:.0f} min. Longer budgets, "
-            "and more runs of the longest, were not afforded. No learner has hindsight goals; [dqn](../agents/dqn.md) "
-            "says why."]
+            "and more runs of the longest, were not afforded."]
+
+
+def _tell_variants(runs: Sequence[PriceRun]) -> list[str]:
+    """Section on variants of the headline's flat learner beside it, on the same replicates; empty without any."""
+    plain = _choose(runs, _HEADLINE[0])
+    told = []
+    for label, words in VARIANTS.items():
+        if own := _choose(runs, label):
+            sentences = [conclude_variant(compare_costs(own, plain, cost), label, _HEADLINE[0], cost)
+                         for cost in COSTS[:2]]
+            told.append(f"- `{label}` {words}. {' '.join(sentences)}")
+    return [f"## Other ways of `{_HEADLINE[0]}`", "", *told, ""] if told else []
 
 
 def _tell_untuned(runs: Sequence[PriceRun]) -> list[str]:

@@ -27,6 +27,7 @@ from hrl_escape.errors import ComparisonError
 from hrl_escape.experiments.baselines.lines import load_data_lines, save_lines
 from hrl_escape.experiments.price.contestants import CONTESTANTS, EFFICIENT, Contestant, sample_replicate_room
 from hrl_escape.experiments.statistics import compute_efficiency
+from hrl_escape.ladder.goals import GoalsEnv
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.best_known import find_best_known
 from hrl_escape.settings import replace_settings
@@ -129,11 +130,16 @@ def measure_price_runs(path: Path, first: int, replicates: int, minutes: float |
 
 
 def compute_run_key(contestant: Contestant, room: RoomInstance, replicate: int) -> str:
-    """Hash of everything that decides a run's numbers; labels and other runs do not."""
-    settings = replace_settings(get_recipe(contestant.agent), contestant.settings)
+    """Hash of everything that decides a run's numbers; labels and other runs do not.
+
+    Settings at their defaults are left out, so that a setting which agents gain keeps the runs made before.
+    """
+    defaults = dataclasses.asdict(get_recipe(contestant.agent))
+    settings = dataclasses.asdict(replace_settings(get_recipe(contestant.agent), contestant.settings))
     return compute_digest({
         "version": __version__, "versions": find_versions(), "agent": contestant.agent,
-        "settings": dataclasses.asdict(settings), "streams": contestant.streams, "room": room.id, "seed": replicate,
+        "settings": {name: value for name, value in settings.items() if value != defaults[name]},
+        "streams": contestant.streams, "room": room.id, "seed": replicate,
         "budget": contestant.budget, "eval_every": contestant.eval_every, "efficient": EFFICIENT,
     })
 
@@ -152,6 +158,8 @@ def run_contestant(contestant: Contestant, room: RoomInstance, replicate: int) -
     if fewest is None:
         raise ComparisonError(f"{room.name}#{room.seed}: no escape is known, so efficiency cannot be measured")
     least = room.reward.exit + room.reward.step * (fewest / EFFICIENT)
+    if contestant.has_goals:  # -1 a primitive, and 0 for the last
+        least = 1 - fewest / EFFICIENT - 1e-9
     env = _make_training_env(contestant, room, single)
     started = time.process_time()
     result = train(contestant.agent, env, primitives=contestant.budget, seed=replicate, settings=contestant.settings,
@@ -173,6 +181,8 @@ def _make_training_env(contestant: Contestant, room: RoomInstance, single: gymna
     """Environment in which a contestant learns; many streams have their kernels compiled, outside of its time."""
     if contestant.has_options:
         return OptionsEnv(single, include_primitives=False)
+    if contestant.has_goals:
+        return GoalsEnv(single, escapes=1.0)
     if not contestant.streams:
         return single
     many = gymnasium.make_vec("hrl_escape/EscapeRoom-v1", num_envs=contestant.streams, instance=room,

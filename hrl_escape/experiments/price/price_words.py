@@ -11,7 +11,7 @@ from hrl_escape.experiments.price.price_runs import PriceRun
 from hrl_escape.experiments.price.ratios import CostRatio, Growth, Median, RunCost
 from hrl_escape.names import count_nouns, join_words
 
-__all__ = ["compare_with_chance", "conclude_price", "tell_factor", "tell_longest", "tell_number"]
+__all__ = ["compare_with_chance", "conclude_price", "conclude_variant", "tell_factor", "tell_longest", "tell_number"]
 
 
 def tell_number(value: float) -> str:
@@ -41,10 +41,24 @@ def conclude_price(ratios: Sequence[CostRatio], growth: Growth, flat: str, optio
         options: label of the learner over options.
         cost: that they are of.
     """
-    groups: dict[str, list[CostRatio]] = {name: [] for name in ("dearer", "beyond", "cheaper", "equal", "unknown")}
+    told = conclude_variant(ratios, flat, options, cost)
+    return f"{told} {_tell_growth(growth)}" if told.startswith("Until") else told
+
+
+def conclude_variant(ratios: Sequence[CostRatio], one: str, other: str, cost: RunCost) -> str:
+    """One learner's price beside another's in a sentence, size by size.
+
+    Args:
+        ratios: of their costs, in the sizes of rooms that both were run in.
+        one: label of the learner that pays.
+        other: label of the one beside it.
+        cost: that they are of.
+    """
+    groups: dict[str, list[CostRatio]] = {name: [] for name in ("dearer", "beyond", "cheaper", "below", "equal",
+                                                                   "unknown")}
     for ratio in ratios:
         groups[_classify(ratio.median)].append(ratio)
-    parts, unit = [], f"{cost.unit} of `{options}`"
+    parts, unit = [], f"{cost.unit} of `{other}`"
     if dearer := groups["dearer"]:
         parts.append(f"pays {_list_times(dearer, unit, tell_factor)}")
     if beyond := groups["beyond"]:
@@ -52,22 +66,23 @@ def conclude_price(ratios: Sequence[CostRatio], growth: Growth, flat: str, optio
                      "of its runs get there to say how much")
     if cheaper := groups["cheaper"]:
         parts.append(f"pays only {_list_times(cheaper, unit, tell_factor)}")
+    if below := groups["below"]:
+        parts.append(f"pays less than {_list_times(below, unit, lambda median: tell_number(median.high))}, for too few "
+                     f"runs of `{other}` get there to say how much")
     if equal := groups["equal"]:
-        parts.append(f"is not shown to pay more or fewer {cost.unit} than `{options}` with {_name_sizes(equal)}")
+        parts.append(f"is not shown to pay more or fewer {cost.unit} than `{other}` with {_name_sizes(equal)}")
     if not parts:
-        return (f"How much `{flat}` pays until {cost.event} is not known: no size of room has runs enough of it and of "
-                f"`{options}` that tell it.")
+        return (f"How much `{one}` pays until {cost.event} is not known: no size of room has runs enough of it and of "
+                f"`{other}` that tell it.")
     if unknown := groups["unknown"]:
         parts.append(f"pays a price that is not known with {_name_sizes(unknown)}")
-    return f"Until {cost.event}, `{flat}` {'; it '.join(parts)}. {_tell_growth(growth)}"
+    return f"Until {cost.event}, `{one}` {'; it '.join(parts)}."
 
 
 def _classify(median: Median) -> str:
-    if median.knowledge == "unknown" and median.high >= 1:
-        return "unknown"
-    if median.low > 1:
-        return "dearer" if median.knowledge == "measured" else "beyond"
-    return "cheaper" if median.high < 1 else "equal" if median.knowledge == "measured" else "unknown"
+    if median.knowledge == "measured":
+        return "dearer" if median.low > 1 else "cheaper" if median.high < 1 else "equal"
+    return "beyond" if median.low > 1 else "below" if median.high < 1 else "unknown"
 
 
 def _list_times(ratios: Sequence[CostRatio], unit: str, tell: Callable[[Median], str]) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from hrl_escape.env.config import ShapeConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.experiments.baselines.lines import load_data_lines
@@ -18,13 +19,26 @@ from hrl_escape.experiments.price.contestants import (
     CONTESTANTS,
     EFFICIENT,
     PAIRS,
+    VARIANTS,
     Contestant,
     make_chain_room,
     sample_replicate_room,
 )
 from hrl_escape.experiments.price.price_page import write_price_page
-from hrl_escape.experiments.price.price_runs import PriceRun, list_price_runs, measure_price_runs, run_contestant
-from hrl_escape.experiments.price.price_words import compare_with_chance, conclude_price, tell_longest, tell_number
+from hrl_escape.experiments.price.price_runs import (
+    PriceRun,
+    compute_run_key,
+    list_price_runs,
+    measure_price_runs,
+    run_contestant,
+)
+from hrl_escape.experiments.price.price_words import (
+    compare_with_chance,
+    conclude_price,
+    conclude_variant,
+    tell_longest,
+    tell_number,
+)
 from hrl_escape.experiments.price.ratios import COSTS, compare_costs, find_median, measure_growth
 from hrl_escape.experiments.price.trials import SettingsTrial, load_trials, tell_exploration
 from hrl_escape.options.best_with_options import find_best_with_options
@@ -130,6 +144,25 @@ def test_cheap_flat_learners_and_too_few_runs_are_told_as_such():
     assert conclude(lines).startswith("How much `f` pays until it is efficient is not known")
 
 
+@pytest.mark.parametrize(("price", "budgets", "told"), [
+    (4.0, (10**9, 10**9), "pays 3."), (0.2, (10**9, 10**9), "pays only 0."),
+    (1.0, (10**9, 10**9), "is not shown to pay more or fewer primitives than `o` with 1, 2, 3, 4 or 6 buttons"),
+    (30.0, (20_000, 10**9), "pays more than 20 times the primitives of `o` with 1 button"),
+    (0.001, (10**9, 500), "pays less than 0.0"),
+    (1.0, (500, 500), "How much `f` pays until it is efficient is not known")])
+def test_a_variant_is_told_beside_the_plain_learner_whichever_is_dearer(price: float, budgets: tuple[int, int],
+                                                                        told: str):
+    lines = [dataclasses.replace(line, **cap(line, budgets["fo".index(line.agent)])) for line in make_truth(price, 1.0)]
+    one, other = ([line for line in lines if line.agent == name] for name in "fo")
+    assert told in conclude_variant(compare_costs(one, other, COSTS[0]), "f", "o", COSTS[0])
+
+
+def cap(line: PriceRun, budget: int) -> dict[str, int | None]:
+    """Changes to a run that a budget gives up."""
+    given_up = line.efficient_at is not None and line.efficient_at > budget
+    return {"primitives": budget, "efficient_at": None, "budget": budget} if given_up else {}
+
+
 def test_chance_is_beaten_fallen_behind_or_not_told_apart():
     chance = [make_line("c", 1, n, 500 if n < 10 else None) for n in range(20)]
     for hits, words in ((20, "more than by chance"), (0, "fewer than by chance"), (10, "not told apart from chance")):
@@ -211,6 +244,25 @@ def test_a_run_over_primitives_is_given_up_at_its_budget(streams: int):
     assert (run.first_escape is not None) == (run.escapes > 0)
 
 
+@pytest.mark.slow  # ten seconds: pytest -m slow tests/experiments/price
+def test_a_run_in_hindsight_ends_with_two_efficient_evaluations_too():
+    small = dataclasses.replace(make_chain_room(1), room=ShapeConfig(width=8, depth=8))
+    learner = Contestant("hindsight", "dqn", 12_000, 250, {"hindsight_goals": 4, "learning_rate": 1e-3,
+                                                           "hidden": (32, 32)}, sizes=(1,))
+    run = run_contestant(learner, generate(small, 0), 0)
+    assert run.efficient_at is not None and run.efficiency >= EFFICIENT
+    assert run.efficient_at < run.primitives < learner.budget
+    assert run.first_escape is not None and run.first_escape < run.efficient_at
+
+
+def test_a_setting_at_its_default_leaves_the_runs_that_are_there():
+    room = sample_replicate_room(1, 0)
+    named = dataclasses.replace(QUICK, settings={"gamma": 0.99, "bonus_weight": 0.0})
+    assert compute_run_key(named, room, 0) == compute_run_key(QUICK, room, 0)
+    other = dataclasses.replace(QUICK, settings={"gamma": 0.9})
+    assert compute_run_key(other, room, 0) != compute_run_key(QUICK, room, 0)
+
+
 def test_a_study_goes_on_where_it_was_stopped_and_makes_changed_runs_anew(tmp_path: Path):
     path = tmp_path / "price.jsonl"
     assert not list(measure_price_runs(path, 0, 2, minutes=0, contestants=[QUICK]))
@@ -233,4 +285,6 @@ def test_the_page_tells_every_learner_and_its_figure_is_drawn(tmp_path: Path):
     assert "31 (31 to 31) times the primitives of `options, dqn` with 1 button" in conclusions[0]
     assert all(f"| {contestant.label} | 10 of 10; " in page for contestant in CONTESTANTS)
     assert "not told apart from chance" in page
+    for variant in VARIANTS:
+        assert f". Until it is efficient, `{variant}` pays only 0.032 (0.032 to 0.032) times the primitives of" in page
     assert (tmp_path / "figures" / "price.svg").exists()
