@@ -1,12 +1,12 @@
-"""Learning from many environments at once: does it learn the same, and how many primitives are learned in a second?
+"""Many environments at once: how many primitives are learned from in a second, options run, pictures taken?
 
-    python -m benchmarks.many_environments curves              # CartPole at 1, 8, 64 and 512 environments, beside SB3
     python -m benchmarks.many_environments rates               # one room at 1 to 4,096, beside SB3
     python -m benchmarks.many_environments options             # options a second, beside the single environment
     python -m benchmarks.many_environments pixels              # frames of the robot's camera, beside Bullet's
-    python -m benchmarks.many_environments curves --quick      # seconds: shows that everything runs
+    python -m benchmarks.many_environments rates --quick       # seconds: shows that everything runs
 
-`ppo` at its default settings, Stable-Baselines3's PPO (`sb3`) at its own, with 1 and 8 environments. Seconds are of the
+`ppo` at its default settings, Stable-Baselines3's PPO (`sb3`) at its own, with 1 and 8 environments. Whether as much is
+learned from equally many primitives is the question of `benchmarks.learning_curves`. Seconds are of the
 process's own processor time, on one thread. Finished runs are kept, a line each, in the file `--out`; the command goes
 on where it was stopped.
 """
@@ -24,39 +24,13 @@ import numpy as np
 import torch
 
 import hrl_escape  # noqa: F401  # registers the rooms
-from benchmarks.classic_control import Peer
-from hrl_escape.agents import evaluate, train
+from hrl_escape.agents import train
 
-CURVES, RATES = "CartPole-v1", "hrl_escape/PaperTwoButton-v1"
+RATES = "hrl_escape/PaperTwoButton-v1"
 OPTIONS = "hrl_escape/PaperTwoButtonOptions-v1"
-BUDGET, EVALUATIONS, EPISODES = 100_000, 10, 10
 PEERS = (1, 8)
 PICTURED = ("PaperTwoButton", "Clutter")
 RATE_SETTINGS: dict[str, dict[str, Any]] = {"10 epochs": {}, "4 epochs": {"epochs": 4}}
-
-
-def train_ours(count: int, seed: int, budget: int) -> list[float]:
-    """Mean returns of `ppo` in CartPole after each share of the budget."""
-    env: Any = gymnasium.make(CURVES) if count == 1 else gymnasium.make_vec(CURVES, num_envs=count)
-    result = train("ppo", env, primitives=budget, seed=seed, eval_every=budget // EVALUATIONS, eval_episodes=EPISODES,
-                   progress=False)
-    at, returns = result.curve()
-    marks = [budget * (n + 1) // EVALUATIONS for n in range(EVALUATIONS)]
-    return [float(returns[min(int(np.searchsorted(at, mark)), len(at) - 1)]) for mark in marks]
-
-
-def train_peer(count: int, seed: int, budget: int) -> list[float]:
-    """The same of Stable-Baselines3's PPO."""
-    from stable_baselines3 import PPO
-    from stable_baselines3.common.env_util import make_vec_env
-
-    model = PPO("MlpPolicy", make_vec_env(CURVES, n_envs=count, seed=seed), seed=seed, device="cpu")
-    scores: list[float] = []
-    eval_env = gymnasium.make(CURVES)
-    for _ in range(EVALUATIONS):
-        model.learn(budget // EVALUATIONS, reset_num_timesteps=False)
-        scores.append(evaluate(Peer(model), eval_env, EPISODES, seed=0).mean_return)
-    return scores
 
 
 def measure_ours(count: int, budget: int, settings: dict[str, Any]) -> float:
@@ -137,10 +111,6 @@ def measure_pixels(contender: str, count: int, room: str, quick: bool) -> float:
 
 def list_runs(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """What each run is, without its outcome."""
-    if arguments.what == "curves":
-        return [{"what": "curves", "contender": contender, "count": count, "seed": seed}
-                for seed in arguments.seeds
-                for contender, counts in (("ppo", arguments.counts), ("sb3", PEERS)) for count in counts]
     if arguments.what == "options":
         return [{"what": "options", "contender": contender, "count": count, "round": number}
                 for number in range(arguments.rounds)
@@ -161,9 +131,6 @@ def list_runs(arguments: argparse.Namespace) -> list[dict[str, Any]]:
 def execute(run: dict[str, Any], quick: bool) -> dict[str, Any]:
     """Outcome of a run."""
     count, peer = run["count"], run["contender"] == "sb3"
-    if run["what"] == "curves":
-        budget = BUDGET // 50 if quick else BUDGET
-        return {"scores": (train_peer if peer else train_ours)(count, run["seed"], budget)}
     if run["what"] == "options":
         return {"rate": measure_options(run["contender"], count, quick)}
     if run["what"] == "pixels":
@@ -179,40 +146,28 @@ def summarise(rows: list[dict[str, Any]], what: str) -> str:
     for row in rows:
         if row["what"] == what:
             groups.setdefault((row["contender"], row["count"]), []).append(row)
-    if what != "curves":
-        median = {key: float(np.median([row["rate"] for row in found])) for key, found in groups.items()}
-        peer, unit = {"rates": ("sb3", "primitives"), "options": ("single", "options"),
-                      "pixels": ("single", "frames")}[what]
-        base = median.get((peer, 1), float("nan"))
-        lines = [f"| contender | environments | {unit} a second | to {peer} with one |", "|---|---|---|---|"]
-        return "\n".join([*lines, *(f"| {name} | {count:,} | {rate:,.0f} | {rate / base:.1f} |"
-                                    for (name, count), rate in median.items())])
-    lines = ["| contender | environments | runs | at a tenth | at three tenths | half | end | end at 475 |",
-             "|---|---|---|---|---|---|---|---|"]
-    for (name, count), found in sorted(groups.items()):
-        scores = np.array([row["scores"] for row in found])
-        means = " | ".join(f"{scores[:, at].mean():.0f}" for at in (0, 2, 4, -1))
-        held = f"{(scores[:, -1] >= 475).sum()} of {len(found)}"
-        lines.append(f"| {name} | {count:,} | {len(found)} | {means} | {held} |")
-    return "\n".join(lines)
+    median = {key: float(np.median([row["rate"] for row in found])) for key, found in groups.items()}
+    peer, unit = {"rates": ("sb3", "primitives"), "options": ("single", "options"),
+                  "pixels": ("single", "frames")}[what]
+    base = median.get((peer, 1), float("nan"))
+    lines = [f"| contender | environments | {unit} a second | to {peer} with one |", "|---|---|---|---|"]
+    return "\n".join([*lines, *(f"| {name} | {count:,} | {rate:,.0f} | {rate / base:.1f} |"
+                                for (name, count), rate in median.items())])
 
 
 def main() -> None:
     """Run what is missing, then print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("what", choices=["curves", "rates", "options", "pixels"])
+    parser.add_argument("what", choices=["rates", "options", "pixels"])
     parser.add_argument("--counts", nargs="+", type=int, help="numbers of environments")
-    parser.add_argument("--seeds", nargs="+", type=int, default=list(range(10)))
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--out", type=Path, default=Path("many_environments.jsonl"), help="where runs are kept")
-    parser.add_argument("--quick", action="store_true", help="small budgets, one seed")
+    parser.add_argument("--quick", action="store_true", help="small budgets, one round")
     arguments = parser.parse_args()
     if arguments.counts is None:
-        arguments.counts = {"curves": [1, 8, 64, 512], "rates": [1, 8, 64, 512, 4096], "options": [256, 2048],
-                            "pixels": [64]}[
-            arguments.what]
+        arguments.counts = {"rates": [1, 8, 64, 512, 4096], "options": [256, 2048], "pixels": [64]}[arguments.what]
     if arguments.quick:
-        arguments.seeds, arguments.rounds = arguments.seeds[:1], 1
+        arguments.rounds = 1
     torch.set_num_threads(1)
     rows = [json.loads(line) for line in arguments.out.read_text().splitlines()] if arguments.out.exists() else []
     for run in list_runs(arguments):
