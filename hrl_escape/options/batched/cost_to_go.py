@@ -1,8 +1,8 @@
-"""Cost-to-go fields for a batch of rooms: one for every press and one for the exit, defined at any pose.
+"""Cost-to-go fields for a batch of rooms: for every press and for the exit, defined at any pose of the base.
 
-Each instance's fields start from estimates on the planners' grid (`lattice/cost_to_go.py`), are
-found together by value iteration on a finer one (`value_iteration.py`), and are kept for later batches. Body
-presses only: the cost-to-go of a hand depends on every joint of every room.
+Each instance's fields are found together (`field_grid.py`) and kept for later batches. A press by the body has one
+field, a press by hand one for each of a few places of the hand in the base frame, with the joint steps to get it
+there (`postures.py`).
 """
 
 from __future__ import annotations
@@ -21,20 +21,18 @@ from torch import Tensor
 
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.tables import Layout, pick
-from hrl_escape.env.geometry import compute_distance_many
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.options.batched.value_iteration import UNREACHABLE, encode_values, iterate_values, trace_moves
+from hrl_escape.options.batched.field_grid import FieldGrid
+from hrl_escape.options.batched.postures import FAR, POSTURES, PostureLibrary, choose_postures
+from hrl_escape.options.batched.value_iteration import UNREACHABLE
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
-from hrl_escape.planning.lattice.areas import compute_goal_area
-from hrl_escape.planning.lattice.cost_to_go import FieldMaker, lay_grid
-from hrl_escape.planning.lattice.dijkstra_kernels import choose_points
 
 __all__ = [
-    "OTHER_PRESS_COST",
-    "GridPlace",
     "CostFields",
+    "GridPlace",
+    "Postures",
     "check_presses",
     "classify_headings",
     "compute_instance_fields",
@@ -43,11 +41,7 @@ __all__ = [
     "stack_fields",
 ]
 
-OTHER_PRESS_COST = 100.0
-"""Cost of touching another target: an option does so only where nothing else leads to its goal."""
 MOST_BYTES = 512_000_000
-_FINE_STATES = 600_000  # cells are halved, at most twice, up to this many (cell, heading) states
-_TOLERANCE, _SWEEPS = 0.02, 80
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -56,12 +50,14 @@ class InstanceFields:
 
     Attributes:
         values: int16 (fields, cells, classes): cost-to-go over `scales`; -1 where there is no way. The order is
-            press 0 with the puzzle unsolved, press 0 with it solved, press 1 ..., and last the exit.
+            press 0 with the puzzle unsolved, press 0 with it solved, press 1 ..., and last the exit; by hand it is
+            that of the postures' fields, and last the exit.
         scales: primitives per unit of `values`, float32 (fields,).
         low: corner of the grid, m.
         size: side of a cell, m.
         shape: columns and rows of cells.
         offset: heading offset from whole turn steps that the fields are for, rad.
+        postures: those that press by hand; None where the body presses.
     """
 
     values: NDArray[np.int16]
@@ -70,6 +66,24 @@ class InstanceFields:
     size: float
     shape: tuple[int, int]
     offset: float
+    postures: PostureLibrary | None = None
+
+
+class Postures(NamedTuple):
+    """Postures that press the targets of all instances by hand; without any where the body presses.
+
+    Attributes:
+        steps: joint steps from home, int32 (joints, postures, targets, instances).
+        hands: hand in the base frame, m, float32 (3, postures, targets, instances).
+        shifts: what is between this hand and the one of the posture's field, m, float32 (2, postures, targets,
+            instances).
+        fields: number of this field, int64 (postures, targets, instances).
+    """
+
+    steps: Tensor
+    hands: Tensor
+    shifts: Tensor
+    fields: Tensor
 
 
 class CostFields(NamedTuple):
@@ -83,6 +97,7 @@ class CostFields(NamedTuple):
         shape: columns and rows of cells, int64 (2, instances).
         offsets: heading offsets that the fields are for, rad, float64 (1, instances).
         classes: heading classes, int64 ().
+        postures: those that press by hand.
     """
 
     values: Tensor
@@ -92,6 +107,7 @@ class CostFields(NamedTuple):
     shape: Tensor
     offsets: Tensor
     classes: Tensor
+    postures: Postures
 
 
 _CACHE: OrderedDict[str, InstanceFields] = OrderedDict()
@@ -116,11 +132,9 @@ def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
     """Compute the fields of an instance, some tenths of a second, once; later calls find them by its id.
 
     Raises:
-        UnsupportedError: targets of this room are pressed by hand, asked to be gripped, or behind inner doors; or the
-            base is a rectangle.
+        UnsupportedError: targets of this room are asked to be gripped, or behind inner doors; or the base is a
+            rectangle.
     """
-    if instance.dynamics.press_with == "hand":
-        raise UnsupportedError("there are no cost-to-go fields for presses by hand: ask the room's planner")
     check_presses(instance)
     with _LOCK:
         found = _CACHE.get(instance.id)
@@ -136,81 +150,25 @@ def _compute(instance: RoomInstance) -> InstanceFields:
     rules = Kinematics(instance, is_still=True)
     offsets = {start.heading_offset for start in instance.starts}
     offset = offsets.pop() if len(offsets) == 1 and not instance.dynamics.noise else 0.0
-    presses: list[Goal] = [PressGoal(i) for i in range(len(instance.targets))]
-    unsolved = [(goal, False) for goal in presses]
-    solved = [*((goal, True) for goal in presses), (ExitGoal(), False)]
-    grid = _FieldGrid(instance, rules, offset, door_shut=True)
-    if instance.door is None:
-        values, scales = grid.compute_fields(unsolved + solved)
+    postures = None
+    if instance.dynamics.press_with == "hand":
+        postures, grid = choose_postures(instance), FieldGrid(instance, rules, offset, door_shut=False)
+        values, scales = grid.compute_hand_fields(postures.approaches, postures.limit)
+        order = [*range(len(values))]
     else:
-        opened = _FieldGrid(instance, rules, offset, door_shut=False).compute_fields(solved)
-        shut = grid.compute_fields(unsolved)
-        values, scales = np.concatenate([shut[0], opened[0]]), np.concatenate([shut[1], opened[1]])
-    order = [*np.arange(2 * len(presses)).reshape(2, -1).T.ravel(), 2 * len(presses)]
+        presses: list[Goal] = [PressGoal(i) for i in range(len(instance.targets))]
+        unsolved = [(goal, False) for goal in presses]
+        solved = [*((goal, True) for goal in presses), (ExitGoal(), False)]
+        grid = FieldGrid(instance, rules, offset, door_shut=True)
+        if instance.door is None:
+            values, scales = grid.compute_fields(unsolved + solved)
+        else:
+            opened = FieldGrid(instance, rules, offset, door_shut=False).compute_fields(solved)
+            shut = grid.compute_fields(unsolved)
+            values, scales = np.concatenate([shut[0], opened[0]]), np.concatenate([shut[1], opened[1]])
+        order = [*np.arange(2 * len(presses)).reshape(2, -1).T.ravel(), 2 * len(presses)]
     return InstanceFields(values[order], scales[order], (float(grid.maker.low[0]), float(grid.maker.low[1])),
-                          grid.size, grid.shape, offset)
-
-
-class _FieldGrid:
-    """Grid of one room with its door, if any, shut or open, on which fields are computed."""
-
-    def __init__(self, instance: RoomInstance, rules: Kinematics, offset: float, door_shut: bool) -> None:
-        self._instance, exit_ = instance, instance.exit
-        self.maker = maker = FieldMaker(instance, rules, door_shut=door_shut)
-        self._refinement = min(int(math.log(max(_FINE_STATES / maker.states, 1.0), 4)), 2)
-        _, self.size, self.shape = lay_grid(instance, rules, self._refinement)
-        points, standing = np.empty((math.prod(self.shape), 2)), np.zeros(math.prod(self.shape), dtype=np.bool_)
-        choose_points(maker.scene, maker.low, self.size, self.shape[1], 0, self.shape[0], np.ones_like(standing),
-                      points, standing)
-        self._standing = standing
-        angles = np.arange(maker.classes) * rules.turn_step + offset
-        moves = instance.robot.move_step * rules.actions.compute_moves(np.cos(angles), np.sin(angles))
-        reaches = np.array([instance.compute_press_reach(target) for target in instance.targets], dtype=np.float64)
-        self._moves = trace_moves(maker.scene, points, standing, self.shape[1], maker.low, self.size, moves,
-                                  maker.targets, reaches,
-                                  np.array([exit_.x_min, exit_.x_max, exit_.y_min, exit_.y_max]))
-        self._touches = np.array([compute_distance_many(maker.points, row[None]) <= reach
-                                  for row, reach in zip(maker.targets, reaches, strict=True)]
-                                 ).reshape(-1, len(maker.points))
-        x, y = maker.points.T
-        self._is_outside = (x < exit_.x_min) | (x > exit_.x_max) | (y < exit_.y_min) | (y > exit_.y_max)
-
-    def compute_fields(self, goals: Sequence[tuple[Goal, bool]]) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
-        """Compute the cost-to-go of goals, each beside whether entering the exit ends the episode without it.
-
-        Returns:
-            `values` and `scales` of `InstanceFields`.
-        """
-        columns, rows = (np.arange(side) >> self._refinement for side in self.shape)
-        cells = (columns[:, None] * self.maker.shape[1] + rows).ravel()
-        estimates = {goal: self._estimate(goal) for goal in dict.fromkeys(goal for goal, _ in goals)}
-        values = np.stack([estimates[goal][leaves].T[:, cells] for goal, leaves in goals], axis=2)
-        values = np.where(self._standing[:, None], values, np.float32(UNREACHABLE)).reshape(self.maker.classes, -1)
-        own = np.array([1 << goal.target if isinstance(goal, PressGoal) else 0 for goal, _ in goals], dtype=np.uint64)
-        iterate_values(values, self._moves, own, np.array([leaves for _, leaves in goals]),
-                       np.float32(OTHER_PRESS_COST), np.float32(_TOLERANCE), _SWEEPS)
-        return encode_values(values, len(goals))
-
-    def _estimate(self, goal: Goal) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Estimate the cost-to-go of a goal on the planners' grid, float32 (cells, classes), twice.
-
-        Presses go round the exit, in the first estimate where that is possible, in the second always.
-        """
-        maker = self.maker
-        is_press = isinstance(goal, PressGoal)
-        others = np.delete(self._touches, goal.target, axis=0) if is_press else self._touches
-        seeds = maker.find_seeds(*compute_goal_area(goal, self._instance))
-        stays = self._is_outside if is_press else maker.everywhere
-        allowed = stays & ~others.any(axis=0)
-        costs = [maker.make_field(seeds, allowed)] * 2
-        if (costs[0].reshape(-1, maker.classes)[maker.standing & allowed] < 0).any():
-            # some places can be left only past another target or through the exit
-            wider = maker.make_field(seeds), maker.make_field(seeds, stays)
-            costs = [np.where((least < 0) & (more >= 0), more + np.int16(OTHER_PRESS_COST), least)
-                     for least, more in zip(costs, wider, strict=True)]
-        first, second = (np.where(cost >= 0, cost, np.float32(UNREACHABLE)).reshape(-1, maker.classes)
-                         for cost in costs)
-        return first, second
+                          grid.size, grid.shape, offset, postures)
 
 
 def stack_fields(instances: Sequence[RoomInstance], device: torch.device) -> CostFields:
@@ -222,10 +180,10 @@ def stack_fields(instances: Sequence[RoomInstance], device: torch.device) -> Cos
         firsts[key] = total
         total += fields.values.size
 
-    most = 2 * len(instances[0].frame.target_names) + 1
+    most = max(2 * len(instances[0].frame.target_names) + 1, *(len(fields.values) for fields in each))
 
     def pad(fields: InstanceFields) -> list[int]:
-        """Numbers of a room's fields; absent targets, whose presses are masked, take that of the exit."""
+        """Numbers of a room's fields; those that only fill up the table are that of the exit."""
         last = len(fields.values) - 1
         return [*range(last), *[last] * (most - last)]
 
@@ -240,7 +198,25 @@ def stack_fields(instances: Sequence[RoomInstance], device: torch.device) -> Cos
         shape=column([p.shape for p in each], torch.int64),
         offsets=column([(p.offset,) for p in each], torch.float64),
         classes=torch.tensor(each[0].values.shape[2], device=device),
+        postures=_stack_postures([fields.postures for fields in each], len(instances[0].frame.target_names),
+                                 instances[0].robot.joints, device),
     )
+
+
+def _stack_postures(libraries: Sequence[PostureLibrary | None], targets: int, joints: int, device: torch.device
+                    ) -> Postures:
+    """Put the postures of several instances on a device; absent targets have none."""
+    wide = POSTURES if libraries[0] is not None else 0
+    steps = np.full((joints, wide, targets, len(libraries)), FAR, dtype=np.int32)
+    hands, shifts = (np.zeros((n, wide, targets, len(libraries)), dtype=np.float32) for n in (3, 2))
+    fields = np.zeros((wide, targets, len(libraries)), dtype=np.int64)
+    for number, library in enumerate(libraries):
+        if library is not None and len(library.approaches):
+            count = len(library.steps)
+            steps[:, :, :count, number], hands[:, :, :count, number] = library.steps.T, library.hands.T
+            shifts[:, :, :count, number] = (library.hands - library.approaches[library.fields, 1:])[..., :2].T
+            fields[:, :count, number] = library.fields.T
+    return Postures(*(torch.from_numpy(table).to(device) for table in (steps, hands, shifts, fields)))
 
 
 class GridPlace(NamedTuple):

@@ -53,7 +53,7 @@ __all__ = ["ENDINGS", "BatchedOptionsEnv", "Transitions"]
 
 Stepped: TypeAlias = tuple[TensorState, OpenDecisions, AgentView, Transitions]
 DecisionKernel: TypeAlias = Callable[
-    [Tables, CostFields | None, TensorState, OpenDecisions, AgentView, Tensor], Stepped]
+    [Tables, CostFields, TensorState, OpenDecisions, AgentView, Tensor], Stepped]
 
 
 class BatchedOptionsEnv:
@@ -62,9 +62,8 @@ class BatchedOptionsEnv:
     Actions are those of `OptionsEnv` on the same instance, with the same numbers, names and masks: primitives
     (unless `include_primitives` is false), `meta-01` to `meta-NN`, `meta-exit`. `OptionsEnv` follows plans; options
     here are greedy on cost-to-go fields, computed once an instance, and ask the planner only where these lead
-    nowhere. They reach the same goals in about as many primitives. Rooms pressed by hand have no fields, because
-    the cost-to-go depends on every joint: their options are planned on the host, one room after the other, as
-    `OptionsEnv` plans them (under noise or slip, at every primitive). Only their primitives run in the batch.
+    nowhere. They reach the same goals in about as many primitives. A press by hand weighs base against joints: it
+    goes where the hand touches the target in one of 64 postures, by the least sum of what base and arm have left.
 
     A learner's loop::
 
@@ -147,8 +146,7 @@ class BatchedOptionsEnv:
         layout = self.room.layout
         for room in self.room.instances:
             check_presses(room)
-        self._by_hand = layout.dynamics.press_with == "hand"
-        self._fields = None if self._by_hand else stack_fields(self.room.instances, self.device)
+        self._fields = stack_fields(self.room.instances, self.device)
         self._host_planner = HostPlanner(self.room)
         names = layout.actions.names if include_primitives else ()
         self.action_names = (*names, *name_options(layout.targets))
@@ -157,8 +155,6 @@ class BatchedOptionsEnv:
         self.action_space = PointingDiscrete(self.actions, (*(None for _ in names), *targets, "exit"))
         self.observation_space = make_vector_space(self.room.low, self.room.high, self.room.rows, OBJECT_WORDS)
         fail_after = math.ceil(FAIL_AFTER / (1.0 - layout.dynamics.slip)) if layout.dynamics.slip < 1.0 else FAIL_AFTER
-        if self._by_hand:
-            fail_after = 2**31 - 1  # planned options have a limit of their own
         self._arguments = {"observation": observation, "resample_instance": resample_instance, "options": options,
                            "include_primitives": include_primitives, "discount": self.gamma, "flavour": flavour,
                            "interruptible": interruptible, "max_duration": max_duration, "autoreset": autoreset,
@@ -171,7 +167,7 @@ class BatchedOptionsEnv:
         self._kernel: DecisionKernel | None = None
         if compile:
             check_compiler(self.device)
-            shapes = (num_envs, *list_shapes(self.room.tables), *(list_shapes(self._fields) if self._fields else ()))
+            shapes = (num_envs, *list_shapes(self.room.tables), *list_shapes(self._fields))
             self._kernel = _compile_kernel(layout, self._settings, self.device.type, torch.get_num_threads(), shapes)
 
     # --- observations and masks --------------------------------------------------------------
@@ -276,11 +272,9 @@ class BatchedOptionsEnv:
         return {**self._arguments, "options": options and options.to_dict(), "num_envs": self.count,
                 "device": str(self.device), "instances": [str(room.id) for room in self.room.instances]}
 
-    def state_dict(self) -> dict[str, Any] | None:
-        """Return episodes and decisions in progress, as arrays; None in rooms whose options the host plans."""
+    def state_dict(self) -> dict[str, Any]:
+        """Return episodes and decisions in progress, as arrays."""
         view, running = self._get_begun()
-        if self._by_hand:
-            return None
         return {name: {key: field.cpu().numpy() for key, field in part._asdict().items()}
                 for name, part in (("rooms", self.room.state), ("view", view), ("running", running))}
 
@@ -293,22 +287,20 @@ class BatchedOptionsEnv:
         self._view, self._running = AgentView(**take(state["view"])), OpenDecisions(**take(state["running"]))
 
     def _plan(self, view: AgentView, running: OpenDecisions, action: Tensor) -> OpenDecisions:
-        """Ask for orders, and plan for all rooms pressed by hand, else for those whose greed has made no progress."""
+        """Ask for orders, and plan for the rooms whose greed has made no progress."""
         settings, layout = self._settings, self.room.layout
-        if self._by_hand or settings.interruptible or settings.has_ancestors:
+        if settings.interruptible or settings.has_ancestors:
             running = begin_decisions(layout, settings, running, self.is_waiting & (action >= 0), action,
                                       view.observation)
         where = (running.action >= settings.primitives) & (running.plan_left == 0) & ~self.is_over
         where = where & (running.run >= settings.degradation.detour)
         option = (running.action - settings.primitives).clamp(min=0)
-        if self._by_hand or settings.has_ancestors:
+        if settings.has_ancestors:
             can = find_startable(layout, self.room.tables, self.room.state, settings)
             where = where & ((running.run > 0) | torch.gather(can, 1, option.unsqueeze(1)).squeeze(1))
         if settings.has_ancestors:
             running = self._host_planner.order(running, where & (running.goal == NOT_ASKED), option)
             where = where & (running.goal != NOT_ASKED)
-        if self._by_hand:
-            return self._host_planner.follow(running, where)[0]
         running, has_failed = self._host_planner.plan(running, where & (running.stalled >= PLAN_AFTER))
         # a room whose planning failed gives up after one more primitive without progress
         return running._replace(stalled=torch.where(has_failed, settings.fail_after, running.stalled))
@@ -357,7 +349,7 @@ def _own(field: Tensor) -> Tensor:
 def _compile_kernel(layout: Layout, settings: StepSettings, device: str, threads: int, shapes: tuple) -> DecisionKernel:
     """Compile a step for one shape of batch; kernels return flags as integers, as in `engine.py`."""
 
-    def kernel(tables: Tables, fields: CostFields | None, state: TensorState, running: OpenDecisions, view: AgentView,
+    def kernel(tables: Tables, fields: CostFields, state: TensorState, running: OpenDecisions, view: AgentView,
                action: Tensor) -> Stepped:
         state, running, view, done = step_decisions(layout, settings, tables, fields, state, running, view, action)
         view, done = (map_tensors(lambda field: field.to(torch.int32) if field.dtype == torch.bool else field, part)
@@ -366,7 +358,7 @@ def _compile_kernel(layout: Layout, settings: StepSettings, device: str, threads
 
     compiled = compile_step(kernel, device, threads)
 
-    def run(tables: Tables, fields: CostFields | None, state: TensorState, running: OpenDecisions, view: AgentView,
+    def run(tables: Tables, fields: CostFields, state: TensorState, running: OpenDecisions, view: AgentView,
             action: Tensor) -> Stepped:
         state, running, view, done = compiled(tables, fields, state, running, view, action)
         done = done._replace(where=done.where != 0, next_action_mask=done.next_action_mask != 0,

@@ -1,7 +1,7 @@
 """Plans for rooms of a batch, made by the rooms' planners on the host.
 
-Presses by hand are always planned, by the planners and the closed loop of `OptionsEnv`'s
-meta-actions; presses by the body only where their fields lead nowhere. `stepping.py` runs the plans.
+Orders of presses, where options carry out what theirs requires; and primitives, where the fields lead nowhere.
+`stepping.py` runs the plans.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from torch import Tensor
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.errors import PlanningFailed
 from hrl_escape.options.batched.decisions import NOT_ASKED, ORDER_LENGTH, PLAN_LENGTH, OpenDecisions
-from hrl_escape.options.meta_actions import PlannedOption
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.room_planner import RoomPlanner, get_planner
 
@@ -20,7 +19,7 @@ __all__ = ["HostPlanner"]
 
 
 class HostPlanner:
-    """Planners of a batch of rooms, with the open plan or option of each room.
+    """Planners of a batch of rooms.
 
     Args:
         room: the batch.
@@ -29,8 +28,6 @@ class HostPlanner:
     def __init__(self, room: TensorRoom) -> None:
         self._room = room
         self._planners: dict[int, RoomPlanner] = {}
-        self._options: dict[int, PlannedOption] = {}
-        self._remaining: dict[int, tuple[int, ...]] = {}
 
     def order(self, running: OpenDecisions, where: Tensor, targets: Tensor) -> OpenDecisions:
         """List what presses require and the presses themselves, as options with ancestors do.
@@ -75,16 +72,6 @@ class HostPlanner:
         return self._store_plans(running, rooms,
                                  [self._find_plan(room, int(running.goal[room]))[:PLAN_LENGTH] for room in rooms])
 
-    def follow(self, running: OpenDecisions, where: Tensor) -> tuple[OpenDecisions, Tensor]:
-        """Continue the plans that began with the rooms' goals; arguments and results are those of `plan`.
-
-        Under noise or slip the continuation is one primitive, chosen by the closed loop of `PlannedOption`.
-        """
-        rooms = where.nonzero().squeeze(1).tolist()
-        find = self._choose_primitive if self._room.layout.is_random else self._continue_plan
-        return self._store_plans(running, rooms, [find(room, int(running.goal[room]), int(running.age[room]) == 0)
-                                                  for room in rooms])
-
     def _get_planner(self, room: int) -> RoomPlanner:
         number = int(self._room.state.instance[room])
         if number not in self._planners:
@@ -107,21 +94,6 @@ class HostPlanner:
         except PlanningFailed:
             return ()
         return route.primitives
-
-    def _continue_plan(self, room: int, goal: int, is_new: bool) -> tuple[int, ...]:
-        plan = (not is_new and self._remaining[room]) or self._find_plan(room, goal)
-        self._remaining[room] = plan[PLAN_LENGTH:]
-        return plan[:PLAN_LENGTH]
-
-    def _choose_primitive(self, room: int, goal: int, is_new: bool) -> tuple[int, ...]:
-        state = self._room.get_room_state(room)
-        try:
-            if is_new:
-                self._options[room] = PlannedOption("planned", self._get_planner(room), self._make_goal(goal))
-                self._options[room].start(state)
-            return (int(self._options[room].policy(state)),)
-        except PlanningFailed:
-            return ()
 
     def _store_plans(self, running: OpenDecisions, rooms: list[int], plans: list[tuple[int, ...]]
                      ) -> tuple[OpenDecisions, Tensor]:

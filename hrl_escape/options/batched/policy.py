@@ -12,22 +12,26 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact
-from hrl_escape.env.batched.poses import TensorState, compute_rotation
-from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle
+from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rules import is_in_exit
 from hrl_escape.env.batched.tables import Layout, Tables, pick
-from hrl_escape.env.config import CONTACT_SKIN
-from hrl_escape.options.batched.cost_to_go import (
-    OTHER_PRESS_COST,
-    CostFields,
-    classify_headings,
-    interpolate_cost,
-    locate,
+from hrl_escape.options.batched.cost_to_go import CostFields, classify_headings, interpolate_cost, locate
+from hrl_escape.options.batched.field_grid import OTHER_PRESS_COST
+from hrl_escape.options.batched.hand_policy import estimate_arm_costs, estimate_hand_costs, find_reach
+from hrl_escape.options.batched.successors import (
+    compute_moves,
+    compute_resting_hand,
+    find_touched_by_body,
+    find_touched_by_hand,
+    is_in_doorway,
+    is_solved,
+    make_column,
+    presses_by_hand,
+    rotate,
 )
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 
-__all__ = ["MEMORY", "Choice", "can_start", "choose_primitive", "is_solved"]
+__all__ = ["MEMORY", "Choice", "can_start", "choose_primitive"]
 
 MEMORY = 8
 """Cells whose cost a room remembers."""
@@ -47,11 +51,6 @@ class Choice(NamedTuple):
     primitive: Tensor
     cost: Tensor
     cell: Tensor
-
-
-def is_solved(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
-    """Return whether the exit is open, bool (rooms,)."""
-    return get_tensor_puzzle(layout.puzzle).is_solved(pick(layout, tables.puzzle, state.instance), state.puzzle)
 
 
 def can_start(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
@@ -83,9 +82,12 @@ def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: 
     """
     depth = 1 if layout.headings >= _FINE_HEADINGS else 2
     after = _estimate_costs(layout, tables, fields, state, goal, cells, costs, depth)
+    if presses_by_hand(layout):
+        reach = find_reach(layout, tables, fields, state, goal)
+        after = torch.cat([after, estimate_arm_costs(layout, tables, state, reach, goal < layout.targets)])
     best = after.amin(0)
-    numbers = torch.arange(len(layout.actions.base), device=goal.device).unsqueeze(1)
-    primitive = torch.where(after == best, numbers, len(layout.actions.base)).amin(0)
+    numbers = torch.arange(len(after), device=goal.device).unsqueeze(1)
+    primitive = torch.where(after == best, numbers, len(after)).amin(0)
     here = locate(layout, fields, state.instance, state.x, state.y)
     heading, _ = classify_headings(layout, fields, state)
     return Choice(primitive, best + 1.0, here.cell * fields.classes + heading)
@@ -97,20 +99,29 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
     instance = state.instance
     solved = is_solved(layout, tables, state)
     is_press = goal < layout.targets
-    is_open = solved | _is_in_doorway(layout, tables, state)
-    free, x, y = _compute_moves(layout, tables, state, is_open)
-    touched = _find_touched(layout, tables, state, x, y)
+    is_open = solved | is_in_doorway(layout, tables, state)
+    free, x, y = compute_moves(layout, tables, state, is_open)
+    turn = make_column(layout, state, "turn", torch.int64)
+    by_hand = presses_by_hand(layout)
+    touched = (find_touched_by_hand(layout, tables, instance, compute_resting_hand(layout, state), x, y,
+                                    *rotate(layout, tables, state, turn))
+               if by_hand else find_touched_by_body(layout, tables, state, x, y))
     own = torch.where(is_press, 1 << goal.clamp(max=max(layout.targets - 1, 0)), 0)
     begun = touched & ~state.touching
     arrived = is_in_exit(layout, tables, instance, x, y)
     hit = torch.where(is_press, begun & own != 0, arrived)
-    turn = _column(layout, state, "turn", torch.int64)
     if depth == 1:
         place = locate(layout, fields, instance, x, y)
         heading, between = classify_headings(layout, fields, state)
         facing = torch.remainder(heading + turn, fields.classes)
-        field = torch.where(is_press, 2 * goal + is_open, 2 * layout.targets)
+        way_out = len(fields.begins) - 1
+        field = torch.where(is_press & (not by_hand), 2 * goal + is_open, way_out)
         after = interpolate_cost(layout, fields, instance, field, place, facing, between)
+        if by_hand:
+            reach = find_reach(layout, tables, fields, state, goal)
+            press = estimate_hand_costs(layout, tables, fields, state, reach, x, y, turn, heading, between,
+                                        touched & own != 0)
+            after = torch.where(is_press, press, after)
         keys = place.cell * fields.classes + facing
         found = torch.where(cells.unsqueeze(1) == keys, costs.unsqueeze(1), 0.0).amax(0)
         after = torch.maximum(after, found).clamp(min=1.0) + (touched & own != 0)
@@ -133,48 +144,3 @@ def _estimate_from_successors(layout: Layout, tables: Tables, fields: CostFields
     after = _estimate_costs(layout, tables, fields, later, goal.repeat(count), cells.repeat(1, count),
                             costs.repeat(1, count), depth - 1)
     return after.amin(0).view_as(x) + 1.0
-
-
-def _is_in_doorway(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
-    """Return whether the body stands in the doorway, where a shut door does not block it, bool (rooms,)."""
-    doors: Shapes = pick(layout, tables.doors, state.instance)
-    return compute_distance(state.x, state.y, doors)[0] < layout.robot.body_radius + CONTACT_SKIN - 1e-6
-
-
-def _column(layout: Layout, state: TensorState, name: str, dtype: torch.dtype) -> Tensor:
-    """Column of one attribute (`forward`, `left`, `turn`) of the base primitives, shape (primitives, 1)."""
-    values = [getattr(primitive, name) for primitive in layout.actions.primitives[:len(layout.actions.base)]]
-    return torch.tensor(values, dtype=dtype, device=state.x.device).unsqueeze(1)
-
-
-def _compute_moves(layout: Layout, tables: Tables, state: TensorState, is_open: Tensor
-                   ) -> tuple[Tensor, Tensor, Tensor]:
-    """Free share of each base primitive's displacement, and x and y of its end, (primitives, rooms) each."""
-    cos, sin = compute_rotation(layout, tables, state)
-    forward, left = (layout.robot.move_step * _column(layout, state, name, torch.float64)[layout.actions.translations]
-                     for name in ("forward", "left"))
-    dx, dy = forward * cos - left * sin, forward * sin + left * cos
-    motion = (state.x, state.y, dx.unsqueeze(1), dy.unsqueeze(1), layout.robot.body_radius + CONTACT_SKIN)
-    solids: Shapes = pick(layout, tables.solids, state.instance)
-    free = compute_first_contact(*motion, solids.round()).amin(1).clamp(min=0.0)
-    if layout.has_door:
-        doors: Shapes = pick(layout, tables.doors, state.instance)
-        door = compute_first_contact(*motion, doors.round()).amin(1).clamp(min=0.0)
-        free = torch.where(is_open, free, torch.minimum(free, door))
-    if layout.dynamics.blocked == "stay":
-        free = (free >= 1.0).to(free.dtype)
-    x, y = state.x + free * dx, state.y + free * dy
-    stays = len(layout.actions.turns)
-    return (torch.cat([free, torch.ones_like(free[:stays])]), torch.cat([x, state.x.expand(stays, -1)]),
-            torch.cat([y, state.y.expand(stays, -1)]))
-
-
-def _find_touched(layout: Layout, tables: Tables, state: TensorState, x: Tensor, y: Tensor) -> Tensor:
-    """Bits of the targets that the body touches at positions (primitives, rooms), int64."""
-    if not layout.targets:
-        return torch.zeros_like(x, dtype=torch.int64)
-    targets: Shapes = pick(layout, tables.targets, state.instance).round()
-    reach = pick(layout, tables.target_reach, state.instance)
-    touched = compute_distance(x.unsqueeze(1), y.unsqueeze(1), targets) <= reach  # (primitives, targets, rooms)
-    places = torch.arange(layout.targets, device=x.device).unsqueeze(1)
-    return (touched.to(torch.int64) << places).sum(1)

@@ -95,7 +95,7 @@ def make_view(layout: Layout, tables: Tables, state: TensorState, settings: Step
     return AgentView(observe(layout, tables, state, settings.observation), mask)
 
 
-def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, fields: CostFields | None,
+def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, fields: CostFields,
                    state: TensorState, running: OpenDecisions, view: AgentView, action: Tensor
                    ) -> tuple[TensorState, OpenDecisions, AgentView, Transitions]:
     """Run one primitive in every room, and begin and end decisions; the function that is compiled."""
@@ -114,12 +114,8 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
         fails = fails | (is_new & (drawn < settings.degradation.failure))
 
     planned = _read_aligned(running.plan, running.plan_left)
-    if fields is None:  # all options are planned; a room without a plan found none
-        choice = Choice(planned, running.plan_left.to(torch.float32), torch.zeros_like(planned))
-        is_lost = running.plan_left == 0
-    else:
-        choice = choose_primitive(layout, tables, fields, state, goal, running.cells, running.costs)
-        is_lost = (running.age == 0) & (choice.cost >= UNREACHABLE)
+    choice = choose_primitive(layout, tables, fields, state, goal, running.cells, running.costs)
+    is_lost = (running.age == 0) & (choice.cost >= UNREACHABLE)
     has_failed = is_option & (fails | (~is_wasting & (is_lost | (running.goal == NOT_ASKED))))
     primitive = torch.where(is_option, torch.where(running.plan_left > 0, planned, choice.primitive), running.action)
     if settings.degradation.detour:

@@ -18,11 +18,13 @@ from numpy.typing import NDArray
 from hrl_escape.kernels import kernel, kernel_part
 from hrl_escape.planning.lattice.sweep_kernels import get_shape, is_clear_of_all, measure_distance, sweep
 
-__all__ = ["UNREACHABLE", "Moves", "encode_values", "iterate_values", "trace_moves"]
+__all__ = ["AT_GOAL", "UNREACHABLE", "Moves", "encode_values", "iterate_values", "trace_moves"]
 
 UNREACHABLE = 10_000.0
 """Cost-to-go of places from which the goal cannot be reached."""
-_MOST = np.float32(UNREACHABLE)
+AT_GOAL = 1e-6
+"""Cost-to-go of states that are the goal themselves, which stays as it is."""
+_MOST, _GOAL = np.float32(UNREACHABLE), np.float32(AT_GOAL)
 _ONE = np.float32(1.0)
 _FREE, _ABSENT = -1, -2
 _BLOCKED = 0.01  # moves shorter than this do not count, m
@@ -186,17 +188,18 @@ def trace_moves(scene, points, standing, rows, low, size, moves, targets, reache
 
 
 @kernel
-def iterate_values(values, moves, own, leaves, penalty, tolerance, most):
+def iterate_values(values, moves, own, leaving, penalty, tolerance, most):
     """Value iteration of several fields at once, in place, until no value changes.
 
     Sweeps go over the grid in turn from each of its corners, tile by tile. The states in a tile's column are backed up
     together, and skipped while no value near enough to matter changes.
 
     Args:
-        values: cost-to-go, shape (classes, cells * fields), float32; `UNREACHABLE` where unknown.
+        values: cost-to-go, shape (classes, cells * fields), float32; `UNREACHABLE` where unknown, `AT_GOAL` where the
+            goal is a set of states.
         moves: from `trace_moves`.
-        own: bit of the target that each field is to press, 0 for the exit, uint64 (fields,).
-        leaves: True if entering the exit ends the episode without the goal, bool (fields,).
+        own: bit of the target that a move of each field is to touch, 0 for the exit, uint64 (fields,).
+        leaving: cost of entering the exit without the goal, float32 (fields,); `UNREACHABLE` where the episode ends.
         penalty: cost of touching another target, float32.
         tolerance: largest change that counts as none, float32.
         most: most sweeps.
@@ -220,7 +223,7 @@ def iterate_values(values, moves, own, leaves, penalty, tolerance, most):
             if i >= columns or (number > 1 and not _is_stale(changed, i, tj, side, number - 1)):
                 continue
             first, last = tj * side, min(tj * side + side, rows)
-            if _back_up(values, moves, own, leaves, penalty, tolerance, i * rows + first, last - first, fresh):
+            if _back_up(values, moves, own, leaving, penalty, tolerance, i * rows + first, last - first, fresh):
                 changed[i, tj] = number
                 is_done = False
         if is_done:
@@ -239,7 +242,7 @@ def _is_stale(changed, i, tj, side, since):
 
 
 @kernel_part
-def _back_up(values, moves, own, leaves, penalty, tolerance, begin, count, fresh):
+def _back_up(values, moves, own, leaving, penalty, tolerance, begin, count, fresh):
     """Back up `count` cells in a row from cell `begin` on; returns True if a value has changed."""
     fields, classes, translations = own.shape[0], moves.listed.shape[0], moves.offsets.shape[1]
     for c in range(classes):
@@ -262,7 +265,7 @@ def _back_up(values, moves, own, leaves, penalty, tolerance, begin, count, fresh
                         _take_less(values[c], moves.corners[at, m], moves.rows, fields, moves.weights[at, m], best)
                     elif moves.corners[at, m] >= 0:
                         _take_less_by_goal(values[c], moves.corners[at, m], moves.rows, moves.weights[at, m],
-                                           moves.begun[row, m], moves.outside[row, m], own, leaves, penalty, best)
+                                           moves.begun[row, m], moves.outside[row, m], own, leaving, penalty, best)
             cell = end
     length, around = count * fields, classes + classes // 2
     for k in range(around):  # turns to either side, as far round as pays
@@ -273,8 +276,9 @@ def _back_up(values, moves, own, leaves, penalty, tolerance, begin, count, fresh
     for c in range(classes):
         new, old = fresh[c, :length], values[c, begin * fields:begin * fields + length]
         for n in range(length):
-            changes += abs(new[n] - old[n]) >= tolerance
-            old[n] = new[n]
+            value = new[n] if old[n] != _GOAL else _GOAL
+            changes += abs(value - old[n]) >= tolerance
+            old[n] = value
     return changes > 0
 
 
@@ -291,14 +295,14 @@ def _take_less(line, corner, rows, fields, weights, best):
 
 
 @kernel_part
-def _take_less_by_goal(line, corner, rows, weights, begun, is_out, own, leaves, penalty, best):
+def _take_less_by_goal(line, corner, rows, weights, begun, is_out, own, leaving, penalty, best):
     """As `_take_less`, for a move that may begin to touch targets or end in the exit."""
     fields = own.shape[0]
     for n in range(fields):
         cost = _ONE
         if not (begun & own[n] if own[n] else not is_out):
-            if leaves[n] and not is_out:
-                continue
+            if not is_out:
+                cost += leaving[n]
             for k in range(4):
                 cost += weights[k] * line[(corner + (k // 2) * rows + k % 2) * fields + n]
         if begun & ~own[n]:

@@ -1,0 +1,148 @@
+"""Cost-to-go of presses by hand in a batch: what base and arm have left to do, in every posture of a small library.
+
+From a place where the hand can touch the target in some posture, exactly the joint steps to it are left. From
+elsewhere they are added to the way of the base, by the field of the posture with the least sum. Pure functions of
+tensors, rooms last.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from hrl_escape.env.batched.arm import compute_hand
+from hrl_escape.env.batched.geometry import Shapes
+from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
+from hrl_escape.env.batched.tables import Layout, Tables
+from hrl_escape.options.batched.cost_to_go import CostFields, interpolate_cost, locate
+from hrl_escape.options.batched.field_grid import OTHER_PRESS_COST
+from hrl_escape.options.batched.postures import FAR
+from hrl_escape.options.batched.successors import find_touched_by_hand, rotate
+from hrl_escape.options.batched.value_iteration import UNREACHABLE
+
+__all__ = ["Reach", "estimate_arm_costs", "estimate_hand_costs", "find_reach"]
+
+_SKIN = 1e-4  # of a touch that is foreseen, m
+
+
+class Reach(NamedTuple):
+    """Postures in which the arms of a batch touch the rooms' present targets; (postures, rooms) unless said.
+
+    Attributes:
+        target: the targets, int64 (rooms,).
+        column: instances of the rooms in tables, int64 (rooms,).
+        steps: joint steps from home, int32 (joints, postures, rooms).
+        away: joint steps from the present posture, float32.
+        ahead: the hand in the base frame, m, float32.
+        left: likewise.
+        square: square of the largest distance over the floor at which it touches, m^2, float32; negative if never.
+        shifts: place of the base relative to the one that the posture's field is for, m, float32 (2, postures, rooms).
+        fields: number of this field, int64.
+    """
+
+    target: Tensor
+    column: Tensor
+    steps: Tensor
+    away: Tensor
+    ahead: Tensor
+    left: Tensor
+    square: Tensor
+    shifts: Tensor
+    fields: Tensor
+
+
+def find_reach(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor) -> Reach:
+    """Look up the postures that touch every room's target, int64 (rooms,)."""
+    target = goal.clamp(max=layout.targets - 1)
+    column = torch.zeros_like(state.instance) if layout.is_shared else state.instance
+    steps, hands, shifts, numbers = (table[..., target, column] for table in fields.postures)
+    away = (steps - state.joint_steps.unsqueeze(1)).abs().sum(0).to(torch.float32)
+    if layout.dynamics.noise:  # the joints are off their whole steps, and the hand off its place
+        whole = state._replace(joint_offsets=torch.zeros_like(state.joint_offsets))
+        now, then = (compute_hand(layout.arm, compute_angles(layout, one).to(torch.float32)) for one in (state, whole))
+        drift = [torch.as_tensor(a - b, device=goal.device).expand(len(goal)) for a, b in zip(now, then, strict=True)]
+        hands, shifts = hands + torch.stack(drift).unsqueeze(1), shifts + torch.stack(drift[:2]).unsqueeze(1)
+    beyond = (hands[2] - tables.target_z[target, column]).abs() - tables.target_half_z[target, column]
+    limit = layout.robot.hand_radius + layout.dynamics.press_margin - _SKIN
+    square = torch.where(away < FAR / 2, limit**2 - beyond.clamp(min=0.0) ** 2, -1.0)
+    return Reach(target, column, steps, away, hands[0], hands[1], square.to(torch.float32), shifts, numbers)
+
+
+def estimate_hand_costs(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, reach: Reach,
+                        x: Tensor, y: Tensor, turn: Tensor, heading: Tensor, between: Tensor | None,
+                        is_held: Tensor) -> Tensor:
+    """Cost-to-go of presses by hand from places near the present one; float32 (places, rooms).
+
+    Args:
+        layout: properties that all rooms share.
+        tables: their instances.
+        fields: their fields.
+        state: their present states.
+        reach: from `find_reach`.
+        x: places of the base, (places, rooms), m.
+        y: likewise.
+        turn: turn steps from the present heading, int64 (places, 1).
+        heading: class of the present heading, int64 (rooms,).
+        between: share of the way to the next class, float32 (rooms,); None if all headings are classes.
+        is_held: where the hand touches the target in its present posture, so that another press needs a moment
+            without touch, bool (places, rooms).
+    """
+    cos, sin = compute_rotation(layout, tables, state)
+    at = _shift(state.x, state.y, cos, sin, *reach.shifts)
+    place = locate(layout, fields, state.instance, *at)
+    every = interpolate_cost(layout, fields, state.instance, reach.fields, place, heading.expand_as(reach.fields),
+                             between)
+    best = (every.clamp(min=1.0) + reach.away).argmin(0).unsqueeze(0)
+    shifts = reach.shifts.gather(1, best.expand(2, 1, -1))
+    cos, sin = rotate(layout, tables, state, turn)
+    place = locate(layout, fields, state.instance, *_shift(x, y, cos, sin, *shifts))
+    facing = torch.remainder(heading + turn, fields.classes).expand_as(x)
+    way = interpolate_cost(layout, fields, state.instance, reach.fields.gather(0, best), place, facing, between)
+    left = reach.away.gather(0, best)
+    touch, _ = _find_least_steps(tables, reach, x, y, cos, sin)
+    return torch.minimum(torch.where(is_held, UNREACHABLE, touch), way.clamp(min=1.0) + left)
+
+
+def estimate_arm_costs(layout: Layout, tables: Tables, state: TensorState, reach: Reach, is_press: Tensor) -> Tensor:
+    """Cost-to-go after each joint primitive, float32 (2 * joints, rooms); `UNREACHABLE` or more if it is no use."""
+    cos, sin = compute_rotation(layout, tables, state)
+    least, best = _find_least_steps(tables, reach, state.x.unsqueeze(0), state.y.unsqueeze(0), cos.unsqueeze(0),
+                                    sin.unsqueeze(0))
+    wanted = reach.steps.gather(1, best.expand(len(reach.steps), -1, -1)).squeeze(1) - state.joint_steps
+    nearer = torch.stack([wanted > 0, wanted < 0], dim=1).flatten(0, 1)  # in the order of the primitives
+    own = torch.where(is_press, 1 << reach.target, 0)
+    is_held = state.touching & own != 0  # another press needs a moment without touch, which the base makes
+    after = torch.where(is_held, UNREACHABLE, least) + 1.0 - 2.0 * nearer
+    joints = layout.robot.joints
+    signs = torch.tensor([1.0, -1.0], device=after.device)
+    change = (torch.eye(joints, device=after.device).unsqueeze(2) * signs).flatten(1).unsqueeze(2) * layout.arm.step
+    angles = compute_angles(layout, state).unsqueeze(1) + change  # (joints, 2 * joints, rooms)
+    low, high = (torch.tensor(ends, dtype=angles.dtype, device=after.device).view(-1, 1, 1)
+                 for ends in zip(*layout.arm.limits, strict=True))
+    is_allowed = ((angles > low - 1e-6) & (angles < high + 1e-6)).all(0)
+    touched = find_touched_by_hand(layout, tables, state.instance, compute_hand(layout.arm, angles.to(torch.float32)),
+                                   state.x, state.y, cos, sin)
+    begun = touched & ~state.touching
+    after = torch.where(begun & own != 0, 0.0, after) + OTHER_PRESS_COST * (begun & ~own != 0)
+    return torch.where(is_allowed & is_press, after, 2 * UNREACHABLE)
+
+
+def _find_least_steps(tables: Tables, reach: Reach, x: Tensor, y: Tensor, cos: Tensor, sin: Tensor
+                      ) -> tuple[Tensor, Tensor]:
+    """Fewest joint steps to a posture that touches from places (places, rooms), and which it is; a step at least."""
+    target = Shapes(*(field[reach.target, reach.column] for field in tables.targets))
+    dx, dy = target.x - x, target.y - y
+    ahead, left = (part.to(torch.float32).unsqueeze(1) for part in (cos * dx + sin * dy, cos * dy - sin * dx))
+    along, across = (part.to(torch.float32).unsqueeze(1)
+                     for part in (cos * target.cos + sin * target.sin, cos * target.sin - sin * target.cos))
+    u, v = reach.ahead - ahead, reach.left - left  # (places, postures, rooms)
+    beyond_x = ((along * u + across * v).abs() - target.half_x.to(torch.float32)).clamp(min=0.0)
+    beyond_y = ((along * v - across * u).abs() - target.half_y.to(torch.float32)).clamp(min=0.0)
+    touches = (beyond_x * beyond_x + beyond_y * beyond_y <= reach.square) & (reach.away >= 1.0)
+    return torch.where(touches, reach.away, UNREACHABLE).min(1)
+
+
+def _shift(x: Tensor, y: Tensor, cos: Tensor, sin: Tensor, ahead: Tensor, left: Tensor) -> tuple[Tensor, Tensor]:
+    return x + cos * ahead - sin * left, y + sin * ahead + cos * left

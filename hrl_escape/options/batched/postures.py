@@ -1,0 +1,75 @@
+"""Postures for presses by hand in a batch: a few dozen for each target, each beside the field that leads towards it.
+
+Arms of kinematic rooms pass through everything, so the cost-to-go of a press is the least, over postures, of the joint
+steps to a posture and the way of the base to where the hand then touches. Postures whose hands are close share a
+field, and the base's place is shifted by what is between their hands.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.planning.arm.postures import list_postures
+from hrl_escape.planning.arm.reacher import Reacher
+
+__all__ = ["FAR", "POSTURES", "PostureLibrary", "choose_postures"]
+
+POSTURES = 64
+"""Postures kept for a target."""
+FAR = 1_000
+"""Stands for the joint steps of postures that only fill up a table."""
+_FIELDS, _MOST, _LEAST = 24, 8, 2  # fields of all targets together, and of one
+_NEAR = 0.15  # hands that are this close share a field, m
+
+
+class PostureLibrary(NamedTuple):
+    """Postures that press the targets of one instance.
+
+    Attributes:
+        steps: joint steps from home, int32 (targets, postures, joints).
+        hands: hand in the base frame, m, float64 (targets, postures, 3).
+        fields: number of the field of each, int64 (targets, postures).
+        approaches: target of each field, and the hand for which it is, m: rows of (target, x, y, z).
+        limit: largest distance of the hand's centre from a target that touches, m.
+    """
+
+    steps: NDArray[np.int32]
+    hands: NDArray[np.float64]
+    fields: NDArray[np.int64]
+    approaches: NDArray[np.float64]
+    limit: float
+
+
+def choose_postures(instance: RoomInstance) -> PostureLibrary:
+    """Choose the postures of all targets: half of them the cheapest from home, the others far apart."""
+    count, reacher = len(instance.targets), Reacher(instance)
+    steps = np.full((count, POSTURES, instance.robot.joints), FAR, dtype=np.int32)
+    hands = np.zeros((count, POSTURES, 3))
+    fields = np.zeros((count, POSTURES), dtype=np.int64)
+    approaches: list[tuple[float, ...]] = []
+    most = min(max(_FIELDS // max(count, 1), _LEAST), _MOST)
+    for target in range(count):
+        every, places = list_postures(reacher, target)
+        if len(every) == 0:
+            continue
+        chosen = _spread(every, list(range(min(len(every), POSTURES // 2))), POSTURES, 0.0)
+        every, places = every[chosen], places[chosen]
+        shown = _spread(places[:, :2], [0], most, _NEAR)
+        away = np.linalg.norm(places[:, None, :2] - places[shown, :2], axis=2)
+        steps[target, : len(every)], hands[target, : len(every)] = every, places
+        fields[target, : len(every)] = len(approaches) + away.argmin(axis=1)
+        approaches += [(target, *places[n].tolist()) for n in shown]
+    return PostureLibrary(steps, hands, fields, np.array(approaches).reshape(-1, 4), reacher.limit)
+
+
+def _spread(points: NDArray[Any], chosen: list[int], most: int, near: float) -> list[int]:
+    """Add the farthest point to those chosen, again and again, up to `most` or until none is farther than `near`."""
+    away = np.abs(points[:, None] - points[chosen]).sum(axis=2).min(axis=1)
+    while len(chosen) < most and away.max() > near:
+        chosen.append(int(away.argmax()))
+        away = np.minimum(away, np.abs(points - points[chosen[-1]]).sum(axis=1))
+    return chosen

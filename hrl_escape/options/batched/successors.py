@@ -1,0 +1,114 @@
+"""Where primitives lead in a batch of rooms, as far as options look: ends of moves, and targets touched there.
+
+Moves are swept exactly, with walls and press margins, by the rules of the batched engine. Pure functions of tensors,
+rooms last.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from torch import Tensor
+
+from hrl_escape.env.batched.arm import compute_hand
+from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact
+from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
+from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle
+from hrl_escape.env.batched.tables import Layout, Tables, pick
+from hrl_escape.env.config import CONTACT_SKIN
+
+__all__ = ["compute_moves", "compute_resting_hand", "find_touched_by_body", "find_touched_by_hand", "is_in_doorway",
+           "is_solved", "make_column", "presses_by_hand", "rotate"]
+
+
+def is_solved(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
+    """Return whether the exit is open, bool (rooms,)."""
+    return get_tensor_puzzle(layout.puzzle).is_solved(pick(layout, tables.puzzle, state.instance), state.puzzle)
+
+
+def is_in_doorway(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
+    """Return whether the body stands in the doorway, where a shut door does not block it, bool (rooms,)."""
+    doors: Shapes = pick(layout, tables.doors, state.instance)
+    return compute_distance(state.x, state.y, doors)[0] < layout.robot.body_radius + CONTACT_SKIN - 1e-6
+
+
+def presses_by_hand(layout: Layout) -> bool:
+    """Return whether there are targets that the hand presses."""
+    return layout.targets > 0 and layout.dynamics.press_with == "hand"
+
+
+def compute_resting_hand(layout: Layout, state: TensorState) -> list[Tensor | float]:
+    """Hand in the base frame in the present posture, m: x, y and z, each (rooms,) or one number."""
+    return compute_hand(layout.arm, compute_angles(layout, state).to(torch.float32))
+
+
+def rotate(layout: Layout, tables: Tables, state: TensorState, turn: Tensor) -> tuple[Tensor, Tensor]:
+    """Cosine and sine of the headings after turns, int64 (cases, 1), in turn steps; (cases, rooms) each."""
+    headings = torch.remainder(state.heading_steps + turn, layout.headings)
+    return compute_rotation(layout, tables, state._replace(heading_steps=headings))
+
+
+def make_column(layout: Layout, state: TensorState, name: str, dtype: torch.dtype) -> Tensor:
+    """Column of one attribute (`forward`, `left`, `turn`) of the base primitives, shape (primitives, 1)."""
+    values = [getattr(primitive, name) for primitive in layout.actions.primitives[:len(layout.actions.base)]]
+    return torch.tensor(values, dtype=dtype, device=state.x.device).unsqueeze(1)
+
+
+def compute_moves(layout: Layout, tables: Tables, state: TensorState, is_open: Tensor
+                  ) -> tuple[Tensor, Tensor, Tensor]:
+    """Free share of each base primitive's displacement, and x and y of its end, (primitives, rooms) each."""
+    cos, sin = compute_rotation(layout, tables, state)
+    forward, left = (layout.robot.move_step * make_column(layout, state, name, torch.float64)[
+        layout.actions.translations] for name in ("forward", "left"))
+    dx, dy = forward * cos - left * sin, forward * sin + left * cos
+    motion = (state.x, state.y, dx.unsqueeze(1), dy.unsqueeze(1), layout.robot.body_radius + CONTACT_SKIN)
+    solids: Shapes = pick(layout, tables.solids, state.instance)
+    free = compute_first_contact(*motion, solids.round()).amin(1).clamp(min=0.0)
+    if layout.has_door:
+        doors: Shapes = pick(layout, tables.doors, state.instance)
+        door = compute_first_contact(*motion, doors.round()).amin(1).clamp(min=0.0)
+        free = torch.where(is_open, free, torch.minimum(free, door))
+    if layout.dynamics.blocked == "stay":
+        free = (free >= 1.0).to(free.dtype)
+    x, y = state.x + free * dx, state.y + free * dy
+    stays = len(layout.actions.turns)
+    return (torch.cat([free, torch.ones_like(free[:stays])]), torch.cat([x, state.x.expand(stays, -1)]),
+            torch.cat([y, state.y.expand(stays, -1)]))
+
+
+def find_touched_by_body(layout: Layout, tables: Tables, state: TensorState, x: Tensor, y: Tensor) -> Tensor:
+    """Bits of the targets that the body touches at positions (primitives, rooms), int64."""
+    if not layout.targets:
+        return torch.zeros_like(x, dtype=torch.int64)
+    targets: Shapes = pick(layout, tables.targets, state.instance).round()
+    reach = pick(layout, tables.target_reach, state.instance)
+    touched = compute_distance(x.unsqueeze(1), y.unsqueeze(1), targets) <= reach  # (primitives, targets, rooms)
+    places = torch.arange(layout.targets, device=x.device).unsqueeze(1)
+    return (touched.to(torch.int64) << places).sum(1)
+
+
+def find_touched_by_hand(layout: Layout, tables: Tables, instance: Tensor, hand: Sequence[Tensor | float], x: Tensor,
+                         y: Tensor, cos: Tensor, sin: Tensor) -> Tensor:
+    """Bits of the targets that the hand touches, int64 (cases, rooms).
+
+    Args:
+        layout: properties that all rooms share.
+        tables: their instances.
+        instance: index of each room's instance, int64 (rooms,).
+        hand: x, y and z in the base frame, m; this and the following are (cases, rooms) or (rooms,).
+        x: place of the base, m.
+        y: likewise.
+        cos: cosine of its heading.
+        sin: its sine.
+    """
+    ahead, left, up = hand
+    room_x, room_y = x + cos * ahead - sin * left, y + sin * ahead + cos * left
+    targets: Shapes = pick(layout, tables.targets, instance).round()
+    away = compute_distance(room_x.unsqueeze(1), room_y.unsqueeze(1), targets)  # (cases, targets, rooms)
+    height = up.unsqueeze(-2) if isinstance(up, Tensor) else up
+    beyond = (height - pick(layout, tables.target_z, instance)).abs() - pick(layout, tables.target_half_z, instance)
+    above = beyond.clamp(min=0.0)
+    touched = torch.sqrt(away * away + above * above) <= layout.robot.hand_radius + layout.dynamics.press_margin
+    places = torch.arange(layout.targets, device=x.device).unsqueeze(1)
+    return (touched.to(torch.int64) << places).sum(1)
