@@ -42,6 +42,7 @@ __all__ = [
 ]
 
 MOST_BYTES = 512_000_000
+_MOST_VALUES = 8_000_000  # of all fields of an instance pressed by hand
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -152,7 +153,8 @@ def _compute(instance: RoomInstance) -> InstanceFields:
     offset = offsets.pop() if len(offsets) == 1 and not instance.dynamics.noise else 0.0
     postures = None
     if instance.dynamics.press_with == "hand":
-        postures, grid = choose_postures(instance), FieldGrid(instance, rules, offset, door_shut=False)
+        grid = FieldGrid(instance, rules, offset, door_shut=False)
+        postures = choose_postures(instance, _MOST_VALUES // grid.states)
         values, scales = grid.compute_hand_fields(postures.approaches, postures.limit)
         order = [*range(len(values))]
     else:

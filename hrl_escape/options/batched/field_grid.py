@@ -38,6 +38,7 @@ class FieldGrid:
         maker: the planners' grid.
         size: side of a cell, m.
         shape: columns and rows of cells.
+        states: cells times headings.
     """
 
     def __init__(self, instance: RoomInstance, rules: Kinematics, offset: float, door_shut: bool) -> None:
@@ -49,6 +50,7 @@ class FieldGrid:
         self._refinement = min(int(math.log(max(_FINE_STATES / states, 1.0), 4)), 2)
         _, self.size, self.shape = lay_grid(instance, rules, self._refinement)
         self._points, self._standing = np.empty((math.prod(self.shape), 2)), np.zeros(math.prod(self.shape), np.bool_)
+        self.states = self._headings * len(self._points)
         choose_points(maker.scene, maker.low, self.size, self.shape[1], 0, self.shape[0],
                       np.ones_like(self._standing), self._points, self._standing)
         columns, rows = (np.arange(side) >> self._refinement for side in self.shape)

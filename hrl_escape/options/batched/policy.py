@@ -17,7 +17,7 @@ from hrl_escape.env.batched.rules import is_in_exit
 from hrl_escape.env.batched.tables import Layout, Tables, pick
 from hrl_escape.options.batched.cost_to_go import CostFields, classify_headings, interpolate_cost, locate
 from hrl_escape.options.batched.field_grid import OTHER_PRESS_COST
-from hrl_escape.options.batched.hand_policy import estimate_arm_costs, estimate_hand_costs, find_reach
+from hrl_escape.options.batched.hand_policy import Reach, estimate_arm_costs, estimate_hand_costs, find_reach
 from hrl_escape.options.batched.successors import (
     compute_moves,
     compute_resting_hand,
@@ -81,9 +81,9 @@ def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: 
         costs: costs found there, float32 (memory, rooms).
     """
     depth = 1 if layout.headings >= _FINE_HEADINGS else 2
-    after = _estimate_costs(layout, tables, fields, state, goal, cells, costs, depth)
-    if presses_by_hand(layout):
-        reach = find_reach(layout, tables, fields, state, goal)
+    reach = find_reach(layout, tables, fields, state, goal) if presses_by_hand(layout) else None
+    after = _estimate_costs(layout, tables, fields, state, goal, reach, cells, costs, depth)
+    if reach is not None:
         after = torch.cat([after, estimate_arm_costs(layout, tables, state, reach, goal < layout.targets)])
     best = after.amin(0)
     numbers = torch.arange(len(after), device=goal.device).unsqueeze(1)
@@ -94,7 +94,7 @@ def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: 
 
 
 def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,
-                    cells: Tensor, costs: Tensor, depth: int) -> Tensor:
+                    reach: Reach | None, cells: Tensor, costs: Tensor, depth: int) -> Tensor:
     """Cost-to-go after each base primitive, by a look-ahead of `depth` primitives; (primitives, rooms)."""
     instance = state.instance
     solved = is_solved(layout, tables, state)
@@ -102,10 +102,9 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
     is_open = solved | is_in_doorway(layout, tables, state)
     free, x, y = compute_moves(layout, tables, state, is_open)
     turn = make_column(layout, state, "turn", torch.int64)
-    by_hand = presses_by_hand(layout)
     touched = (find_touched_by_hand(layout, tables, instance, compute_resting_hand(layout, state), x, y,
                                     *rotate(layout, tables, state, turn))
-               if by_hand else find_touched_by_body(layout, tables, state, x, y))
+               if reach is not None else find_touched_by_body(layout, tables, state, x, y))
     own = torch.where(is_press, 1 << goal.clamp(max=max(layout.targets - 1, 0)), 0)
     begun = touched & ~state.touching
     arrived = is_in_exit(layout, tables, instance, x, y)
@@ -115,10 +114,9 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
         heading, between = classify_headings(layout, fields, state)
         facing = torch.remainder(heading + turn, fields.classes)
         way_out = len(fields.begins) - 1
-        field = torch.where(is_press & (not by_hand), 2 * goal + is_open, way_out)
+        field = torch.where(is_press if reach is None else torch.zeros_like(is_press), 2 * goal + is_open, way_out)
         after = interpolate_cost(layout, fields, instance, field, place, facing, between)
-        if by_hand:
-            reach = find_reach(layout, tables, fields, state, goal)
+        if reach is not None:
             press = estimate_hand_costs(layout, tables, fields, state, reach, x, y, turn, heading, between,
                                         touched & own != 0)
             after = torch.where(is_press, press, after)
@@ -141,6 +139,8 @@ def _estimate_from_successors(layout: Layout, tables: Tables, fields: CostFields
     later = TensorState(*(field.repeat(*(1,) * (field.dim() - 1), count) for field in state))
     headings = torch.remainder(state.heading_steps + turn, layout.headings).to(torch.int32)
     later = later._replace(x=x.flatten(), y=y.flatten(), heading_steps=headings.flatten(), touching=touched.flatten())
-    after = _estimate_costs(layout, tables, fields, later, goal.repeat(count), cells.repeat(1, count),
+    goals = goal.repeat(count)
+    reach = find_reach(layout, tables, fields, later, goals) if presses_by_hand(layout) else None
+    after = _estimate_costs(layout, tables, fields, later, goals, reach, cells.repeat(1, count),
                             costs.repeat(1, count), depth - 1)
     return after.amin(0).view_as(x) + 1.0

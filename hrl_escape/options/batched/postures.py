@@ -20,9 +20,9 @@ __all__ = ["FAR", "POSTURES", "PostureLibrary", "choose_postures"]
 
 POSTURES = 64
 """Postures kept for a target."""
-FAR = 1_000
-"""Stands for the joint steps of postures that only fill up a table."""
-_FIELDS, _MOST, _LEAST = 24, 8, 2  # fields of all targets together, and of one
+FAR = 20_000
+"""Stands for the joint steps of postures that only fill up a table, more than any way is long."""
+_MOST, _LEAST = 8, 2  # fields of one target
 _NEAR = 0.15  # hands that are this close share a field, m
 
 
@@ -44,14 +44,19 @@ class PostureLibrary(NamedTuple):
     limit: float
 
 
-def choose_postures(instance: RoomInstance) -> PostureLibrary:
-    """Choose the postures of all targets: half of them the cheapest from home, the others far apart."""
+def choose_postures(instance: RoomInstance, fields: int) -> PostureLibrary:
+    """Choose the postures of all targets: half of them the cheapest from home, the others far apart.
+
+    Args:
+        instance: the room.
+        fields: about how many fields there may be in all; every target has two to eight.
+    """
     count, reacher = len(instance.targets), Reacher(instance)
     steps = np.full((count, POSTURES, instance.robot.joints), FAR, dtype=np.int32)
     hands = np.zeros((count, POSTURES, 3))
-    fields = np.zeros((count, POSTURES), dtype=np.int64)
+    numbers = np.zeros((count, POSTURES), dtype=np.int64)
     approaches: list[tuple[float, ...]] = []
-    most = min(max(_FIELDS // max(count, 1), _LEAST), _MOST)
+    most = min(max(fields // max(count, 1), _LEAST), _MOST)
     for target in range(count):
         every, places = list_postures(reacher, target)
         if len(every) == 0:
@@ -61,9 +66,9 @@ def choose_postures(instance: RoomInstance) -> PostureLibrary:
         shown = _spread(places[:, :2], [0], most, _NEAR)
         away = np.linalg.norm(places[:, None, :2] - places[shown, :2], axis=2)
         steps[target, : len(every)], hands[target, : len(every)] = every, places
-        fields[target, : len(every)] = len(approaches) + away.argmin(axis=1)
+        numbers[target, : len(every)] = len(approaches) + away.argmin(axis=1)
         approaches += [(target, *places[n].tolist()) for n in shown]
-    return PostureLibrary(steps, hands, fields, np.array(approaches).reshape(-1, 4), reacher.limit)
+    return PostureLibrary(steps, hands, numbers, np.array(approaches).reshape(-1, 4), reacher.limit)
 
 
 def _spread(points: NDArray[Any], chosen: list[int], most: int, near: float) -> list[int]:

@@ -268,6 +268,8 @@ def _back_up(values, moves, own, leaving, penalty, tolerance, begin, count, fres
                                            moves.begun[row, m], moves.outside[row, m], own, leaving, penalty, best)
             cell = end
     length, around = count * fields, classes + classes // 2
+    for c in range(classes):
+        _keep_goal(values[c, begin * fields:begin * fields + length], fresh[c, :length])
     for k in range(around):  # turns to either side, as far round as pays
         _take_less_after_turn(fresh[k % classes, :length], fresh[(k + 1) % classes, :length])
     for k in range(around, 0, -1):
@@ -276,9 +278,8 @@ def _back_up(values, moves, own, leaving, penalty, tolerance, begin, count, fres
     for c in range(classes):
         new, old = fresh[c, :length], values[c, begin * fields:begin * fields + length]
         for n in range(length):
-            value = new[n] if old[n] != _GOAL else _GOAL
-            changes += abs(value - old[n]) >= tolerance
-            old[n] = value
+            changes += abs(new[n] - old[n]) >= tolerance
+            old[n] = new[n]
     return changes > 0
 
 
@@ -308,6 +309,13 @@ def _take_less_by_goal(line, corner, rows, weights, begun, is_out, own, leaving,
         if begun & ~own[n]:
             cost += penalty
         best[n] = min(best[n], cost)
+
+
+@kernel_part
+def _keep_goal(old, best):
+    """Lower `best` to the cost of states that are the goal themselves."""
+    for n in range(best.shape[0]):
+        best[n] = _GOAL if old[n] == _GOAL else best[n]
 
 
 @kernel_part

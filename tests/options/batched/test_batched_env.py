@@ -16,7 +16,6 @@ from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError
-from hrl_escape.options.batched.decisions import PLAN_LENGTH
 from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import PressGoal
@@ -241,45 +240,6 @@ def test_compiled_steps_do_what_eager_ones_do_and_never_recompile():
     compiled.reset(torch.arange(16), torch.arange(16) < 3)
     compiled.step(torch.zeros(16, dtype=torch.int64))
     assert counters["stats"]["unique_graphs"] == before + 1
-
-
-# --- presses by hand ---------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(("noise", "slip"), [(0.0, 0.0), (0.05, 0.1)])
-def test_presses_by_hand_do_what_options_env_does_primitive_for_primitive(noise, slip):
-    arm = get_preset("arm-two-button")
-    arm = dataclasses.replace(arm, dynamics=dataclasses.replace(arm.dynamics, noise=noise, slip=slip))
-    found = compare_options([generate(arm, seed) for seed in range(2)], 30)
-    assert found.reached == found.decisions == 60
-    assert found.missed == [] and found.side_presses == 0
-    assert found.taken == found.planned > 300
-
-
-def test_a_hand_plan_longer_than_a_room_keeps_is_gone_on_with():
-    far = dataclasses.replace(get_preset("arm-two-button"), room=ShapeConfig(width=100, depth=100))
-    env = begin(BatchedOptionsEnv(2, instance=generate(far, 0), include_primitives=False))
-    single = OptionsEnv(EscapeRoomEnv(instance=env.room.instances[0]), include_primitives=False)
-    single.reset(seed=0)
-    single.unwrapped.set_state(env.room.get_room_state(0))
-    single.resume()
-    done = decide(env, 1)
-    assert int(done.duration) == single.step(1)[4]["duration"] > PLAN_LENGTH and ENDINGS[done.ended] == "reached"
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.05])
-def test_a_target_that_no_hand_reaches_costs_one_primitive(noise):
-    arm = get_preset("arm-two-button")
-    arm = dataclasses.replace(arm, dynamics=dataclasses.replace(arm.dynamics, noise=noise))
-    room = generate(arm, 0)
-    high = (dataclasses.replace(room.targets[0], z=9.0), *room.targets[1:])
-    env = begin(BatchedOptionsEnv(2, instance=dataclasses.replace(room, targets=high), include_primitives=False))
-    before = env.room.get_room_state(0)
-    done = env.step(torch.tensor([0, 1]))
-    assert done.where.tolist() == [True, False]
-    assert (ENDINGS[done.ended[0]], int(done.duration[0]), int(done.pressed[0])) == ("planning-failed", 1, 0)
-    after = env.room.get_room_state(0)
-    assert (after.x, after.y) == (before.x, before.y) and after.heading_steps != before.heading_steps
 
 
 # --- refusals --------------------------------------------------------------------------------

@@ -152,31 +152,6 @@ def test_ragged_decisions_add_up_to_the_return_of_their_primitives(kind):
     assert len({n for n, _ in episodes}) >= 3 and {bonus for _, bonus in episodes} == {0.0, 100.0}
 
 
-@pytest.mark.parametrize("arguments", [
-    {"interruptible": True}, {"flavour": "press-with-ancestors"},
-    {"options": OptionDegradation(failure=0.2, early_stop=0.3, detour=2, flavour="press-with-ancestors", seed=4)},
-], ids=["interrupted", "with ancestors", "worse"])
-def test_presses_by_hand_of_every_kind_take_the_primitives_of_options_env(arguments):
-    env = BatchedOptionsEnv(2, instance=generate(get_preset("arm-two-button"), 0), include_primitives=False,
-                            observation="state", **arguments)
-    single = OptionsEnv(EscapeRoomEnv(instance=env.room.instances[0], observation="state"), include_primitives=False,
-                        **arguments)
-    for room in range(2):
-        env.reset(torch.arange(2))
-        single.reset(seed=room)
-        for choice in (1, 1, 1, 0, 1, 0):
-            ended = None
-            for _ in range(100 if "interruptible" in arguments else 1):
-                done = step_room(env, room, choice)
-                seen, reward, *_, info = single.step(choice)
-                ended = ENDINGS[done.ended]
-                assert (ended, int(done.duration), float(done.reward)) == (
-                    info["option"]["ended"], info["duration"], reward)
-                np.testing.assert_allclose(done.next_observation.numpy(), seen, atol=1e-5)
-                if ended != "interrupted":
-                    break
-
-
 def step_room(env, room, choice):
     """One decision of one room, the others turning on the spot or whatever they do."""
     for _ in range(300):
