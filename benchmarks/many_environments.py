@@ -27,7 +27,7 @@ import hrl_escape  # noqa: F401  # registers the rooms
 from hrl_escape.agents import train
 
 RATES = "hrl_escape/PaperTwoButton-v1"
-OPTIONS = "hrl_escape/PaperTwoButtonOptions-v1"
+CHOOSING = ("PaperTwoButton", "ArmTwoButton")
 PEERS = (1, 8)
 PICTURED = ("PaperTwoButton", "Clutter")
 RATE_SETTINGS: dict[str, dict[str, Any]] = {"10 epochs": {}, "4 epochs": {"epochs": 4}}
@@ -54,12 +54,12 @@ def measure_peer(count: int, budget: int) -> float:
     return model.num_timesteps / (time.process_time() - started)
 
 
-def measure_options(contender: str, count: int, quick: bool) -> float:
+def measure_options(contender: str, count: int, room: str, quick: bool) -> float:
     """Masked random options that end in a second of processor time."""
-    arguments = {"observation": "features", "include_primitives": False}
+    name, arguments = f"hrl_escape/{room}Options-v1", {"observation": "features", "include_primitives": False}
     rng, steps = np.random.default_rng(0), 20 if quick else 60
     if contender == "single":
-        env: Any = gymnasium.make(OPTIONS, **arguments)
+        env: Any = gymnasium.make(name, **arguments)
         _, info = env.reset(seed=0)
         started = 0.0
         for number in range(50 + 10 * steps):
@@ -69,7 +69,7 @@ def measure_options(contender: str, count: int, quick: bool) -> float:
             if terminated or truncated:
                 _, info = env.reset()
         return 10 * steps / (time.process_time() - started)
-    env = gymnasium.make_vec(OPTIONS, num_envs=count, output="torch", autoreset_mode="SameStep",
+    env = gymnasium.make_vec(name, num_envs=count, output="torch", autoreset_mode="SameStep",
                              compile=contender.endswith("compiled"), **arguments)
     if contender == "vector environment":
         _, info = env.reset(seed=0)
@@ -112,14 +112,14 @@ def measure_pixels(contender: str, count: int, room: str, quick: bool) -> float:
 def list_runs(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     """What each run is, without its outcome."""
     if arguments.what == "options":
-        return [{"what": "options", "contender": contender, "count": count, "round": number}
-                for number in range(arguments.rounds)
+        return [{"what": "options", "contender": contender, "count": count, "round": number, "room": room}
+                for number in range(arguments.rounds) for room in arguments.rooms
                 for contender, counts in (("single", [1]), ("vector environment", arguments.counts),
                                           ("own pace", arguments.counts), ("own pace, compiled", arguments.counts))
                 for count in counts]
     if arguments.what == "pixels":
         return [{"what": "pixels", "contender": contender, "count": count, "round": number, "room": room}
-                for number in range(arguments.rounds) for room in PICTURED
+                for number in range(arguments.rounds) for room in arguments.rooms
                 for contender, counts in (("single", [1]), ("batch", arguments.counts))
                 for count in counts]
     return [{"what": "rates", "contender": contender, "count": count, "round": number}
@@ -132,7 +132,7 @@ def execute(run: dict[str, Any], quick: bool) -> dict[str, Any]:
     """Outcome of a run."""
     count, peer = run["count"], run["contender"] == "sb3"
     if run["what"] == "options":
-        return {"rate": measure_options(run["contender"], count, quick)}
+        return {"rate": measure_options(run["contender"], count, run["room"], quick)}
     if run["what"] == "pixels":
         return {"rate": measure_pixels(run["contender"], count, run["room"], quick)}
     budget = 4_096 if quick or peer or count <= 8 else 64 * count
@@ -160,12 +160,15 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("what", choices=["rates", "options", "pixels"])
     parser.add_argument("--counts", nargs="+", type=int, help="numbers of environments")
+    parser.add_argument("--rooms", nargs="+", help="rooms of options and pixels")
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--out", type=Path, default=Path("many_environments.jsonl"), help="where runs are kept")
     parser.add_argument("--quick", action="store_true", help="small budgets, one round")
     arguments = parser.parse_args()
     if arguments.counts is None:
         arguments.counts = {"rates": [1, 8, 64, 512, 4096], "options": [256, 2048], "pixels": [64]}[arguments.what]
+    if arguments.rooms is None:
+        arguments.rooms = {"options": CHOOSING, "pixels": PICTURED}.get(arguments.what, [None])
     if arguments.quick:
         arguments.rounds = 1
     torch.set_num_threads(1)
@@ -176,7 +179,7 @@ def main() -> None:
             with arguments.out.open("a") as file:
                 file.write(json.dumps(rows[-1]) + "\n")
             print(rows[-1], flush=True)
-    for room in PICTURED if arguments.what == "pixels" else [None]:
+    for room in arguments.rooms:
         print(*([] if room is None else [f"\n{room}\n"]), sep="", end="")
         print(summarise([row for row in rows if row.get("room") == room], arguments.what))
 

@@ -125,4 +125,41 @@ MUTATIONS = [
         "if False:",
         "options/test_from_agents.py::test_a_call_inside_an_option_runs_to_its_own_end",
     ),
+    Mutation(
+        "turns into the goal of a press by hand are not backed up",
+        "options/batched/value_iteration.py",
+        "best[n] = _GOAL if old[n] == _GOAL else best[n]",
+        "best[n] = best[n]",
+        "options/batched/test_hand_presses.py::"
+        "test_fields_of_postures_are_zero_in_touch_and_else_one_more_than_the_best_that_a_primitive_leads_to",
+    ),
+    Mutation(
+        "fields of presses by hand take the hand to be on the other side",
+        "options/batched/field_grid.py",
+        "cos * hand[0] - sin * hand[1]",
+        "cos * hand[0] + sin * hand[1]",
+        "options/batched/test_hand_presses.py::"
+        "test_fields_of_postures_are_zero_in_touch_and_else_one_more_than_the_best_that_a_primitive_leads_to",
+    ),
+    Mutation(
+        "a target out of the hand's reach is a long way off",
+        "options/batched/postures.py",
+        "FAR = 20_000",
+        "FAR = 1_000",
+        "options/batched/test_hand_presses.py::test_a_target_that_no_hand_reaches_costs_one_primitive",
+    ),
+    Mutation(
+        "a hand that holds its target down presses it again by other postures",
+        "options/batched/hand_policy.py",
+        "torch.where(is_held, UNREACHABLE, least)",
+        "least",
+        "options/batched/test_hand_presses.py::test_a_press_that_is_held_is_let_go_and_made_again",
+    ),
+    Mutation(
+        "joints step away from the posture that presses",
+        "options/batched/hand_policy.py",
+        "[wanted > 0, wanted < 0]",
+        "[wanted < 0, wanted > 0]",
+        "options/batched/test_hand_presses.py::test_rooms_pressed_by_hand_go_on_without_the_planner",
+    ),
 ]

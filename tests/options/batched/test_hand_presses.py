@@ -48,8 +48,8 @@ def test_rooms_pressed_by_hand_go_on_without_the_planner():
     assert env._host_planner._planners == {}, "no planner was ever asked"
 
 
-@pytest.mark.parametrize("config", [ARM, SEVEN], ids=["arm", "seven"])
-def test_every_press_by_hand_is_one_that_the_exact_rules_of_the_room_make(config):
+@pytest.mark.parametrize(("config", "least"), [(ARM, 5), (SEVEN, 1)], ids=["arm", "seven"])
+def test_every_press_by_hand_is_one_that_the_exact_rules_of_the_room_make(config, least):
     """Each state is reached from the one before by one primitive of the scalar rules, with the same presses."""
     env = make_env(4, config)
     rules, targets = Kinematics(env.room.instances[0]), len(env.room.instances[0].targets)
@@ -70,7 +70,7 @@ def test_every_press_by_hand_is_one_that_the_exact_rules_of_the_room_make(config
             if done.where[room] and ENDINGS[done.ended[room]] == "reached" and int(done.action[room]) < targets:
                 assert after.touching & ~state.touching == 1 << int(done.action[room]), "this press, and no other"
                 presses += 1
-    assert presses >= 10 and joint_steps >= 5
+    assert presses >= 10 and joint_steps >= least
 
 
 def test_a_hand_presses_from_any_posture_and_any_pose():
