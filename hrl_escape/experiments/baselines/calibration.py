@@ -1,7 +1,8 @@
 """Sentences on whether a ladder is calibrated, by rule from the lines of its baselines.
 
 Chance stays below half the efficiency and falls from rung to rung, the planner reaches all of it, numbers of buttons
-tell nothing, and learners fall off step by step. Only cells of `LEAST_RUNS` runs or more count.
+tell nothing, and learners fall off step by step. Only cells of `LEAST_RUNS` runs or more count. Runs in one room are
+much alike, so that tests are over rooms.
 """
 
 from __future__ import annotations
@@ -10,16 +11,18 @@ import itertools
 from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
+from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun, compute_run_efficiency
 from hrl_escape.experiments.inference import compare_pairs, correct_by_holm
 from hrl_escape.experiments.pairs import ALPHA
 from hrl_escape.experiments.protocols import MOST_CHANCE, STEP, find_miscalibration, find_steps
-from hrl_escape.names import join_words
+from hrl_escape.names import count_nouns, join_words
 
 __all__ = ["CHANCE", "IN_ORDER", "KNOWN", "ROUND", "tell_calibration"]
 
 CHANCE, ROUND = "smdp-random+no-primitives", "smdp-shuffled-round+no-primitives"
+PERMUTATIONS = 2_000
 IN_ORDER, KNOWN = "smdp-index-order+no-primitives", "planner"
 
 
@@ -44,7 +47,7 @@ def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], run
         told.append(f"Random choices among the options stay below an efficiency of {MOST_CHANCE:g} "
                     f"{_count(above, chance)}.")
     if len(chance) > 1:
-        told.append(_tell_chance_order(chance))
+        told.append(_tell_chance_order({rung: _average_rooms(enough[rung, CHANCE]) for rung in chance}))
     if known := curves.get(KNOWN):
         below = [rung for rung, value in known.items() if find_miscalibration(0.0, value, rung in noisy)]
         told.append(f"The planner, who knows the graph, is as efficient as can be {_count(below, known)}.")
@@ -66,21 +69,53 @@ def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], run
     return told
 
 
-def _tell_chance_order(chance: Mapping[str, float]) -> str:
-    """Sentence on whether chance falls from each rung to the next, which is what rungs are in order of."""
-    rises = [f"`{after}` ({high:.2f}) after `{before}` ({low:.2f})"
-             for (before, low), (after, high) in itertools.pairwise(chance.items()) if high > low]
+def _average_rooms(runs: Sequence[BaselineRun]) -> dict[str, float]:
+    """Mean efficiency in each room."""
+    rooms: dict[str, list[float]] = {}
+    for run in runs:
+        rooms.setdefault(run.rooms, []).append(run.efficiency)
+    return {room: float(np.mean(values)) for room, values in rooms.items()}
+
+
+def _tell_chance_order(chance: Mapping[str, Mapping[str, float]]) -> str:
+    """Sentence on whether chance falls from each rung to the next, which is what rungs are in order of.
+
+    Two rungs are compared by what chance reaches in the rooms of each, tried with rooms that change places; all steps
+    are one family (Holm).
+
+    Args:
+        chance: rung -> its rooms' mean efficiencies, the rungs in order.
+    """
+    steps = list(itertools.pairwise((rung, list(rooms.values())) for rung, rooms in chance.items()))
+    p = correct_by_holm([_compare_rooms(before, after) for (_, before), (_, after) in steps])
+    shown = [(before, after) for (before, after), corrected in zip(steps, p, strict=True) if corrected < ALPHA]
+    rises = [f"`{after}` ({np.mean(high):.2f}) after `{before}` ({np.mean(low):.2f})"
+             for (before, low), (after, high) in shown if np.mean(high) > np.mean(low)]
     if rises:
         return f"The rungs are not in the order of what chance reaches: {join_words(rises)}."
-    return "The rungs are in the order of what chance reaches: it falls from each to the next."
+    if len(shown) == len(steps):
+        return "The rungs are in the order of what chance reaches: it falls from each to the next."
+    falls = join_words(f"from `{before}` to `{after}`" for (before, _), (after, _) in shown)
+    also = f"it falls {falls}, and " if shown else ""
+    return (f"No rung is shown to be out of the order of what chance reaches: {also}no difference is shown on "
+            f"{len(steps) - len(shown)} of {count_nouns(len(steps), 'step')} (permutations of rooms, Holm).")
+
+
+def _compare_rooms(one: Sequence[float], other: Sequence[float]) -> float:
+    """Two-sided p-value of the difference of two means, by permutations of the rooms; the same every time."""
+    if min(len(one), len(other)) < 2:
+        return 1.0
+    test = stats.permutation_test(
+        (one, other), lambda x, y, axis: np.mean(x, axis=axis) - np.mean(y, axis=axis), vectorized=True,
+        n_resamples=PERMUTATIONS, rng=np.random.default_rng(2019))
+    return float(test.pvalue)
 
 
 def _tell_order(enough: Mapping[tuple[str, str], Sequence[BaselineRun]], rungs: Sequence[str]) -> str:
     """Sentence on whether rounds in the order of the numbers beat rounds in an order drawn for the episode."""
     tests = {}
     for rung in (rung for rung in rungs if (rung, IN_ORDER) in enough and (rung, ROUND) in enough):
-        ours, theirs = ({(run.rooms, run.seed): run.efficiency for run in enough[rung, agent]}
-                        for agent in (IN_ORDER, ROUND))
+        ours, theirs = (_average_rooms(enough[rung, agent]) for agent in (IN_ORDER, ROUND))
         differences = [ours[place] - theirs[place] for place in ours.keys() & theirs.keys()]
         tests[rung] = compare_pairs([np.array(sorted(differences))])
     if not tests:
