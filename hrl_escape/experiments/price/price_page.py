@@ -28,8 +28,8 @@ from hrl_escape.experiments.price.contestants import (
 from hrl_escape.experiments.price.price_runs import PriceRun
 from hrl_escape.experiments.price.price_words import (
     compare_with_chance,
-    conclude_price,
-    conclude_variant,
+    conclude_prices,
+    conclude_variants,
     tell_factor,
     tell_longest,
     tell_number,
@@ -54,15 +54,10 @@ def write_price_page(runs: Sequence[PriceRun], docs: Path) -> list[str]:
     Raises:
         FileWriteError: a file cannot be written.
     """
-    conclusions = [*(_conclude(runs, *_HEADLINE, cost) for cost in COSTS[:2]), tell_longest(runs)]
+    conclusions = [*conclude_prices(runs, *_HEADLINE, COSTS[:2]), tell_longest(runs)]
     save_figure(docs / "figures" / "price.svg", draw_price(runs))
     write_text(docs / "price.md", "\n".join(_write_lines(runs, conclusions)))
     return conclusions
-
-
-def _conclude(runs: Sequence[PriceRun], flat: str, options: str, cost: RunCost) -> str:
-    ratios = compare_costs(_choose(runs, flat), _choose(runs, options), cost)
-    return conclude_price(ratios, measure_growth(ratios), flat, options, cost)
 
 
 def _choose(runs: Sequence[PriceRun], label: str, buttons: int | None = None) -> list[PriceRun]:
@@ -87,7 +82,8 @@ def _write_lines(runs: Sequence[PriceRun], conclusions: Sequence[str]) -> list[s
         "A flat learner's cost divided by that of the same learner over options: the median over replicates, which are "
         "a room of each size and a training seed, with its 95 % interval by signs. A run that did not get there is "
         "known to cost more than it had spent and nothing else; where this leaves the interval without an upper end, "
-        "its lower end is given (>), and the median of what was spent. "
+        "its lower end is given (>), and the median of what was spent. The sentences above conclude where the test of "
+        "signs does so with Holm's correction for all that they conclude. "
         f"`-`: fewer than {LEAST_RUNS} replicates, or no lower end either; learners of whom that holds in all sizes "
         "are not in the table.", "",
         *_tabulate_factors(runs), "",
@@ -158,12 +154,10 @@ def _describe_budgets(runs: Sequence[PriceRun]) -> list[str]:
 
 def _tell_variants(runs: Sequence[PriceRun]) -> list[str]:
     """Section on variants of the headline's flat learner beside it, on the same replicates; empty without any."""
-    plain = _choose(runs, _HEADLINE[0])
     told = []
     for label, words in VARIANTS.items():
-        if own := _choose(runs, label):
-            sentences = [conclude_variant(compare_costs(own, plain, cost), label, _HEADLINE[0], cost)
-                         for cost in COSTS[:2]]
+        if _choose(runs, label):
+            sentences = conclude_variants(runs, label, _HEADLINE[0], COSTS[:2])
             told.append(f"- `{label}` {words}. {' '.join(sentences)}")
     return [f"## Other ways of `{_HEADLINE[0]}`", "", *told, ""] if told else []
 

@@ -7,11 +7,21 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from hrl_escape.experiments.inference import compute_wilson_interval
+from hrl_escape.experiments.pairs import ALPHA
 from hrl_escape.experiments.price.price_runs import PriceRun
-from hrl_escape.experiments.price.ratios import CostRatio, Growth, Median, RunCost
+from hrl_escape.experiments.price.ratios import (
+    CostRatio,
+    Growth,
+    Median,
+    RunCost,
+    compare_costs,
+    correct_prices,
+    measure_growth,
+)
 from hrl_escape.names import count_nouns, join_words
 
-__all__ = ["compare_with_chance", "conclude_price", "conclude_variant", "tell_factor", "tell_longest", "tell_number"]
+__all__ = ["compare_with_chance", "conclude_prices", "conclude_variants", "tell_factor", "tell_longest",
+           "tell_number"]
 
 
 def tell_number(value: float) -> str:
@@ -31,31 +41,45 @@ def tell_factor(median: Median) -> str:
     return f"{tell_number(median.factor)} ({tell_number(median.low)} to {tell_number(median.high)})"
 
 
-def conclude_price(ratios: Sequence[CostRatio], growth: Growth, flat: str, options: str, cost: RunCost) -> str:
-    """The price in a few sentences: size by size, then how it grows.
+def conclude_prices(runs: Sequence[PriceRun], flat: str, options: str, costs: Sequence[RunCost]) -> list[str]:
+    """The price in a few sentences a cost: size by size, then how it grows.
+
+    All that they conclude is one family (Holm).
 
     Args:
-        ratios: of all sizes.
-        growth: of these.
+        runs: of both learners, and of others.
         flat: label of the learner over primitives.
         options: label of the learner over options.
-        cost: that they are of.
+        costs: in their order.
     """
-    told = conclude_variant(ratios, flat, options, cost)
-    return f"{told} {_tell_growth(growth)}" if told.startswith("Until") else told
+    ratios = _compare(runs, flat, options, costs)
+    ratios, growths = correct_prices(ratios, [measure_growth(own) for own in ratios])
+    told = [_conclude(own, flat, options, cost) for own, cost in zip(ratios, costs, strict=True)]
+    return [f"{words} {_tell_growth(growth)}" if words.startswith("Until") else words
+            for words, growth in zip(told, growths, strict=True)]
 
 
-def conclude_variant(ratios: Sequence[CostRatio], one: str, other: str, cost: RunCost) -> str:
-    """One learner's price beside another's in a sentence, size by size.
+def conclude_variants(runs: Sequence[PriceRun], one: str, other: str, costs: Sequence[RunCost]) -> list[str]:
+    """One learner's price beside another's, a sentence a cost, size by size; all that they conclude is one family.
 
     Args:
-        ratios: of their costs, in the sizes of rooms that both were run in.
+        runs: of both learners, and of others.
         one: label of the learner that pays.
         other: label of the one beside it.
-        cost: that they are of.
+        costs: in their order.
     """
+    ratios, _ = correct_prices(_compare(runs, one, other, costs))
+    return [_conclude(own, one, other, cost) for own, cost in zip(ratios, costs, strict=True)]
+
+
+def _compare(runs: Sequence[PriceRun], one: str, other: str, costs: Sequence[RunCost]) -> list[list[CostRatio]]:
+    paid, others = ([run for run in runs if run.agent == label] for label in (one, other))
+    return [compare_costs(paid, others, cost) for cost in costs]
+
+
+def _conclude(ratios: Sequence[CostRatio], one: str, other: str, cost: RunCost) -> str:
     groups: dict[str, list[CostRatio]] = {name: [] for name in ("dearer", "beyond", "cheaper", "below", "equal",
-                                                                   "unknown")}
+                                                                "unknown")}
     for ratio in ratios:
         groups[_classify(ratio.median)].append(ratio)
     parts, unit = [], f"{cost.unit} of `{other}`"
@@ -80,9 +104,14 @@ def conclude_variant(ratios: Sequence[CostRatio], one: str, other: str, cost: Ru
 
 
 def _classify(median: Median) -> str:
-    if median.knowledge == "measured":
-        return "dearer" if median.low > 1 else "cheaper" if median.high < 1 else "equal"
-    return "beyond" if median.low > 1 else "below" if median.high < 1 else "unknown"
+    is_measured = median.knowledge == "measured"
+    if median.p >= ALPHA:
+        return "equal" if is_measured else "unknown"
+    if median.low > 1:
+        return "dearer" if is_measured else "beyond"
+    if median.high < 1:
+        return "cheaper" if is_measured else "below"
+    return "unknown"
 
 
 def _list_times(ratios: Sequence[CostRatio], unit: str, tell: Callable[[Median], str]) -> str:
@@ -99,10 +128,10 @@ def _tell_growth(growth: Growth) -> str:
     if growth.median.knowledge == "unknown":
         return "How the factor grows with a button is not known."
     span, factor = f"from {growth.smallest} to {growth.largest}", tell_factor(growth.median)
-    if growth.median.low > 1:
+    if growth.median.p < ALPHA and growth.median.low > 1:
         more = factor if growth.median.knowledge == "measured" else f"more than {tell_number(growth.median.low)}"
         return f"Each button {span} multiplies the factor by {more}."
-    if growth.median.high < 1:
+    if growth.median.p < ALPHA and growth.median.high < 1:
         return f"Each button {span} multiplies the factor by {factor}, so that it falls."
     return f"That the factor grows with a button is not shown ({span}: times {factor} each)."
 

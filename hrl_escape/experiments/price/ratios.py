@@ -15,9 +15,11 @@ import numpy as np
 from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
 
 from hrl_escape.experiments.baselines.lines import LEAST_RUNS
+from hrl_escape.experiments.inference import correct_by_holm
 from hrl_escape.experiments.price.price_runs import PriceRun
 
-__all__ = ["COSTS", "RunCost", "CostRatio", "LogRange", "Growth", "compare_costs", "find_median", "measure_growth"]
+__all__ = ["COSTS", "RunCost", "CostRatio", "LogRange", "Growth", "compare_costs", "correct_prices", "find_median",
+           "measure_growth"]
 
 Knowledge: TypeAlias = Literal["measured", "bound", "unknown"]
 LogRange: TypeAlias = tuple[float, float]
@@ -69,12 +71,14 @@ class Median(NamedTuple):
         factor: the median; of a bound, the median of the lower ends.
         low: lower end of the 95 % interval.
         high: its upper end.
+        p: of a median of 1, two-sided, by the test of signs; corrected once it is one of a family.
     """
 
     knowledge: Knowledge
     factor: float = np.nan
     low: float = 0.0
     high: float = np.inf
+    p: float = 1.0
 
 
 class CostRatio(NamedTuple):
@@ -130,9 +134,20 @@ def find_median(logs: Sequence[LogRange]) -> Median:
     lower, upper = (np.sort(np.array(ends, dtype=np.float64)) for ends in zip(*logs, strict=True))
     outside = _count_outside(len(logs))
     low, high = float(np.exp(lower[outside])), float(np.exp(upper[-1 - outside]))
+    agreeing = max(int(np.sum(lower > 0)), int(np.sum(upper < 0)))
+    p = min(1.0, 2 * float(stats.binom.cdf(len(logs) - agreeing, len(logs), 0.5)))
     if low == 0:
-        return Median("unknown", high=high)
-    return Median("measured" if np.isfinite(high) else "bound", float(np.exp(np.median(lower))), low, high)
+        return Median("unknown", high=high, p=p)
+    return Median("measured" if np.isfinite(high) else "bound", float(np.exp(np.median(lower))), low, high, p)
+
+
+def correct_prices(ratios: Sequence[Sequence[CostRatio]], growths: Sequence[Growth] = ()
+                   ) -> tuple[list[list[CostRatio]], list[Growth]]:
+    """Correct the p-values of ratios, cost by cost, and of their growths as one family (Holm)."""
+    p = iter(correct_by_holm([*(ratio.median.p for own in ratios for ratio in own),
+                              *(growth.median.p for growth in growths)]))
+    return ([[ratio._replace(median=ratio.median._replace(p=next(p))) for ratio in own] for own in ratios],
+            [growth._replace(median=growth.median._replace(p=next(p))) for growth in growths])
 
 
 def _count_outside(count: int) -> int:

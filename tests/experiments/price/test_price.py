@@ -34,8 +34,8 @@ from hrl_escape.experiments.price.price_runs import (
 )
 from hrl_escape.experiments.price.price_words import (
     compare_with_chance,
-    conclude_price,
-    conclude_variant,
+    conclude_prices,
+    conclude_variants,
     tell_longest,
     tell_number,
 )
@@ -65,9 +65,8 @@ def make_truth(price: float, growth: float, replicates: int = 10, budget: int = 
 
 
 def conclude(lines: list[PriceRun]) -> str:
-    ratios = compare_costs([line for line in lines if line.agent == "f"], [line for line in lines if line.agent == "o"],
-                           COSTS[0])
-    return conclude_price(ratios, measure_growth(ratios), "f", "o", COSTS[0])
+    sentence, = conclude_prices(lines, "f", "o", COSTS[:1])
+    return sentence
 
 
 # --- ratios --------------------------------------------------------------------------------
@@ -122,6 +121,17 @@ def test_a_price_that_grows_is_told_with_its_growth():
     assert growth.median.low < 2 < growth.median.high < 2.3
 
 
+@pytest.mark.parametrize(("dearer", "told"), [(10, "pays"), (9, "is not shown to pay")])
+def test_a_price_is_told_where_the_signs_show_it_among_all_that_is_concluded(dearer: int, told: str):
+    """Nine of ten are 0.021 by themselves, and 0.13 among five sizes and a growth (Holm); ten are 0.012."""
+    lines = [make_line(agent, buttons, replicate, 1_000 * (3 if agent == "f" and replicate < dearer else 1) + replicate)
+             for agent in "of" for buttons in BUTTON_COUNTS for replicate in range(10)]
+    flat, options = ([line for line in lines if line.agent == name] for name in "fo")
+    alone = compare_costs(flat, options, COSTS[0])[0].median
+    assert alone.low > 1 and alone.p == pytest.approx(stats.binomtest(dearer, 10).pvalue)
+    assert f"`f` {told}" in conclude(lines)
+
+
 def test_where_no_flat_run_gets_there_only_a_bound_is_told():
     told = conclude(make_truth(price=10_000.0, growth=2.0, budget=100_000))
     assert "pays more than" in told and "(" not in told.split("primitives")[0]
@@ -153,8 +163,7 @@ def test_cheap_flat_learners_and_too_few_runs_are_told_as_such():
 def test_a_variant_is_told_beside_the_plain_learner_whichever_is_dearer(price: float, budgets: tuple[int, int],
                                                                         told: str):
     lines = [dataclasses.replace(line, **cap(line, budgets["fo".index(line.agent)])) for line in make_truth(price, 1.0)]
-    one, other = ([line for line in lines if line.agent == name] for name in "fo")
-    assert told in conclude_variant(compare_costs(one, other, COSTS[0]), "f", "o", COSTS[0])
+    assert told in conclude_variants(lines, "f", "o", COSTS[:1])[0]
 
 
 def cap(line: PriceRun, budget: int) -> dict[str, int | None]:
