@@ -16,7 +16,7 @@ from scipy.optimize import isotonic_regression
 
 from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.errors import ComparisonError, ConfigError, OptionError
-from hrl_escape.experiments.inference import compute_interval
+from hrl_escape.experiments.inference import LEVEL, compute_interval
 from hrl_escape.experiments.statistics import compute_mean
 from hrl_escape.options.options_env import OptionsEnv
 
@@ -29,7 +29,7 @@ class DialPlace(NamedTuple):
     Attributes:
         failure: probability of failing at which a planned option is worth as much, in [0, 1]: 0 for one that is worth
             no less than the planned one.
-        low: lower end of the 95 % interval.
+        low: lower end of its interval.
         high: upper end.
     """
 
@@ -69,7 +69,8 @@ def measure_option(env: OptionsEnv, option: str, is_reached: Callable[[Any, Mapp
     return worth
 
 
-def place_on_dial(curve: Mapping[float, ArrayLike], worth: ArrayLike, seed: int = 0) -> DialPlace:
+def place_on_dial(curve: Mapping[float, ArrayLike], worth: ArrayLike, seed: int = 0, level: float = LEVEL
+                  ) -> DialPlace:
     """Find how often a planned option fails that is worth as much as a learned one.
 
     Args:
@@ -77,6 +78,7 @@ def place_on_dial(curve: Mapping[float, ArrayLike], worth: ArrayLike, seed: int 
             is made monotone, and linear between its points.
         worth: what the learned option is worth, one number a run.
         seed: fixes the draws of the interval, which is that of the mean over runs; the curve counts as known.
+        level: confidence of the interval; 1 - 0.05 / n where n options are compared, or the best of n is picked.
 
     Raises:
         ComparisonError: fewer than two points, or no run.
@@ -91,5 +93,5 @@ def place_on_dial(curve: Mapping[float, ArrayLike], worth: ArrayLike, seed: int 
     def find(value: float) -> float:
         return float(np.interp(value, means[::-1], failures[::-1]))
 
-    low, high = compute_interval(compute_mean, [scores], (0.0, 1.0), np.random.default_rng(seed))
+    low, high = compute_interval(compute_mean, [scores], (0.0, 1.0), np.random.default_rng(seed), level=level)
     return DialPlace(find(float(scores.mean())), find(float(high)), find(float(low)))

@@ -23,6 +23,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.errors import ComparisonError
 from hrl_escape.experiments.baselines.lines import LEAST_RUNS, load_data_lines, save_lines
 from hrl_escape.experiments.grid import AgentSpec
+from hrl_escape.experiments.inference import LEVEL
 from hrl_escape.experiments.option_dial import DialPlace, measure_option, place_on_dial
 from hrl_escape.experiments.presets import get_grid
 from hrl_escape.options.degraded import OptionDegradation
@@ -186,8 +187,8 @@ class PlacedOption(NamedTuple):
     place: DialPlace
 
 
-def place_lines(lines: Sequence[DialLine]) -> list[PlacedOption]:
-    """Place every learned option of the lines, in their order.
+def place_lines(lines: Sequence[DialLine], level: float = LEVEL) -> list[PlacedOption]:
+    """Place every learned option of the lines, in their order, with intervals of this confidence.
 
     Raises:
         ComparisonError: the lines have no curve.
@@ -199,15 +200,26 @@ def place_lines(lines: Sequence[DialLine]) -> list[PlacedOption]:
             learned[line.option, line.primitives].append(line.worth)
         else:
             curve[line.failure].append(line.worth)
-    return [PlacedOption(*key, len(worth), place_on_dial(curve, worth)) for key, worth in learned.items()]
+    return [PlacedOption(*key, len(worth), place_on_dial(curve, worth, level=level)) for key, worth in learned.items()]
 
 
-def conclude_dial(placed: Sequence[PlacedOption]) -> str:
-    """The best option after all training and after the least, as planned options that fail so often."""
+def conclude_dial(lines: Sequence[DialLine]) -> str:
+    """The best option after all training and after the least, as planned options that fail so often.
+
+    Intervals hold together for the options of all agents after both (Bonferroni), so also for the best of them.
+
+    Raises:
+        ComparisonError: the lines have no curve, or no learned option.
+    """
+    placed = place_lines(lines)
+    if not placed:
+        raise ComparisonError("no learned option was measured")
     last = max(option.primitives for option in placed)
-    settled = [option for option in placed if option.runs >= LEAST_RUNS and option.primitives == last]
-    if not settled:
+    chosen = [option for option in placed if option.runs >= LEAST_RUNS and option.primitives == last]
+    if not chosen:
         return f"Nothing is concluded, as no agent has {LEAST_RUNS} runs."
+    placed = place_lines(lines, 1 - (1 - LEVEL) / (2 * len(chosen)))
+    settled = [option for option in placed if option[:3] in {option[:3] for option in chosen}]
     best = min(settled, key=lambda option: option.place)
     early = min((option for option in placed if option.option == best.option), key=lambda option: option.primitives)
     words = f"After {last:,} primitives the best learned option, of `{best.option}`, is worth a planned one that fails "
@@ -227,9 +239,7 @@ def make_dial_section(study: DialStudy, lines: Sequence[DialLine]) -> list[str]:
     Raises:
         ComparisonError: the lines have no curve, or no learned option.
     """
-    placed = place_lines(lines)
-    if not placed:
-        raise ComparisonError("no learned option was measured")
+    conclusion, placed = conclude_dial(lines), place_lines(lines)
     budgets = sorted({option.primitives for option in placed})
     cells: Mapping[tuple[str, int], PlacedOption] = {option[:2]: option for option in placed}
     rows = [f"| option of | {' | '.join(f'{budget:,}' for budget in budgets)} |", f"|---|{'---|' * len(budgets)}"]
@@ -238,12 +248,12 @@ def make_dial_section(study: DialStudy, lines: Sequence[DialLine]) -> list[str]:
         rows.append(f"| `{name}` | {' | '.join('-' if cell is None else _tell(cell.place) for cell in found)} |")
     whole = np.mean([line.worth for line in lines if line.failure == 0])
     return [
-        "## Learned options on the dial of planned ones", "", f"**{conclude_dial(placed)}**", "",
+        "## Learned options on the dial of planned ones", "", f"**{conclusion}**", "",
         f"In {study.room} an option is called at the start to light the goal's button with all that it needs. A call "
         f"is worth 0.99 to the power of the primitives that it takes, and 0 if the button is not on when it ends or "
         f"after {study.longest} primitives. The planned option (`{FLAVOUR}`, which knows the graph) is worth "
         f"{whole:.2f}; `OptionDegradation(failure=...)` makes it fail at {len(study.failures)} rates, and "
         "`place_on_dial` finds the rate at which it is worth as much as a learned one. Of an agent's options, or of "
         "its whole policy where it has none, the best counts, chosen in other calls. Mean over training seeds with "
-        "its 95 % interval, by primitives of training:", "", *rows, "",
+        "its 95 % interval, by primitives of training; above, intervals hold for all options together:", "", *rows, "",
     ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -31,27 +32,37 @@ def make_lines(worth: dict[tuple[str, int], float], runs: int = 10) -> list[Dial
 
 
 def test_another_truth_is_another_place_and_another_sentence():
-    placed = place_lines(make_lines({("good", 100): 0.1, ("bad", 100): 0.0, ("good", 900): 0.3, ("bad", 900): 0.05}))
+    lines = make_lines({("good", 100): 0.1, ("bad", 100): 0.0, ("good", 900): 0.3, ("bad", 900): 0.05})
+    placed = place_lines(lines)
     assert [(option.option, option.primitives) for option in placed] == [
         ("good", 100), ("bad", 100), ("good", 900), ("bad", 900)]
     assert [option.place.failure for option in placed] == pytest.approx([0.8, 1.0, 0.4, 0.9])
-    said = conclude_dial(placed)
+    said = conclude_dial(lines)
     assert said.startswith("After 900 primitives the best learned option, of `good`, is worth a planned one that "
                            "fails 40% (")
     assert "after 100 it was worth one that fails 80% (" in said
-    turned = conclude_dial(place_lines(make_lines({("good", 900): 0.05, ("bad", 900): 0.5})))
+    turned = conclude_dial(make_lines({("good", 900): 0.05, ("bad", 900): 0.5}))
     assert "of `bad`, is worth a planned one that fails 0% (" in turned
 
 
 def test_an_option_is_called_useless_only_where_its_interval_says_so():
     lines = make_lines({("good", 900): 0.5, ("bad", 900): 0.0}, runs=40)
-    assert conclude_dial(place_lines(lines)).endswith("Worth less than one that fails every other time: `bad`.")
+    assert conclude_dial(lines).endswith("Worth less than one that fails every other time: `bad`.")
     unsure = make_lines({("good", 900): 0.5, ("bad", 900): 0.24})
-    assert "every other time" not in conclude_dial(place_lines(unsure))
+    assert "every other time" not in conclude_dial(unsure)
+
+
+def test_the_best_of_many_has_a_wider_interval_than_one_alone():
+    alone = make_lines({("a", 900): 0.3})
+    many = make_lines({(name, 900): 0.3 for name in "abcdefghi"})
+    (low, high), (lowest, highest) = (map(int, re.findall(r"\((\d+)% to (\d+)%\)", conclude_dial(lines))[0])
+                                      for lines in (alone, many))
+    assert lowest <= low < 40 < high < highest, "Bonferroni"
+    assert place_lines(many)[0].place == place_lines(alone)[0].place, "the table's are for each alone"
 
 
 def test_nothing_is_concluded_from_nine_runs_and_nothing_placed_without_options():
-    assert "Nothing is concluded" in conclude_dial(place_lines(make_lines({("good", 900): 0.3}, runs=9)))
+    assert "Nothing is concluded" in conclude_dial(make_lines({("good", 900): 0.3}, runs=9))
     with pytest.raises(ComparisonError, match="no learned option"):
         make_dial_section(DIAL, CURVE)
 
