@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 __all__ = [
     "LATE",
+    "LEAST_RUNS",
     "NEAR_BEST",
     "Floats",
     "Gap",
@@ -37,6 +38,8 @@ Scores: TypeAlias = Sequence[Floats]
 
 NEAR_BEST = 0.95
 """Score from which on a return counts as near the best known."""
+LEAST_RUNS = 10
+"""Fewer runs than these are shown as numbers, and no sentence concludes from them."""
 LATE = 0.8
 """A run is judged by its evaluations from this share of the budget on."""
 

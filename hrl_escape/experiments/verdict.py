@@ -15,12 +15,12 @@ from hrl_escape.experiments import references
 from hrl_escape.experiments.grid import AgentSpec, OptionsView
 from hrl_escape.experiments.pairs import FEWEST_PAIRS, is_better
 from hrl_escape.experiments.score_range import CEILING, PLANNER
+from hrl_escape.experiments.statistics import LEAST_RUNS
 from hrl_escape.experiments.summary import AgentSummary, Summary
 from hrl_escape.names import join_words
 
 __all__ = ["Sentence", "count_things", "find_leader", "tell_privileges", "write_verdict"]
 
-PUBLISHED_RUNS = 10
 SETTLED = 0.9
 """From this share of escapes on, it is said how many primitives an escape takes."""
 
@@ -245,9 +245,9 @@ def _write_cautions(summary: Summary) -> list[str]:
         known = {agent.label for agent in summary.agents}
         lost += [f"`{spec.label}` all {expected}" for spec in grid.agents if spec.label not in known]
         cautions.append(f"Some runs have no result and count nowhere: {join_words(lost)}. Their errors stand below.")
-    if grid.runs < PUBLISHED_RUNS:
+    if grid.runs < LEAST_RUNS:
         cautions.append(f"{count_things(grid.runs, 'run').capitalize()} a room: large differences show, small ones may "
-                        f"not. A published table needs {PUBLISHED_RUNS} or more.")
+                        f"not. A published table needs {LEAST_RUNS} or more.")
     cautions += tell_privileges(agent.spec for agent in summary.agents)
     learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
     chance = [_get_choices(agent) for agent in summary.agents

@@ -16,15 +16,12 @@ import numpy as np
 
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.experiments.comparison import Comparison
-from hrl_escape.experiments.statistics import compute_iqm
+from hrl_escape.experiments.statistics import LEAST_RUNS, compute_iqm
 from hrl_escape.files import read_text, write_text
 from hrl_escape.settings import read_record
 
 __all__ = ["LEAST_RUNS", "BaselineRun", "collect_baselines", "compute_run_efficiency", "join_lines",
            "load_data_lines", "load_lines", "save_lines"]
-
-LEAST_RUNS = 10
-"""Fewer runs than these are shown as numbers, and no sentence concludes from them."""
 
 
 class DataLine(Protocol):

@@ -12,13 +12,15 @@ from typing import Any
 import numpy as np
 import pytest
 from rich.console import Console
+from scipy import stats
 
 from hrl_escape.cli import main
 from hrl_escape.errors import ComparisonError, FileReadError, RunBusyError
 from hrl_escape.experiments.comparison import run_grids
 from hrl_escape.experiments.launching.local import LocalLauncher
 from hrl_escape.experiments.studies.scaling import study as scaling
-from hrl_escape.experiments.studies.scaling.findings import tell_difficulty, tell_replication, tell_sizes, tell_told
+from hrl_escape.experiments.studies.scaling.difficulty import compute_rank_correlations, tell_difficulty
+from hrl_escape.experiments.studies.scaling.findings import tell_replication, tell_sizes
 from hrl_escape.experiments.studies.scaling.followed_runs import count_spared, follow_runs, list_bins
 from hrl_escape.experiments.studies.scaling.page import write_scaling_page
 from hrl_escape.experiments.studies.scaling.scaling_runs import (
@@ -38,6 +40,7 @@ from hrl_escape.experiments.studies.scaling.study import (
     make_room,
     run_scaling,
 )
+from hrl_escape.experiments.studies.scaling.told import HOLDS, compute_told_costs, tell_told
 from tests.experiments.small import break_checkpoint
 
 KNOWN = (*AGENTS, *(spec.label for spec in TOLD))
@@ -233,7 +236,7 @@ def test_a_part_of_some_agents_joins_the_results_that_are_there(tmp_path, monkey
     found = {run.place: run for run in load_scaling_runs(raw, KNOWN)}
     assert len(found) == 4 and all(found[run.place] == run for run in (*kept, other))
     assert found[old.place].room != "old" and found[old.place].budget == 60
-    assert "| ignore | all-on, 2 | 1 | 1 | 1 | 1 | 60 |" in (tmp_path / "scaling.md").read_text()
+    assert "| ignore | all-on, 2 | 1 | 1 | 1 | 1 | 60 | 60 |" in (tmp_path / "scaling.md").read_text()
 
 
 def test_runs_of_another_budget_and_unknown_agents_are_refused_before_anything_runs(tmp_path, capsys):
@@ -300,11 +303,25 @@ def make_rooms(read):
     (lambda buttons, edges, depth: edges, "Edges that matter order rooms best"),
     (lambda buttons, edges, depth: depth, "Depth orders rooms best"),
     (lambda buttons, edges, depth: buttons, "Buttons order rooms best"),
-    (lambda buttons, edges, depth: SIZES.index(buttons) + 2 * (1, 4, 9).index(edges), "about equally well"),
+    (lambda buttons, edges, depth: SIZES.index(buttons) + 2 * (1, 4, 9).index(edges),
+     "Buttons order rooms better than depth and edges that matter order rooms better than depth by"),
+    (lambda buttons, edges, depth: (7 * buttons + 3 * edges + 5 * depth) % 11,
+     "No measure is shown to order rooms better than another"),
 ])
 def test_what_makes_rooms_difficult_is_read_off_the_runs(read, said):
-    sentence, = tell_difficulty(make_rooms(read), 20_000)
+    sentence, = tell_difficulty(make_rooms(read), np.random.default_rng(0))
     assert said in sentence
+
+
+def test_rank_correlations_are_spearmans_averaged_over_agents_and_rules():
+    rooms = [run for run in make_rooms(lambda buttons, edges, depth: buttons * edges + depth) if run.agent == AGENTS[0]]
+    rooms += [dataclasses.replace(run, rule="reset", first_escape=None if run.edges == 9 else run.buttons)
+              for run in rooms]
+    found = compute_rank_correlations(rooms)
+    for measure, read in (("buttons", lambda run: run.buttons), ("edges that matter", lambda run: run.edges)):
+        expected = [stats.spearmanr([read(run) for run in own], [run.first_escape or run.budget for run in own])[0]
+                    for own in (rooms[:36], rooms[36:])]
+        assert found[measure] == pytest.approx(np.mean(expected))
 
 
 def test_sizes_that_all_runs_master_are_told_agent_by_agent():
@@ -327,17 +344,9 @@ def test_what_structure_learners_are_told_is_what_the_labels_say():
 
 
 def test_the_page_says_what_being_told_less_costs_and_what_fresh_seeds_give(tmp_path):
-    told = [make_result(spec.label, run=run) for spec in TOLD for run in range(2)]
-    told = [dataclasses.replace(run, structure=((100, 1.0, 0.5),), near_best=None) if run.agent.endswith(" 1") else run
-            for run in told]
-    sentence, = tell_told(told)
-    assert "whole graph told `all-on, 2`, `all-on, 3`, `all-on, 4`, `any, 2`, `any, 3` or `any, 4`; not all do told " \
-        "`all-on, 1` (0 of 2) or `any, 1` (0 of 2)." in sentence
-    assert "told nothing here" in tell_told([run for run in told if run.agent.endswith(" 1")])[0]
+    told = make_told({label: 900 for label in LABELS} | {"all-on, 1": None, "any, 1": None})
     bar = [make_result(run=run, rule="reset") for run in range(10)]
-    assert "the same conclusion" in tell_replication(bar, bar)[0]
     failed = [dataclasses.replace(run, run=run.run + 100, near_best=None) for run in bar]
-    assert "another conclusion. 0 of 10" in tell_replication(failed, bar)[0]
     with pytest.raises(ComparisonError, match="with the part agents"):
         write_scaling_page(told, tmp_path)
     save_scaling_runs(tmp_path / "raw" / "scaling.csv", [*told, *bar])
@@ -345,6 +354,66 @@ def test_the_page_says_what_being_told_less_costs_and_what_fresh_seeds_give(tmp_
     assert main(["experiment", "scaling", "--from-raw", "--docs", str(tmp_path)]) == 0
     page = (tmp_path / "scaling.md").read_text()
     assert "## What structure learners are told" in page and "(seeds 100 to 109)" in page
+
+
+LABELS = [spec.label for spec in TOLD]
+
+
+def make_told(waits, runs=10, rule="ignore"):
+    """Runs of the labels that are near the best with the whole graph after so many primitives, or never."""
+    exact, part = ((800, 1.0, 1.0),), ((100, 1.0, 0.5),)
+    return [dataclasses.replace(
+        make_result(label, run=run, rule=rule, near=wait), primitives=20_000 if wait is None else wait,
+        structure=part if wait is None else exact) for label, wait in waits.items() for run in range(runs)]
+
+
+def test_being_told_less_costs_what_the_runs_show():
+    """By hand: 20,000 in place of 900 is 19,100 more; the signs of ten pairs have p = 2 / 1,024, times 7 by Holm."""
+    told = make_told({label: 900 for label in LABELS} | {"all-on, 1": None, "any, 4": 700})
+    told = [dataclasses.replace(run, primitives=600 + 100 * (run.run % 7)) if run.agent == "all-on, 3" else run
+            for run in told]
+    sentence, = tell_told(told)
+    assert "all runs have the whole graph told `all-on, 2`, `all-on, 3`, `all-on, 4`, `any, 1`, `any, 2`, `any, 3` " \
+        "or `any, 4`; not all do told `all-on, 1` (0 of 10)." in sentence
+    assert "it takes more primitives told `all-on, 1` (19,100, 19,100 to 19,100); it takes fewer primitives told " \
+        "`any, 4` (200, 200 to 200); no difference is shown told `all-on, 3`, `all-on, 4`, `any, 1`, `any, 2` or " \
+        "`any, 3`." in sentence
+    costs = {cost.label: cost for cost in compute_told_costs(told)}
+    assert HOLDS not in costs and costs["all-on, 1"].p == pytest.approx(7 * 2 / 2**10) == costs["any, 4"].p
+    own = [run.primitives - 900 for run in told if run.agent == "all-on, 3"]
+    assert costs["all-on, 3"].more.value == pytest.approx(np.mean(own)) and costs["all-on, 3"].p == 1
+    everywhere = [dataclasses.replace(run, rule=task.rule) for task in TOLD_TASKS for run in told]
+    shown = [cost.p for cost in compute_told_costs(everywhere) if cost.is_shown]
+    assert shown == pytest.approx(6 * [21 * 2 / 2**10])
+
+
+def test_nothing_is_concluded_of_fewer_than_ten_runs_or_without_what_holds():
+    told = make_told({label: 900 for label in LABELS} | {"all-on, 1": None}, runs=9, rule="reset")
+    assert tell_told(told) == ["Rule reset: nothing is concluded from 9 runs of a label."]
+    assert {cost.p for cost in compute_told_costs(told)} == {1.0}
+    sentence, = tell_told(make_told({"all-on, 1": None, "any, 1": None}))
+    assert "told nothing here all runs have the whole graph (`all-on, 1` (0 of 10) and `any, 1` (0 of 10))." in sentence
+    assert f"None was told `{HOLDS}`" in sentence
+
+
+def test_fresh_seeds_are_held_against_the_published_ones_by_fishers_test():
+    """Of 10 and 10 runs, 10 against 5 has p = 0.033, twice that by Holm where the bar has two rooms; 10 against 4 has
+    0.011 and 0.022."""
+    def make_bar(near, runs=10, first=0):
+        return [make_result(run=first + run, rule="reset", near=900 if run < near else None) for run in range(runs)]
+
+    def make_twenty():
+        return [make_result(buttons=20, run=run) for run in range(10)]
+
+    assert "which cannot be told from the published 10 of 10" in tell_replication(make_bar(10), make_bar(10))[0]
+    assert "5 of 10 come to 95% of the best return (seeds 100 to 109), fewer than the published 10 of 10" in \
+        tell_replication(make_bar(5, first=100), make_bar(10))[0]
+    for near, said in ((5, "which cannot be told from"), (4, "fewer than")):
+        first, second = tell_replication([*make_bar(near), *make_twenty()], [*make_bar(10), *make_twenty()])
+        assert "which cannot be told from" in first and said in second
+    assert "10 of 10 come" in (sentence := tell_replication(make_bar(10), make_bar(4))[0])
+    assert "more than the published 4 of 10" in sentence
+    assert "too few runs to hold against" in tell_replication(make_bar(0, runs=9), make_bar(10))[0]
 
 
 @pytest.mark.parametrize("option", ["--runs=0", "--runs=-3", "--primitives=0", "--minutes=0"])

@@ -18,13 +18,8 @@ from hrl_escape.experiments.grid import AgentSpec
 from hrl_escape.experiments.reporting.agent_style import choose_styles
 from hrl_escape.experiments.statistics import NEAR_BEST
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
-from hrl_escape.experiments.studies.scaling.findings import (
-    measure_told,
-    tell_difficulty,
-    tell_replication,
-    tell_sizes,
-    tell_told,
-)
+from hrl_escape.experiments.studies.scaling.difficulty import tell_difficulty
+from hrl_escape.experiments.studies.scaling.findings import tell_replication, tell_sizes
 from hrl_escape.experiments.studies.scaling.followed_runs import (
     FollowedRuns,
     Pick,
@@ -42,8 +37,8 @@ from hrl_escape.experiments.studies.scaling.study import (
     MAX_PARENTS,
     RULES,
     SIZES,
-    TOLD_TASKS,
 )
+from hrl_escape.experiments.studies.scaling.told import make_told_section
 from hrl_escape.files import write_text
 
 __all__ = ["draw_escapes", "draw_structure", "write_scaling_page"]
@@ -153,7 +148,8 @@ def _write_lines(results: Sequence[ScalingRun], everything: Sequence[ScalingRun]
         f"Who still escapes as buttons grow, and how soon the graph of buttons is known? {len(trials)} trials of at "
         f"most {budget:,} primitives each, {hours:.1f} hours of one process in all. The literature's bar (Menashe and "
         "Stone 2015, 2019) is 10 to 20 buttons modelled and solved within 20,000 steps.", "",
-        *[f"- {sentence}" for sentence in (*tell_sizes(results), *tell_difficulty(results, budget))], "",
+        *[f"- {sentence}" for sentence in tell_sizes(results)],
+        *[f"- {sentence}" for sentence in tell_difficulty(results, np.random.default_rng(0))], "",
         *_tell_bar(results), "",
         *([f"With training seeds and rooms that nobody had tried before (`{_COMMAND} --parts bar --first-seed 100`):",
            "", *[f"- {line}" for line in again], ""]
@@ -187,7 +183,7 @@ def _write_lines(results: Sequence[ScalingRun], everything: Sequence[ScalingRun]
         "longer way implies. Where a must be on before b, and b before c, a further edge from a to c changes nothing "
         "that anybody can see.", "",
         *_make_structure_table(results), "",
-        *_write_told(everything),
+        *make_told_section(everything),
         "## What was run", "",
         "Rooms are the ladder's: 20 x 20 m (30 x 30 m from 11 buttons on), small buttons anywhere on the walls, "
         f"`max_parents` {MAX_PARENTS} for layered and random graphs, cap of 1,000 primitives; a run has a "
@@ -295,27 +291,6 @@ def _make_structure_table(results: Sequence[ScalingRun]) -> list[str]:
                 cells.append(" / ".join(f"{end:.2f}" for end in ends) or "—")
             lines.append(f"| {rule} | {agent} | " + " | ".join(cells) + " |")
     return [*lines, "", "Each cell: mean precision / mean recall at the end of the trials."]
-
-
-def _write_told(everything: Sequence[ScalingRun]) -> list[str]:
-    found = measure_told(everything)
-    if not found:
-        return []
-    lines = ["## What structure learners are told", "",
-             f"`{BAR_AGENT.removeprefix('smdp-')}` with {TOLD_TASKS[0].buttons} buttons, {TOLD_TASKS[0].graph}: "
-             f"conditions, and how many parents a button may have; it has {MAX_PARENTS} at most. "
-             "With noise, displacements err by 10 % and a tenth of "
-             "all primitives do nothing, so that durations are random; which buttons light up is not.", "",
-             *[f"- {sentence}" for sentence in tell_told(everything)], "",
-             "| rule | told | runs | escape | near the best | whole graph | first escape, restricted mean |",
-             "|---|---|---|---|---|---|---|"]
-    budget = _get_budget(everything)
-    for (rule, label), (runs, escapes, near, exact) in found.items():
-        own = [run for run in everything if (run.rule, run.agent) == (rule, label)]
-        followed = follow_runs(own, 0, budget, _get_escape)
-        assert followed is not None, "there are runs"
-        lines.append(f"| {rule} | {label} | {runs} | {escapes} | {near} | {exact} | {followed.restricted_mean:,.0f} |")
-    return [*lines, ""]
 
 
 def _make_counts(results: Sequence[ScalingRun]) -> list[str]:
