@@ -41,8 +41,8 @@ MUTATIONS = [
     Mutation(
         "being told otherwise is tested on one side",
         "experiments/studies/scaling/told.py",
-        "p = 2 * min(gain",
-        "p = min(gain",
+        "p = 2 * min(compute",
+        "p = min(compute",
         "experiments/studies/test_scaling.py",
     ),
     Mutation(

@@ -9,10 +9,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from hrl_escape.experiments.inference import Estimate, compute_restricted_mean, correct_by_holm
+import numpy as np
+
+from hrl_escape.experiments.inference import compute_restricted_mean, compute_sign_flip_p, correct_by_holm
 from hrl_escape.experiments.pairs import ALPHA
 from hrl_escape.experiments.statistics import LEAST_RUNS
-from hrl_escape.experiments.studies.measures import Measurement
 from hrl_escape.experiments.studies.scaling.scaling_runs import ScalingRun
 from hrl_escape.experiments.studies.scaling.study import BAR_AGENT, MAX_PARENTS, TOLD, TOLD_TASKS
 from hrl_escape.names import count_nouns, join_words
@@ -30,14 +31,16 @@ class ToldCost(NamedTuple):
         rule: of the rooms.
         label: of the learner.
         runs: pairs of runs with the same room and seed.
-        more: mean difference from `HOLDS`, with Student's interval; runs that do not get there count with the budget.
+        more: mean difference from `HOLDS`; runs that do not get there count with the budget.
+        agreeing: pairs that differ to the same side as the mean.
         p: two-sided, by the signs of the differences, corrected over the study; 1 with too few runs.
     """
 
     rule: str
     label: str
     runs: int
-    more: Estimate
+    more: float
+    agreeing: int
     p: float
 
     @property
@@ -57,9 +60,10 @@ def compute_told_costs(results: Sequence[ScalingRun]) -> list[ToldCost]:
             seeds = sorted(own.keys() & known.keys())
             if not seeds:
                 continue
-            gain = Measurement(tuple(float(own[seed] - known[seed]) for seed in seeds), kind="difference")
-            found.append(ToldCost(task.rule, label, len(seeds), gain.estimate(), 1.0))
-            p = 2 * min(gain.compute_p(0.0, "above"), gain.compute_p(0.0, "below"))
+            more = np.array([own[seed] - known[seed] for seed in seeds], dtype=np.float64)
+            agreeing = int(np.sum(more * more.mean() > 0))
+            found.append(ToldCost(task.rule, label, len(seeds), float(more.mean()), agreeing, 1.0))
+            p = 2 * min(compute_sign_flip_p(more, "above"), compute_sign_flip_p(more, "below"))
             raw.append(min(1.0, p) if len(seeds) >= LEAST_RUNS else 1.0)
     return [cost._replace(p=p) for cost, p in zip(found, correct_by_holm(raw), strict=True)]
 
@@ -106,17 +110,16 @@ def _tell_costs(costs: Sequence[ToldCost]) -> str:
         return f"None was told `{HOLDS}`, which is what holds."
     parts = []
     for sign, word in ((1, "more"), (-1, "fewer")):
-        shown = [cost for cost in costs if cost.is_shown and sign * cost.more.value > 0]
+        shown = [cost for cost in costs if cost.is_shown and sign * cost.more > 0]
         if shown:
-            parts.append(f"it takes {word} primitives told {join_words(_tell_cost(cost, sign) for cost in shown)}")
+            parts.append(f"it takes {word} primitives told {join_words(map(_tell_cost, shown))}")
     if rest := [f"`{cost.label}`" for cost in costs if not cost.is_shown]:
         parts.append(f"no difference is shown told {join_words(rest, 'or')}")
     return f"Against `{HOLDS}`, which is what holds, until near the best with the whole graph {'; '.join(parts)}."
 
 
-def _tell_cost(cost: ToldCost, sign: int) -> str:
-    low, high = sorted((sign * cost.more.low, sign * cost.more.high))
-    return f"`{cost.label}` ({sign * cost.more.value:,.0f}, {low:,.0f} to {high:,.0f})"
+def _tell_cost(cost: ToldCost) -> str:
+    return f"`{cost.label}` ({abs(cost.more):,.0f}, in {cost.agreeing} of {cost.runs} pairs)"
 
 
 def make_told_section(results: Sequence[ScalingRun]) -> list[str]:
@@ -144,8 +147,9 @@ def make_told_section(results: Sequence[ScalingRun]) -> list[str]:
             f"on, so that `{HOLDS}` is what holds. With noise, displacements err by 10 % and a tenth of all primitives "
             "do nothing, so that durations are random; which buttons light up is not.", "",
             *[f"- {sentence}" for sentence in tell_told(results)], "",
-            "In brackets: mean difference in primitives and its 95 % interval (Student's). Differences are tested run "
-            "by run, with the same room and training seed, by their signs; all of them are one family (Holm).", "",
+            "In brackets: mean difference in primitives, and pairs of runs in the same room with the same training "
+            "seed that differ so. The differences of such pairs are tested by their signs; all of these tests are one "
+            "family (Holm).", "",
             "| rule | told | runs | escape | near the best | whole graph | first escape, restricted mean "
             "| near the best with the whole graph, restricted mean |",
             "|---|---|---|---|---|---|---|---|", *rows, ""]
