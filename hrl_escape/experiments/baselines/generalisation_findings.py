@@ -93,10 +93,11 @@ def _answer(asked: Sequence[_Question]) -> list[str]:
     tests = [compare_pairs([question.differences]) for question in asked]
     told = []
     for question, test, p in zip(asked, tests, correct_by_holm([test.p for test in tests]), strict=True):
-        interval = f"95 % interval {test.low:.2f} to {test.high:.2f}"
+        low, high = test.low, test.high
         if p < ALPHA:
             words = f"reaches {abs(test.difference):.2f} {'more' if test.difference > 0 else 'less'}"
+            low, high = sorted((abs(low), abs(high)))  # both of the same sign, for the question is answered
         else:
             words = "is not shown to reach more or less"
-        told.append(f"{question.first} {words} than {question.second} ({interval}).")
+        told.append(f"{question.first} {words} than {question.second} (95 % interval {low:.2f} to {high:.2f}).")
     return told

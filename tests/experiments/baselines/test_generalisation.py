@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from pathlib import Path
 from typing import Any
 
@@ -108,6 +109,10 @@ def test_ten_seeds_lead_to_sentences_and_nine_to_none(vectors: tuple, objects: t
     page = (tmp_path / "generalisation.md").read_text()
     assert not [words for words in told if words not in page], page
     assert page.count("\n- ") == len(told)
+    for sentence in page.splitlines():
+        if " more than " in sentence or (" less than " in sentence and "not shown" not in sentence):
+            low, high = map(float, re.findall(r"interval (\S+) to (\S+)\)", sentence)[0])
+            assert 0 < low < float(re.findall(r"reaches (\S+)", sentence)[0]) < high, sentence
     few = [line for line in lines if (line.agent, line.seed) != (OBJECTS, 9)]
     write_generalisation_page(few, tmp_path)
     page = (tmp_path / "generalisation.md").read_text()
