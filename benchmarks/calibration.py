@@ -1,38 +1,27 @@
 """Calibration of all verdicts on simulated runs: how often they are wrong, and intervals miss.
 
-    python benchmarks/calibration.py            # the tables of docs/metrics.md; some minutes
-    python benchmarks/calibration.py --pages    # the second alone
+    python -m benchmarks.calibration                                # the tables of docs/metrics.md
+    python -m benchmarks.calibration --pages                        # the second alone
+    python -m benchmarks.calibration --pages "price of flatness"    # one row of it
 
 Agents are identical, so any agent called better than another is an error, whatever sentence says so; the best of
-several is picked by the same data. In the second table no claim and no factor has anything to it, and a page is wrong
-if it answers or shows one. An interval misses where the truth lies outside.
+several is picked by the same data. The second table is of pages in which there is nothing to find
+(`simulated_pages.py`). An interval misses where the truth lies outside.
 """
 
 from __future__ import annotations
 
 import argparse
 import itertools
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.experiments.baselines.lines import BaselineRun
-from hrl_escape.experiments.baselines.twin_studies import GIVEN_HIERARCHIES
-from hrl_escape.experiments.baselines.twins import compare_twins
+from benchmarks.simulated_pages import PAGES, Draw
 from hrl_escape.experiments.inference import compute_interval
 from hrl_escape.experiments.pairs import compare_agents, is_better
-from hrl_escape.experiments.presets import get_grid
 from hrl_escape.experiments.statistics import compute_iqm, compute_mean
-from hrl_escape.experiments.studies.claims import CLAIMS, FIGURES, judge_claims
-from hrl_escape.experiments.studies.contrasts import make_screening_design
-from hrl_escape.experiments.studies.factorial import get_factors, make_label, read_levels
-from hrl_escape.experiments.studies.factorial_effects import Screening, compute_effects, measure_area
-from hrl_escape.experiments.studies.mediation import compute_paths
-from hrl_escape.experiments.studies.raw import BINS, OPTIMAL_SCORE, RawRun
-
-Draw = Callable[[np.random.Generator, int], NDArray[np.float64]]
 
 
 def make_bimodal(share: float) -> Draw:
@@ -80,81 +69,16 @@ def measure_coverage(draw: Draw, rooms: int, runs: int, trials: int, rng: np.ran
     return found[0], found[1]
 
 
-# --- pages of studies ------------------------------------------------------------------------
-
-
-def make_run(agent: str, room: str, seed: int, value: float) -> RawRun:
-    """A run that scores the same from beginning to end."""
-    evaluations = 11
-    return RawRun(
-        agent=agent, room=room, seed=seed, worst=-1000.0, best=0.0, axis="primitives", budget=1000,
-        primitives=tuple(range(0, 1001, 100)), decisions=tuple(range(0, 101, 10)),
-        returns=(1000 * (value - 1),) * evaluations, successes=(float(value > 0.5),) * evaluations,
-        episodes=(1,) * BINS, training_returns=(1000 * (value - 1),) * BINS,
-        training_successes=(int(value > 0.5),) * BINS, training_optimal=(int(value >= OPTIMAL_SCORE),) * BINS,
-        first_escape=50 if value > 0.5 else None, efficiencies=(value,) * evaluations,
-        training_efficiencies=(value,) * BINS)
-
-
-def is_wrong_of_claims(draw: Draw, rng: np.random.Generator) -> bool:
-    """The page of the paper answers a claim on which learners and chance are alike; 10 runs.
-
-    These are the claims on differences between agents; shares of runs are compared with fixed levels.
-    """
-    results = {name: [make_run(agent.label, name, seed, float(score)) for agent in get_grid(name).agents
-                      if not agent.is_reference for seed, score in enumerate(draw(rng, 10))] for name in FIGURES}
-    chosen = [claim for claim in CLAIMS if "less that" in claim.measured]
-    return any(verdict is not None for finding in judge_claims(chosen, results)
-               for verdict in finding.verdicts.values())
-
-
-def is_wrong_of_screening(draw: Draw, rng: np.random.Generator) -> bool:
-    """The page on why SARSA worsens shows an effect of a factor, where none has any; 5 rooms, 2 seeds."""
-    labels = [make_label("sarsa", row) for row in make_screening_design(len(get_factors("sarsa"))).tolist()]
-    runs = [make_run(label, room, seed, float(value)) for room in "abcde" for seed in range(2)
-            for label, value in zip(labels, draw(rng, len(labels)), strict=True)]
-    return any(effect.is_shown for effect in compute_effects(Screening.make("sarsa", runs), measure_area))
-
-
-def is_wrong_of_paths(draw: Draw, rng: np.random.Generator) -> bool:
-    """The same page shows a path through the logs, where exploration moves a quantity that moves nothing else."""
-    labels = [make_label("sarsa", row) for row in make_screening_design(len(get_factors("sarsa"))).tolist()]
-    raised = [read_levels(label)[get_factors("sarsa").index("exploration")] for label in labels]
-    runs = [replace(make_run(label, room, seed, float(value)), greedy=(0.5 + 0.1 * level + float(noise),) * BINS)
-            for room in "abcde" for seed in range(5) for label, value, level, noise in
-            zip(labels, draw(rng, len(labels)), raised, rng.normal(0, 0.1, len(labels)), strict=True)]
-    return any(path.is_shown for path in
-               compute_paths(Screening.make("sarsa", runs), ["exploration"], measure_area, rng, resamples=500))
-
-
-def is_wrong_of_twins(draw: Draw, rng: np.random.Generator) -> bool:
-    """The page of given hierarchies calls an agent better or worse than its twin; 10 runs in each of 4 rooms."""
-    study, grid = GIVEN_HIERARCHIES, get_grid(GIVEN_HIERARCHIES.name)
-    lines = [BaselineRun("per-instance", study.name, room.label, agent.label, seed, 1000, float(value), None,
-                         float(value > 0.5), 1, float(value), round(1000 * (1 - float(value))) or None, "")
-             for room in grid.rooms for agent in grid.agents if agent.learns
-             for seed, value in enumerate(draw(rng, 10))]
-    return any(contrast.is_shown for contrast in compare_twins(study, lines))
-
-
-PAGES: dict[str, Callable[[Draw, np.random.Generator], bool]] = {
-    "claims of the paper": is_wrong_of_claims,
-    "why it worsens": is_wrong_of_screening,
-    "its paths": is_wrong_of_paths,
-    "hierarchies and their twins": is_wrong_of_twins,
-}
-"""Verdict -> whether one simulated page is wrong."""
-
-
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the tables as Markdown."""
     parser = argparse.ArgumentParser(description=str(__doc__).splitlines()[0])
     parser.add_argument("--trials", type=int, default=2_000)
-    parser.add_argument("--pages", action="store_true", help="print the table of pages alone")
+    parser.add_argument("--pages", nargs="*", choices=PAGES, metavar="VERDICT",
+                        help="print the table of pages alone, of all verdicts or of these")
     chosen = parser.parse_args(arguments)
-    if not chosen.pages:
+    if chosen.pages is None:
         print_comparisons(chosen.trials, np.random.default_rng(15))
-    print_pages(chosen.trials // 4)
+    print_pages(chosen.pages or list(PAGES), chosen.trials // 4)
 
 
 def print_comparisons(trials: int, rng: np.random.Generator) -> None:
@@ -170,13 +94,13 @@ def print_comparisons(trials: int, rng: np.random.Generator) -> None:
     print()
 
 
-def print_pages(trials: int) -> None:
-    """Print the share of wrong pages; every number has draws of its own."""
-    print(f"| scores | {' | '.join(PAGES)} |\n|---{'|---' * len(PAGES)}|")
-    for row, (name, draw) in enumerate(SHAPES.items()):
-        rngs = [np.random.default_rng([16, row, column]) for column in range(len(PAGES))]
-        shares = [np.mean([is_wrong(draw, rng) for _ in range(trials)])
-                  for is_wrong, rng in zip(PAGES.values(), rngs, strict=True)]
+def print_pages(names: Sequence[str], trials: int) -> None:
+    """Print the share of wrong pages, a verdict a row; every number has draws of its own."""
+    print(f"| verdict | {' | '.join(SHAPES)} |\n|---{'|---' * len(SHAPES)}|")
+    for name in names:
+        rngs = [np.random.default_rng([16, number, list(PAGES).index(name)]) for number in range(len(SHAPES))]
+        shares = [np.mean([PAGES[name](draw, rng) for _ in range(trials)])
+                  for draw, rng in zip(SHAPES.values(), rngs, strict=True)]
         print(f"| {name} | {' | '.join(f'{share:.1%}' for share in shares)} |", flush=True)
 
 

@@ -1,0 +1,272 @@
+"""Pages of studies made from simulated runs in which there is nothing to find, and whether one says that there is.
+
+All agents are alike, no factor does anything, and so any difference or effect that a page shows is wrong. Where a page
+places something on a scale, it is wrong if its interval leaves the truth out.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.experiments.baselines.calibration import CHANCE, IN_ORDER, ROUND, tell_calibration
+from hrl_escape.experiments.baselines.dial import DIAL, PLANNED, DialLine, conclude_dial
+from hrl_escape.experiments.baselines.generalisation_findings import tell_room_numbers
+from hrl_escape.experiments.baselines.lines import BaselineRun
+from hrl_escape.experiments.baselines.twin_studies import GIVEN_HIERARCHIES, INTRA_OPTION, LEARNED_HIERARCHIES
+from hrl_escape.experiments.baselines.twins import TwinStudy, compare_twins
+from hrl_escape.experiments.presets import get_grid
+from hrl_escape.experiments.price.contestants import BUTTON_COUNTS
+from hrl_escape.experiments.price.price_runs import PriceRun
+from hrl_escape.experiments.price.price_words import compare_with_chance, conclude_prices
+from hrl_escape.experiments.price.ratios import COSTS
+from hrl_escape.experiments.studies.claims import CLAIMS, FIGURES, judge_claims
+from hrl_escape.experiments.studies.contrasts import make_screening_design
+from hrl_escape.experiments.studies.factorial import get_factors, make_label, read_levels
+from hrl_escape.experiments.studies.factorial_cause import Findings, tell_fresh_runs
+from hrl_escape.experiments.studies.factorial_effects import (
+    SHARE,
+    Screening,
+    compute_effects,
+    find_sufficient,
+    measure_area,
+)
+from hrl_escape.experiments.studies.mediation import compute_paths
+from hrl_escape.experiments.studies.raw import BINS, OPTIMAL_SCORE, RawRun
+from hrl_escape.experiments.studies.scaling.difficulty import tell_difficulty
+from hrl_escape.experiments.studies.scaling.findings import tell_replication
+from hrl_escape.experiments.studies.scaling.scaling_runs import ScalingRun
+from hrl_escape.experiments.studies.scaling.study import AGENTS, BAR, BAR_AGENT, RULES, TOLD, TOLD_TASKS
+from hrl_escape.experiments.studies.scaling.told import compute_told_costs
+
+__all__ = ["PAGES", "Draw"]
+
+Draw = Callable[[np.random.Generator, int], NDArray[np.float64]]
+RUNS = 10
+BUDGET = 1_000
+RUNGS = tuple(f"rung-{number}" for number in range(8))
+
+
+# --- the paper's page, and why it worsens ------------------------------------------------------
+
+
+def make_run(agent: str, room: str, seed: int, value: float) -> RawRun:
+    """A run that scores the same from beginning to end."""
+    evaluations = 11
+    return RawRun(
+        agent=agent, room=room, seed=seed, worst=-1000.0, best=0.0, axis="primitives", budget=BUDGET,
+        primitives=tuple(range(0, 1001, 100)), decisions=tuple(range(0, 101, 10)),
+        returns=(1000 * (value - 1),) * evaluations, successes=(float(value > 0.5),) * evaluations,
+        episodes=(1,) * BINS, training_returns=(1000 * (value - 1),) * BINS,
+        training_successes=(int(value > 0.5),) * BINS, training_optimal=(int(value >= OPTIMAL_SCORE),) * BINS,
+        first_escape=50 if value > 0.5 else None, efficiencies=(value,) * evaluations,
+        training_efficiencies=(value,) * BINS)
+
+
+def is_wrong_of_claims(draw: Draw, rng: np.random.Generator) -> bool:
+    """The page of the paper answers a claim on which learners and chance are alike; 10 runs.
+
+    These are the claims on differences between agents; shares of runs are compared with fixed levels.
+    """
+    results = {name: [make_run(agent.label, name, seed, float(score)) for agent in get_grid(name).agents
+                      if not agent.is_reference for seed, score in enumerate(draw(rng, RUNS))] for name in FIGURES}
+    chosen = [claim for claim in CLAIMS if "less that" in claim.measured]
+    return any(verdict is not None for finding in judge_claims(chosen, results)
+               for verdict in finding.verdicts.values())
+
+
+def make_screening(draw: Draw, rng: np.random.Generator, rooms: str, seeds: int,
+                   respond: Callable[[dict[str, bool]], float] | None = None) -> Screening:
+    """Runs of the screening of SARSA, from what the factors do, given as corrected or not, and a tenth of a score."""
+    factors = get_factors("sarsa")
+    labels = [make_label("sarsa", row) for row in make_screening_design(len(factors)).tolist()]
+    levels = [dict(zip(factors, (level > 0 for level in read_levels(label)), strict=True)) for label in labels]
+    runs = [make_run(label, room, seed, float(value) if respond is None else respond(level) + 0.1 * float(value))
+            for room in rooms for seed in range(seeds)
+            for label, level, value in zip(labels, levels, draw(rng, len(labels)), strict=True)]
+    return Screening.make("sarsa", runs)
+
+
+def is_wrong_of_screening(draw: Draw, rng: np.random.Generator) -> bool:
+    """The page on why SARSA worsens shows an effect of a factor, where none has any; 5 rooms, 2 seeds."""
+    return any(effect.is_shown for effect in compute_effects(make_screening(draw, rng, "abcde", 2), measure_area))
+
+
+def is_wrong_of_paths(draw: Draw, rng: np.random.Generator) -> bool:
+    """The same page shows a path through the logs, where exploration moves a quantity that moves nothing else."""
+    labels = [make_label("sarsa", row) for row in make_screening_design(len(get_factors("sarsa"))).tolist()]
+    raised = [read_levels(label)[get_factors("sarsa").index("exploration")] for label in labels]
+    runs = [replace(make_run(label, room, seed, float(value)), greedy=(0.5 + 0.1 * level + float(noise),) * BINS)
+            for room in "abcde" for seed in range(5) for label, value, level, noise in
+            zip(labels, draw(rng, len(labels)), raised, rng.normal(0, 0.1, len(labels)), strict=True)]
+    return any(path.is_shown for path in
+               compute_paths(Screening.make("sarsa", runs), ["exploration"], measure_area, rng, resamples=500))
+
+
+def is_wrong_of_sufficiency(draw: Draw, rng: np.random.Generator) -> bool:
+    """The same page says whether one correction suffices, where each of two brings just the share that parts both."""
+    first, second, *_ = get_factors("sarsa")
+
+    def respond(corrected: dict[str, bool]) -> float:
+        return (0.0, SHARE, 1.0)[corrected[first] + corrected[second]]
+
+    screening = make_screening(draw, rng, "abcde", 5, respond)
+    found = find_sufficient(screening, compute_effects(screening, measure_area), measure_area)
+    return any(found.get(name) is not None for name in (first, second))
+
+
+def is_wrong_of_fresh_effects(draw: Draw, rng: np.random.Generator) -> bool:
+    """The same page says that fresh runs, in which no factor does anything, repeat or reverse a published effect."""
+    published = make_screening(draw, rng, "abcde", 5, lambda corrected: float(corrected["exploration"]))
+    findings = Findings(published, compute_effects(published, measure_area), [], {}, [])
+    told = tell_fresh_runs(make_screening(draw, rng, "fghij", 2), findings)
+    return "the same conclusion" in told or "the contrary" in told
+
+
+# --- pages of a line a run ---------------------------------------------------------------------
+
+
+def is_wrong_of_twins(study: TwinStudy, draw: Draw, rng: np.random.Generator) -> bool:
+    """The page calls an agent better or worse than its twin; 10 runs in each room of the study."""
+    grid = get_grid(study.name)
+    lines = [BaselineRun("per-instance", study.name, room.label, agent.label, seed, BUDGET, float(value), None,
+                         float(value > 0.5), 1, float(value), round(BUDGET * (1 - float(value))) or None, "")
+             for room in grid.rooms for agent in grid.agents if agent.learns
+             for seed, value in enumerate(draw(rng, RUNS))]
+    return any(contrast.is_shown for contrast in compare_twins(study, lines))
+
+
+def tell_rungs(draw: Draw, rng: np.random.Generator) -> str:
+    """Sentences of the ladder's page on eight rungs that are alike; 10 rooms a rung with 2 seeds, alike in a room."""
+    cells = {(rung, agent): [BaselineRun("per-instance", rung, f"{rung}[{room}]", agent, seed, 0, float(value), None,
+                                         float(value > 0.5), 1, float(value), None, "")
+                             for room, value in enumerate(draw(rng, RUNS)) for seed in range(2)]
+             for rung in RUNGS for agent in (CHANCE, IN_ORDER, ROUND)}
+    return " ".join(tell_calibration(cells, RUNGS, ()))
+
+
+def is_wrong_of_rungs(draw: Draw, rng: np.random.Generator) -> bool:
+    """The ladder's page orders rungs by what chance reaches, which is the same on all."""
+    told = tell_rungs(draw, rng)
+    return "not in the order" in told or "it falls" in told
+
+
+def is_wrong_of_numbers(draw: Draw, rng: np.random.Generator) -> bool:
+    """The ladder's page says that the numbers of buttons tell something, where any order is as good."""
+    return "numbers tell something" in tell_rungs(draw, rng)
+
+
+def is_wrong_of_generalisation(draw: Draw, rng: np.random.Generator) -> bool:
+    """The page on generalisation says that agents or numbers of training rooms differ; three of each, 10 seeds."""
+    agents = ("one", "two", "three")
+    cells = {(agent, count): [BaselineRun("sizes", "rung", "", agent, seed, BUDGET, float(value), None, 0.0, 1, 0.0,
+                                          None, "") for seed, value in enumerate(draw(rng, RUNS))]
+             for agent in (*agents, CHANCE) for count in (1, 10, 100)}
+    return any(" reaches " in sentence for sentence in tell_room_numbers(cells, agents, CHANCE))
+
+
+@lru_cache(maxsize=8)
+def _compute_mean(draw: Draw) -> float:
+    return float(draw(np.random.default_rng(0), 1_000_000).mean())
+
+
+def is_wrong_of_dial(draw: Draw, rng: np.random.Generator) -> bool:
+    """Learned options that are worth a planned one that fails every other time are said to be worth more or less.
+
+    Nine learners are alike after each of three budgets, 10 runs.
+    """
+    half = _compute_mean(draw) / 2
+    lines = [DialLine("room", PLANNED, 0, failure, 0, 2 * half * (1 - failure)) for failure in DIAL.failures]
+    lines += [DialLine("room", agent, budget, None, seed, float(value) / 2) for agent in DIAL.algorithms
+              for budget in (1, 2, 3) for seed, value in enumerate(draw(rng, RUNS))]
+    told = conclude_dial(lines)
+    placed = [(int(low), int(high)) for low, high in re.findall(r"\((\d+)% to (\d+)%\)", told)]
+    return "Worth less" in told or any(not low <= 50 <= high for low, high in placed)
+
+
+def make_price_runs(agent: str, scores: Sequence[float], buttons: int) -> list[PriceRun]:
+    """Runs that get there sooner the more they score; below 0.1 they do not."""
+    waits = [None if score < 0.1 else round(BUDGET * (1.1 - score)) for score in scores]
+    return [PriceRun(agent, buttons, replicate, 30, BUDGET, wait or BUDGET, wait, wait, 1.0, 1, 1, 1.0, "")
+            for replicate, wait in enumerate(waits)]
+
+
+def is_wrong_of_price(draw: Draw, rng: np.random.Generator) -> bool:
+    """The price of flatness is not 1, or grows with a button, where flat learners are as quick; 10 replicates."""
+    runs = [run for buttons in BUTTON_COUNTS for agent in ("flat", "options")
+            for run in make_price_runs(agent, draw(rng, RUNS).tolist(), buttons)]
+    told = " ".join(conclude_prices(runs, "flat", "options", COSTS[:2]))
+    return " times the " in told or "multiplies the factor" in told
+
+
+def is_wrong_of_chance(draw: Draw, rng: np.random.Generator) -> bool:
+    """The same page tells two learners that are chance from chance; 10 runs each."""
+    own, other, chance = (make_price_runs(agent, draw(rng, RUNS).tolist(), 1) for agent in ("one", "other", "random"))
+    told = [compare_with_chance(learner, chance, "one", BUDGET // 2) for learner in (own, other)]
+    return any("not told apart" not in words for words in told)
+
+
+# --- from 2 to 20 buttons ----------------------------------------------------------------------
+
+
+def make_scaling_run(agent: str, task: tuple[str, int, str], run: int, score: float) -> ScalingRun:
+    """A run that is near the best with the whole graph the sooner the more it scores; below 0.1 it is not."""
+    graph, buttons, rule = task
+    wait = None if score < 0.1 else round(BUDGET * (1.1 - score))
+    return ScalingRun(graph, buttons, rule, agent, run, "", 50.0, -1000.0, BUDGET, wait or BUDGET, 100, 1.0,
+                      first_escape=wait, near_best=wait, edges=4, depth=3,
+                      structure=((1, 1.0, 1.0),) if wait is not None else ())
+
+
+def is_wrong_of_told(draw: Draw, rng: np.random.Generator) -> bool:
+    """The page names a price of what a structure learner is told, where it matters to none; 10 runs a label."""
+    runs = [make_scaling_run(spec.label, task, run, float(score)) for task in TOLD_TASKS for spec in TOLD
+            for run, score in enumerate(draw(rng, RUNS))]
+    return any(cost.is_shown for cost in compute_told_costs(runs))
+
+
+def is_wrong_of_difficulty(draw: Draw, rng: np.random.Generator) -> bool:
+    """A measure orders rooms better than another, where each is a room's difficulty and its own error; 24 rooms."""
+    runs = []
+    for number, difficulty in enumerate(draw(rng, 24).tolist()):
+        buttons, edges, depth = np.round(10 + 5 * (difficulty + rng.normal(0, 0.3, 3))).astype(int).tolist()
+        score = 1.0 - min(1.0, max(0.0, difficulty))
+        for agent, rule in ((agent, rule) for agent in AGENTS[:4] for rule in RULES):
+            run = make_scaling_run(agent, ("layered", buttons, rule), number, score * rng.uniform(0.5, 1.0))
+            runs.append(replace(run, edges=edges, depth=depth))
+    told = " ".join(tell_difficulty(runs, rng))
+    return "No measure is shown" not in told
+
+
+def is_wrong_of_fresh_bar(draw: Draw, rng: np.random.Generator) -> bool:
+    """Fresh runs of the bar do better or worse than the published ones, where all are alike; 10 and 10 runs."""
+    fresh, published = ([make_scaling_run(BAR_AGENT, task, run, float(score)) for task in BAR
+                         for run, score in enumerate(draw(rng, RUNS))] for _ in range(2))
+    return any("than the published" in sentence for sentence in tell_replication(fresh, published))
+
+
+PAGES: dict[str, Callable[[Draw, np.random.Generator], bool]] = {
+    "claims of the paper": is_wrong_of_claims,
+    "why it worsens": is_wrong_of_screening,
+    "its paths": is_wrong_of_paths,
+    "given hierarchies and their twins": lambda draw, rng: is_wrong_of_twins(GIVEN_HIERARCHIES, draw, rng),
+    "learned hierarchies and their twins": lambda draw, rng: is_wrong_of_twins(LEARNED_HIERARCHIES, draw, rng),
+    "intra-option learning and its twin": lambda draw, rng: is_wrong_of_twins(INTRA_OPTION, draw, rng),
+    "why it worsens: what suffices": is_wrong_of_sufficiency,
+    "why it worsens: fresh runs": is_wrong_of_fresh_effects,
+    "order of the ladder's rungs": is_wrong_of_rungs,
+    "learned options on the dial": is_wrong_of_dial,
+    "price of flatness": is_wrong_of_price,
+    "price: escapes beside chance": is_wrong_of_chance,
+    "what structure learners are told": is_wrong_of_told,
+    "what makes rooms difficult": is_wrong_of_difficulty,
+    "the bar with fresh runs": is_wrong_of_fresh_bar,
+    "numbers of the ladder's buttons": is_wrong_of_numbers,
+    "generalisation": is_wrong_of_generalisation,
+}
+"""Verdict -> whether one simulated page is wrong. New ones go to the end: the place in the list seeds the draws."""
