@@ -56,6 +56,9 @@ def write_twins_page(study: TwinStudy, lines: Sequence[BaselineRun], path: Path,
         few = [room for room in rooms if room not in list_settled_rooms(study, number, lines)]
         text += [f"The conclusion leaves {join_words(few)} out, where not all of these agents have {LEAST_RUNS} runs.",
                  ""] if few else []
+        lost = [room for room in rooms if not _has_escapes(study, number, lines, room)]
+        text += [f"In {join_words(lost)} none of these agents escapes after training: efficiency cannot tell them "
+                 "apart there, and a larger budget might.", ""] if lost else []
     text += ["A difference is named where a paired t test over training seeds shows it, after Holm's correction for "
              f"all {len(contrasts)} comparisons of this page. Fewer than {LEAST_RUNS} runs: nothing is concluded.", "",
              *more]
@@ -82,6 +85,12 @@ def _list_agents(study: TwinStudy, lines: Sequence[BaselineRun]) -> list[str]:
     """Agents in the grid's order, others after them."""
     known = [agent.label for agent in get_grid(study.name).agents]
     return sorted({line.agent for line in lines}, key=lambda agent: ([*known, agent].index(agent), agent))
+
+
+def _has_escapes(study: TwinStudy, number: int, lines: Sequence[BaselineRun], room: str) -> bool:
+    """Any frozen policy of a question's agents escapes from a room."""
+    labels = {label for pair in study.questions[number].pairs for label in pair}
+    return any(line.escapes > 0.0 for label in labels for line in choose_lines(lines, room, label))
 
 
 def _list_findings(study: TwinStudy, number: int, contrasts: Sequence[Contrast]) -> list[str]:

@@ -116,6 +116,20 @@ def test_findings_name_room_and_size(tmp_path: Path):
     assert "then one episode of the frozen policy" in page and "The conclusion leaves" not in page
 
 
+def test_rooms_where_nobody_escapes_are_named_in_the_questions_that_they_cannot_answer(tmp_path: Path):
+    def tell(escapes: dict[tuple[str, str], float]) -> list[str]:
+        lines = [dataclasses.replace(line, escapes=escapes.get((line.rooms, line.agent), 0.0))
+                 for line in make_lines({"": 0.5}, study=INTRA_OPTION)]
+        write_twins_page(INTRA_OPTION, lines, tmp_path / "page.md")
+        questions = (tmp_path / "page.md").read_text().split("\n## ")[1:4]
+        return [text.partition("none of these")[0].rpartition("\nIn ")[2] for text in questions if "none of" in text]
+
+    assert tell({}) == ["far and near "] * 3
+    assert tell({("near", "smdp-intra-option-q+no-primitives"): 0.1}) == ["far and near ", "far ", "far "]
+    assert tell({(room, f"smdp-q-learning{markov}+no-primitives"): 1.0 for room in ROOMS
+                 for markov in ("", "+markov")}) == []
+
+
 def test_another_truth_is_another_page(tmp_path: Path):
     fast = [dataclasses.replace(line, episodes=3, first_escape=40) if line.agent == "hamq+planned" else line
             for line in make_lines({"maxq-q+planned": 0.2, "+planned": 0.5, "smdp": 0.5})
