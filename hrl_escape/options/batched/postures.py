@@ -45,7 +45,7 @@ class PostureLibrary(NamedTuple):
 
 
 def choose_postures(instance: RoomInstance, fields: int) -> PostureLibrary:
-    """Choose the postures of all targets: half of them the cheapest from home, the others far apart.
+    """Choose the postures of all targets: most of them the cheapest from home, the others far apart.
 
     Args:
         instance: the room.
@@ -61,7 +61,7 @@ def choose_postures(instance: RoomInstance, fields: int) -> PostureLibrary:
         every, places = list_postures(reacher, target)
         if len(every) == 0:
             continue
-        chosen = _spread(every, list(range(min(len(every), POSTURES // 2))), POSTURES, 0.0)
+        chosen = _spread(every, list(range(min(len(every), POSTURES * 7 // 8))), POSTURES, 0.0)
         every, places = every[chosen], places[chosen]
         shown = _spread(places[:, :2], [0], most, _NEAR)
         away = np.linalg.norm(places[:, None, :2] - places[shown, :2], axis=2)
