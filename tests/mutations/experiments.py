@@ -46,13 +46,6 @@ MUTATIONS = [
         "experiments/studies/test_scaling.py",
     ),
     Mutation(
-        "a run without the whole graph has waited for nothing",
-        "experiments/studies/scaling/told.py",
-        "if run.near_best is not None and _has_graph(run) else",
-        "if run.near_best is not None else",
-        "experiments/studies/test_scaling.py",
-    ),
-    Mutation(
         "measures of difficulty are compared pair by pair, uncorrected",
         "experiments/studies/scaling/difficulty.py",
         "zip(pairs, correct_by_holm(p), strict=True)",
