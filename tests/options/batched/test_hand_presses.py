@@ -152,6 +152,14 @@ def test_a_room_pressed_by_hand_meets_the_same_fate_alone_and_in_any_batch():
     assert torch.equal(again, together[[4, 1]])
 
 
+@pytest.mark.slow
+def test_compiled_presses_by_hand_do_what_eager_ones_do():
+    instance = generate(NOISY, 0)
+    found = [play(BatchedOptionsEnv(8, instance=instance, compile=compile), list(range(8)), 40)
+             for compile in (False, True)]
+    assert torch.allclose(found[0], found[1], atol=1e-5)
+
+
 def test_rooms_pressed_by_hand_go_on_where_they_were_written_down():
     env, other = make_env(4, NOISY), make_env(4, NOISY)
     for number in range(12):
