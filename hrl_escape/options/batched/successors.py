@@ -1,4 +1,4 @@
-"""Where primitives lead in a batch of rooms, as far as options look: ends of moves, and targets touched there.
+"""Ends of moves in a batch of rooms, and the targets that are touched there, as far as options look ahead.
 
 Moves are swept exactly, with walls and press margins, by the rules of the batched engine. Pure functions of tensors,
 rooms last.
