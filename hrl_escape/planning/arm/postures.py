@@ -11,46 +11,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.kernels import kernel
-from hrl_escape.planning.arm.joint_lattice import NEVER, make_halves, make_lattice
+from hrl_escape.planning.arm.joint_lattice import NEVER, UNLIMITED, make_halves, make_lattice
 from hrl_escape.planning.arm.reacher import QUICK, Reacher
+from hrl_escape.planning.arm.tables import map_hands
 
 __all__ = ["list_postures"]
 
 _CELL = 0.1
 """Side of the cells of hand positions, m."""
 _MOST_HALVES = 60_000
-
-
-@kernel
-def _list_cheapest(lattice, z_low, z_high, cell, half_cells, budget):
-    """First and last half of the cheapest posture in each cell, (cells, cells, 2), int64, and its joint steps."""
-    halves = np.zeros((2 * half_cells, 2 * half_cells, 2), dtype=np.int64)
-    costs = np.full((2 * half_cells, 2 * half_cells), NEVER, dtype=np.int16)
-    firsts, lasts = lattice.first_starts.shape[0] - 1, lattice.last_starts.shape[0] - 1
-    pairs, is_empty = 0, True
-    for cost in range(firsts + lasts - 1):
-        if pairs > budget and not is_empty:
-            break
-        for spent in range(max(0, cost - lasts + 1), min(cost + 1, firsts)):
-            begin, end = lattice.last_starts[cost - spent], lattice.last_starts[cost - spent + 1]
-            for i in range(lattice.first_starts[spent], lattice.first_starts[spent + 1]):
-                row = lattice.first[i]
-                if row[11] + lattice.longest < z_low or row[11] - lattice.longest > z_high:
-                    continue
-                pairs += end - begin
-                for j in range(begin, end):
-                    u, v, w = lattice.last[j, 0], lattice.last[j, 1], lattice.last[j, 2]
-                    z = row[8] * u + row[9] * v + row[10] * w + row[11]
-                    if z_low <= z <= z_high:
-                        x = row[0] * u + row[1] * v + row[2] * w + row[3]
-                        y = row[4] * u + row[5] * v + row[6] * w + row[7]
-                        a, b = int(math.floor(x / cell)) + half_cells, int(math.floor(y / cell)) + half_cells
-                        if costs[a, b] == NEVER:
-                            costs[a, b] = cost
-                            halves[a, b, 0], halves[a, b, 1] = i, j
-                            is_empty = False
-    return halves, costs
 
 
 def list_postures(reacher: Reacher, target: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
@@ -70,7 +39,10 @@ def list_postures(reacher: Reacher, target: int) -> tuple[NDArray[np.int64], NDA
     lattice, firsts, lasts = make_lattice(halves, home)
     half_cells = math.ceil((float(np.hypot(lattice.first[:, 3], lattice.first[:, 7]).max()) + lattice.longest) / _CELL)
     height = goal.half_z + reacher.limit
-    found, costs = _list_cheapest(lattice, goal.z - height, goal.z + height, _CELL, half_cells + 1, QUICK)
+    window = goal.z - height, goal.z + height
+    costs, found, _ = map_hands(lattice, *window, _CELL, half_cells + 1, QUICK)
+    if (costs == NEVER).all():
+        costs, found, _ = map_hands(lattice, *window, _CELL, half_cells + 1, UNLIMITED)
     cells = np.argwhere(costs < NEVER)
     cells = cells[np.argsort(costs[cells[:, 0], cells[:, 1]], kind="stable")]
     i, j = found[cells[:, 0], cells[:, 1]].T

@@ -178,9 +178,9 @@ class Reacher:
         lattice, _, _, complete_to = self._get_ordered(joint_steps, joint_offsets)
         low, high = z - half_z - self.limit, z + half_z + self.limit
         half_cells = math.ceil(_bound_reach(lattice) / HAND_CELL) + 1
-        hands, gone_to = map_hands(lattice, low, high, HAND_CELL, half_cells, budget)
+        hands, _, gone_to = map_hands(lattice, low, high, HAND_CELL, half_cells, budget)
         if gone_to != NEVER and (hands == NEVER).all():
-            hands, gone_to = map_hands(lattice, low, high, HAND_CELL, half_cells, UNLIMITED)
+            hands, _, gone_to = map_hands(lattice, low, high, HAND_CELL, half_cells, UNLIMITED)
         return hands, min(gone_to, complete_to)
 
     def _compute_costs(self, z: float, sizes: tuple[float, float, float], yaw: float, joint_steps: tuple[int, ...],

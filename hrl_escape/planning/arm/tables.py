@@ -31,15 +31,16 @@ def map_hands(lattice, z_low, z_high, cell, half_cells, budget):
         budget: pairs of halves beyond which no further cost is begun.
 
     Returns:
-        costs (cells, cells), int16, x ahead first; and the largest cost that is complete, or
-        NEVER if the whole lattice was enumerated.
+        costs (cells, cells), int16, x ahead first; first and last half of the first configuration found at that cost,
+        (cells, cells, 2), int32; and the largest cost that is complete, or NEVER if the whole lattice was enumerated.
     """
+    halves = np.zeros((2 * half_cells, 2 * half_cells, 2), dtype=np.int32)
     costs = np.full((2 * half_cells, 2 * half_cells), NEVER, dtype=np.int16)
     firsts, lasts = lattice.first_starts.shape[0] - 1, lattice.last_starts.shape[0] - 1
     pairs = 0
     for cost in range(min(firsts + lasts - 1, NEVER)):
         if pairs > budget:
-            return costs, cost - 1
+            return costs, halves, cost - 1
         for spent in range(max(0, cost - lasts + 1), min(cost + 1, firsts)):
             begin, end = lattice.last_starts[cost - spent], lattice.last_starts[cost - spent + 1]
             for i in range(lattice.first_starts[spent], lattice.first_starts[spent + 1]):
@@ -56,7 +57,8 @@ def map_hands(lattice, z_low, z_high, cell, half_cells, budget):
                         a, b = int(math.floor(x / cell)) + half_cells, int(math.floor(y / cell)) + half_cells
                         if costs[a, b] > cost:
                             costs[a, b] = cost
-    return costs, NEVER
+                            halves[a, b, 0], halves[a, b, 1] = i, j
+    return costs, halves, NEVER
 
 
 @kernel
