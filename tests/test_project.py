@@ -7,9 +7,11 @@ import os
 import re
 import subprocess
 import sys
+from importlib.metadata import distributions
 from pathlib import Path
 
 import pytest
+from packaging.specifiers import SpecifierSet
 
 from tests.random_state import find_global_random_state
 
@@ -324,3 +326,10 @@ def test_torch_is_bounded_to_the_minor_version_that_was_tested():
     assert requirement is not None and pinned is not None
     major, minor, *beyond = map(int, requirement.groups())
     assert (major, minor) == tuple(map(int, pinned.groups())) and beyond == [major, minor + 1]
+
+
+def test_pinned_versions_install_on_every_python_3_11():
+    """Distributions ship early ones, such as 3.11.2, and pip would find no version of a pin that needs a later one."""
+    late = [f"{found.name} {found.version} needs Python {needed}" for found in distributions()
+            if (needed := found.metadata.get("Requires-Python")) and not SpecifierSet(needed).contains("3.11.0")]
+    assert not late
