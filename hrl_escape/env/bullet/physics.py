@@ -79,6 +79,7 @@ class PhysicsDynamics:
     def __init__(self, client: int, scene: SceneBodies, rules: Rules) -> None:
         self._client, self._scene, self._rules = client, scene, rules
         self._instance = rules.instance
+        self._reach = rules.instance.reach_x, rules.instance.reach_y
         self._targets = {body: number for number, body in enumerate(scene.targets)}
         self._blocks = tuple((body, number) for number, body in enumerate(scene.props)
                              if self._instance.props[number].prop.kind == "block")
@@ -192,6 +193,8 @@ class PhysicsDynamics:
         client, scene, rules = self._client, self._scene, self._rules
         drives = pybullet.getJointStates(scene.robot, scene.drives, client)
         x, y, heading = (drive[0] for drive in drives)
+        reach_x, reach_y = self._reach  # against the alcove's far wall a contact gives way a millimetre beyond the exit
+        x, y = min(max(x, -reach_x), reach_x), min(max(y, -reach_y), reach_y)
         turns = round(heading / rules.turn_step)
         steps, offset = turns % rules.headings, heading - turns * rules.turn_step
         joints = pybullet.getJointStates(scene.robot, scene.joints, client) if scene.joints else ()

@@ -96,21 +96,37 @@ def test_noise_and_slip_are_those_of_kinematics(make_room):
     assert 3 <= slipped <= 25
 
 
-@settings(max_examples=10)
-@given(st.integers(0, 1000), st.lists(st.tuples(st.integers(0, 9), st.integers(1, 4)), max_size=8),
-       st.sampled_from([0.7, 5.0]))
-def test_nothing_tunnels_and_bodies_hardly_overlap(seed, runs, step):
+def make_thin_room(seed: int, step: float) -> BulletRoom:
+    """A room of thin walls, with a door, for long moves."""
     config = RoomConfig(room=ShapeConfig(width=12, depth=12, wall_thickness=0.02),
                         exit=ExitConfig(door=True, width=2.4),
                         robot=RobotConfig(body_radius=0.4, move_step=step, joints=2),
                         obstacles=ObstaclesConfig(count=4), puzzle=ButtonsConfig(count=1))
-    room = BulletRoom(generate(with_physics(config), seed))
+    return BulletRoom(generate(with_physics(config), seed))
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 1000), st.lists(st.tuples(st.integers(0, 9), st.integers(1, 4)), max_size=8),
+       st.sampled_from([0.7, 5.0]))
+def test_nothing_tunnels_and_bodies_hardly_overlap(seed, runs, step):
+    room = make_thin_room(seed, step)
     try:
         for action, times in runs:
             for _ in range(times):
                 at = room.step(action).state
                 assert abs(at.x) <= room.instance.reach_x and abs(at.y) <= room.instance.reach_y
                 assert room.compute_clearance() > -0.01
+    finally:
+        room.close()
+
+
+def test_a_body_that_runs_into_the_far_wall_of_the_alcove_is_in_the_exit():
+    room = make_thin_room(296, 5.0)  # where its second move ends against that wall
+    try:
+        assert not room.step(BACK).terminated
+        last = room.step(BACK)
+        assert last.terminated and last.state.y == room.instance.reach_y == room.instance.exit.y_max
+        assert room.instance.exit.contains(last.state.x, last.state.y)
     finally:
         room.close()
 
