@@ -10,7 +10,7 @@ from gymnasium import spaces
 
 
 class GoalEnv(gymnasium.Env):
-    """Base of the two: reward 0 where the goal is achieved, which ends the episode, else -1."""
+    """Base of the two, which `observe`: reward 0 where the goal is achieved, which ends the episode, else -1."""
 
     def __init__(self, size: int, actions: int, horizon: int) -> None:
         goal = spaces.Box(0.0, 1.0, (size,), np.float32)
@@ -21,9 +21,6 @@ class GoalEnv(gymnasium.Env):
     def begin(self, state: Any, goal: Any) -> tuple[dict[str, Any], dict[str, Any]]:
         self.state, self.goal, self.spent = state, goal, 0
         return self.observe(), {}
-
-    def observe(self) -> dict[str, Any]:
-        raise NotImplementedError
 
     def end_step(self) -> tuple[dict[str, Any], float, bool, bool, dict[str, Any]]:
         self.spent += 1

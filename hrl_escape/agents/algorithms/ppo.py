@@ -40,7 +40,7 @@ from hrl_escape.agents.components.policy_gradient import (
     take_column,
 )
 from hrl_escape.agents.components.streams.open_choices import OpenChoices
-from hrl_escape.agents.streams import StreamAgent, StreamTransitions, compute_backups
+from hrl_escape.agents.streams import StreamAgent, StreamTransitions
 
 __all__ = ["PPO", "PPOSettings"]
 
@@ -195,18 +195,12 @@ class PPO(StreamAgent):
     def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
         """Keep the decisions; update when the rollout is full."""
         assert self._open is not None, "begin_streams comes first"
-        reward, bootstrap = compute_backups(decisions, self.settings)
+        bonus = None
         if self.settings.bonus_weight:
-            bonus = self._bonus.visit_many(decisions.next_observation.cpu().numpy())
-            reward = reward + torch.from_numpy(bonus).to(reward.device)
-        over = decisions.terminated | decisions.truncated
-        mask, log_probability, place, memory = self._open.end(decisions.stream, over)
-        self._chunks.append(Rollout(
-            self._encoder.encode_many(decisions.observation), mask, decisions.action, log_probability,
-            reward * self.settings.reward_scale, bootstrap, decisions.duration, over,
-            self._encoder.encode_many(decisions.next_observation), memory, decisions.stream, place,
-        ))
-        self._collected += len(place)
+            visited = self._bonus.visit_many(decisions.next_observation.cpu().numpy())
+            bonus = torch.from_numpy(visited).to(decisions.reward.device)
+        self._chunks.append(self._open.collect(decisions, self._encoder, self.settings, bonus))
+        self._collected += len(decisions.stream)
         least = max(self.settings.rollout, self.settings.stream_rollout * self._open.count)
         return self._learn() if self._collected >= least else {}
 

@@ -105,6 +105,19 @@ def test_a_decision_keeps_the_mask_and_the_probability_that_it_was_chosen_with()
     assert row.log_probability.exp().item() == pytest.approx(chances[int(action[0])] / chances.sum(), rel=1e-5)
 
 
+def test_a_bonus_is_a_part_of_the_reward_of_every_stream():
+    settings = PPOSettings(hidden=(4,), rollout=10**6, bonus_weight=3.0, reward_scale=0.5)
+    agent = PPO(gymnasium.spaces.Box(-1, 1, (2,), np.float32), gymnasium.spaces.Discrete(ACTIONS), 0, settings)
+    agent.begin_streams(3, CPU)
+    mask, zeros = torch.ones(3, ACTIONS, dtype=torch.bool), torch.zeros(3, dtype=torch.bool)
+    action = agent.act_streams(torch.zeros(3, 2), mask, torch.arange(3))
+    reached = torch.tensor([[0.5, 0.5], [-0.5, 0.5], [0.5, 0.5]])  # the first cell is visited twice
+    agent.observe_streams(StreamTransitions(torch.arange(3), torch.zeros(3, 2), action, -torch.ones(3), -torch.ones(3),
+                                            torch.ones(3, dtype=torch.int64), reached, mask, zeros, zeros))
+    rewards = np.asarray(agent.state_dict()["rollout"]["reward"])
+    assert rewards == pytest.approx([-0.5, -0.5, 0.5 * (-1 - 3 * (1 - 2**-0.5))])
+
+
 def test_streams_draw_from_the_policy():
     agent = PPO(gymnasium.spaces.Box(-1, 1, (2,), np.float32), gymnasium.spaces.Discrete(ACTIONS), 0)
     agent.policy[-1].weight.data *= 100

@@ -22,7 +22,7 @@ from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
 from hrl_escape.agents.components.options.open_options import OpenOptions
 from hrl_escape.agents.components.policy_gradient import Rollout, sample_policy, take_column
 from hrl_escape.agents.components.streams.open_choices import OpenChoices
-from hrl_escape.agents.streams import StreamAgent, StreamTransitions, compute_backups
+from hrl_escape.agents.streams import StreamAgent, StreamTransitions
 
 __all__ = ["StreamOptionAgent"]
 
@@ -88,15 +88,9 @@ class StreamOptionAgent(ClippedOptionAgent, StreamAgent):
         """Keep the decisions; update when the rollout is full."""
         assert self._open is not None, "begin_streams comes first"
         choices, options = self._open
-        reward, bootstrap = compute_backups(decisions, self.settings)
-        over = decisions.terminated | decisions.truncated
-        mask, log_probability, place, memory = choices.end(decisions.stream, over)
-        self._chunks.append((Rollout(
-            self._encoder.encode_many(decisions.observation), mask, decisions.action, log_probability,
-            reward * self.settings.reward_scale, bootstrap, decisions.duration, over,
-            self._encoder.encode_many(decisions.next_observation), memory, decisions.stream, place,
-        ), options.end(decisions.stream, over)))
-        self._collected += len(place)
+        rollout = choices.collect(decisions, self._encoder, self.settings)
+        self._chunks.append((rollout, options.end(decisions.stream, rollout.over)))
+        self._collected += len(decisions.stream)
         if self._collected < max(self.settings.rollout, self.settings.stream_rollout * choices.count):
             return {}
         rollout, own = self._gather_chunks()

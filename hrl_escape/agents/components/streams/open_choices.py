@@ -7,7 +7,9 @@ import torch
 from torch import Tensor
 
 from hrl_escape.agents.agent import StateTree
-from hrl_escape.agents.components.policy_gradient import Rollout
+from hrl_escape.agents.components.networks import ObservationEncoder
+from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout
+from hrl_escape.agents.streams import StreamTransitions, compute_backups
 from hrl_escape.errors import CheckpointError
 
 __all__ = ["OpenChoices"]
@@ -53,6 +55,26 @@ class OpenChoices:
         self._place[stream] += 1
         self.memory[stream] = torch.where(over[:, None], 0.0, self.memory[stream])
         return self._mask[stream], self._log_probability[stream], place, self._before[stream]
+
+    def collect(self, decisions: StreamTransitions, encoder: ObservationEncoder, settings: ClippedSettings,
+                bonus: Tensor | None = None) -> Rollout:
+        """Decisions that ended, as a part of a rollout, with what they were chosen with.
+
+        Args:
+            decisions: of some streams.
+            encoder: of observations.
+            settings: of the agent.
+            bonus: to be added to rewards, in units of return, (n,); None for none.
+        """
+        reward, bootstrap = compute_backups(decisions, settings)
+        reward = reward if bonus is None else reward + bonus
+        over = decisions.terminated | decisions.truncated
+        mask, log_probability, place, memory = self.end(decisions.stream, over)
+        return Rollout(
+            encoder.encode_many(decisions.observation), mask, decisions.action, log_probability,
+            reward * settings.reward_scale, bootstrap, decisions.duration, over,
+            encoder.encode_many(decisions.next_observation), memory, decisions.stream, place,
+        )
 
     def has(self, count: int, device: torch.device) -> bool:
         """True if these are the choices of so many streams on that device."""
