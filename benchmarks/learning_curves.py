@@ -25,7 +25,6 @@ import gymnasium
 import numpy as np
 import torch
 
-import hrl_escape  # noqa: F401  # registers the rooms
 from benchmarks.classic_control import Peer
 from hrl_escape.agents import evaluate, make_agent
 from hrl_escape.agents.agent import count_actions, make_transition, read_action_mask

@@ -193,6 +193,12 @@ def place_lines(lines: Sequence[DialLine], level: float = LEVEL) -> list[PlacedO
     Raises:
         ComparisonError: the lines have no curve.
     """
+    curve, learned = _group(lines)
+    return [PlacedOption(*key, len(worth), place_on_dial(curve, worth, level=level)) for key, worth in learned.items()]
+
+
+def _group(lines: Sequence[DialLine]) -> tuple[dict[float, list[float]], dict[tuple[str, int], list[float]]]:
+    """Worth of planned options by their rate of failure, and of learned ones by name and primitives of training."""
     curve: dict[float, list[float]] = defaultdict(list)
     learned: dict[tuple[str, int], list[float]] = defaultdict(list)
     for line in lines:
@@ -200,7 +206,7 @@ def place_lines(lines: Sequence[DialLine], level: float = LEVEL) -> list[PlacedO
             learned[line.option, line.primitives].append(line.worth)
         else:
             curve[line.failure].append(line.worth)
-    return [PlacedOption(*key, len(worth), place_on_dial(curve, worth, level=level)) for key, worth in learned.items()]
+    return curve, learned
 
 
 def conclude_dial(lines: Sequence[DialLine]) -> str:
@@ -211,15 +217,15 @@ def conclude_dial(lines: Sequence[DialLine]) -> str:
     Raises:
         ComparisonError: the lines have no curve, or no learned option.
     """
-    placed = place_lines(lines)
-    if not placed:
+    _, learned = _group(lines)
+    if not learned:
         raise ComparisonError("no learned option was measured")
-    last = max(option.primitives for option in placed)
-    chosen = [option for option in placed if option.runs >= LEAST_RUNS and option.primitives == last]
+    last = max(primitives for _, primitives in learned)
+    chosen = {key for key, worth in learned.items() if len(worth) >= LEAST_RUNS and key[1] == last}
     if not chosen:
         return f"Nothing is concluded, as no agent has {LEAST_RUNS} runs."
     placed = place_lines(lines, 1 - (1 - LEVEL) / (2 * len(chosen)))
-    settled = [option for option in placed if option[:3] in {option[:3] for option in chosen}]
+    settled = [option for option in placed if option[:2] in chosen]
     best = min(settled, key=lambda option: option.place)
     early = min((option for option in placed if option.option == best.option), key=lambda option: option.primitives)
     words = f"After {last:,} primitives the best learned option, of `{best.option}`, is worth a planned one that fails "
