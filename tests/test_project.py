@@ -38,6 +38,7 @@ def test_ruff_finds_nothing():
     assert_passes("ruff", "check", ".")
 
 
+@pytest.mark.timeout(1200)  # a minute and a half on an idle core, ten times that beside other work
 def test_pyright_finds_nothing():
     assert_passes("pyright", "--pythonpath", sys.executable)
 
