@@ -8,13 +8,18 @@ import multiprocessing
 import os
 import threading
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from multiprocessing.connection import wait
+from pathlib import Path
 from typing import IO
 
-__all__ = ["die_with_parent", "take_lock"]
+from hrl_escape.files import make_folder
 
-NO_LOCKS = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK, errno.EINVAL)
-"""Errors of file systems without locks, such as Lustre mounted without `-o flock`."""
+__all__ = ["die_with_parent", "take_lock", "taking_turns"]
+
+NO_LOCKS = (errno.ENOSYS, errno.EOPNOTSUPP, errno.ENOLCK, errno.EINVAL, errno.EBADF)
+"""Errors of file systems without locks, such as Lustre mounted without `-o flock`, or NFS for locks of folders."""
 
 
 def die_with_parent() -> None:
@@ -38,11 +43,35 @@ def take_lock(file: IO[bytes]) -> bool:
     Returns:
         False where another process holds the lock.
     """
+    return _lock(file.fileno(), file.name, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+@contextmanager
+def taking_turns(folder: Path) -> Iterator[None]:
+    """Wait until no other process is in such a block about the same folder, which is made if it is missing.
+
+    For what is read, changed and written again: each then reads what the one before has written. It leaves no file, and
+    a process that dies is in no block any more. A file system without locks is warned of.
+
+    Raises:
+        FileWriteError: the folder cannot be made.
+    """
+    make_folder(folder)
+    descriptor = os.open(folder, os.O_RDONLY)
     try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        _lock(descriptor, folder, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _lock(descriptor: int, name: object, how: int) -> bool:
+    """Lock what a descriptor is open on; False where another process holds the lock."""
+    try:
+        fcntl.flock(descriptor, how)
     except OSError as error:
         if error.errno not in NO_LOCKS:
             return False
-        warnings.warn(f"{file.name}: this file system has no locks ({error.strerror}), so that nothing keeps two "
-                      "processes out of one folder: start each but once", RuntimeWarning, stacklevel=2)
+        warnings.warn(f"{name}: this file system has no locks ({error.strerror}), so that nothing keeps two "
+                      "processes out of one folder: start each but once", RuntimeWarning, stacklevel=3)
     return True

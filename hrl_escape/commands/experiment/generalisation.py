@@ -21,7 +21,7 @@ from hrl_escape.experiments.baselines.generalisation import (
     make_sizes_grid,
 )
 from hrl_escape.experiments.baselines.generalisation_page import write_generalisation_page
-from hrl_escape.experiments.baselines.lines import BaselineRun, collect_baselines, join_lines, load_lines, save_lines
+from hrl_escape.experiments.baselines.lines import BaselineRun, collect_baselines, joining_lines, load_lines
 from hrl_escape.experiments.comparison import run_grid
 from hrl_escape.experiments.launching.local import LocalLauncher
 from hrl_escape.experiments.studies.running import get_raw_file, refuse_failures
@@ -32,14 +32,13 @@ from hrl_escape.ladder.benchmark import load_benchmark
 def run(args: GeneralisationArgs) -> None:
     """Run, write lines, page and figure, and say where they are."""
     raw = get_raw_file(args.docs, "generalisation")
-    lines = load_lines(raw) if raw.exists() else []
+    known = load_lines(raw) if raw.exists() else []
     if not args.from_raw:
         claim_folder(raw.parent)
-        lines = join_lines(lines, _make_runs(args))
-        save_lines(raw, lines)
-    if not lines:
+    elif not known:
         raise ConfigError("docs", str(args.docs), "a folder with raw/generalisation.jsonl, or leave out --from-raw")
-    write_generalisation_page(lines, args.docs)
+    with joining_lines(raw, [] if args.from_raw else _make_runs(args)) as lines:
+        write_generalisation_page(lines, args.docs)
     Console(highlight=False, soft_wrap=True).print(f"Page: {args.docs / 'generalisation.md'}")
 
 

@@ -17,7 +17,7 @@ from pathlib import Path
 from rich.console import Console
 
 from hrl_escape.errors import ConfigError
-from hrl_escape.experiments.baselines.lines import join_lines, load_lines, save_lines
+from hrl_escape.experiments.baselines.lines import joining_lines, load_lines
 from hrl_escape.experiments.baselines.page import write_baselines_page
 from hrl_escape.experiments.baselines.running import (
     BaselineArgs,
@@ -45,15 +45,14 @@ def run(args: LadderArgs) -> None:
     """Run, write lines and page, and say where they are."""
     bench, raw = load_benchmark("ladder-1"), get_raw_file(args.docs, "ladder")
     console = Console(highlight=False, soft_wrap=True)
-    lines = load_lines(raw) if raw.exists() else []
+    known, new = load_lines(raw) if raw.exists() else [], []
     if not args.from_raw:
         for name in ("rooms", "runs", "minutes"):
             if getattr(args, name) <= 0:
                 raise ConfigError(name, getattr(args, name), "above 0")
         claim_folder(raw.parent)
         found = run_baselines(bench, args, args.minutes)
-        lines = join_lines(lines, collect_lines(found))
-        save_lines(raw, lines)
+        new = collect_lines(found)
         if args.ship is not None:
             for rung, agent in ship_agents(found, args.ship).items():
                 console.print(f"{rung}: {agent}", markup=False)
@@ -61,8 +60,9 @@ def run(args: LadderArgs) -> None:
         for message, count in Counter(failure.message for failure in failures).items():
             console.print(f"{count} runs failed: {message}", markup=False)
         console.print(f"{list_missing(found) - len(failures)} runs are left for another time")
-    if not lines:
+    if not known and not new:
         raise ConfigError("docs", str(args.docs), "a folder with raw/ladder.jsonl, or leave out --from-raw")
-    write_baselines_page(lines, [rung.name for rung in bench], args.docs / "ladder.md",
-                         [rung.name for rung in bench if rung.config.dynamics.is_random])
+    with joining_lines(raw, new) as lines:
+        write_baselines_page(lines, [rung.name for rung in bench], args.docs / "ladder.md",
+                             [rung.name for rung in bench if rung.config.dynamics.is_random])
     console.print(f"Page: {args.docs / 'ladder.md'}")

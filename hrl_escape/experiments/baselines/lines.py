@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Protocol, TypeVar
@@ -18,10 +19,11 @@ from hrl_escape.errors import EscapeError, FileReadError, describe_damage
 from hrl_escape.experiments.comparison import Comparison
 from hrl_escape.experiments.statistics import LEAST_RUNS, compute_iqm
 from hrl_escape.files import read_text, write_text
+from hrl_escape.processes import taking_turns
 from hrl_escape.settings import read_record
 
 __all__ = ["LEAST_RUNS", "BaselineRun", "collect_baselines", "compute_run_efficiency", "join_lines",
-           "load_data_lines", "load_lines", "save_lines"]
+           "joining_lines", "load_data_lines", "load_lines", "save_lines"]
 
 
 class DataLine(Protocol):
@@ -99,6 +101,23 @@ def compute_run_efficiency(runs: Sequence[BaselineRun]) -> float:
 def join_lines(old: Iterable[BaselineRun], new: Iterable[BaselineRun]) -> list[BaselineRun]:
     """All lines, new ones in place of old ones about the same run."""
     return list({line.place: line for line in (*old, *new)}.values())
+
+
+@contextmanager
+def joining_lines(path: Path, new: Sequence[BaselineRun]) -> Iterator[list[BaselineRun]]:
+    """Join lines with those that a file has by now, and yield all, for the page that is written of them.
+
+    Commands that end at once take turns, the page included, so that none loses the lines of another.
+
+    Raises:
+        FileReadError: the file is damaged.
+        FileWriteError: it cannot be written.
+    """
+    with taking_turns(path.parent):
+        lines = join_lines(load_lines(path) if path.exists() else [], new)
+        if new:
+            save_lines(path, lines)
+        yield lines
 
 
 def save_lines(path: Path, lines: Iterable[DataLine]) -> None:

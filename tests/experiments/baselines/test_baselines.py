@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +42,28 @@ def test_lines_survive_their_file_and_new_ones_replace_old_ones(tmp_path: Path):
     (tmp_path / "a.jsonl").write_text('{"protocol": 3}\n')
     with pytest.raises(FileReadError, match="damaged"):
         load_lines(tmp_path / "a.jsonl")
+
+
+ADD = """
+import dataclasses, sys
+from pathlib import Path
+from hrl_escape.experiments.baselines.lines import joining_lines, load_lines
+path, agent = Path(sys.argv[1]) / "raw" / "ladder.jsonl", sys.argv[2]
+first = load_lines(path)[0]
+for seed in range(1, 41):
+    with joining_lines(path, [dataclasses.replace(first, agent=agent, seed=seed)]) as lines:
+        (path.parent.parent / "page").write_text(str(len(lines)))
+"""
+
+
+def test_commands_that_end_at_once_lose_no_line_of_each_other_and_the_page_has_all(tmp_path: Path):
+    save_lines(tmp_path / "raw" / "ladder.jsonl", [LINE])
+    both = [subprocess.Popen([sys.executable, "-c", ADD, str(tmp_path), agent]) for agent in ("dqn", "ppo")]
+    assert [each.wait(timeout=120) for each in both] == [0, 0]
+    lines = load_lines(tmp_path / "raw" / "ladder.jsonl")
+    assert {(line.agent, line.seed) for line in lines} == {("dqn", 0), *((agent, seed) for agent in ("dqn", "ppo")
+                                                                        for seed in range(1, 41))}
+    assert (tmp_path / "page").read_text() == str(len(lines)) == "81"
 
 
 def test_the_page_names_the_highest_rung_mastered_and_the_highest_that_enough_runs_prove(tmp_path: Path):

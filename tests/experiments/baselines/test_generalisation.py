@@ -125,7 +125,9 @@ def test_ten_seeds_lead_to_sentences_and_nine_to_none(vectors: tuple, objects: t
     (0.3, 0.2, ("one chain reaches 0.30 less than in rooms of 6 buttons, layered",
                 "10 buttons, layered reaches 0.40 less than in")),
     (0.6, 0.8, ("one chain is not shown to reach more or less than in rooms of 6 buttons, layered",
-                "10 buttons, layered reaches 0.20 more than in"))])
+                "10 buttons, layered reaches 0.20 more than in")),
+    (0.7, 0.6, ("one chain reaches 0.10 more than in rooms of 6 buttons, layered",
+                "10 buttons, layered is not shown to reach more or less than in rooms of 6 buttons, layered"))])
 def test_depth_is_told_at_an_equal_number_of_buttons(chain: float, deepest: float, told: tuple, tmp_path: Path):
     values = dict(zip(DEPTHS, (0.6, chain, 0.5, deepest), strict=True))
     lines = [line for shift, (rung, value) in enumerate(values.items())
