@@ -37,6 +37,9 @@ __all__ = [
     "make_network",
 ]
 
+MOST_KNOWN = 1_000
+"""Most outputs of a network that are remembered."""
+
 
 @dataclass(frozen=True)
 class NetworkSettings(AgentSettings):
@@ -276,8 +279,8 @@ def initialise_layer(layer: Any, initialisation: str, gain: float, generator: to
 def make_forward(network: Network) -> Callable[[NDArray], NDArray]:
     """A function from one encoded observation to the network's outputs, (outputs,), without gradients.
 
-    Perceptrons on a CPU run in numpy on views of the network's own weights, so later updates are seen; make the
-    function again after `Network.move`.
+    Perceptrons on a CPU run in numpy on views of the network's own weights, so later updates are seen; deep sets there
+    remember their outputs while the weights stay. Make the function again after `Network.move`.
     """
     device = network.weights.device
     if device.type != "cpu" or not all(isinstance(layer, (nn.Linear, nn.ReLU, nn.Tanh)) for layer in network):
@@ -286,7 +289,9 @@ def make_forward(network: Network) -> Callable[[NDArray], NDArray]:
             with torch.no_grad():
                 return network(torch.from_numpy(observation).unsqueeze(0).to(device)).squeeze(0).cpu().numpy()
 
-        return forward_torch
+        if device.type != "cpu" or isinstance(network[0], _Unit):  # pictures hardly repeat
+            return forward_torch
+        return _remember(forward_torch, network.weights.numpy())
 
     steps = [
         (layer.weight.detach().numpy(), layer.bias.detach().numpy()) if isinstance(layer, nn.Linear) else layer
@@ -306,6 +311,26 @@ def make_forward(network: Network) -> Callable[[NDArray], NDArray]:
         return values
 
     return forward_numpy
+
+
+def _remember(forward: Callable[[NDArray], NDArray], weights: NDArray) -> Callable[[NDArray], NDArray]:
+    """Function with the same outputs, those of the latest inputs from memory while the weights stay as they are.
+
+    Agents that get nowhere see the same few observations for hundreds of decisions.
+    """
+    known: dict[bytes, NDArray] = {}
+    before = weights.copy()
+
+    def recall(observation: NDArray) -> NDArray:
+        if len(known) >= MOST_KNOWN or not np.array_equal(before, weights):
+            known.clear()
+            before[:] = weights
+        key = observation.tobytes()
+        if key not in known:
+            known[key] = forward(observation)
+        return known[key].copy()
+
+    return recall
 
 
 def compute_td_loss(values: torch.Tensor, targets: torch.Tensor, kind: str) -> torch.Tensor:
