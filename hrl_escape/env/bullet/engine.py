@@ -1,8 +1,8 @@
 """The Bullet engine: one room in its own physics client, under kinematic or physics dynamics.
 
-Kinematic rooms are moved by `Kinematics`, and Bullet's world is placed accordingly when somebody looks at it: rendering
-and queries always see the state, and steps cost nothing for it. Physics rooms are moved by `physics.py`. It knows no
-Gymnasium, no observations and no cameras.
+Kinematic rooms are moved by `Kinematics`, and Bullet's world is built and placed accordingly when somebody looks at it:
+rendering and queries always see the state, and steps, or rooms that nobody looks at, cost nothing for it. Physics rooms
+are moved by `physics.py`. It knows no Gymnasium, no observations and no cameras.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 import sys
 import time
 import weakref
+from typing import NamedTuple
 
 import pybullet
 
@@ -29,12 +30,11 @@ _ARROWS = {pybullet.B3G_UP_ARROW: "up", pybullet.B3G_DOWN_ARROW: "down", pybulle
 
 
 class BulletRoom:
-    """One room that moves. Rooms are independent; each owns a physics client until `close`.
+    """One room that moves. Rooms are independent; each that is looked at owns a physics client until `close`.
 
     Attributes:
         instance: the room.
         rules: the room's rules (`Kinematics`, or `Rules` under physics).
-        scene: pybullet's numbers of the bodies in it.
         state: the state now. It is immutable, so to keep it is to save it.
     """
 
@@ -46,21 +46,33 @@ class BulletRoom:
             window: open Bullet's window (needs a display).
 
         Raises:
-            UnsupportedError: a window without a display, or too many rooms open in this process.
+            UnsupportedError: a window without a display; under physics, too many rooms open in this process.
         """
-        self.instance = instance
-        self._client, self._is_seen, self._is_placed = _connect(window), window, True
-        self._release = weakref.finalize(self, _disconnect, self._client)
-        physics = instance.dynamics.kind == "physics"
-        self.rules: Rules = Rules(instance) if physics else Kinematics(instance)
-        self.scene: SceneBodies = build_scene(self._client, instance, self.rules.robot)
-        if window:
-            pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_RENDERING, 1, physicsClientId=self._client)
-        dynamics = PhysicsDynamics if physics else _KinematicDynamics
-        self._dynamics = dynamics(self._client, self.scene, self.rules)
-        self._colours = _PuzzleColours(self._client, instance, self.scene)
+        self.instance, self._is_seen = instance, window
+        kinematics = Kinematics(instance) if instance.dynamics.kind == "kinematic" else None
+        self.rules: Rules = kinematics or Rules(instance)
+        self._world: _World | None = None
+        self._is_closed, self._is_placed = False, True
         self._next_frame = 0.0
+        if window:
+            self._open()
+        self._mover = kinematics or self._open().get_physics()
         self.state = self.reset(instance.starts[0])
+
+    def _open(self) -> _World:
+        """Bullet's world, built when it is first needed."""
+        if self._world is None:
+            client = _connect(self._is_seen)
+            self._release = weakref.finalize(self, _disconnect, client)
+            self._world = _World.build(client, self.instance, self.rules)
+            if self._is_seen:
+                pybullet.configureDebugVisualizer(pybullet.COV_ENABLE_RENDERING, 1, physicsClientId=client)
+        return self._world
+
+    @property
+    def scene(self) -> SceneBodies:
+        """Pybullet's numbers of the bodies in its world."""
+        return self._open().scene
 
     # --- the episode ---------------------------------------------------------------------
 
@@ -72,7 +84,7 @@ class BulletRoom:
             noise_key: 64-bit key of the episode's noise and slip.
         """
         self._require_open()
-        self._enter(self._dynamics.make_state(start, noise_key))
+        self._enter(self._mover.make_state(start, noise_key))
         return self.state
 
     def set_state(self, state: RoomState) -> None:
@@ -87,7 +99,8 @@ class BulletRoom:
         """
         self._require_open()
         check_state(self.rules, state)
-        self._dynamics.check_state(state)
+        if isinstance(self._mover, PhysicsDynamics):
+            self._mover.check_state(state)
         self._enter(state)
 
     def step(self, action: int) -> Transition:
@@ -99,10 +112,10 @@ class BulletRoom:
         Raises:
             ClosedError: the room was closed, or its window.
         """
-        if self._client < 0:
+        if self._is_closed:
             self._require_open()
         try:
-            transition = self._dynamics.step(self.state, action)
+            transition = self._mover.step(self.state, action)
         except pybullet.error:
             self._require_open()
             raise
@@ -116,10 +129,11 @@ class BulletRoom:
 
     def _place(self) -> None:
         """Put Bullet's world into the state, if it is not yet in it."""
-        if not self._is_placed and self._client >= 0:
+        world = self._open()
+        if not self._is_placed:
             try:
-                self._dynamics.place(self.state)
-                self._colours.show(self.state)
+                world.dynamics.place(self.state)
+                world.colours.show(self.state)
             except pybullet.error:
                 self._require_open()
                 raise
@@ -127,9 +141,15 @@ class BulletRoom:
 
     @property
     def client(self) -> int:
-        """Number of pybullet's physics client, -1 once closed; its world shows `state`."""
+        """Number of pybullet's physics client, -1 once closed; its world shows `state`.
+
+        Raises:
+            UnsupportedError: too many rooms in this process have one.
+        """
+        if self._is_closed:
+            return -1
         self._place()
-        return self._client
+        return self._open().client
 
     def show(self, rate: float) -> None:
         """Keep Bullet's window watchable: wait until 1 / `rate` seconds after the last call."""
@@ -158,7 +178,7 @@ class BulletRoom:
         instance, client, best = self.instance, self.client, math.inf
         furthest = 3.0 * (instance.reach_x + instance.reach_y)
         bodies = [(solid, -1) for solid in self.scene.solids]
-        if self.scene.door is not None and self._dynamics.door_is_solid:
+        if self.scene.door is not None and self._open().dynamics.door_is_solid:
             bodies.append((self.scene.door, 0))
         for body, link in bodies:
             points = pybullet.getClosestPoints(self.scene.robot, body, furthest, self.scene.base_link, link,
@@ -169,30 +189,56 @@ class BulletRoom:
     @property
     def is_open(self) -> bool:
         """False once the room, or its window, was closed."""
-        return self._client >= 0 and bool(pybullet.isConnected(self._client))
+        return not self._is_closed and (self._world is None or bool(pybullet.isConnected(self._world.client)))
 
     # --- its end -------------------------------------------------------------------------
 
     def close(self) -> None:
         """Free the physics client; again is no error. Forgetting the room frees it too."""
-        self._release()
-        self._client = -1
+        self._is_closed = True
+        if self._world is not None:
+            self._release()
 
     def _require_open(self) -> None:
-        if self._client < 0:
+        if self._is_closed:
             raise ClosedError("this room is closed; make a new one")
-        if not pybullet.isConnected(self._client):
+        if not self.is_open:
             self.close()
             raise ClosedError("this room's window was closed; make a new one")
 
 
-class _KinematicDynamics:
+class _World(NamedTuple):
+    """Bullet's world of a room.
+
+    Attributes:
+        client: pybullet's number of the physics client.
+        scene: pybullet's numbers of the bodies.
+        dynamics: puts the bodies where a state has them; under physics it moves them, too.
+        colours: show the puzzle.
+    """
+
+    client: int
+    scene: SceneBodies
+    dynamics: PhysicsDynamics | _KinematicPlacement
+    colours: _PuzzleColours
+
+    @classmethod
+    def build(cls, client: int, instance: RoomInstance, rules: Rules) -> _World:
+        scene = build_scene(client, instance, rules.robot)
+        dynamics = (_KinematicPlacement(client, scene, rules) if isinstance(rules, Kinematics)
+                    else PhysicsDynamics(client, scene, rules))
+        return cls(client, scene, dynamics, _PuzzleColours(client, instance, scene))
+
+    def get_physics(self) -> PhysicsDynamics:
+        """Dynamics that move the room."""
+        assert isinstance(self.dynamics, PhysicsDynamics)
+        return self.dynamics
+
+
+class _KinematicPlacement:
     """`Kinematics` decides; Bullet's bodies are placed accordingly."""
 
-    def __init__(self, client: int, scene: SceneBodies, rules: Rules) -> None:
-        assert isinstance(rules, Kinematics)
-        self.step = rules.step
-        self.make_state = rules.make_state
+    def __init__(self, client: int, scene: SceneBodies, rules: Kinematics) -> None:
         self._client, self._rules = client, rules
         self._robot, self._joints, self._height = scene.robot, scene.joints, scene.base_height
         self._turns = tuple(_make_quaternion(n * rules.turn_step) for n in range(rules.headings))
@@ -201,9 +247,6 @@ class _KinematicDynamics:
         self._arm: tuple = ()
         self._door = scene.door
         self.door_is_solid = True
-
-    def check_state(self, state: RoomState) -> None:
-        """Refuse nothing: these dynamics add nothing to a state."""
 
     def place(self, state: RoomState) -> None:
         """Move the parts of the robot that are not yet as the state says."""

@@ -239,7 +239,8 @@ def test_a_closed_room_says_so_and_closing_again_is_no_error():
 def test_a_forgotten_room_frees_its_client():
     before = count_clients()
     room = BulletRoom(generate(get_preset("paper-one-button"), 0))
-    assert count_clients() == before + 1
+    assert room.step(0).state == room.state and room.is_open and count_clients() == before, "nobody has looked"
+    assert pybullet.isConnected(room.client) and count_clients() == before + 1
     del room
     gc.collect()
     assert count_clients() == before
