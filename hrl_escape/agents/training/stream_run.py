@@ -20,6 +20,7 @@ from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.streams import StreamAgent, Streams, StreamTransitions, gather_decisions
 from hrl_escape.agents.training.env_description import describe_many
 from hrl_escape.agents.training.evaluation import compute_episode_seed
+from hrl_escape.agents.training.freed_memory import keep_freed_memory
 from hrl_escape.agents.training.progress import Reporter
 from hrl_escape.agents.training.results import SegmentRecord, read_row
 from hrl_escape.agents.training.run import NO_OPTIONS, Run, refusing_damage
@@ -48,6 +49,7 @@ class StreamRun(Run):
     def __init__(self, agent: StreamAgent, env: VectorEnv | Streams, eval_env: gymnasium.Env, arguments: RunArguments
                  ) -> None:
         super().__init__(agent, eval_env, eval_env, arguments)
+        keep_freed_memory()
         self._source, self._begun = env, 0
         self.streams = streams = make_streams(env, agent.gamma)
         self._steps = max(SEGMENT_STEPS, SEGMENT_PRIMITIVES // streams.count)
