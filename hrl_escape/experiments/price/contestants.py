@@ -19,13 +19,15 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.sampling.generation import generate
 
-__all__ = ["BUTTON_COUNTS", "CONTESTANTS", "EFFICIENT", "PAIRS", "VARIANTS", "Contestant", "make_chain_room",
+__all__ = ["BUTTON_COUNTS", "CONTESTANTS", "EFFICIENT", "FRESH", "PAIRS", "VARIANTS", "Contestant", "make_chain_room",
            "sample_replicate_room"]
 
 BUTTON_COUNTS = (1, 2, 3, 4, 6)
 """Numbers of buttons."""
 EFFICIENT = 0.9
 """Efficiency of a greedy policy from which on it counts as efficient, in two evaluations in a row."""
+FRESH = 200
+"""First replicate of a fresh series, whose caps count from there."""
 
 _UNFIT: Mapping[int, tuple[int, ...]] = MappingProxyType({4: (0, 4, 8)})
 """Number of buttons -> first instances in which not even the best order of presses is efficient: they are left out."""
@@ -60,7 +62,7 @@ class Contestant:
         eval_every: primitives between evaluations.
         settings: fields to change.
         streams: copies of the room that it learns in at once, compiled; 0 for one ordinary environment.
-        replicates: at most so many.
+        replicates: the first so many of a series.
         stage: runs of a later stage are begun when those of earlier ones are done.
         sizes: numbers of buttons.
     """

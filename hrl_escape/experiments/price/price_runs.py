@@ -25,7 +25,7 @@ from hrl_escape.agents.training.train import train
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ComparisonError
 from hrl_escape.experiments.baselines.lines import load_data_lines, save_lines
-from hrl_escape.experiments.price.contestants import CONTESTANTS, EFFICIENT, Contestant, sample_replicate_room
+from hrl_escape.experiments.price.contestants import CONTESTANTS, EFFICIENT, FRESH, Contestant, sample_replicate_room
 from hrl_escape.experiments.statistics import compute_efficiency
 from hrl_escape.ladder.goals import GoalsEnv
 from hrl_escape.options.options_env import OptionsEnv
@@ -89,11 +89,12 @@ def list_price_runs(first: int, replicates: int, contestants: Sequence[Contestan
 
     Args:
         first: replicate.
-        replicates: number of them; a contestant may have fewer.
+        replicates: number of them; a contestant may have fewer, the first of its series.
         contestants: all by default.
     """
-    wanted = [(contestant, buttons, first + number) for number in range(replicates) for contestant in contestants
-              for buttons in contestant.sizes if number < contestant.replicates]
+    wanted = [(contestant, buttons, replicate) for replicate in range(first, first + replicates)
+              for contestant in contestants for buttons in contestant.sizes
+              if replicate % FRESH < contestant.replicates]
     yield from sorted(wanted, key=lambda run: run[0].stage)
 
 

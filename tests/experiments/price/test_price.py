@@ -18,6 +18,7 @@ from hrl_escape.experiments.price.contestants import (
     BUTTON_COUNTS,
     CONTESTANTS,
     EFFICIENT,
+    FRESH,
     PAIRS,
     VARIANTS,
     Contestant,
@@ -234,6 +235,14 @@ def test_every_flat_learner_has_its_twin_and_trials_are_in_other_rooms():
     assert not used & {trial.room for trial in load_trials()}
     planned = list(list_price_runs(0, 10))
     assert len({(contestant.label, *rest) for contestant, *rest in planned}) == len(planned)
+
+
+@pytest.mark.parametrize("series", [0, FRESH])
+def test_a_learner_of_few_replicates_has_the_first_ones_wherever_one_begins(series: int):
+    few = dataclasses.replace(QUICK, replicates=4)
+    assert [replicate for _, _, replicate in list_price_runs(series, 10, (few,))] == [*range(series, series + 4)]
+    assert [replicate for _, _, replicate in list_price_runs(series + 2, 10, (few,))] == [series + 2, series + 3]
+    assert not list(list_price_runs(series + 4, 6, (few,)))
 
 
 def test_a_run_over_presses_ends_with_two_efficient_evaluations(tmp_path: Path):
