@@ -59,19 +59,28 @@ def tell_room_numbers(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], ag
     return _answer(asked)
 
 
-def tell_puzzle_depths(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], agents: Sequence[str]) -> list[str]:
+def tell_puzzle_depths(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], agents: Sequence[str], chance: str
+                       ) -> list[str]:
     """Sentences on deeper puzzles: of each agent, a chain against layers at the same number, and most against fewest.
+
+    And each against chance, in every kind of room.
 
     Args:
         cells: runs by agent and kind of room tested in, of `DEPTHS`.
         agents: those to be asked about.
+        chance: the agent that chooses at random.
     """
     enough = {place: seeds for place, runs in cells.items() if len(seeds := _index(runs)) >= LEAST_RUNS}
     layered, chain, *_, deepest = DEPTHS
-    return _answer([_ask(f"`{agent}` in rooms of {first}", f"in rooms of {second}", enough[agent, first],
-                         enough[agent, second])
-                    for agent in agents for first, second in ((chain, layered), (deepest, layered))
-                    if (agent, first) in enough and (agent, second) in enough])
+    asked = []
+    for agent in agents:
+        asked += [_ask(f"`{agent}` in rooms of {first}", f"in rooms of {second}", enough[agent, first],
+                       enough[agent, second])
+                  for first, second in ((chain, layered), (deepest, layered))
+                  if (agent, first) in enough and (agent, second) in enough]
+        asked += [_ask(f"`{agent}` in rooms of {kind}", "random choices", enough[agent, kind], enough[chance, kind])
+                  for kind in DEPTHS if (agent, kind) in enough and (chance, kind) in enough]
+    return _answer(asked)
 
 
 def _index(runs: Sequence[BaselineRun]) -> _Seeds:

@@ -16,7 +16,15 @@ from matplotlib.figure import Figure
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.maps import save_figure
 from hrl_escape.experiments.baselines.calibration import CHANCE
-from hrl_escape.experiments.baselines.generalisation import DEPTHS, FLAT, MEMORY, OBJECTS, TRAINED, VECTORS
+from hrl_escape.experiments.baselines.generalisation import (
+    DEPTHS,
+    FLAT,
+    MEMORY,
+    OBJECTS,
+    TRAINED,
+    VECTORS,
+    GeneralisationArgs,
+)
 from hrl_escape.experiments.baselines.generalisation_findings import tell_puzzle_depths, tell_room_numbers
 from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
@@ -57,7 +65,7 @@ def write_generalisation_page(lines: Sequence[BaselineRun], docs: Path) -> None:
                  *_list(tell_room_numbers(cells, tuple(_NAMES), CHANCE))]
     text += ["## Deeper than trained", ""]
     if depth:
-        told = tell_puzzle_depths(_group((line.agent, line.rung, line) for line in depth), tuple(_NAMES))
+        told = tell_puzzle_depths(_group((line.agent, line.rung, line) for line in depth), tuple(_NAMES), CHANCE)
         text += [f"Trained in rooms of {TRAINED}. {_describe(depth)}", "", *_tabulate_depths(depth), "", *_list(told)]
     else:
         text += ["Not run yet.", ""]
@@ -147,9 +155,11 @@ def _describe(lines: Sequence[BaselineRun]) -> str:
     fewest, most, episodes = min(cells.values()), max(cells.values()), max(line.episodes for line in lines)
     seeds = f"{fewest} to {most} training seeds" if fewest < most else count_nouns(most, "training seed")
     few = f" Nothing is concluded from fewer than {LEAST_RUNS} seeds." if fewest < LEAST_RUNS else ""
+    own = GeneralisationArgs().primitives
+    less = f" That is less than the budget of the study itself, {own:,}." if max(budgets, default=own) < own else ""
     return (f"{len(lines)} runs: {seeds}, "
             f"{join_words(f'{budget:,}' for budget in budgets)} primitives, tested in {episodes} rooms "
-            f"that no run was trained in.{few}")
+            f"that no run was trained in.{less}{few}")
 
 
 def _summarise(lines: Sequence[BaselineRun]) -> str:
@@ -175,9 +185,7 @@ def _tabulate_sizes(lines: Sequence[BaselineRun]) -> list[str]:
         for count in counts:
             own = [line for line in lines if line.agent == agent and _count_rooms(line) == count]
             seen = [line.seen for line in own if line.seen is not None]
-            unseen = f"{_average([line.efficiency for line in own]):.2f}"
-            unseen = f"**{unseen}**" if len(own) >= LEAST_RUNS else unseen
-            cells.append(f"{unseen} ({_average(seen):.2f})" if own else "-")
+            cells.append(f"{_format_cell(own)} ({_average(seen):.2f})" if own else "-")
         rows.append(f"| `{agent}` | " + " | ".join(cells) + " |")
     return [*rows, "", "In brackets: the efficiency at the end in rooms that were trained in. Bold: "
             f"{LEAST_RUNS} seeds or more."]
@@ -187,8 +195,13 @@ def _tabulate_depths(lines: Sequence[BaselineRun]) -> list[str]:
     rows = ["| agent | " + " | ".join(DEPTHS) + " | rooms trained in |", "|---" * (len(DEPTHS) + 2) + "|"]
     for agent in dict.fromkeys(line.agent for line in lines):
         own = [line for line in lines if line.agent == agent]
-        by_name = [[line.efficiency for line in own if line.rung == name] for name in DEPTHS]
-        cells = [f"{_average(values):.2f}" if values else "-" for values in by_name]
+        cells = [_format_cell([line for line in own if line.rung == name]) for name in DEPTHS]
         seen = [line.seen for line in own if line.seen is not None]
         rows.append(f"| `{agent}` | {' | '.join(cells)} | {f'{_average(seen):.2f}' if seen else '-'} |")
-    return rows
+    return [*rows, "", f"Bold: {LEAST_RUNS} seeds or more."]
+
+
+def _format_cell(lines: Sequence[BaselineRun]) -> str:
+    """Mean efficiency in unseen rooms, bold where it is of many seeds."""
+    mean = f"{_average([line.efficiency for line in lines]):.2f}"
+    return "-" if not lines else f"**{mean}**" if len(lines) >= LEAST_RUNS else mean

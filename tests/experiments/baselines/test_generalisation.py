@@ -76,6 +76,9 @@ def test_rungs_have_tables_and_commands_of_their_own_and_seeds_are_counted_by_ce
     write_generalisation_page(lines, tmp_path)
     page = (tmp_path / "generalisation.md").read_text()
     assert f"| `{VECTORS}` | 0.20 (1.00) |\n" in page and f"| `{VECTORS}` | 0.70 (1.00) | - |\n" in page
+    assert page.count("trained in. That is less than the budget of the study itself, 1,000,000.") == 2
+    write_generalisation_page([dataclasses.replace(LINE, primitives=1_000_000)], tmp_path)
+    assert "That is less" not in (tmp_path / "generalisation.md").read_text()
     assert "2 runs: 1 training seed, 500" in page and "4 runs: 1 to 3 training seeds, 500" in page
     assert "--rung pair --primitives 500 --rooms 3 --runs 1\n" in page
     assert "--rung chain-3 --primitives 500 --rooms 3 --runs 3\n" in page
@@ -136,6 +139,14 @@ def test_depth_is_told_at_an_equal_number_of_buttons(chain: float, deepest: floa
     page = (tmp_path / "generalisation.md").read_text()
     assert not [words for words in told if words not in page], page
     assert page.count(f"\n- `{MEMORY}` in rooms of ") == 2
+    assert f"| **{chain:.2f}** |" in page and "| **0.50** |" in page
+    lines += [line for rung, shift in (("6 buttons, layered", 5), ("8 buttons, layered", 6))
+              for line in make_seeds(CHANCE, 1, 0.5, shift, protocol="depth", rung=rung, primitives=0)]
+    write_generalisation_page(lines, tmp_path)
+    page = (tmp_path / "generalisation.md").read_text()
+    assert f"- `{MEMORY}` in rooms of 6 buttons, layered reaches 0.10 more than random choices (" in page
+    assert f"- `{MEMORY}` in rooms of 8 buttons, layered is not shown to reach more or less than random choices" in page
+    assert page.count(f"\n- `{MEMORY}` in rooms of ") == 4 and f"- `{CHANCE}`" not in page
 
 
 def test_a_difference_by_luck_alone_is_not_told_where_many_are_asked_about(tmp_path: Path):
