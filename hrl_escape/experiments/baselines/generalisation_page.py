@@ -87,7 +87,8 @@ def _list(sentences: Sequence[str]) -> list[str]:
     if not sentences:
         return []
     return [f"Efficiency in unseen rooms, by pairs of runs of the same training seed in cells of {LEAST_RUNS} seeds or "
-            "more (Student's t, with Holm's correction):", "", *(f"- {sentence}" for sentence in sentences), ""]
+            "more (Student's t, with Holm's correction; the intervals are of each question alone):", "",
+            *(f"- {sentence}" for sentence in sentences), ""]
 
 
 def _make_command(lines: Sequence[BaselineRun]) -> str:
