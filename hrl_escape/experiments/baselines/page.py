@@ -9,7 +9,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.experiments.baselines.calibration import tell_calibration
+from hrl_escape.agents.registry import SMDP_PREFIX
+from hrl_escape.experiments.baselines.calibration import KNOWN, tell_calibration
 from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun, compute_run_efficiency
 from hrl_escape.experiments.baselines.running import GENERALISTS, LEARNERS
 from hrl_escape.experiments.inference import compute_wilson_interval
@@ -50,17 +51,29 @@ def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], pat
             *_explain_traits(lines)]
     for protocol in [name for name in _WORDS if any(line.protocol == name for line in lines)]:
         own = [line for line in lines if line.protocol == protocol]
-        cells = _group(own)
-        text += [f"## {protocol}", "", _WORDS[protocol], "", _describe_budgets(own, rungs), "",
-                 *_make_table(cells, rungs), "", *_name_highest(cells, rungs), "", *_score(cells, rungs)]
+        parts = _part(own)
+        text += [f"## {protocol}", "", _WORDS[protocol], "", _describe_budgets(own, rungs), ""]
+        for title, part in parts.items():
+            cells = _group(part)
+            text += [*([f"### {title}", ""] if len(parts) > 1 else []), *_make_table(cells, rungs), "",
+                     *_name_highest(cells, rungs), "", *_score(cells, rungs)]
         if protocol == "per-instance":
-            told = tell_calibration(cells, rungs, noisy)
+            told = tell_calibration(_group(next(iter(parts.values()))), rungs, noisy)
             text += ["### Calibration", "", f"By cells of {LEAST_RUNS} runs or more.", "",
                      *(f"- {sentence}" for sentence in told), ""] if told else []
     text += ["```console", *_list_commands(lines, rungs), "```", "", "The commands go on with the runs that are "
              "missing, and more `--rooms`, `--runs` or `--minutes` add others. Without options the command is the "
              "whole: 10 rooms, 10 seeds, 20 episodes, and the rungs' own budgets.", ""]
     write_text(path, "\n".join(text))
+
+
+def _part(lines: Sequence[BaselineRun]) -> dict[str, list[BaselineRun]]:
+    """Lines by what their agents choose among: tables are of agents that have the same choices."""
+    parts: dict[str, list[BaselineRun]] = {"Over options": [], "Over primitives": []}
+    for line in lines:
+        has_options = line.agent.startswith(SMDP_PREFIX) or line.agent == KNOWN
+        parts["Over options" if has_options else "Over primitives"].append(line)
+    return {title: part for title, part in parts.items() if part}
 
 
 def _explain_traits(lines: Sequence[BaselineRun]) -> list[str]:
@@ -72,10 +85,11 @@ def _explain_traits(lines: Sequence[BaselineRun]) -> list[str]:
 
 
 def _list_commands(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
-    """Command lines that make at least these runs, one for each protocol and budget."""
-    commands = []
-    for protocol, budget in sorted({(line.protocol, line.primitives) for line in lines}):
-        own = [line for line in lines if (line.protocol, line.primitives) == (protocol, budget)]
+    """Command lines that make at least these runs, one for each protocol, kind of choices and budget."""
+    commands, parts = [], _part(lines)
+    kinds = {(line.protocol, title, line.primitives) for title, part in parts.items() for line in part}
+    for protocol, title, budget in sorted(kinds):
+        own = [line for line in parts[title] if (line.protocol, line.primitives) == (protocol, budget)]
         there = [rung for rung in rungs if any(line.rung == rung for line in own)]
         rooms = max(len({line.rooms for line in own if line.rung == rung}) for rung in there)
         episodes = max(line.episodes for line in own)

@@ -109,7 +109,7 @@ ALL = "stay below an efficiency of 0.5 on 3 of 3 rungs."
                                "as efficient as can be on 3 of 3 rungs.", "on none of 3 rungs",
                                "No learner falls from above 0.9 on one rung to below 0.1"]),
     ({CHANCE: [0.8, 0.3, 0.1]}, [1.0, 0.05, 0.0], (),
-     ["on 2 of 3 rungs, but not on `low` (0.80).", "The fall is not smooth: dqn falls from 1.00 on low to 0.05"]),
+     ["on 2 of 3 rungs, but not on `low` (0.80).", "The fall is not smooth: smdp-dqn falls from 1.00 on low to 0.05"]),
     ({CHANCE: [0.3, 0.4, 0.1]}, [0.2, 0.1, 0.0], (),
      ["not in the order of what chance reaches: `middle` (0.40) after `low` (0.30)."]),
     ({CHANCE: [0.401, 0.4, 0.1]}, [0.2, 0.1, 0.0], (),
@@ -123,7 +123,7 @@ ALL = "stay below an efficiency of 0.5 on 3 of 3 rungs."
 ])
 def test_calibration_tells_what_the_lines_say(references: dict, learner: list, noisy: tuple, told: list,
                                               tmp_path: Path):
-    lines = [*make_cells({**SOUND, **references}), *make_cells({"dqn": learner}, 1000)]
+    lines = [*make_cells({**SOUND, **references}), *make_cells({"smdp-dqn": learner}, 1000)]
     write_baselines_page(lines, RUNGS, tmp_path / "page.md", noisy)
     page = (tmp_path / "page.md").read_text()
     assert not [words for words in told if words not in page], page
@@ -155,23 +155,38 @@ def test_runs_in_one_room_are_one_room_to_the_tests(tmp_path: Path):
 
 
 def test_of_a_learner_on_one_rung_no_fall_is_denied(tmp_path: Path):
-    once = [line for line in make_cells({"ppo": [1.0, 1.0, 1.0]}, 1000) if line.rung == "low"]
-    for others, told in (({}, False), ({"dqn": [1.0, 0.5, 0.0]}, True)):
+    once = [line for line in make_cells({"smdp-ppo": [1.0, 1.0, 1.0]}, 1000) if line.rung == "low"]
+    for others, told in (({}, False), ({"smdp-dqn": [1.0, 0.5, 0.0]}, True)):
         write_baselines_page([*make_cells(SOUND), *once, *make_cells(others, 1000)], RUNGS, tmp_path / "page.md")
         page = (tmp_path / "page.md").read_text()
-        assert ("No learner falls" in page) is told and ("that it was run on: `dqn`.\n" in page) is told
+        assert ("No learner falls" in page) is told and ("that it was run on: `smdp-dqn`.\n" in page) is told
+
+
+def test_agents_over_options_and_over_primitives_have_tables_of_their_own(tmp_path: Path):
+    flat = {"random": [0.1, 0.0, 0.0], "ppo": [1.0, 0.0, 0.0]}
+    lines = [*make_cells(SOUND), *make_cells({"smdp-ppo": [0.8, 0.5, 0.2]}, 1000), *make_cells(flat, 1000)]
+    write_baselines_page(lines, RUNGS, tmp_path / "page.md")
+    options, primitives, calibration = (tmp_path / "page.md").read_text().split("\n### ")[1:]
+    assert options.startswith("Over options\n\n| rung | ") and "| `planner` | `smdp-ppo` |" in options
+    assert primitives.startswith("Over primitives\n\n| rung | `random` | `ppo` |") and "smdp" not in primitives
+    assert "| `low` | 0.10 (10) | **1.00** (10) |" in primitives and primitives.count("Ladder score") == 1
+    assert "to below 0.1 on the next that it was run on: `smdp-ppo`." in calibration, "flat agents ask another question"
+    assert "--agents random ppo --runs 1" in calibration and "planner smdp-ppo" not in calibration
+    write_baselines_page(make_cells(flat, 1000), RUNGS, tmp_path / "page.md")
+    assert "### Over" not in (tmp_path / "page.md").read_text()
 
 
 def test_ladder_scores_are_over_the_largest_table_without_gaps(tmp_path: Path):
-    lines = [*make_cells(SOUND), *make_cells({"dqn": [0.9, 0.6, 0.0]}, 1000),
-             *(line for line in make_cells({"ppo": [1.0, 1.0, 1.0]}, 1000) if line.rung == "low")]
+    lines = [*make_cells(SOUND), *make_cells({"smdp-dqn": [0.9, 0.6, 0.0]}, 1000),
+             *(line for line in make_cells({"smdp-ppo": [1.0, 1.0, 1.0]}, 1000) if line.rung == "low")]
     write_baselines_page(lines, RUNGS, tmp_path / "page.md")
     page = (tmp_path / "page.md").read_text()
     assert "the mean of the efficiency over `low`, `middle` and `high`" in page
-    units = [[np.array([run.efficiency]) for run in lines if (run.agent, run.rung) == ("dqn", rung)] for rung in RUNGS]
+    units = [[np.array([run.efficiency]) for run in lines if (run.agent, run.rung) == ("smdp-dqn", rung)]
+             for rung in RUNGS]
     score = compute_ladder_score(units, np.random.default_rng(0))
-    assert f"| `dqn` | 0.50 | {score.low:.2f} to {score.high:.2f} |" in page
-    assert "| `ppo` | 1.00 |" not in page, "on one rung only"
+    assert f"| `smdp-dqn` | 0.50 | {score.low:.2f} to {score.high:.2f} |" in page
+    assert "| `smdp-ppo` | 1.00 |" not in page, "on one rung only"
     assert "less than the rung's own budget on `low` (100,000), `middle` (100,000) and `high` (100,000)." in page
     write_baselines_page([dataclasses.replace(line, primitives=100 * line.primitives) for line in lines], RUNGS,
                          tmp_path / "page.md")
