@@ -43,6 +43,7 @@ class BlocksWorldConfig(PuzzleConfig):
     """Schematic of Blocks World; the instance seed draws the towers at first and those of the goal, each alike."""
 
     kind = "blocks-world"
+    _takes_ranges = True
     count: Annotated[int, Range(2, MOST_BLOCKS)] = 4
     """Number of blocks, unless `problem` says which there are."""
     problem: str | None = None

@@ -29,6 +29,7 @@ class CodeLockConfig(PuzzleConfig):
     """Schematic of the lock; the instance seed draws the code."""
 
     kind = "code-lock"
+    _takes_ranges = True
     digits: Annotated[int, Range(2, 16)] = 4
     """Number of panels."""
     length: Annotated[int, Range(1, 32)] = 4
