@@ -16,8 +16,9 @@ import gymnasium
 from hrl_escape.agents.agent import Agent, read_success
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.errors import UnsupportedError
 
-__all__ = ["StateRecorder", "record_episode"]
+__all__ = ["StateRecorder", "find_recorder", "record_episode"]
 
 
 class StateRecorder(gymnasium.Wrapper):
@@ -63,6 +64,19 @@ class StateRecorder(gymnasium.Wrapper):
     def _get_state(self) -> RoomState:
         room: Any = self.env.unwrapped
         return room.get_state()
+
+
+def find_recorder(env: gymnasium.Env) -> StateRecorder:
+    """The recorder among the wrappers of a room.
+
+    Raises:
+        UnsupportedError: there is none.
+    """
+    while isinstance(env, gymnasium.Wrapper):
+        if isinstance(env, StateRecorder):
+            return env
+        env = env.env
+    raise UnsupportedError(f"nothing records the states of {env}")
 
 
 def record_episode(agent: Agent, env: gymnasium.Env, recorder: StateRecorder, seed: int) -> dict[str, Any]:

@@ -24,7 +24,7 @@ from hrl_escape.errors import EscapeError, GridError, UnknownNameError
 from hrl_escape.experiments.places import RoomSpec, RunPlace
 from hrl_escape.experiments.references import REFERENCES
 from hrl_escape.files import read_json, read_toml
-from hrl_escape.ladder.room_sets import parse_room_set
+from hrl_escape.ladder.tower import parse_rooms
 from hrl_escape.names import make_file_name
 from hrl_escape.settings import Range, Settings, replace_settings
 from hrl_escape.synthesis.kinds import find_kind, list_privileges
@@ -212,7 +212,7 @@ class Grid(Settings):
     observation: str = "features"
     """Vector observation of every agent."""
     trials: Annotated[int, Range(1, 1000)] = 1
-    """Trials in each room of `train_rooms` and `test_rooms`, through which memories last; see `TrialsEnv`."""
+    """Trials in each room of `train_rooms` and `test_rooms`, through which memories last; see `SequenceEnv`."""
     until_solved: SolvedRule | None = None
     """Rule that ends a run before its budget; None for none."""
 
@@ -252,7 +252,7 @@ class Grid(Settings):
         if not self.train_rooms:
             return tuple(room.make_place() for room in self.rooms)
         tests = self.test_rooms * (len(self.train_rooms) if len(self.test_rooms) == 1 else 1)
-        return tuple(RunPlace.of_split(parse_room_set(train), parse_room_set(test))
+        return tuple(RunPlace.of_split(parse_rooms(train), parse_rooms(test))
                      for train, test in zip(self.train_rooms, tests, strict=True))
 
     def _check_transfer(self, resolved: Sequence[Mapping[str, Any]]) -> None:

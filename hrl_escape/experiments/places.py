@@ -24,6 +24,7 @@ from hrl_escape.ladder.certificate import compute_task_overlap
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.keys import compute_task_key
 from hrl_escape.ladder.room_sets import parse_room_set
+from hrl_escape.ladder.tower import Rooms, Tower, list_sets, load_rooms
 from hrl_escape.names import parse_whole
 from hrl_escape.settings import Range, Settings
 
@@ -32,27 +33,40 @@ __all__ = ["RunPlace", "RoomSchedule", "RoomSpec", "Split"]
 
 @dataclasses.dataclass(frozen=True)
 class Split:
-    """Rooms to train in, and rooms to be tested in, of the same schematic or of another.
+    """Rooms to train in, and rooms to be tested in, of the same schematic or of another; or two towers.
 
     Attributes:
         train: rooms to train in.
         test: rooms to be tested in.
     """
 
-    train: InstanceSet
-    test: InstanceSet
+    train: Rooms
+    test: Rooms
 
     def __post_init__(self) -> None:
-        joints = self.train.config.robot.joints, self.test.config.robot.joints
-        if joints[0] != joints[1]:
-            raise GridError(f"the robot of {self.train.name} has {joints[0]} joints and that of {self.test.name} "
-                            f"{joints[1]}, so that what is trained in one cannot act in the other: take sets of rooms "
-                            "with the same robot.joints")
+        first, *others = self.sets
+        for other in others:
+            robots = first.config.robot, other.config.robot
+            if robots[0].joints != robots[1].joints:
+                raise GridError(f"the robot of {first.name} has {robots[0].joints} joints and that of {other.name} "
+                                f"{robots[1].joints}, so that what is trained in one cannot act in the other: take "
+                                "sets of rooms with the same robot.joints")
+            if robots[0].actions != robots[1].actions:
+                raise GridError(f"the robots of {first.name} and {other.name} have different primitives, so that what "
+                                "is trained in one cannot act in the other: take sets of rooms with the same "
+                                "robot.gripper, robot.use and robot.drive")
+        if isinstance(self.train, Tower) != isinstance(self.test, Tower):
+            raise GridError(f"a tower is trained in for a tower: {self.train.name} goes not with {self.test.name}")
+
+    @property
+    def sets(self) -> tuple[InstanceSet, ...]:
+        """Sets to train in, then those to be tested in."""
+        return (*list_sets(self.train), *list_sets(self.test))
 
     @property
     def is_transfer(self) -> bool:
-        """Rooms to be tested in have another schematic than those to train in."""
-        return self.train.config != self.test.config
+        """Agents act in rooms of several schematics."""
+        return len({rooms.config for rooms in self.sets}) > 1
 
     @cached_property
     def id(self) -> str:
@@ -63,13 +77,15 @@ class Split:
     @property
     def room_overlap(self) -> float:
         """Share of the rooms to be tested in that are trained in too."""
-        shared = set() if self.is_transfer else set(self.test.seeds) & set(self.train.seeds)
-        return len(shared) / len(self.test)
+        known = {(rooms.config, seed) for rooms in list_sets(self.train) for seed in rooms.seeds}
+        tested = {(rooms.config, seed) for rooms in list_sets(self.test) for seed in rooms.seeds}
+        return len(known & tested) / len(self.test)
 
     @cached_property
     def task_overlap(self) -> float:
         """Share of the rooms to be tested in whose puzzle, up to the numbers of buttons, is trained on too."""
-        return compute_task_overlap(*([compute_task_key(sample_puzzle(rooms.config, seed)[1]) for seed in rooms.seeds]
+        return compute_task_overlap(*([compute_task_key(sample_puzzle(each.config, seed)[1])
+                                       for each in list_sets(rooms) for seed in each.seeds]
                                       for rooms in (self.train, self.test)))
 
 
@@ -93,7 +109,7 @@ class RunPlace:
         return cls(name or (f"{instance.name}#{instance.seed}" if instance.seed else instance.name), instance)
 
     @classmethod
-    def of_split(cls, train: InstanceSet, test: InstanceSet) -> RunPlace:
+    def of_split(cls, train: Rooms, test: Rooms) -> RunPlace:
         """Rooms to train in, and rooms to be tested in."""
         return cls(f"{train.name} > {test.name}", test[0], Split(train, test))
 
@@ -115,7 +131,7 @@ class RunPlace:
         path = folder / f"{place_id}.json"
         content = read_json(path, "room")
         if isinstance(content, Mapping) and content.keys() == {"train", "test"}:
-            return cls.of_split(*(InstanceSet.from_description(content[role]) for role in ("train", "test")))
+            return cls.of_split(*(load_rooms(content[role]) for role in ("train", "test")))
         return cls.of_room(RoomInstance.load(path))
 
 

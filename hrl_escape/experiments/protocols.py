@@ -16,22 +16,30 @@ from hrl_escape.experiments.grid import AgentSpec, Grid
 from hrl_escape.experiments.inference import Estimate, compute_wilson_interval
 from hrl_escape.experiments.ladder_score import compute_ladder_score
 from hrl_escape.experiments.places import RoomSpec
+from hrl_escape.experiments.references import INDEX_ORDER, SHUFFLED_ROUND
 from hrl_escape.experiments.statistics import Scores
 from hrl_escape.experiments.summary import AgentSummary, Summary
 from hrl_escape.ladder.benchmark import Benchmark
+from hrl_escape.ladder.tower import TOWER_HORIZON, join_floors, list_sets
 
-__all__ = ["LadderSettings", "Protocol", "RungStanding", "find_miscalibration", "find_steps", "get_budget", "judge",
-           "list_standings", "make_protocol_grid", "name_protocol", "score_standings"]
+__all__ = ["TOWER", "LadderSettings", "Protocol", "RungStanding", "choose_floors", "find_miscalibration", "find_steps",
+           "get_budget", "judge", "list_standings", "make_protocol_grid", "make_tower_grid", "name_protocol",
+           "score_standings"]
 
-Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer", "few-shot"]
+Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer", "few-shot", "tower"]
 """`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others of the
 same rung. `transfer`: learn in training rooms of one rung, be tested in rooms of another. `few-shot`: as `generalise`,
-with several trials in each room, through which memories last and weights stay as they are."""
+with several trials in each room, through which memories last and weights stay as they are. `tower`: as `generalise`,
+with a room of every rung in an episode, one after another."""
 
 BUDGETS = dict.fromkeys(("doormat", "pair", "chain-3", "chain-4", "chain"), 20_000) | {"house": 500_000}
 """Primitives of a run, by rung."""
 BUDGET = 100_000
 """Primitives of a run on any other rung."""
+TOWER: Literal["tower"] = "tower"
+"""Name of the protocol, and of its rungs in sequence where results go by rung."""
+FLOOR_ROOMS = 10
+"""Rooms of each floor of a tower to be tested in, by default."""
 EVALUATIONS = 5
 """Evaluations in a run after the first."""
 PASSED_ESCAPES, PASSED_EFFICIENCY = 0.9, 0.5
@@ -56,7 +64,8 @@ class LadderSettings(NamedTuple):
         runs: training seeds in each room or set.
         primitives: training budget of a run.
         rooms: rooms of the test set: to learn in one by one, or to be tested in.
-        train_sizes: with all protocols but `per-instance`: numbers of training rooms, each a set of its own.
+        train_sizes: with all protocols but `per-instance`: numbers of training rooms, each a set of its own; in a tower
+            those of every floor.
         eval_episodes: episodes in an evaluation.
         observation: of every agent; by default `features` with `per-instance`, where nothing need carry over to
             another room, unless an agent's network reads objects; else `objects`.
@@ -138,6 +147,55 @@ def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: 
     )
 
 
+def choose_floors(bench: Benchmark) -> tuple[str, ...]:
+    """Rungs, in order, whose robots have the primitives of the first rung's: the floors of the benchmark's tower."""
+    first, *_ = bench
+    return tuple(rung.name for rung in bench if rung.config.robot.actions == first.config.robot.actions)
+
+
+def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[AgentSpec], settings: LadderSettings
+                    ) -> Grid:
+    """Grid of rungs as the floors of one tower.
+
+    Args:
+        bench: the benchmark.
+        rungs: names of the floors, from the bottom to the top.
+        agents: to be compared.
+        settings: numbers to change; `trials` and `source` are of other protocols.
+
+    Raises:
+        UnknownNameError: no such rung.
+        ConfigError: fewer than two floors, one twice, more rooms than a rung has, or an agent that follows the numbers
+            of one room's options.
+    """
+    name_protocol(TOWER, settings.source)
+    records = [bench[rung].record for rung in rungs]
+    if len(rungs) < 2 or len(set(rungs)) < len(rungs):
+        raise ConfigError("rung", " ".join(rungs), "two or more with the protocol tower, each once")
+    followers = [agent.label for agent in agents if agent.name in (INDEX_ORDER, SHUFFLED_ROUND)]
+    if followers:
+        raise ConfigError("agents", followers[0], "one that does not follow the numbers of one room's options, which "
+                          "the floors of a tower have not in common")
+    count = settings.rooms or min(FLOOR_ROOMS, *(record.test.count for record in records))
+    for field, role, number in (("rooms", "test", count), *(("train_sizes", "train", n) for n in settings.train_sizes)):
+        most = min(getattr(record, role).count for record in records)
+        if not 1 <= number <= most:
+            raise ConfigError(field, number, f"from 1 to {most}, the rooms that {role} of every floor has")
+
+    def name_rooms(role: str, number: int) -> str:
+        return join_floors(f"{bench.source}/{rung}/{role}[:{number}]" for rung in rungs)
+
+    primitives = settings.primitives or max(map(get_budget, rungs))
+    return Grid(
+        name=f"{bench.name}-{TOWER}", description=f"A room of each of {len(rungs)} rungs of {bench.name} in an episode "
+        f"of {TOWER_HORIZON:,} primitives, from {rungs[0]} to {rungs[-1]}; tested in others than those trained in.",
+        agents=tuple(agents), train_rooms=tuple(name_rooms("train", size) for size in settings.train_sizes),
+        test_rooms=(name_rooms("test", count),), runs=settings.runs, first_seed=settings.first_seed,
+        primitives=primitives, eval_every=max(1, primitives // EVALUATIONS),
+        eval_episodes=settings.eval_episodes or count, observation=settings.observation or "objects",
+    )
+
+
 class RungStanding(NamedTuple):
     """Result of one agent on one rung.
 
@@ -147,6 +205,7 @@ class RungStanding(NamedTuple):
         escapes: share of final test episodes that escaped, with Wilson's interval over all of them.
         is_passed: the rung is passed, see `judge`.
         units: efficiencies (runs,) of each room that was learned in, or of each run alone that was tested in others.
+        floors: number of floors of a tower, of which the escapes are the share climbed; 1 on a rung.
     """
 
     rung: str
@@ -154,6 +213,7 @@ class RungStanding(NamedTuple):
     escapes: tuple[float, float, float]
     is_passed: bool
     units: Scores
+    floors: int = 1
 
 
 def judge(agent: AgentSummary, episodes: int) -> tuple[tuple[float, float, float], bool]:
@@ -169,11 +229,12 @@ def judge(agent: AgentSummary, episodes: int) -> tuple[tuple[float, float, float
 def list_standings(rung: str, summary: Summary) -> list[RungStanding]:
     """RungStanding of every agent of a comparison on a rung."""
     found, has_sets = [], bool(summary.grid.train_rooms)
+    floors = max(1 if room.place.split is None else len(list_sets(room.place.split.test)) for room in summary.rooms)
     for agent in summary.agents:
         rooms = summary.grid.eval_episodes if has_sets else 1  # episodes in one room are much alike
         efficiencies = [room for room in agent.efficiencies if len(room)]
         units = [run for room in efficiencies for run in np.split(room, len(room))] if has_sets else efficiencies
-        found.append(RungStanding(rung, agent, *judge(agent, agent.runs * rooms), units))
+        found.append(RungStanding(rung, agent, *judge(agent, agent.runs * rooms), units, floors))
     return found
 
 

@@ -17,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
-from hrl_escape.experiments.episodes import StateRecorder
+from hrl_escape.experiments.episodes import StateRecorder, find_recorder
+from hrl_escape.ladder.sequence import SequenceEnv
 
 __all__ = ["INDEX_ORDER", "PLANNER", "REFERENCES", "SHUFFLED_ROUND", "make_reference"]
 
@@ -95,12 +96,30 @@ class PlanFollower(Reference):
         return int(np.flatnonzero(action_mask)[-1]) if primitive is None else primitive
 
 
-def make_reference(name: str, env: gymnasium.Env, recorder: StateRecorder) -> Reference:
+class Climber(FixedPolicy):
+    """A reference on every floor of a tower."""
+
+    Settings: ClassVar[type] = ReferenceSettings
+
+    def __init__(self, name: str, tower: SequenceEnv) -> None:
+        self.settings = ReferenceSettings()
+        self._tower = tower
+        self._players = {id(floor.unwrapped): make_reference(name, floor, find_recorder(floor))
+                         for floor in tower.floors}
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Action of the reference on the present floor."""
+        return self._players[id(self._tower.unwrapped)].act(observation, action_mask)
+
+
+def make_reference(name: str, env: gymnasium.Env, recorder: StateRecorder) -> FixedPolicy:
     """Make the reference of this name.
 
     Args:
         name: one of `REFERENCES`.
         env: its environment, with options for all but `planner`.
-        recorder: around the flat room.
+        recorder: around the flat room; of a tower the recorders on its floors count.
     """
+    if isinstance(env, SequenceEnv) and len(env.floors) > 1:
+        return Climber(name, env)
     return {INDEX_ORDER: IndexOrder, SHUFFLED_ROUND: ShuffledRound, PLANNER: PlanFollower}[name](env, recorder)

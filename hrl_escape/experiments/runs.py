@@ -23,7 +23,7 @@ from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError, FileReadError, describe_damage
-from hrl_escape.experiments.episodes import StateRecorder, record_episode
+from hrl_escape.experiments.episodes import StateRecorder, find_recorder, record_episode
 from hrl_escape.experiments.grid import AgentSpec, GridRun
 from hrl_escape.experiments.places import RoomSchedule, RunPlace, Split
 from hrl_escape.experiments.probes.solved_probe import Solution, SolvedProbe
@@ -33,7 +33,8 @@ from hrl_escape.experiments.statistics import compute_final, compute_mean_effici
 from hrl_escape.files import read_json, write_json
 from hrl_escape.ladder.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
 from hrl_escape.ladder.instance_set import InstanceSet
-from hrl_escape.ladder.trials import TrialsEnv
+from hrl_escape.ladder.sequence import SequenceEnv, compute_floor_seed
+from hrl_escape.ladder.tower import Rooms, Tower, list_sets
 from hrl_escape.settings import read_record
 from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.version import __version__, find_versions
@@ -134,23 +135,32 @@ def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange) -> floa
                                    score_range.is_expected)
 
 
-def make_env(agent: AgentSpec, rooms: RoomInstance | InstanceSet, observation: str,
+def make_env(agent: AgentSpec, rooms: RoomInstance | Rooms, observation: str,
              schedule: Mapping[str, int] | None = None, common: CommonSpaces | None = None, trials: int = 1
              ) -> tuple[gymnasium.Env, StateRecorder]:
-    """The environment an agent acts in, and the recorder inside it.
+    """The environment an agent acts in, and the recorder inside it; in a tower the one on the lowest floor.
 
     Args:
         agent: of the comparison.
-        rooms: one room, or a set of which every episode draws one.
+        rooms: one room, a set of which every episode draws one, or a tower.
         observation: by name.
-        schedule: rooms of a set by the episode's seed; see `RoomSchedule`.
+        schedule: numbers of episodes by their seeds. They go round a set, or the set of every floor; see
+            `RoomSchedule`.
         common: spaces to show it in, together with rooms of another schematic.
-        trials: in the same room, an episode; see `TrialsEnv`.
+        trials: in the same room, an episode; see `SequenceEnv`.
     """
     import hrl_escape  # noqa: F401  # registers the environment
 
+    schedule = schedule or {}
+    if isinstance(rooms, Tower):
+        (first, recorder), *above = (
+            make_env(agent, floor, observation,
+                     {str(compute_floor_seed(int(seed), level)): number for seed, number in schedule.items()}, common)
+            for level, floor in enumerate(rooms.floors))
+        return SequenceEnv(first, then=[floor for floor, _ in above]), recorder
     if isinstance(rooms, InstanceSet):
-        flat = RoomSchedule(rooms.make_env(observation=observation), schedule or {})
+        flat = RoomSchedule(rooms.make_env(observation=observation),
+                            {seed: number % len(rooms) for seed, number in schedule.items()})
     else:
         flat = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=rooms, observation=observation,
                               disable_env_checker=True)
@@ -164,7 +174,7 @@ def make_env(agent: AgentSpec, rooms: RoomInstance | InstanceSet, observation: s
 
 
 def _add_trials(env: gymnasium.Env, trials: int) -> gymnasium.Env:
-    return env if trials == 1 else TrialsEnv(env, trials)
+    return env if trials == 1 else SequenceEnv(env, trials)
 
 
 def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymnasium.Env:
@@ -179,9 +189,9 @@ def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymn
 
 def _find_common_spaces(agent: AgentSpec, split: Split, observation: str) -> CommonSpaces | None:
     """Spaces of rooms to train in and to be tested in together; None where they are the same already."""
-    if agent.is_reference or not split.is_transfer:
+    if not split.is_transfer or (agent.is_reference and not isinstance(split.test, Tower)):
         return None
-    envs = [make_env(agent, rooms, observation)[0] for rooms in (split.train, split.test)]
+    envs = [make_env(agent, rooms, observation)[0] for rooms in split.sets]
     try:
         return join_spaces(envs)
     finally:
@@ -200,24 +210,25 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
     folder, place = get_run_folder(out, run), RunPlace.load(out / "rooms", run.place_id)
     agent, grid = run.agent, run.grid
     seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(grid.eval_episodes)]
-    order = None if place.split is None else {str(seed): n % len(place.split.test) for n, seed in enumerate(seeds)}
+    order = {str(seed): n for n, seed in enumerate(seeds)}
     common = _find_common_spaces(agent, place.split, grid.observation) if place.split else None
     rooms = place.split.test if place.split else place.instance
+    floors = 1 if isinstance(rooms, RoomInstance) else len(list_sets(rooms))
     env, recorder = make_env(agent, rooms, grid.observation, order, common)
     try:
-        score_range = compute_score_range(_find_starts(env, recorder, seeds), agent, out / "references")
+        score_range = compute_score_range(_find_starts(env, recorder, seeds), agent, out / "references", floors)
         if agent.is_reference:
             player: Agent = make_reference(agent.name, env, recorder)
-            evaluation = evaluate(player, env, len(seeds), run.eval_seed, grid.primitives)
+            evaluation = evaluate(player, env, len(seeds), run.eval_seed, grid.primitives, trials=floors)
             value = RunResult.make_reference(grid.primitives, evaluation, score_range)
         elif place.split is None:
             player, value = _train(run, out, env, env, place, score_range, checkpoint_seconds)
         else:
             player, value = _train_in_set(run, out, env, place, common, score_range, checkpoint_seconds)
         if grid.trials > 1 and place.split is not None:
-            value = _try_several_times(run, out, player, place.split, common, order or {}, value)
-        drawn = seeds if order is None else [seed for seed in seeds if order[str(seed)] == 0]  # of the room in pictures
-        episodes = [record_episode(player, env, recorder, seed) for seed in drawn]
+            value = _try_several_times(run, out, player, place.split, common, order, value)
+        drawn = seeds if place.split is None else seeds[:: len(place.split.test)]  # those in the room in pictures
+        episodes = [record_episode(player, env, recorder, seed) for seed in drawn if floors == 1]
     finally:
         env.close()
     write_json(folder / "episodes.json", episodes, indent=None)
@@ -229,13 +240,14 @@ def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPl
     """Train in one set of rooms, with evaluations in another, and evaluate in rooms of the first at the end."""
     assert place.split is not None
     seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(run.grid.eval_episodes)]
-    order = {str(seed): n % len(place.split.train) for n, seed in enumerate(seeds)}
+    order, floors = {str(seed): n for n, seed in enumerate(seeds)}, len(list_sets(place.split.train))
     env, _ = make_env(run.agent, place.split.train, run.grid.observation, common=common, trials=run.grid.trials)
     again, again_recorder = make_env(run.agent, place.split.train, run.grid.observation, order, common)
     try:
         agent, value = _train(run, out, env, eval_env, place, score_range, checkpoint_seconds)
-        seen_range = compute_score_range(_find_starts(again, again_recorder, seeds), run.agent, out / "references")
-        seen = evaluate(agent, again, len(seeds), run.eval_seed, value.primitives, value.decisions)
+        starts = _find_starts(again, again_recorder, seeds)
+        seen_range = compute_score_range(starts, run.agent, out / "references", floors)
+        seen = evaluate(agent, again, len(seeds), run.eval_seed, value.primitives, value.decisions, trials=floors)
     finally:
         env.close()
         again.close()
@@ -271,6 +283,7 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env,
         settings=run.settings, eval_env=eval_env, eval_every=run.grid.evaluation_step,
         eval_episodes=run.grid.eval_episodes, eval_seed=run.eval_seed, out=get_training_folder(out, run),
         checkpoint_seconds=checkpoint_seconds, progress=False, probe=probe,
+        eval_trials=1 if place.split is None else len(list_sets(place.split.test)),
     )
     assert result.agent is not None, "a run that this process finished or loaded has its agent"
     solution = None if probe is None else probe.solution
@@ -280,7 +293,10 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env,
 
 def _find_starts(env: gymnasium.Env, recorder: StateRecorder, seeds: Sequence[int]
                  ) -> list[tuple[RoomInstance, RoomState]]:
-    """Room and first state of the episodes of these seeds."""
+    """Room and first state of the episodes of these seeds; of a tower those of every floor."""
+    if isinstance(env, SequenceEnv):
+        return [start for seed in seeds for level, floor in enumerate(env.floors)
+                for start in _find_starts(floor, find_recorder(floor), [compute_floor_seed(seed, level)])]
     room: Any = env.unwrapped
     starts = []
     for seed in seeds:

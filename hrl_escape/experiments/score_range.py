@@ -52,18 +52,20 @@ class ScoreRange:
     is_expected: bool = False
 
 
-def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent: AgentSpec, cache: Path) -> ScoreRange:
+def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent: AgentSpec, cache: Path,
+                        floors: int = 1) -> ScoreRange:
     """Compute the range for episodes that begin in these states of these rooms.
 
     Args:
         starts: room and first state of each episode.
         agent: says which actions there are.
         cache: folder that keeps what planners have found, for other runs.
+        floors: of a tower, on each of which a part of an episode begins; all share the horizon.
     """
     is_limited = agent.chooses_options and not agent.options.include_primitives
     ends = [_find_ends(*start, agent.options.flavour if is_limited else None, cache) for start in starts]
     instance = starts[0][0]
-    worst = instance.horizon * instance.reward.step
+    worst = instance.horizon * instance.reward.step / floors
     several = len({room.id for room, _ in starts}) > 1
     poses = tuple((state.x, state.y, state.heading_steps, state.heading_offset,
                    *((float(int(room.digest[:12], 16)),) if several else ())) for room, state in starts)
@@ -73,7 +75,8 @@ def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent:
         ones = (1,) * len(starts)
         return ScoreRange(worst, poses, at_once, at_once, ones, ones, CEILING)
     best, fewest, reachable, fewest_reachable = zip(*(end for end in ends if end), strict=True)
-    return ScoreRange(worst, poses, best, reachable, fewest, fewest_reachable, PLANNER, _has_noise(instance))
+    return ScoreRange(worst, poses, best, reachable, fewest, fewest_reachable, PLANNER,
+                      any(_has_noise(room) for room, _ in starts))
 
 
 def _has_noise(instance: RoomInstance) -> bool:

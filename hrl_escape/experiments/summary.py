@@ -215,10 +215,10 @@ def summarise(comparison: Comparison) -> Summary:
 def _raise_ranges(runs: Sequence[FinishedRun], instance: RoomInstance) -> list[FinishedRun]:
     """Raise the best known of each start to the best that a run reached there: return, and fewest primitives.
 
-    In a room with noise nothing is raised, because a lucky episode is no reference.
+    In a room with noise, or in a tower with one, nothing is raised, because a lucky episode is no reference.
     """
-    dynamics = instance.dynamics
-    if dynamics.is_random or dynamics.kind == "physics":
+    dynamics, is_expected = instance.dynamics, any(result.score_range.is_expected for _, result in runs)
+    if dynamics.is_random or dynamics.kind == "physics" or is_expected:
         return list(runs)
     best: dict[tuple[float, ...], tuple[float, float, str]] = {}
     for run, result in runs:
@@ -234,8 +234,10 @@ def _raise_ranges(runs: Sequence[FinishedRun], instance: RoomInstance) -> list[F
 
 
 def _find_best(result: RunResult) -> list[float]:
-    """Best return of each evaluation episode, over the run."""
-    return np.max([evaluation.returns for evaluation in result.evaluations], axis=0).tolist()
+    """Best return of each evaluation episode, over the run; below all where it never came to be played."""
+    returns = np.array([evaluation.returns for evaluation in result.evaluations])
+    lengths = np.array([evaluation.lengths for evaluation in result.evaluations])
+    return np.where(lengths, returns, -np.inf).max(axis=0).tolist()
 
 
 def _find_fewest(result: RunResult) -> list[int]:

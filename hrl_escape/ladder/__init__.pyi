@@ -6,7 +6,7 @@ from .instance_set import InstanceSet, InstanceSetEnv
 from .keys import RoomKeys, compute_keys
 from .manifest import Manifest, RungRecord, SetRecord
 from .rung import Rung
-from .trials import TrialsEnv
+from .sequence import SequenceEnv
 
 __all__ = [
     "Benchmark",
@@ -18,7 +18,7 @@ __all__ = [
     "Rung",
     "RungCertificate",
     "RungRecord",
-    "TrialsEnv",
+    "SequenceEnv",
     "SetRecord",
     "certify_rung",
     "compute_commitment",

@@ -31,7 +31,8 @@ class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
     | `recent` | 1 / (1 + n), n decisions since the last one about it; 0 if there was none |
     | `rank` | 1 / (1 + n), n objects lit before it when it last came on; 0 if it never did |
 
-    Rows of absent objects stay 0. A decision that ends a trial (`info["trial_ended"]`, see `TrialsEnv`) fails nothing.
+    Rows of absent objects stay 0. A decision that ends a trial (`info["trial_ended"]`, see `SequenceEnv`) fails
+    nothing.
 
     Args:
         env: an environment with observations in rows of objects and actions that say what they are about: an

@@ -114,6 +114,7 @@ def evaluate(
     primitives: int = 0,
     decisions: int = 0,
     max_primitives: int = 100_000,
+    trials: int = 1,
 ) -> Evaluation:
     """Play greedy episodes with seeds that depend only on `seed` and the episode's number.
 
@@ -125,14 +126,17 @@ def evaluate(
         primitives: primitives trained for, kept with the result.
         decisions: decisions trained for, kept with the result.
         max_primitives: longest episode in an environment without a time limit.
+        trials: parts of an episode that count as episodes of their own, such as the floors of a tower, whose number
+            `info["trial"]` is. One that an episode does not come to is a failure of no length.
     """
     started = time.perf_counter()
     sums = []
     for episode in range(episodes):
-        sums.append(_Sums())
+        parts = [_Sums() for _ in range(trials)]
         for transition, info in play_episode(agent, env, compute_episode_seed(seed, "evaluation", episode),
                                              max_primitives):
-            sums[-1].add(transition, info)
+            parts[info["trial"] if trials > 1 else 0].add(transition, info)
+        sums += parts
     return _make_evaluation(primitives, decisions, sums, time.perf_counter() - started)
 
 
@@ -146,7 +150,7 @@ def evaluate_trials(
     decisions: int = 0,
     after_episode: Callable[[], object] = lambda: None,
 ) -> tuple[Evaluation, ...]:
-    """Evaluate each trial of episodes that have several, such as those of a `TrialsEnv`.
+    """Evaluate each trial of episodes that have several, such as those of a `SequenceEnv`.
 
     Args:
         agent: acts greedily with frozen weights.

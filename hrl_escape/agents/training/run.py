@@ -257,6 +257,7 @@ class Run:
             self.arguments.eval_seed,
             primitives=self.primitives,
             decisions=self.decisions,
+            trials=self.arguments.eval_trials,
         )
         is_best = all(evaluation.mean_return > earlier.mean_return for earlier in self.evaluations)
         self.evaluations.append(evaluation)

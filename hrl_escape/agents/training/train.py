@@ -53,6 +53,7 @@ def train(
     probe: Probe | None = None,
     threads: int = 1,
     until_return: float | None = None,
+    eval_trials: int = 1,
 ) -> TrainResult:
     """Train an agent on an environment, flat or with options.
 
@@ -86,6 +87,7 @@ def train(
             many environments at once on a CPU are quicker with one per core.
         until_return: end before the budget, after two evaluations in a row whose mean return is at least this; None
             trains for all of it.
+        eval_trials: parts of an evaluation episode that count as episodes of their own; see `evaluate`.
 
     Returns:
         Curves, episodes, totals and the trained agent.
@@ -106,6 +108,7 @@ def train(
         ("eval_seed", eval_seed, 0),
         ("seed", seed, 0),
         ("threads", threads, 1),
+        ("eval_trials", eval_trials, 1),
     ):
         if not isinstance(value, (int, np.integer)) or value < least:
             raise AgentSettingsError(name, value, f"a whole number of at least {least}")
@@ -128,7 +131,7 @@ def train(
             name, learner = type(agent).__name__, agent
         agent_state = None if out is None or isinstance(agent, str) else compute_state_digest(learner.state_dict())
         arguments = RunArguments(name, seed, primitives, decisions, eval_every, eval_episodes, eval_seed, agent_state,
-                                 threads, until_return)
+                                 threads, until_return, eval_trials)
         if isinstance(env, gymnasium.Env):
             run = Run(learner, env, eval_env or env, arguments, probe)
         else:

@@ -7,6 +7,7 @@ Examples:
     hrl-escape ladder report
     hrl-escape ladder report runs/ladder --protocol generalise --json
     hrl-escape ladder report runs/ladder --protocol transfer --from chain
+    hrl-escape ladder report runs/ladder --protocol tower
 """
 
 from __future__ import annotations
@@ -23,7 +24,14 @@ from rich.table import Table
 
 from hrl_escape.errors import FileReadError
 from hrl_escape.experiments.comparison import read_comparison
-from hrl_escape.experiments.protocols import Protocol, RungStanding, list_standings, name_protocol, score_standings
+from hrl_escape.experiments.protocols import (
+    TOWER,
+    Protocol,
+    RungStanding,
+    list_standings,
+    name_protocol,
+    score_standings,
+)
 from hrl_escape.experiments.summary import summarise
 from hrl_escape.ladder.benchmark import load_benchmark
 
@@ -46,7 +54,7 @@ class ReportArgs:
 
 def run(args: ReportArgs) -> None:
     """Print a table with a row an agent and rung, the highest rung that each agent passed, and its ladder score."""
-    rungs = [rung.name for rung in load_benchmark(args.benchmark)]
+    rungs = [TOWER] if args.protocol == TOWER else [rung.name for rung in load_benchmark(args.benchmark)]
     base = args.folder / name_protocol(args.protocol, args.source)
     folders = {rung: base / rung for rung in rungs}
     found = {rung: folder for rung, folder in folders.items() if (folder / "grid.json").exists()}
@@ -63,14 +71,15 @@ def run(args: ReportArgs) -> None:
                           "scores": {label: score._asdict() for label, score in scores.items()}}, indent=2))
         return
     console = Console(width=120, highlight=False)
-    table = Table("rung", "agent", "runs", "efficiency", "trained in", "escapes", "passed", box=None, pad_edge=False)
+    table = Table("rung", "agent", "runs", "efficiency", "trained in", "escapes", "passed",
+                  *(("floors climbed",) if args.protocol == TOWER else ()), box=None, pad_edge=False)
     for standing in standings:
         agent, (share, low, high) = standing.agent, standing.escapes
         table.add_row(
             standing.rung, agent.label, str(agent.runs),
             f"{agent.efficiency.value:.3f} ({agent.efficiency.low:.3f} to {agent.efficiency.high:.3f})",
             "" if agent.seen is None else f"{agent.seen.value:.3f}", f"{share:.0%} ({low:.0%} to {high:.0%})",
-            "yes" if standing.is_passed else "no")
+            "yes" if standing.is_passed else "no", *([_describe_climb(standing)] if args.protocol == TOWER else []))
     console.print(table)
     if any(standing.agent.trials for standing in standings):
         console.print(_make_trial_table(standings))
@@ -80,6 +89,10 @@ def run(args: ReportArgs) -> None:
     console.print(f"Ladder score {over}")
     for label, score in scores.items():
         console.print(f"{label}: {score.value:.3f} ({score.low:.3f} to {score.high:.3f})", markup=False)
+
+
+def _describe_climb(standing: RungStanding) -> str:
+    return f"{standing.escapes[0] * standing.floors:.2f} of {standing.floors}"
 
 
 def _make_trial_table(standings: Sequence[RungStanding]) -> Table:
@@ -96,4 +109,6 @@ def _to_json(standing: RungStanding) -> dict[str, object]:
     return {"rung": standing.rung, "agent": agent.label, "runs": agent.runs,
             "efficiency": agent.efficiency._asdict(), "seen": None if agent.seen is None else agent.seen._asdict(),
             "escapes": standing.escapes, "passed": standing.is_passed,
-            "trials": [trial._asdict() for trial in agent.trials]}
+            "trials": [trial._asdict() for trial in agent.trials],
+            **({"floors": standing.floors, "climbed": standing.escapes[0] * standing.floors}
+               if standing.floors > 1 else {})}

@@ -2,7 +2,8 @@
 
 per-instance learns each test room from nothing; generalise learns in training rooms and is tested in others; transfer
 learns in training rooms of one rung and is tested, without learning, in rooms of another; few-shot is generalise with
-several trials in each room, through which memories last.
+several trials in each room, through which memories last; tower has a room of every rung in an episode, one after
+another, within one horizon.
 Finished runs are kept: the same command goes on where it was stopped. `hrl-escape ladder report` sums up the rungs.
 
 Examples:
@@ -10,6 +11,7 @@ Examples:
     hrl-escape ladder run smdp-ppo+objects+memory smdp-random --rung lattice --protocol generalise --train-sizes 1 16 64
     hrl-escape ladder run smdp-dqn+objects+memory smdp-random planner --protocol transfer --from chain --rung lattice-5
     hrl-escape ladder run smdp-dqn+objects+memory smdp-random planner --protocol few-shot --trials 4 --rung chain
+    hrl-escape ladder run smdp-ppo+objects+memory+no-primitives smdp-random+no-primitives planner --protocol tower
     hrl-escape ladder run smdp-dqn planner --rung chain lattice --out /shared/ladder --shard 3/8
 """
 
@@ -17,6 +19,7 @@ from __future__ import annotations
 
 import dataclasses
 import shlex
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -25,7 +28,15 @@ from rich.console import Console
 
 from hrl_escape.commands.launching import LaunchArgs
 from hrl_escape.experiments.grid import AgentSpec
-from hrl_escape.experiments.protocols import LadderSettings, Protocol, make_protocol_grid, name_protocol
+from hrl_escape.experiments.protocols import (
+    TOWER,
+    LadderSettings,
+    Protocol,
+    choose_floors,
+    make_protocol_grid,
+    make_tower_grid,
+    name_protocol,
+)
 from hrl_escape.experiments.reporting.report import write_report
 from hrl_escape.ladder.benchmark import load_benchmark
 
@@ -39,10 +50,10 @@ class RunArgs(LaunchArgs):
 
     agents: Annotated[tuple[str, ...], tyro.conf.Positional]
     """Agents, as for `hrl-escape compare`: smdp-dqn, smdp-ppo+objects+memory, planner."""
-    rung: tuple[str, ...]
-    """Names of rungs."""
+    rung: tuple[str, ...] = ()
+    """Names of rungs; all by default, in a tower those with the same primitives."""
     protocol: Protocol = "per-instance"
-    """per-instance, generalise, transfer or few-shot."""
+    """per-instance, generalise, transfer, few-shot or tower."""
     source: Annotated[str | None, tyro.conf.arg(name="from")] = dataclasses.field(default=None, metadata=FROM)
     """Rung to train on with transfer."""
     benchmark: str = "ladder-1"
@@ -54,7 +65,7 @@ class RunArgs(LaunchArgs):
     primitives: int | None = None
     """Training budget of a run; the rung's own by default."""
     rooms: int | None = None
-    """Rooms of the test set; 10 with per-instance and else all by default."""
+    """Rooms of the test set; 10 with per-instance and on each floor of a tower, and else all by default."""
     train_sizes: tuple[int, ...] = LadderSettings().train_sizes
     """Numbers of training rooms, with all protocols but per-instance."""
     trials: int = LadderSettings().trials
@@ -66,9 +77,9 @@ class RunArgs(LaunchArgs):
     out: Path = Path("runs/ladder")
     """Folder of all rungs and protocols."""
 
-    def format_command(self, rung: str) -> str:
-        """The command line that runs one of the rungs again."""
-        return shlex.join(["hrl-escape", "ladder", "run", *self.agents, "--rung", rung,
+    def format_command(self, rungs: Sequence[str]) -> str:
+        """The command line that runs these rungs again."""
+        return shlex.join(["hrl-escape", "ladder", "run", *self.agents, "--rung", *rungs,
                            *self.format_options("agents", "rung")])
 
 
@@ -78,17 +89,24 @@ def run(args: RunArgs) -> int:
     settings = LadderSettings(args.runs, args.primitives, args.rooms, args.train_sizes, args.eval_episodes,
                               args.observation, args.source, args.trials, args.first_seed)
     agents = tuple(map(AgentSpec.parse, args.agents))
-    grids = {rung: make_protocol_grid(bench, rung, args.protocol, agents, settings) for rung in args.rung}
     console, failed = Console(soft_wrap=True, highlight=False), 0
+    rungs = args.rung or tuple(rung.name for rung in bench)
+    if args.protocol == TOWER:
+        floors = args.rung or choose_floors(bench)
+        if left_out := [rung for rung in rungs if rung not in floors]:
+            console.print(f"Not in the tower, for their robots have other primitives: {', '.join(left_out)}")
+        parts = {TOWER: (floors, make_tower_grid(bench, floors, agents, settings))}
+    else:
+        parts = {rung: ((rung,), make_protocol_grid(bench, rung, args.protocol, agents, settings)) for rung in rungs}
     folder = args.out / name_protocol(args.protocol, args.source)
-    for rung, grid in grids.items():
+    for name, (chosen, grid) in parts.items():
         if args.dry_run:
-            console.print(f"{rung}: {args.describe_work(grid, folder / rung)}")
+            console.print(f"{name}: {args.describe_work(grid, folder / name)}")
             continue
-        comparison = args.make_runs(grid, folder / rung)
+        comparison = args.make_runs(grid, folder / name)
         failed += len(comparison.failures)
         if not args.shard:
-            write_report(comparison, args.format_command(rung))
-        console.print(f"{rung}: {len(comparison.runs)} runs finished, {len(comparison.failures)} failed; "
+            write_report(comparison, args.format_command(chosen))
+        console.print(f"{name}: {len(comparison.runs)} runs finished, {len(comparison.failures)} failed; "
                       f"{comparison.out}")
     return 1 if failed else 0

@@ -6,6 +6,7 @@ from hrl_escape.cli import main
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.experiments.comparison import read_comparison
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
+from hrl_escape.ladder.tower import TOWER_HORIZON
 from tests.ladder.small import make_config, make_manifest
 
 
@@ -149,3 +150,44 @@ def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
     assert told["efficiency"]["doormat"]["planner"] == 1.0
     chance = told["efficiency"]["doormat"]["smdp-random+no-primitives"]
     assert code == int(chance >= 0.5) == len(told["faults"]["doormat"])
+
+
+def test_a_tower_is_climbed_by_the_planner_and_not_by_chance(capsys, tmp_path):
+    make_manifest().save(tmp_path / "mine.json")
+    agents = ["smdp-dqn+objects+memory+no-primitives", "smdp-random", "planner"]
+    options = ["--protocol", "tower", "--benchmark", str(tmp_path / "mine.json"), "--rooms", "2", "--train-sizes", "3",
+               "--runs", "1", "--primitives", "60", "--workers", "1", "--out", str(tmp_path)]
+    code, out, err = call(capsys, "run", *agents, *options)
+    assert code == 0 and "tower: 3 runs finished, 0 failed" in out, err
+    code, out, _ = call(capsys, "report", str(tmp_path), *options[:4], "--json")
+    rows = {row["agent"]: row for row in json.loads(out)["rungs"]}
+    planner, chance = rows["planner"], rows["smdp-random"]
+    assert code == 0 and planner["floors"] == planner["climbed"] == 2 and planner["efficiency"]["value"] == 1.0
+    assert chance["efficiency"]["value"] < 0.5 and 0 <= rows[agents[0]]["seen"]["value"] <= 1
+    out = call(capsys, "report", str(tmp_path), *options[:4])[1]
+    assert "2.00 of 2" in out and "Ladder score over tower:" in out
+    (place,) = read_comparison(tmp_path / "tower" / "tower").places
+    assert [len(rooms) for rooms in place.split.train.floors] == [3, 3] and len(place.split.test) == 4
+    assert place.split.room_overlap == 0 and place.instance.horizon == TOWER_HORIZON
+    command = (tmp_path / "tower" / "tower" / "summary.md").read_text()
+    assert f"hrl-escape ladder run {' '.join(agents)} --rung one five --workers 1 --protocol tower" in command
+
+
+def test_a_tower_that_cannot_be_climbed_is_refused_in_one_line(capsys, tmp_path):
+    def refuse(*words: str) -> str:
+        code, _, err = call(capsys, "run", *words, "--protocol", "tower", "--out", str(tmp_path))
+        assert code == 2 and err.count("\n") == 1
+        return err
+
+    assert "two or more" in refuse("planner", "--rung", "pair")
+    assert "each once" in refuse("planner", "--rung", "pair", "pair")
+    assert "has 0 joints and that of ladder-1/reach" in refuse("planner", "--rung", "pair", "reach")
+    assert "numbers of one room's options" in refuse("smdp-index-order", "--rung", "doormat", "pair")
+    assert "smdp-dqn+objects" in refuse("smdp-dqn", "--rung", "doormat", "pair")
+    assert "from 1 to 64" in refuse("planner", "--rung", "doormat", "clutter", "--rooms", "65")
+
+
+def test_a_tower_has_the_rungs_whose_robots_have_the_same_primitives(capsys, tmp_path):
+    code, out, _ = call(capsys, "run", "planner", "--protocol", "tower", "--dry-run", "--out", str(tmp_path))
+    assert code == 0 and out.startswith("Not in the tower, for their robots have other primitives: reach")
+    assert "tower: 10 runs, 10 to be made" in out
