@@ -161,8 +161,8 @@ def test_the_first_ladder_has_its_rungs_in_a_few_kilobytes():
     assert list_benchmarks() == ("ladder-1",)
     bench = load_benchmark("ladder-1")
     assert [rung.name for rung in bench] == [
-        "doormat", "pair", "reach", "chain-3", "chain-4", "doors", "chain", "lattice-5", "drift", "code", "lattice-6",
-        "freight", "lattice-7", "clutter", "lattice-8", "switchboard", "lattice", "house"]
+        "doormat", "pair", "reach", "chain-3", "chain-4", "doors", "chain", "lattice-5", "drift", "code", "freight",
+        "lattice-6", "lattice-7", "clutter", "lattice-8", "switchboard", "lattice", "house"]
     few = {"doormat", "pair", "reach", "chain-3", "chain-4", "chain", "switchboard"}
     assert {rung.name for rung in bench if rung.test_task is None} == few, "too few tasks to hold some out"
     with pytest.raises(UnknownNameError, match="did you mean 'lattice'"):
