@@ -13,9 +13,10 @@ from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.experiments.baselines.calibration import KNOWN, tell_calibration
 from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun, compute_run_efficiency
 from hrl_escape.experiments.baselines.running import GENERALISTS, LEARNERS
+from hrl_escape.experiments.baselines.tower import describe_tower
 from hrl_escape.experiments.inference import compute_wilson_interval
 from hrl_escape.experiments.ladder_score import compute_ladder_score
-from hrl_escape.experiments.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES, get_budget
+from hrl_escape.experiments.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES, TOWER, get_budget
 from hrl_escape.files import write_text
 from hrl_escape.names import join_words
 
@@ -44,7 +45,9 @@ def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], pat
     Raises:
         FileWriteError: the file cannot be written.
     """
-    text = ["# Baselines of the ladder", "", _summarise(lines, rungs), "",
+    tower = [line for line in lines if line.protocol == TOWER]
+    lines = [line for line in lines if line.protocol != TOWER]
+    text = ["# Baselines of the ladder", "", *([_summarise(lines, rungs), ""] if lines else []),
             "Efficiency is the interquartile mean over runs (fewer than four: the mean); in brackets the runs, rooms "
             f"times seeds. Bold: {PASSED_ESCAPES:.0%} of the episodes or more escape, with an efficiency of "
             f"{PASSED_EFFICIENCY:g} or more. A dash: not run. Every run is a line of `raw/ladder.jsonl`.", "",
@@ -61,6 +64,7 @@ def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], pat
             told = tell_calibration(_group(next(iter(parts.values()))), rungs, noisy)
             text += ["### Calibration", "", f"By cells of {LEAST_RUNS} runs or more.", "",
                      *(f"- {sentence}" for sentence in told), ""] if told else []
+    text += describe_tower(tower, _COMMAND)
     text += ["```console", *_list_commands(lines, rungs), "```", "", "The commands go on with the runs that are "
              "missing, and more `--rooms`, `--runs` or `--minutes` add others. Without options the command is the "
              "whole: 10 rooms, 10 seeds, 20 episodes, and the rungs' own budgets.", ""]

@@ -18,14 +18,21 @@ from hrl_escape.experiments.baselines.lines import BaselineRun, collect_baseline
 from hrl_escape.experiments.comparison import Comparison, read_comparison, run_grid
 from hrl_escape.experiments.grid import AgentSpec, Grid, GridRun
 from hrl_escape.experiments.launching.local import Failure, LocalLauncher
-from hrl_escape.experiments.protocols import LadderSettings, Protocol, make_protocol_grid
+from hrl_escape.experiments.protocols import (
+    TOWER,
+    LadderSettings,
+    Protocol,
+    choose_floors,
+    make_protocol_grid,
+    make_tower_grid,
+)
 from hrl_escape.experiments.runs import RunResult, get_training_folder
 from hrl_escape.experiments.studies.running import StudyArgs
 from hrl_escape.files import claim_folder
 from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.trained import CHECKPOINT
 
-__all__ = ["GENERALISTS", "LEARNERS", "BaselineArgs", "make_baseline_grids", "run_baselines", "ship_agents"]
+__all__ = ["CLIMBERS", "GENERALISTS", "LEARNERS", "BaselineArgs", "make_baseline_grids", "run_baselines", "ship_agents"]
 
 _REFERENCES = (CHANCE, ROUND, IN_ORDER, KNOWN)
 _CHOOSERS = ("q-learning", "factored-r-max", "factored-r-max+three-parents", "dqn", "ppo")
@@ -33,6 +40,9 @@ LEARNERS = (*_REFERENCES, *(f"smdp-{name}+no-primitives" for name in _CHOOSERS),
 """Agents that learn a room from nothing, and references: options alone, then primitives alone, the cheapest first."""
 GENERALISTS = (*_REFERENCES, *(f"smdp-{name}+objects+memory+no-primitives" for name in ("dqn", "ppo")))
 """Agents that learn in some rooms and act in others, and references."""
+
+CLIMBERS = (CHANCE, KNOWN, *GENERALISTS[-2:])
+"""Agents in a tower, and references."""
 
 NO_TRAINING = 100
 """Training budget of agents that learn nothing: only their evaluations count."""
@@ -52,8 +62,8 @@ class BaselineArgs(StudyArgs):
 
     rung: tuple[str, ...] = ()
     """Names of rungs; all by default."""
-    protocol: tuple[Literal["per-instance", "generalise"], ...] = ("per-instance", "generalise")
-    """Protocols."""
+    protocol: tuple[Literal["per-instance", "generalise", "tower"], ...] = ("per-instance", "generalise")
+    """Protocols; in a tower the rungs are floors."""
     agents: tuple[str, ...] = ()
     """Agents, as for `hrl-escape ladder run`; those of the protocol by default."""
     rooms: int = 10
@@ -75,16 +85,18 @@ def make_baseline_grids(bench: Benchmark, args: BaselineArgs) -> Iterator[tuple[
     Raises:
         EscapeError: no such rung or agent.
     """
-    rungs = [bench[name].name for name in args.rung] or [rung.name for rung in bench]
+    chosen = [bench[name].name for name in args.rung] or [rung.name for rung in bench]
+    defaults = {"per-instance": LEARNERS, "generalise": GENERALISTS, TOWER: CLIMBERS}
     for runs, protocol in itertools.product(range(1, args.runs + 1), args.protocol):
-        alone = protocol == "per-instance"
-        every = tuple(map(AgentSpec.parse, args.agents or (LEARNERS if alone else GENERALISTS)))
+        alone, rungs = protocol == "per-instance", [TOWER] if protocol == TOWER else chosen
+        every = tuple(map(AgentSpec.parse, args.agents or defaults[protocol]))
         for kind, primitives in (("references", NO_TRAINING), ("learners", args.primitives)):
             agents = [agent for agent in every if agent.learns == (kind == "learners")]
             settings = LadderSettings(runs, primitives, args.rooms, first_seed=args.first_seed,
                                       eval_episodes=args.eval_episodes if alone else args.rooms)
             for count, rung in itertools.product(range(1, len(agents) + 1), rungs):
-                grid = make_protocol_grid(bench, rung, protocol, agents[:count], settings)
+                grid = (make_tower_grid(bench, args.rung or choose_floors(bench), agents[:count], settings)
+                        if protocol == TOWER else make_protocol_grid(bench, rung, protocol, agents[:count], settings))
                 yield BaselinePlace(protocol, rung, kind), grid
 
 

@@ -19,6 +19,7 @@ from hrl_escape.experiments.baselines.lines import BaselineRun, join_lines, load
 from hrl_escape.experiments.baselines.page import write_baselines_page
 from hrl_escape.experiments.baselines.running import BaselineArgs, make_baseline_grids, run_baselines, ship_agents
 from hrl_escape.experiments.ladder_score import compute_ladder_score
+from hrl_escape.experiments.protocols import TOWER
 from hrl_escape.ladder.benchmark import load_benchmark
 
 RUNGS_OF_TWO = ("doormat", "pair")
@@ -216,6 +217,32 @@ def test_the_page_says_what_an_agent_with_three_parents_is_told(tmp_path: Path):
     page = (tmp_path / "page.md").read_text()
     assert "`+three-parents`: told that up to three buttons may have to be on together" in page
     assert f"| rung | `{agents[0]}` | `{agents[1]}` |" in page and f"masters is `high`, by `{agents[1]}`.**" in page
+
+
+def test_a_tower_has_a_section_of_its_own_and_counts_in_no_rung(tmp_path: Path):
+    rooms = "x/low/train[:64] and 2 floors above > x/low/test[:3] and 2 floors above"
+    runs = [dataclasses.replace(LINE, protocol=TOWER, rung=TOWER, rooms=rooms, agent=agent, seed=seed, episodes=3,
+                                primitives=0, efficiency=value, escapes=climbed)
+            for agent, value, climbed in ((CHANCE, 0.125, 1 / 3), (KNOWN, 1.0, 1.0)) for seed in range(2)]
+    lines = make_cells(SOUND)
+    write_baselines_page([*lines, *runs], RUNGS, tmp_path / "page.md")
+    page = (tmp_path / "page.md").read_text()
+    assert f"| `{KNOWN}` | 2 | 0 | 1.00 | 100% |\n| `{CHANCE}` | 2 | 0 | 0.12 | 33% |" in page
+    assert "one episode of 20,000 primitives: x/low/test[:3] and 2 floors above." in page
+    assert f"--protocol tower --agents {KNOWN} {CHANCE} --runs 2 --rooms 3" in page
+    write_baselines_page(lines, RUNGS, tmp_path / "alone.md")
+    start = page.index("## tower")
+    assert page[:start] + page[page.index("```console\nhrl-escape", page.index("--rooms 3")):] == (
+        tmp_path / "alone.md").read_text()
+
+
+def test_a_tower_s_grids_have_the_rungs_as_floors():
+    args = BaselineArgs(rung=RUNGS_OF_TWO, protocol=(TOWER,), rooms=2, runs=1)
+    grids = list(make_baseline_grids(load_benchmark("ladder-1"), args))
+    assert [(place.rung, place.kind, len(grid.agents)) for place, grid in grids] == [
+        (TOWER, "references", 1), (TOWER, "references", 2), (TOWER, "learners", 1), (TOWER, "learners", 2)]
+    (place,) = grids[-1][1].make_places()
+    assert [floor.name for floor in place.split.test.floors] == [f"ladder-1/{rung}/test[:2]" for rung in RUNGS_OF_TWO]
 
 
 def test_only_agents_that_learned_the_first_test_room_are_shipped(tmp_path: Path):
