@@ -91,7 +91,8 @@ class CostFields(NamedTuple):
     """Fields of all instances of a batch, as tensors on its device; the last axis is the instance.
 
     Attributes:
-        values: all fields, one after the other, int16 (numbers,).
+        values: all fields, one after the other, two int16 in each int32 (numbers / 2,), for compilers load no vectors
+            of int16.
         begins: index in `values` of the start of each field, int64 (fields, instances).
         scales: primitives per unit of `values`, float32 (fields, instances).
         grid: x and y of the grid's corner, m, and cells a metre, float64 (3, instances).
@@ -169,8 +170,8 @@ def _compute(instance: RoomInstance) -> InstanceFields:
             shut = grid.compute_fields(unsolved)
             values, scales = np.concatenate([shut[0], opened[0]]), np.concatenate([shut[1], opened[1]])
         order = [*np.arange(2 * len(presses)).reshape(2, -1).T.ravel(), 2 * len(presses)]
-    return InstanceFields(values[order], scales[order], (float(grid.maker.low[0]), float(grid.maker.low[1])),
-                          grid.size, grid.shape, offset, postures)
+    low = (float(grid.low[0]), float(grid.low[1]))
+    return InstanceFields(values[order], scales[order], low, grid.size, grid.shape, offset, postures)
 
 
 def stack_fields(instances: Sequence[RoomInstance], device: torch.device) -> CostFields:
@@ -193,7 +194,8 @@ def stack_fields(instances: Sequence[RoomInstance], device: torch.device) -> Cos
         return torch.tensor(rows, dtype=dtype).T.contiguous().to(device)
 
     return CostFields(
-        values=torch.from_numpy(np.concatenate([fields.values.ravel() for fields in unique.values()])).to(device),
+        values=torch.from_numpy(np.concatenate([*(fields.values.ravel() for fields in unique.values()),
+                                                np.zeros(total % 2, dtype=np.int16)]).view(np.int32)).to(device),
         begins=column([[firsts[id(p)] + k * p.values[0].size for k in pad(p)] for p in each], torch.int64),
         scales=column([p.scales[pad(p)].tolist() for p in each], torch.float32),
         grid=column([(*p.low, 1.0 / p.size) for p in each], torch.float64),
@@ -269,12 +271,17 @@ def interpolate_cost(layout: Layout, fields: CostFields, instance: Tensor, field
         for far_x in (False, True):
             for far_y in (False, True):
                 at = first + layer + (aside if far_x else 0) + (fields.classes if far_y else 0)
-                value = fields.values[at].to(torch.float32)
+                value = _unpack(fields.values, at)
                 share = (place.across if far_x else 1.0 - place.across) * (place.along if far_y else 1.0 - place.along)
                 share = torch.where(value < 0.0, 0.0, part * share)
                 total, weight = total + share * value, weight + share
     cost = total / weight.clamp(min=1e-6) * fields.scales[field, column]
     return torch.where(weight > 1e-6, cost, UNREACHABLE)
+
+
+def _unpack(values: Tensor, at: Tensor) -> Tensor:
+    """Read int16 values from where two are packed in an int32, the first in its low bits; float32."""
+    return (values[at >> 1] << (16 * (1 - (at & 1))).to(torch.int32) >> 16).to(torch.float32)
 
 
 def classify_headings(layout: Layout, fields: CostFields, state: TensorState) -> tuple[Tensor, Tensor | None]:

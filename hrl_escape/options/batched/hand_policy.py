@@ -13,9 +13,10 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.arm import compute_hand
+from hrl_escape.env.batched.devices import store
 from hrl_escape.env.batched.geometry import Shapes
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
-from hrl_escape.env.batched.tables import Layout, Tables
+from hrl_escape.env.batched.tables import Layout, Tables, map_tensors
 from hrl_escape.options.batched.cost_to_go import CostFields, interpolate_cost, locate
 from hrl_escape.options.batched.field_grid import OTHER_PRESS_COST
 from hrl_escape.options.batched.postures import FAR
@@ -67,7 +68,8 @@ def find_reach(layout: Layout, tables: Tables, fields: CostFields, state: Tensor
     beyond = (hands[2] - tables.target_z[target, column]).abs() - tables.target_half_z[target, column]
     limit = layout.robot.hand_radius + layout.dynamics.press_margin - _SKIN
     square = torch.where(away < FAR / 2, limit**2 - beyond.clamp(min=0.0) ** 2, -1.0)
-    return Reach(target, column, steps, away, hands[0], hands[1], square.to(torch.float32), shifts, numbers)
+    reach = Reach(target, column, steps, away, hands[0], hands[1], square.to(torch.float32), shifts, numbers)
+    return map_tensors(store, reach)
 
 
 def estimate_hand_costs(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, reach: Reach,
@@ -134,12 +136,13 @@ def _find_least_steps(tables: Tables, reach: Reach, x: Tensor, y: Tensor, cos: T
     """Fewest joint steps to a posture that touches from places (places, rooms), and which it is; a step at least."""
     target = Shapes(*(field[reach.target, reach.column] for field in tables.targets))
     dx, dy = target.x - x, target.y - y
-    ahead, left = (part.to(torch.float32).unsqueeze(1) for part in (cos * dx + sin * dy, cos * dy - sin * dx))
-    along, across = (part.to(torch.float32).unsqueeze(1)
-                     for part in (cos * target.cos + sin * target.sin, cos * target.sin - sin * target.cos))
+    seen = (cos * dx + sin * dy, cos * dy - sin * dx, cos * target.cos + sin * target.sin,
+            cos * target.sin - sin * target.cos)
+    ahead, left, along, across = (store(part.to(torch.float32)).unsqueeze(1) for part in seen)
     u, v = reach.ahead - ahead, reach.left - left  # (places, postures, rooms)
-    beyond_x = ((along * u + across * v).abs() - target.half_x.to(torch.float32)).clamp(min=0.0)
-    beyond_y = ((along * v - across * u).abs() - target.half_y.to(torch.float32)).clamp(min=0.0)
+    half_x, half_y = (store(half.to(torch.float32)) for half in (target.half_x, target.half_y))
+    beyond_x = ((along * u + across * v).abs() - half_x).clamp(min=0.0)
+    beyond_y = ((along * v - across * u).abs() - half_y).clamp(min=0.0)
     touches = (beyond_x * beyond_x + beyond_y * beyond_y <= reach.square) & (reach.away >= 1.0)
     return torch.where(touches, reach.away, UNREACHABLE).min(1)
 

@@ -195,8 +195,8 @@ def iterate_values(values, moves, own, leaving, penalty, tolerance, most):
     together, and skipped while no value near enough to matter changes.
 
     Args:
-        values: cost-to-go, shape (classes, cells * fields), float32; `UNREACHABLE` where unknown, `AT_GOAL` where the
-            goal is a set of states.
+        values: cost-to-go or more, shape (classes, cells * fields), float32: `UNREACHABLE`, and `AT_GOAL` where the
+            goal is a set of states. Costs that are too low would take more sweeps to grow than those to fall.
         moves: from `trace_moves`.
         own: bit of the target that a move of each field is to touch, 0 for the exit, uint64 (fields,).
         leaving: cost of entering the exit without the goal, float32 (fields,); `UNREACHABLE` where the episode ends.
