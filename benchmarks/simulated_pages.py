@@ -200,7 +200,7 @@ def is_wrong_of_price(draw: Draw, rng: np.random.Generator) -> bool:
     """The price of flatness is not 1, or grows with a button, where flat learners are as quick; 10 replicates."""
     runs = [run for buttons in BUTTON_COUNTS for agent in ("flat", "options")
             for run in make_price_runs(agent, draw(rng, RUNS).tolist(), buttons)]
-    told = " ".join(conclude_prices(runs, "flat", "options", COSTS[:2]))
+    told = " ".join(conclude_prices(runs, [("flat", "options", cost) for cost in COSTS[:2]]))
     return " times the " in told or "multiplies the factor" in told
 
 

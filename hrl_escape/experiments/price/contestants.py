@@ -112,11 +112,12 @@ CONTESTANTS = (
     Contestant("dqn, long", "dqn", 1_000_000, 25_000, _PATIENT, replicates=1, stage=2, sizes=(2, 3)),
     Contestant("q-learning, counts", "q-learning", 100_000, 5_000, _COUNTS, stage=1, sizes=(1, 2, 3)),
     Contestant("ppo", "ppo", 1_000_000, 50_000, _LOOSE, streams=256, replicates=4, stage=1),
-    Contestant("ppo, long", "ppo", 10_000_000, 250_000, _LOOSE, streams=256, replicates=1, stage=2, sizes=(1, 2)),
+    Contestant("ppo, long", "ppo", 10_000_000, 250_000, _LOOSE, streams=256, stage=2, sizes=(1,)),
+    Contestant("ppo, long", "ppo", 10_000_000, 250_000, _LOOSE, streams=256, replicates=1, stage=2, sizes=(2,)),
 )
 """All learners, those over options first; one with different budgets in small and large rooms is two."""
 
-PAIRS = {"dqn": "options, dqn", "q-learning, counts": "options, q-learning", "ppo": "options, ppo"}
+PAIRS = {"dqn": "options, dqn", "q-learning, counts": "options, q-learning", "ppo, long": "options, ppo"}
 """Learner over primitives -> the same over options. The first pair is the one of the headline: the learner that did
 best in the rooms in which settings were tried."""
 VARIANTS: Mapping[str, str] = MappingProxyType({

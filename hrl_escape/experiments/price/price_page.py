@@ -54,7 +54,8 @@ def write_price_page(runs: Sequence[PriceRun], docs: Path) -> list[str]:
     Raises:
         FileWriteError: a file cannot be written.
     """
-    conclusions = [*conclude_prices(runs, *_HEADLINE, COSTS[:2]), tell_longest(runs)]
+    claims = [(*pair, cost) for pair in PAIRS.items() for cost in COSTS[: 2 if pair == _HEADLINE else 1]]
+    conclusions = [*conclude_prices(runs, claims), tell_longest(runs)]
     save_figure(docs / "figures" / "price.svg", draw_price(runs))
     write_text(docs / "price.md", "\n".join(_write_lines(runs, conclusions)))
     return conclusions

@@ -41,20 +41,18 @@ def tell_factor(median: Median) -> str:
     return f"{tell_number(median.factor)} ({tell_number(median.low)} to {tell_number(median.high)})"
 
 
-def conclude_prices(runs: Sequence[PriceRun], flat: str, options: str, costs: Sequence[RunCost]) -> list[str]:
-    """The price in a few sentences a cost: size by size, then how it grows.
+def conclude_prices(runs: Sequence[PriceRun], claims: Sequence[tuple[str, str, RunCost]]) -> list[str]:
+    """The price in a few sentences a claim: size by size, then how it grows.
 
     All that they conclude is one family (Holm).
 
     Args:
-        runs: of both learners, and of others.
-        flat: label of the learner over primitives.
-        options: label of the learner over options.
-        costs: in their order.
+        runs: of all learners, and of others.
+        claims: label of a learner over primitives, label of one over options, and a cost, in their order.
     """
-    ratios = _compare(runs, flat, options, costs)
+    ratios = [_compare(runs, flat, options, [cost])[0] for flat, options, cost in claims]
     ratios, growths = correct_prices(ratios, [measure_growth(own) for own in ratios])
-    told = [_conclude(own, flat, options, cost) for own, cost in zip(ratios, costs, strict=True)]
+    told = [_conclude(own, *claim) for own, claim in zip(ratios, claims, strict=True)]
     return [f"{words} {_tell_growth(growth)}" if words.startswith("Until") else words
             for words, growth in zip(told, growths, strict=True)]
 
@@ -155,6 +153,7 @@ def tell_longest(runs: Sequence[PriceRun]) -> str:
     for label, buttons in dict.fromkeys((run.agent, run.buttons) for run in longest):
         own = [run for run in longest if (run.agent, run.buttons) == (label, buttons)]
         waits = sorted(run.efficient_at for run in own if run.efficient_at is not None)
-        after = f", after {join_words([f'{wait:,}' for wait in waits])}" if waits else ""
+        told = f"{waits[0]:,} to {waits[-1]:,}" if len(waits) > 2 else join_words([f"{wait:,}" for wait in waits])
+        after = f", after {told}" if waits else ""
         parts.append(f"`{label}` in {len(waits)} of {len(own)} with {count_nouns(buttons, 'button')}{after}")
     return f"Runs of the largest budget, {budget:,} primitives, that became efficient: {'; '.join(parts)}."

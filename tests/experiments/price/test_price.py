@@ -66,7 +66,7 @@ def make_truth(price: float, growth: float, replicates: int = 10, budget: int = 
 
 
 def conclude(lines: list[PriceRun]) -> str:
-    sentence, = conclude_prices(lines, "f", "o", COSTS[:1])
+    sentence, = conclude_prices(lines, [("f", "o", COSTS[0])])
     return sentence
 
 
@@ -196,6 +196,8 @@ def test_the_longest_runs_are_counted_with_what_they_paid():
     told = tell_longest(runs)
     assert "80,000 primitives" in told and "`o`" not in told
     assert told.endswith("`f` in 1 of 2 with 1 button, after 70,000; `f` in 0 of 1 with 2 buttons.")
+    more = [make_line("f", 1, number, 10_000 * number, 80_000) for number in (3, 1, 2)]
+    assert tell_longest(more).endswith("`f` in 3 of 3 with 1 button, after 10,000 to 30,000.")
 
 
 @pytest.mark.parametrize(("value", "told"), [(0.523, "0.52"), (3.44, "3.4"), (26.4, "26"), (1_344.0, "1,340")])
