@@ -11,6 +11,20 @@ MUTATIONS = [
         "env/body/test_rectangle.py",
     ),
     Mutation(
+        "a batched disc that passes is held back by the wall it rests at",
+        "env/batched/rules.py",
+        "is_exact = (nearly < 1.0) & (",
+        "is_exact = (",
+        "env/test_engines_agree.py::test_the_batched_engine_agrees_with_the_scalar_rules[bit-flip]",
+    ),
+    Mutation(
+        "a kernel takes two arguments for one because they were one tensor at its first call",
+        "env/batched/compilation.py",
+        "[torch.empty_like(tensor) for tensor in given + tensors]",
+        "given + tensors",
+        "env/batched/test_compilation.py",
+    ),
+    Mutation(
         "batched rectangles turn through what their corners meet on the way",
         "env/batched/rectangle.py",
         "return is_near & (overlaps | is_swept[0] | is_swept[1])",

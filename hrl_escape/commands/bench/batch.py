@@ -3,7 +3,9 @@
 The others are the Bullet environment in Gymnasium's SyncVectorEnv, CartPole's own vector
 environment and, if installed, XLand-MiniGrid. All take random actions; resets are included.
 Repeats are interleaved and each contender's best counts. The memory bound is the rate at which
-the bytes that a step reads and writes could be copied: the limit if arithmetic were free.
+the bytes that a step reads and writes could be copied: the limit if arithmetic were free. The
+arithmetic bound is the rate of the rooms by which the second smallest batch exceeds the smallest:
+the limit if calls and memory were free.
 
 Examples:
     hrl-escape bench batch
@@ -87,6 +89,7 @@ def run(args: BenchBatchArgs) -> None:
                 contender.measure(args.seconds)
                 progress.advance(task)
     bandwidth = bench.measure_bandwidth(args.device)
+    bench.set_arithmetic_bounds(contenders)
     rows = [contender.summarise(bandwidth) for contender in contenders]
     machine = describe_machine("torch") | bench.describe_torch(args.device)
     if args.plot:
@@ -103,13 +106,16 @@ def _print(rows: list[dict], bandwidth: float, machine: dict) -> None:
     table = Table(box=None, padding=(0, 2), pad_edge=False)
     for heading in ("environment", "engine"):
         table.add_column(heading, no_wrap=True)
-    for heading in ("rooms", "steps/s", "a CPU-second", "us a step", "build s", "bytes a room", "memory bound"):
+    for heading in ("rooms", "steps/s", "a CPU-second", "us a step", "build s", "bytes a room", "memory bound", "of it",
+                    "arithmetic", "of it"):
         table.add_column(heading, justify="right")
     for row in rows:
-        bound = row["memory_bound"]
+        bounds = [("", "") if row[f"{kind}_bound"] is None else
+                  (f"{row[f'{kind}_bound']:,.0f}", f"{row[f'share_of_{kind}_bound']:.0%}")
+                  for kind in ("memory", "arithmetic")]
         table.add_row(row["name"], row["engine"], f"{row['rooms']:,}", f"{row['steps_per_second']:,.0f}",
                       f"{row['steps_per_cpu_second']:,.0f}", f"{row['step_us']:,.0f}", f"{row['build_seconds']:.1f}",
-                      f"{row['state_bytes']:,}" if bound else "", f"{bound:,.0f}" if bound else "")
+                      f"{row['state_bytes']:,}" if row["state_bytes"] else "", *bounds[0], *bounds[1])
     table.caption = (f"random actions, resets included; {machine['threads']} threads on {machine['cores']} cores; "
                      f"memory copies at {bandwidth / 1e9:.1f} GB/s")
-    Console(width=140).print(table)
+    Console(width=160).print(table)

@@ -57,6 +57,7 @@ class Contender:
         moved_bytes: bytes that a step must at least read and write for a room; 0 if unknown.
         wall: best time of a step of the batch, s.
         cpu: best CPU time of a step of the batch, s.
+        arithmetic_bound: steps a second if calls and memory were free; None if it was not measured.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Contender:
     moved_bytes: int = 0
     wall: float = float("inf")
     cpu: float = float("inf")
+    arithmetic_bound: float | None = None
 
     def measure(self, seconds: float) -> None:
         """Step for a while and keep the best times."""
@@ -81,13 +83,30 @@ class Contender:
             steps = max(1, min(1000, int(steps * 0.02 / max(took, 1e-6))))  # stretches of 20 ms
 
     def summarise(self, bandwidth: float) -> dict[str, Any]:
-        """Results for table, plot and JSON."""
+        """Results for table, plot and JSON; a bandwidth in bytes a second."""
+        rate = self.rooms / self.wall
+        memory_bound = bandwidth / self.moved_bytes if self.moved_bytes else None
         return {
             "name": self.name, "engine": self.engine, "rooms": self.rooms, "build_seconds": self.build_seconds,
-            "steps_per_second": self.rooms / self.wall, "steps_per_cpu_second": self.rooms / max(self.cpu, 1e-9),
+            "steps_per_second": rate, "steps_per_cpu_second": self.rooms / max(self.cpu, 1e-9),
             "step_us": 1e6 * self.wall, "state_bytes": self.state_bytes, "moved_bytes": self.moved_bytes,
-            "memory_bound": bandwidth / self.moved_bytes if self.moved_bytes else None,
+            "memory_bound": memory_bound, "arithmetic_bound": self.arithmetic_bound,
+            "share_of_memory_bound": rate / memory_bound if memory_bound else None,
+            "share_of_arithmetic_bound": rate / self.arithmetic_bound if self.arithmetic_bound else None,
         }
+
+
+def set_arithmetic_bounds(contenders: Sequence[Contender]) -> None:
+    """Find the arithmetic bound of every batch of which two smaller ones of the same room and engine were measured.
+
+    It is the rate of the rooms by which the second smallest batch exceeds the smallest: both stay in the cache, and
+    what a call costs, however many rooms there are, is in both.
+    """
+    for one in contenders:
+        others = sorted((other for other in contenders if (other.name, other.engine) == (one.name, one.engine)),
+                        key=lambda other: other.rooms)
+        if len(others) > 2 and one is not others[0] and others[1].wall > others[0].wall:
+            one.arithmetic_bound = (others[1].rooms - others[0].rooms) / (others[1].wall - others[0].wall)
 
 
 def make_scene(name: str) -> RoomConfig:
@@ -138,9 +157,11 @@ def _make_batch(scene: str, rooms: int, engine: str, settings: BatchSettings) ->
     batch.reset(torch.arange(rooms, device=batch.device))
     generator = torch.Generator().manual_seed(0)
     pool = [torch.randint(batch.actions, (rooms,), generator=generator).to(batch.device) for _ in range(POOL)]
+    before = batch.state
     outcome = batch.step(pool[0])
     _wait(batch.device)
     build_seconds = time.perf_counter() - begun
+    moved = count_moved_bytes((before, pool[0]), (batch.state, outcome))
 
     def step(count: int) -> None:
         for number in range(count):
@@ -148,9 +169,7 @@ def _make_batch(scene: str, rooms: int, engine: str, settings: BatchSettings) ->
         _wait(batch.device)
 
     step(POOL)
-    state, given = _count_bytes(batch.state), _count_bytes(tuple(part for part in outcome if part is not None))
-    return Contender(scene, engine, rooms, step, build_seconds, state // rooms,
-                     (2 * state + given + _count_bytes((pool[0],))) // rooms)
+    return Contender(scene, engine, rooms, step, build_seconds, count_bytes(before) // rooms, moved // rooms)
 
 
 def _make_sync(scene: str, observation: str) -> Contender:
@@ -206,12 +225,25 @@ def _wait(device: torch.device) -> None:
         torch.accelerator.synchronize(device)
 
 
-def _count_bytes(tree: Any) -> int:
-    sizes: list[int] = []
-    parts = tree if type(tree) is tuple else (tree,)
-    for part in parts:
-        map_tensors(lambda tensor: sizes.append(tensor.numel() * tensor.element_size()), part)
-    return sum(sizes)
+def count_moved_bytes(arguments: Any, results: Any) -> int:
+    """Bytes that a step must read and write: its arguments and results, each tensor once.
+
+    Those that are handed on as they are do not count, though some are read; so the bound is one that no step passes.
+    """
+    given, made = _collect(arguments), _collect(results)
+    return sum(tensor.nbytes for key, tensor in (given | made).items() if key not in given or key not in made)
+
+
+def count_bytes(tree: Any) -> int:
+    """Bytes of the tensors in nested tuples and dicts, each once."""
+    return sum(tensor.nbytes for tensor in _collect(tree).values())
+
+
+def _collect(tree: Any) -> dict[int, torch.Tensor]:
+    """Tensors by identity."""
+    found: dict[int, torch.Tensor] = {}
+    map_tensors(lambda tensor: found.setdefault(id(tensor), tensor), tree)
+    return found
 
 
 def set_threads(threads: int) -> None:

@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import secrets
 from collections.abc import Callable, Sequence
-from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from functools import lru_cache, partial
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
 
-from hrl_escape.env.batched.devices import check_compiler, find_device
+from hrl_escape.env.batched.compilation import CompiledStep
+from hrl_escape.env.batched.devices import check_compiler, find_device, store
 from hrl_escape.env.batched.observations import TensorObservation, compute_bounds, load_observation, observe
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle, unpack_bits
@@ -40,7 +41,6 @@ __all__ = [
     "Outcome",
     "RoomInfo",
     "TensorRoom",
-    "compile_step",
     "draw_seed",
     "list_shapes",
 ]
@@ -115,51 +115,19 @@ def inform(layout: Layout, tables: Tables, state: TensorState, pressed: Tensor) 
     """Make the info of every room; `pressed` holds bits, int64 (rooms,)."""
     form, columns = get_tensor_puzzle(layout.puzzle), pick(layout, tables.puzzle, state.instance)
     lit = form.get_lit(columns, state.puzzle)
-    begun, on = (unpack_bits(words, layout.targets, torch.int8).T.contiguous() for words in (pressed, lit))
+    begun, on = (unpack_bits(words, layout.targets, torch.int8).T.contiguous() for words in (store(pressed), lit))
     success = is_in_exit(layout, tables, state.instance, state.x, state.y) & form.is_solved(columns, state.puzzle)
     return RoomInfo(state.primitives, begun, on, state.instance, state.has_ended * success.to(torch.int32))
 
 
-# For the compiler of CPU kernels: keep loops over a few solids as loops, and read far ahead before
-# storing shared results. Both halve the time of a step (`hrl-escape bench batch`).
-_CPU_OPTIONS: dict[str, str | int | bool | Callable] = {"unroll_reductions_threshold": 1, "realize_reads_threshold": 8}
-
-Kernel = Callable[[Tables, TensorState, Tensor], tuple[TensorState, Outcome]]
-
-
-def compile_step(step: Callable[..., Any], device: str, threads: int) -> Callable[..., Any]:
-    """Compile a step of a batch for one shape of it.
-
-    Args:
-        step: a pure function of tensors. It should hand flags over as words, for the compiler would write truth
-            values byte by byte.
-        device: type of the device.
-        threads: threads that a CPU kernel divides its rooms among. They are part of its code, but the compiler's
-            cache on disk would not know unless it is told.
-    """
-    options = _CPU_OPTIONS | {"cpp.threads": threads} if device == "cpu" else None
-    # isolated, because all kernels share this code and the compiler counts recompilations by code
-    return torch.compile(  # pyright: ignore[reportCallIssue]  # its overloads do not know isolate_recompiles
-        step, fullgraph=True, dynamic=False, isolate_recompiles=True, options=options)
+Kernel = Callable[[TensorState, Tensor], tuple[TensorState, Outcome]]
 
 
 @lru_cache(maxsize=256)
 def _compile(layout: Layout, observation: TensorObservation, autoreset: Autoreset, device: str, threads: int,
-             shapes: tuple) -> Kernel:
+             shapes: tuple) -> CompiledStep:
     """Compile a step for one shape of batch; engines of the same shape share it."""
-
-    def kernel(tables: Tables, state: TensorState, action: Tensor) -> tuple[TensorState, Outcome]:
-        state, outcome = advance(layout, observation, autoreset, tables, state, action)
-        flags = outcome.terminated.to(torch.int32), outcome.truncated.to(torch.int32)
-        return state, outcome._replace(terminated=flags[0], truncated=flags[1])
-
-    compiled = compile_step(kernel, device, threads)
-
-    def run(tables: Tables, state: TensorState, action: Tensor) -> tuple[TensorState, Outcome]:
-        state, outcome = compiled(tables, state, action)
-        return state, outcome._replace(terminated=outcome.terminated != 0, truncated=outcome.truncated != 0)
-
-    return run
+    return CompiledStep(partial(advance, layout, observation, autoreset), device, threads)
 
 
 class TensorRoom:
@@ -229,7 +197,7 @@ class TensorRoom:
         check_compiler(self.device)
         shapes = (self.count, *list_shapes(self.tables))
         return _compile(self.layout, self._observation, self._autoreset, self.device.type, torch.get_num_threads(),
-                        shapes)
+                        shapes).bind(self.tables)
 
     def to(self, device: str | torch.device) -> TensorRoom:
         """Move the batch, its running episodes included, to another device; returns itself."""
@@ -288,7 +256,7 @@ class TensorRoom:
         action = self._check_action(action)
         with torch.no_grad():
             if self._kernel is not None:
-                self.state, outcome = self._kernel(self.tables, state, action)
+                self.state, outcome = self._kernel(state, action)
             else:
                 self.state, outcome = advance(self.layout, self._observation, self._autoreset, self.tables, state,
                                               action)

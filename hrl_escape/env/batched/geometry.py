@@ -21,10 +21,10 @@ from torch import Tensor
 
 from hrl_escape.env.geometry import Footprint
 
-__all__ = ["Shapes", "cast_rays", "compute_distance", "compute_first_contact", "stack_shapes"]
+__all__ = ["Shapes", "cast_rays", "compute_distance", "compute_first_contact", "refine_first_contact", "stack_shapes"]
 
 _NEVER = 1e6  # place of the outlines that only pad a table
-_TINY = 1e-30  # stands in for a velocity of zero
+_TINY = 1e-18  # keeps a velocity from zero
 
 
 class Shapes(NamedTuple):
@@ -83,9 +83,10 @@ def compute_distance(x: Tensor, y: Tensor, shapes: Shapes) -> Tensor:
 def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: float, shapes: Shapes) -> Tensor:
     """Share of displacements that discs can make before they meet each outline.
 
-    The branch-free form of `geometry.compute_first_contact`: where the disc's centre enters the box
-    grown by the radius, and, if that is at a rounded corner, where it enters the corner's
-    circle. A disc that touches already is stopped only if it moves inwards.
+    The branch-free form of `geometry.compute_first_contact`: the disc's centre enters the box grown by the radius;
+    from there, it enters the circle about the point of the box that is nearest to it, which is the corner where it
+    entered at a rounded corner, and next to nothing away elsewhere. A disc that touches already is stopped only if
+    it moves inwards.
 
     Args:
         x: disc centres (rooms,), float64.
@@ -99,52 +100,93 @@ def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: 
         Shape (shapes, rooms), in [0, 1]; 1 if a shape lets the disc pass. Less than 0 if the disc touches already
         and is stopped: the less, the straighter inwards it moves, so that of several the least is the surest.
     """
-    dx, dy = dx.to(shapes.cos.dtype), dy.to(shapes.cos.dtype)
-    eps = torch.finfo(dx.dtype).eps
+    motion = _Motion.make(x, y, dx, dy, shapes)
+    eps = torch.finfo(motion.vx.dtype).eps
     graze = max(1e-9, 8 * eps)
     reach = shapes.rounding + radius
-    px, py = shapes.look_from(x, y)
-    ox, oy = shapes.cos * px + shapes.sin * py, shapes.cos * py - shapes.sin * px
-    vx, vy = shapes.cos * dx + shapes.sin * dy, shapes.cos * dy - shapes.sin * dx
-    vx, vy = torch.where(ox < 0.0, -vx, vx), torch.where(oy < 0.0, -vy, vy)  # mirror into the centre's quadrant
-    ox, oy = ox.abs(), oy.abs()
-    qx, qy = ox - shapes.half_x, oy - shapes.half_y
-    square = dx * dx + dy * dy
-    reach_square = reach * reach
     rounding = reach * (1e-12 * reach + 16 * eps * (reach + shapes.half_x + shapes.half_y))  # of a squared distance
 
-    # touching already, to the last bits: along the outward normal, or along the nearer axis from within the box
-    within = torch.maximum(qx, qy) <= 0.0
-    normal_x = torch.where(within & (qx > qy), 1.0, qx.clamp(min=0.0))
-    normal_y = torch.where(within & (qx <= qy), 1.0, qy.clamp(min=0.0))
-    touching = within | (normal_x * normal_x + normal_y * normal_y <= reach_square + rounding)
-    inwards = normal_x * vx + normal_y * vy
-    stopped = (inwards < 0.0) & (inwards * inwards > graze * graze * reach_square * square)
+    # passing through the grown box: when the centre is abreast of the outline's, and how long it takes from there
+    ux, uy = motion.vx + _TINY, motion.vy + _TINY
+    per = torch.reciprocal(ux * uy)
+    per_x, per_y = per * uy, per * ux
+    mid_x, mid_y = motion.ox * per_x, motion.oy * per_y  # with the other sign
+    half_x, half_y = (shapes.half_x + reach) * per_x.abs(), (shapes.half_y + reach) * per_y.abs()
+    entered = torch.minimum(mid_x + half_x, mid_y + half_y)  # with the other sign: 0 or more if it is in it already
+    enter, leave = torch.relu(-entered), torch.minimum(half_x - mid_x, half_y - mid_y)
 
-    # entering the grown box
-    per_x, per_y = _invert(vx), _invert(vy)
-    front_x, back_x = (reach - qx) * per_x, (-(shapes.half_x + reach) - ox) * per_x
-    front_y, back_y = (reach - qy) * per_y, (-(shapes.half_y + reach) - oy) * per_y
-    near_x, near_y = torch.minimum(front_x, back_x), torch.minimum(front_y, back_y)
-    near = torch.maximum(near_x, near_y)
-    enter = near.clamp(min=0.0)
-    leave = torch.minimum(torch.maximum(front_x, back_x), torch.maximum(front_y, back_y)).clamp(max=1.0)
-    across = torch.where(near_x > near_y, vx, vy)
-    face = (near > 0.0) & (across * across > graze * graze * square)
+    # from there, seen from the nearest point of the box
+    wx = _shrink(motion.ox + enter * motion.vx, shapes.half_x)
+    wy = _shrink(motion.oy + enter * motion.vy, shapes.half_y)
+    along, cross = wx * motion.vx + wy * motion.vy, wx * motion.vy - wy * motion.vx
+    away, reach_square = wx * wx + wy * wy, reach * reach
+    gap, root = away - reach_square, motion.square * reach_square - cross * cross  # along**2 - square * gap
+    share = enter + gap / (torch.sqrt(torch.relu(root)) - along)
+    inwards = torch.relu(-along)
+    is_inwards = inwards * inwards > graze * graze * motion.square * away
+    is_near = gap <= rounding
+    is_met = is_inwards & (is_near | (root > motion.square * rounding))  # a tangent is no hit, however it is rounded
+    # from within the box itself: along the nearer axis
+    is_along_x = motion.ox.abs() - shapes.half_x > motion.oy.abs() - shapes.half_y
+    outwards = torch.where(is_along_x, motion.ox * motion.vx, motion.oy * motion.vy)
+    is_met = (is_met | ((away == 0.0) & (outwards < 0.0))) & (enter <= leave) & (share < 1.0)
+    return torch.where(is_met, torch.where(is_near & (entered >= 0.0), along, torch.relu(share)), 1.0)
 
-    # entering at a rounded corner
-    ex, ey = ox + enter * vx, oy + enter * vy
-    is_corner = (ex.abs() > shapes.half_x) & (ey.abs() > shapes.half_y)
-    kx = ox - torch.where(ex < 0.0, -shapes.half_x, shapes.half_x)
-    ky = oy - torch.where(ey < 0.0, -shapes.half_y, shapes.half_y)
-    along, cross = kx * vx + ky * vy, kx * vy - ky * vx
-    root = square * reach_square - cross * cross  # along**2 - square * gap, without its cancellation
-    corner = (along < 0.0) & (root > square * rounding)  # a tangent is no hit, however it is rounded
-    met_corner = (kx * kx + ky * ky - reach_square) / (torch.sqrt(root.clamp(min=0.0)) - along)
 
-    met = torch.where(torch.where(is_corner, corner, face), torch.where(is_corner, met_corner, enter), 1.0)
-    met = torch.where(enter <= leave, met, 1.0)
-    return torch.where(touching, torch.where(stopped, inwards, 1.0), met.clamp(0.0, 1.0))
+def refine_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: float, shapes: Shapes,
+                         share: Tensor) -> Tensor:
+    """Share of displacements until discs meet outlines, from shares that are nearly right.
+
+    The outline is met at the side or corner that faces the disc after that share. The result is exact to the
+    outlines' type if the disc is moving inwards there, and else means nothing; it may not be a number.
+
+    Args:
+        x: disc centres (rooms,), float64.
+        y: disc centres (rooms,), float64.
+        dx: displacements (rooms,), float64.
+        dy: displacements (rooms,), float64.
+        radius: disc radius, clearance included.
+        shapes: the outlines that are met, one a room.
+        share: of the displacements, (shapes, rooms).
+
+    Returns:
+        Shape (shapes, rooms).
+    """
+    motion, reach = _Motion.make(x, y, dx, dy, shapes), shapes.rounding + radius
+    ex, ey = motion.ox + share * motion.vx, motion.oy + share * motion.vy
+    is_beside_x, is_beside_y = ex.abs() > shapes.half_x, ey.abs() > shapes.half_y
+    kx = motion.ox - torch.where(ex < 0.0, -shapes.half_x, shapes.half_x)
+    ky = motion.oy - torch.where(ey < 0.0, -shapes.half_y, shapes.half_y)
+    along, cross = kx * motion.vx + ky * motion.vy, kx * motion.vy - ky * motion.vx
+    reach_square = reach * reach
+    root = motion.square * reach_square - cross * cross  # along**2 - square * gap, without its cancellation
+    side = torch.where(is_beside_x, motion.ox.abs() - shapes.half_x, motion.oy.abs() - shapes.half_y) - reach
+    speed = torch.where(is_beside_x, motion.vx, motion.vy).abs()
+    is_corner = is_beside_x & is_beside_y
+    return (torch.where(is_corner, kx * kx + ky * ky - reach_square, side)
+            / torch.where(is_corner, torch.sqrt(torch.relu(root)) - along, speed))
+
+
+class _Motion(NamedTuple):
+    """Centres and displacements of discs in the frames of outlines, and the squares of the displacements."""
+
+    ox: Tensor
+    oy: Tensor
+    vx: Tensor
+    vy: Tensor
+    square: Tensor
+
+    @classmethod
+    def make(cls, x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, shapes: Shapes) -> _Motion:
+        dx, dy = dx.to(shapes.cos.dtype), dy.to(shapes.cos.dtype)
+        px, py = shapes.look_from(x, y)
+        return cls(shapes.cos * px + shapes.sin * py, shapes.cos * py - shapes.sin * px,
+                   shapes.cos * dx + shapes.sin * dy, shapes.cos * dy - shapes.sin * dx, dx * dx + dy * dy)
+
+
+def _shrink(offset: Tensor, half: Tensor) -> Tensor:
+    """Offsets from the nearest place within `half` of 0. `relu` and not `clamp`, which minds what is not a number."""
+    return torch.relu(offset - half) - torch.relu(-half - offset)
 
 
 def _invert(velocity: Tensor) -> Tensor:

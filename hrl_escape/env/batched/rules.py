@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.devices import store
-from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact
+from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact, refine_first_contact
 from hrl_escape.env.batched.noise import compute_noise, draw_chance, draw_puzzle_start, draw_words, scale_word
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching, make_base
 from hrl_escape.env.batched.puzzles.base import TensorContacts, get_tensor_puzzle
@@ -163,11 +163,16 @@ def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: 
         doors, is_shut = _find_door(layout, tables, state, base)
         return torch.where(is_shut, torch.minimum(free, base.compute_first_contact(dx, dy, doors)[0]), free)
     motion = (state.x, state.y, dx, dy, layout.robot.body_radius + CONTACT_SKIN)
-    nearly, which = compute_first_contact(*motion, solids.round()).min(0)
+    shares = store(compute_first_contact(*motion, solids.round()))
+    nearly = shares.amin(0)
+    numbers = torch.arange(len(shares), dtype=torch.int32, device=shares.device).unsqueeze(1)
+    which = torch.where(shares == nearly, numbers, len(shares)).amin(0).to(torch.int64)
     column = torch.zeros_like(which) if layout.is_shared else state.instance
     first: Shapes = map_tensors(lambda table: table[which, column].unsqueeze(0), tables.solids)
-    nearly, exactly = nearly.clamp(min=0.0), compute_first_contact(*motion, first)[0].clamp(min=0.0)
-    free = torch.where((exactly - nearly).abs() < 1e-3, exactly, nearly)  # let by one solid, it may meet another
+    nearly = torch.relu(nearly)
+    exactly = refine_first_contact(*motion, first, nearly)[0].clamp(0.0, 1.0)
+    is_exact = (nearly < 1.0) & ((exactly - nearly).abs() < 1e-3)  # let by one solid, it may meet another
+    free = torch.where(is_exact, exactly, nearly)
     if layout.inner_doors:
         inner: Shapes = pick(layout, tables.inner_doors, state.instance)
         is_shut = find_shut(layout, tables, state)

@@ -175,12 +175,15 @@ def collect_instances(config: SchematicForm, instance: InstanceSource | None = N
 
 
 def map_tensors(function: Callable[[Tensor], Any], tree: Any) -> Any:
-    """Apply a function to every tensor in nested named tuples and dicts."""
+    """Apply a function to every tensor in nested tuples and dicts; what is None stays so."""
     if isinstance(tree, Tensor):
         return function(tree)
+    if tree is None:
+        return None
     if isinstance(tree, dict):
         return {key: map_tensors(function, value) for key, value in tree.items()}
-    return type(tree)(*(map_tensors(function, value) for value in tree))
+    parts = [map_tensors(function, value) for value in tree]
+    return tuple(parts) if type(tree) is tuple else type(tree)(*parts)
 
 
 def pick(layout: Layout, table: Any, instance: Tensor) -> Any:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from collections.abc import Callable
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any, TypeAlias
 
 import gymnasium
@@ -18,16 +18,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from hrl_escape.env.batched.compilation import CompiledStep
 from hrl_escape.env.batched.devices import check_compiler
-from hrl_escape.env.batched.engine import TensorRoom, compile_step, list_shapes
+from hrl_escape.env.batched.engine import TensorRoom, list_shapes
 from hrl_escape.env.batched.observations import load_observation
 from hrl_escape.env.batched.poses import TensorState
-from hrl_escape.env.batched.tables import InstanceSource, Layout, Tables, collect_instances, map_tensors
+from hrl_escape.env.batched.tables import InstanceSource, Layout, collect_instances, map_tensors
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.observations import OBJECT_WORDS
 from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError, UnsupportedError, show_value
-from hrl_escape.options.batched.cost_to_go import CostFields, check_presses, stack_fields
+from hrl_escape.options.batched.cost_to_go import check_presses, stack_fields
 from hrl_escape.options.batched.decisions import ENDINGS, NOT_ASKED, OpenDecisions, Transitions
 from hrl_escape.options.batched.degraded import name_options
 from hrl_escape.options.batched.host_planner import HostPlanner
@@ -52,8 +53,7 @@ _SHARED = ("options", "include_primitives", "discount", "flavour", "interruptibl
 __all__ = ["ENDINGS", "BatchedOptionsEnv", "Transitions"]
 
 Stepped: TypeAlias = tuple[TensorState, OpenDecisions, AgentView, Transitions]
-DecisionKernel: TypeAlias = Callable[
-    [Tables, CostFields, TensorState, OpenDecisions, AgentView, Tensor], Stepped]
+DecisionKernel: TypeAlias = Callable[[TensorState, OpenDecisions, AgentView, Tensor], Stepped]
 
 
 class BatchedOptionsEnv:
@@ -168,7 +168,8 @@ class BatchedOptionsEnv:
         if compile:
             check_compiler(self.device)
             shapes = (num_envs, *list_shapes(self.room.tables), *list_shapes(self._fields))
-            self._kernel = _compile_kernel(layout, self._settings, self.device.type, torch.get_num_threads(), shapes)
+            compiled = _compile_step(layout, self._settings, self.device.type, torch.get_num_threads(), shapes)
+            self._kernel = compiled.bind(self.room.tables, self._fields)
 
     # --- observations and masks --------------------------------------------------------------
 
@@ -250,7 +251,7 @@ class BatchedOptionsEnv:
         with torch.no_grad():
             running = self._plan(view, running, action)
             if self._kernel is not None:
-                found = self._kernel(room.tables, self._fields, room.state, running, view, action)
+                found = self._kernel(room.state, running, view, action)
             else:
                 found = step_decisions(room.layout, self._settings, room.tables, self._fields, room.state, running,
                                        view, action)
@@ -346,23 +347,6 @@ def _own(field: Tensor) -> Tensor:
 
 
 @lru_cache(maxsize=64)
-def _compile_kernel(layout: Layout, settings: StepSettings, device: str, threads: int, shapes: tuple) -> DecisionKernel:
-    """Compile a step for one shape of batch; kernels return flags as integers, as in `engine.py`."""
-
-    def kernel(tables: Tables, fields: CostFields, state: TensorState, running: OpenDecisions, view: AgentView,
-               action: Tensor) -> Stepped:
-        state, running, view, done = step_decisions(layout, settings, tables, fields, state, running, view, action)
-        view, done = (map_tensors(lambda field: field.to(torch.int32) if field.dtype == torch.bool else field, part)
-                       for part in (view, done))
-        return state, running, view, done
-
-    compiled = compile_step(kernel, device, threads)
-
-    def run(tables: Tables, fields: CostFields, state: TensorState, running: OpenDecisions, view: AgentView,
-            action: Tensor) -> Stepped:
-        state, running, view, done = compiled(tables, fields, state, running, view, action)
-        done = done._replace(where=done.where != 0, next_action_mask=done.next_action_mask != 0,
-                             terminated=done.terminated != 0, truncated=done.truncated != 0)
-        return state, running, view._replace(mask=view.mask != 0), done
-
-    return run
+def _compile_step(layout: Layout, settings: StepSettings, device: str, threads: int, shapes: tuple) -> CompiledStep:
+    """Compile a step for one shape of batch."""
+    return CompiledStep(partial(step_decisions, layout, settings), device, threads)

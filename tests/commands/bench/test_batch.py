@@ -5,9 +5,19 @@ from __future__ import annotations
 import json
 
 import pytest
+import torch
 from PIL import Image
 
 from hrl_escape.cli import main
+from hrl_escape.commands.bench.batch_contenders import (
+    Contender,
+    count_bytes,
+    count_moved_bytes,
+    set_arithmetic_bounds,
+)
+from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
 
 QUICK = ("--seconds", "0.01", "--repeats", "1", "--threads", "1", "--engines", "eager", "--sizes", "2", "16")
 
@@ -31,9 +41,35 @@ def test_it_measures_our_batches_beside_others_in_one_run(capsys, tmp_path):
     assert {"CartPole-v1", "paper-two-button"} <= {row["name"] for row in rows if not row["memory_bound"]}
     for row in rows:
         assert row["steps_per_second"] == pytest.approx(1e6 * row["rooms"] / row["step_us"])
-        assert row["memory_bound"] is None or row["state_bytes"] < 200 < row["moved_bytes"] < 2000
+        assert row["memory_bound"] is None or row["state_bytes"] < 200 and 150 < row["moved_bytes"] < 300
+        assert row["arithmetic_bound"] is None  # two sizes: nothing larger to compare with it
     assert report["machine"]["threads"] == 1
     assert Image.open(plot).size[0] > 500
+
+
+def test_the_bytes_of_a_step_are_those_counted_by_hand():
+    batch = TensorRoom([generate(get_preset("paper-two-button"), 0)], 3, observation="features")
+    batch.reset(torch.arange(3))
+    before, action = batch.state, torch.zeros(3, dtype=torch.int64)
+    outcome = batch.step(action)
+    # x, y, heading offset, puzzle, touching: 8 bytes each; heading, primitives, episode and end: 4 each
+    changing = 5 * 8 + 4 * 4
+    features, flags, info = 6 * 4, 1 + 1, 2 * 1 + 2 * 1 + 4  # info: pressed, on and success; the rest is the state's
+    by_hand = changing + 8 + changing + features + 4 + flags + info
+    assert count_moved_bytes((before, action), (batch.state, outcome)) == 3 * by_hand == 3 * 158
+    assert count_bytes(before) == 3 * (changing + 3 * 8)  # key, instance and seed are handed on
+
+
+def test_the_arithmetic_bound_is_the_rate_beyond_the_smallest_batch():
+    def contend(rooms: int, wall: float) -> Contender:
+        return Contender("room", "compiled", rooms, lambda count: None, 0.0, 80, 100, wall, wall)
+
+    batches = [contend(100, 2e-6), contend(1100, 4e-6), contend(10_100, 30e-6)]
+    set_arithmetic_bounds(batches)
+    assert [one.arithmetic_bound for one in batches] == [None, pytest.approx(5e8), pytest.approx(5e8)]
+    row = batches[2].summarise(bandwidth=1e11)
+    assert row["share_of_memory_bound"] == pytest.approx(10_100 / 30e-6 / 1e9)
+    assert row["share_of_arithmetic_bound"] == pytest.approx(10_100 / 30e-6 / 5e8)
 
 
 def test_the_table_says_what_the_numbers_are(capsys):

@@ -5,9 +5,9 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from torch._dynamo.utils import counters
 
 from benchmarks.options_conformance import compare_options
+from hrl_escape.env.batched import compilation
 from hrl_escape.env.config import DynamicsConfig, ExitConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.kinematics import Kinematics
@@ -233,13 +233,13 @@ def test_instances_may_differ_and_be_drawn_anew():
 
 
 @pytest.mark.slow
-def test_compiled_steps_do_what_eager_ones_do_and_never_recompile():
-    compiled, before = make_env(16, NOISY, compile=True), counters["stats"]["unique_graphs"]
+def test_compiled_steps_do_what_eager_ones_do_and_never_recompile(monkeypatch):
+    compiled = make_env(16, NOISY, compile=True)
     found = [play(env, list(range(16))) for env in (make_env(16, NOISY), compiled)]
     assert torch.allclose(found[0], found[1], atol=1e-5)
+    monkeypatch.delattr(compilation, "standalone_compile")
     compiled.reset(torch.arange(16), torch.arange(16) < 3)
     compiled.step(torch.zeros(16, dtype=torch.int64))
-    assert counters["stats"]["unique_graphs"] == before + 1
 
 
 # --- refusals --------------------------------------------------------------------------------

@@ -1,0 +1,119 @@
+"""Steps of batches, fused into compiled kernels: traced once for tensors of certain shapes, then called directly.
+
+`torch.compile` looks again at every call whether its kernel still fits; for a few thousand rooms that takes as long as
+the step. Here a batch keeps its shapes and types, so that comparing those is enough.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import count
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch._inductor import standalone_compile
+from torch.fx.experimental.proxy_tensor import make_fx
+
+from hrl_escape.env.batched.tables import map_tensors
+from hrl_escape.errors import BatchError
+
+__all__ = ["CompiledStep"]
+
+# Keep loops over a few solids as loops, and read far ahead before storing shared results. Both halve the time of a
+# step (`hrl-escape bench batch`). Shapes are compared here, and indices come from the tables.
+_OPTIONS: dict[str, bool] = {"size_asserts": False, "assert_indirect_indexing": False}
+_CPU_OPTIONS: dict[str, int] = {"unroll_reductions_threshold": 1, "realize_reads_threshold": 8}
+
+
+class CompiledStep:
+    """A pure function of tensors in nested named tuples and dicts, compiled for one shape of its arguments.
+
+    It returns what the function returns; what that hands on as it is costs nothing.
+    """
+
+    def __init__(self, step: Callable[..., Any], device: str, threads: int) -> None:
+        """Remember what to compile at the first call.
+
+        Args:
+            step: the function.
+            device: type of the device.
+            threads: threads that a CPU kernel divides its rooms among. They are part of its code, but the compiler's
+                cache on disk would not know unless it is told.
+        """
+        self._step = step
+        self._options = _OPTIONS | (_CPU_OPTIONS | {"cpp.threads": threads} if device == "cpu" else {})
+        self._kernel: Callable[..., Any] | None = None
+        self._forms: list[tuple[torch.Size, torch.dtype]] = []
+        self._flags: list[int] = []
+        self._result: Any = None
+
+    def bind(self, *constants: Any) -> Callable[..., Any]:
+        """Make a function of the other arguments, which come after the constant ones.
+
+        The function raises `BatchError` for a tensor of another shape or dtype than in its first call.
+        """
+        given = [tensor.contiguous() for tensor in _flatten(constants, [])]
+
+        def run(*arguments: Any) -> Any:
+            tensors = [tensor.contiguous() for tensor in _flatten(arguments, [])]
+            kernel = self._kernel or self._compile((*constants, *arguments), given, tensors)
+            for tensor, form in zip(tensors, self._forms, strict=True):
+                if (tensor.shape, tensor.dtype) != form:
+                    raise BatchError("state", tensor, f"a tensor of shape {tuple(form[0])}, {form[1]}")
+            tensors = given + tensors
+            found = list(kernel(*tensors))
+            for number in self._flags:
+                found[number] = found[number].view(torch.bool)
+            return _fill(self._result, tensors + found)
+
+        return run
+
+    def _compile(self, arguments: tuple[Any, ...], given: list[Tensor], tensors: list[Tensor]) -> Callable[..., Any]:
+        self._forms = [(tensor.shape, tensor.dtype) for tensor in tensors]
+        numbers = count()
+        places = map_tensors(lambda _: next(numbers), arguments)
+
+        def trace(*inputs: Tensor) -> list[Tensor]:
+            known = list(inputs)
+
+            def find(tensor: Tensor) -> int:
+                place = next((number for number, one in enumerate(known) if one is tensor), len(known))
+                known.extend([tensor] if place == len(known) else [])
+                return place
+
+            self._result = map_tensors(find, self._step(*_fill(places, inputs)))
+            found = known[len(inputs):]
+            self._flags = [number for number, tensor in enumerate(found) if tensor.dtype == torch.bool]
+            for number in self._flags:  # by way of words, for the compiler would write truth values byte by byte
+                found[number] = found[number].to(torch.int32).to(torch.uint8)
+            return found
+
+        # each with memory of its own: the tracer knows tensors by identity, and a batch may begin with one for two
+        examples: list[Any] = [torch.empty_like(tensor) for tensor in given + tensors]
+        graph = make_fx(trace, tracing_mode="fake")(*examples)
+        self._kernel = standalone_compile(graph, examples, dynamic_shapes="from_example_inputs",
+                                          options={"config_patches": self._options})
+        return self._kernel
+
+
+def _flatten(tree: Any, into: list[Tensor]) -> list[Tensor]:
+    """Append the tensors in nested tuples and dicts to a list."""
+    if isinstance(tree, Tensor):
+        into.append(tree)
+    elif tree is not None:
+        for part in tree.values() if isinstance(tree, dict) else tree:
+            _flatten(part, into)
+    return into
+
+
+def _fill(tree: Any, tensors: Sequence[Tensor]) -> Any:
+    """Replace numbers by the tensors of these places."""
+    if isinstance(tree, int):
+        return tensors[tree]
+    if tree is None:
+        return None
+    if isinstance(tree, dict):
+        return {key: _fill(part, tensors) for key, part in tree.items()}
+    parts = [_fill(part, tensors) for part in tree]
+    return tuple(parts) if type(tree) is tuple else type(tree)(*parts)
