@@ -55,14 +55,16 @@ def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], run
         told.append(order)
     learners = {agent: curve for agent, curve in curves.items()
                 if len(curve) > 1 and any(run.primitives for rung in curve for run in enough[rung, agent])}
-    steps = [step for agent, curve in learners.items()
-             for faults in find_steps({rung: {agent: value} for rung, value in curve.items()}, [agent]).values()
-             for step in faults]
-    if steps:
-        told.append(f"The fall is not smooth: {'; '.join(steps)}.")
-    elif learners:
-        told.append(f"No learner falls from above {STEP[0]:g} on one rung to below {STEP[1]:g} on the next that it was "
-                    f"run on: {join_words(f'`{agent}`' for agent in learners)}.")
+    steps = {agent: [f"{fault} on {after}" for after, faults in find_steps(
+                {rung: {agent: value} for rung, value in curve.items()}, [agent]).items() for fault in faults]
+             for agent, curve in learners.items()}
+    if smooth := [f"`{agent}`" for agent, found in steps.items() if not found]:
+        those, it = ("No learner falls", "it was") if len(smooth) == len(steps) else (
+            f"Of {count_nouns(len(steps), 'learner')} {len(smooth)} never fall", "they were")
+        told.append(f"{those} from above {STEP[0]:g} on one rung to below {STEP[1]:g} on the next that {it} run on: "
+                    f"{join_words(smooth)}.")
+    if falls := list(itertools.chain.from_iterable(steps.values())):
+        told.append(f"The fall is not smooth: {'; '.join(falls)}.")
     open_rungs = [f"`{rung}`" for rung in rungs if rung not in chance]
     if told and open_rungs:
         told.append(f"Open, for want of runs: {join_words(open_rungs)}.")
