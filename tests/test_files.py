@@ -228,7 +228,9 @@ import resource, gymnasium, hrl_escape
 from hrl_escape.errors import FileWriteError
 resource.setrlimit(resource.RLIMIT_FSIZE, (0, -1))
 try:
-    gymnasium.make("hrl_escape/ArmTwoButton-v1")
+    env = gymnasium.make("hrl_escape/ArmTwoButton-v1", render_mode="rgb_array")
+    env.reset(seed=0)
+    env.render()
 except FileWriteError as error:
     print(error)
 """

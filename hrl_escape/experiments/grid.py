@@ -192,8 +192,7 @@ class Grid(Settings):
     rooms: tuple[RoomSpec, ...] = DEFAULT_ROOMS
     """Rooms to train and be tested in, one after another; empty with `train_rooms`."""
     train_rooms: tuple[str, ...] = ()
-    """Sets of rooms, each to be trained in as a whole, such as ladder-1/lattice/train[:64] or clutter#0..15; with ` + `
-    between several the floors of a tower."""
+    """Sets of rooms, each trained in as a whole, as ladder-1/lattice/train[:64] or clutter#0..15; a tower has ` + `."""
     test_rooms: tuple[str, ...] = ()
     """Sets of rooms to be tested in: one for all `train_rooms`, or one for each."""
     runs: Annotated[int, Range(1, 10_000)] = 10

@@ -37,7 +37,6 @@ MEMORY = 8
 """Cells whose cost a room remembers."""
 _FINE_HEADINGS = 16  # robots with coarser turns look two primitives ahead: fields are less precise for them
 _BLOCKED = 0.01  # moves shorter than this do not count, m
-_TIE = 1e-3  # costs as close as this are equal, and the first primitive is taken: the last bits of costs are chance
 
 
 class Choice(NamedTuple):
@@ -88,7 +87,7 @@ def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: 
         after = torch.cat([after, estimate_arm_costs(layout, tables, state, reach, goal < layout.targets)])
     best = after.amin(0)
     numbers = torch.arange(len(after), device=goal.device).unsqueeze(1)
-    primitive = torch.where(after <= best + _TIE, numbers, len(after)).amin(0)
+    primitive = torch.where(after == best, numbers, len(after)).amin(0)
     here = locate(layout, fields, state.instance, state.x, state.y)
     heading, _ = classify_headings(layout, fields, state)
     return Choice(primitive, best + 1.0, here.cell * fields.classes + heading)

