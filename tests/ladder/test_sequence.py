@@ -7,7 +7,6 @@ import gymnasium
 import numpy as np
 import pytest
 
-import hrl_escape  # noqa: F401  # registers environments
 from hrl_escape.agents.algorithms.random import RandomAgent
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
 from hrl_escape.agents.training.env_description import describe_env, make_described_env

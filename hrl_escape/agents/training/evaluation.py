@@ -27,6 +27,9 @@ from hrl_escape.agents.agent import (
 
 __all__ = ["Evaluation", "compute_episode_seed", "evaluate", "evaluate_trials", "play_episode"]
 
+MOST_PRIMITIVES = 100_000
+"""Longest episode in an environment without a time limit."""
+
 
 @dataclass(frozen=True)
 class Evaluation:
@@ -79,7 +82,7 @@ def compute_episode_seed(seed: int, purpose: str, episode: int) -> int:
 
 
 def play_episode(
-    agent: Agent, env: gymnasium.Env, seed: int, max_primitives: int = 100_000
+    agent: Agent, env: gymnasium.Env, seed: int, max_primitives: int = MOST_PRIMITIVES
 ) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
     """Play one greedy episode, yielding each transition with its `info`.
 
@@ -113,7 +116,7 @@ def evaluate(
     seed: int = 0,
     primitives: int = 0,
     decisions: int = 0,
-    max_primitives: int = 100_000,
+    max_primitives: int = MOST_PRIMITIVES,
     trials: int = 1,
 ) -> Evaluation:
     """Play greedy episodes with seeds that depend only on `seed` and the episode's number.
@@ -130,13 +133,8 @@ def evaluate(
             `info["trial"]` is. One that an episode does not come to is a failure of no length.
     """
     started = time.perf_counter()
-    sums = []
-    for episode in range(episodes):
-        parts = [_Sums() for _ in range(trials)]
-        for transition, info in play_episode(agent, env, compute_episode_seed(seed, "evaluation", episode),
-                                             max_primitives):
-            parts[info["trial"] if trials > 1 else 0].add(transition, info)
-        sums += parts
+    sums = [each for episode in range(episodes)
+            for each in _sum_trials(agent, env, seed, episode, trials, max_primitives)]
     return _make_evaluation(primitives, decisions, sums, time.perf_counter() - started)
 
 
@@ -165,14 +163,11 @@ def evaluate_trials(
     Returns:
         For each trial its evaluation over all episodes.
     """
-    sums: list[list[_Sums]] = [[] for _ in range(trials)]
+    sums = []
     for episode in range(episodes):
-        for each in sums:
-            each.append(_Sums())
-        for transition, info in play_episode(agent, env, compute_episode_seed(seed, "evaluation", episode)):
-            sums[info["trial"]][-1].add(transition, info)
+        sums.append(_sum_trials(agent, env, seed, episode, trials))
         after_episode()
-    return tuple(_make_evaluation(primitives, decisions, each) for each in sums)
+    return tuple(_make_evaluation(primitives, decisions, each) for each in zip(*sums, strict=True))
 
 
 class _Sums:
@@ -188,6 +183,16 @@ class _Sums:
         self.count += 1
         self.success = read_success(info, transition.terminated)
         self.progress = max(self.progress, float(info.get("progress", self.success)))
+
+
+def _sum_trials(agent: Agent, env: gymnasium.Env, seed: int, episode: int, trials: int,
+                max_primitives: int = MOST_PRIMITIVES) -> list[_Sums]:
+    """Play an episode and sum up each of its trials."""
+    sums = [_Sums() for _ in range(trials)]
+    for transition, info in play_episode(agent, env, compute_episode_seed(seed, "evaluation", episode),
+                                         max_primitives):
+        sums[info["trial"] if trials > 1 else 0].add(transition, info)
+    return sums
 
 
 def _make_evaluation(primitives: int, decisions: int, sums: Sequence[_Sums], seconds: float = 0.0) -> Evaluation:
