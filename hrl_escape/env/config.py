@@ -51,9 +51,6 @@ def compute_resolution(half_x: float, half_y: float) -> float:
     return max(FINEST_CELL, 2 * max(half_x, half_y) / MOST_CELLS_A_SIDE)
 
 
-ROBOT_KINDS = ("arm", "kuka-iiwa", "franka-panda", "urdf")
-
-
 @dataclasses.dataclass(frozen=True)
 class Wall(Settings):
     """An explicit interior wall, straight from one place to another along x or y."""
