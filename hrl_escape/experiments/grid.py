@@ -192,7 +192,7 @@ class Grid(Settings):
     rooms: tuple[RoomSpec, ...] = DEFAULT_ROOMS
     """Rooms to train and be tested in, one after another; empty with `train_rooms`."""
     train_rooms: tuple[str, ...] = ()
-    """Sets of rooms, each trained in as a whole, as ladder-1/lattice/train[:64] or clutter#0..15; a tower has ` + `."""
+    """Sets of rooms to train in, as ladder-1/lattice/train[:64] or clutter#0..15; plus joins the floors of a tower."""
     test_rooms: tuple[str, ...] = ()
     """Sets of rooms to be tested in: one for all `train_rooms`, or one for each."""
     runs: Annotated[int, Range(1, 10_000)] = 10

@@ -27,8 +27,8 @@ from hrl_escape.agents.agent import (
 
 __all__ = ["Evaluation", "compute_episode_seed", "evaluate", "evaluate_trials", "play_episode"]
 
-MOST_PRIMITIVES = 100_000
-"""Longest episode in an environment without a time limit."""
+LONGEST_EPISODE = 100_000
+"""Primitives after which an episode ends that has no time limit."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def compute_episode_seed(seed: int, purpose: str, episode: int) -> int:
 
 
 def play_episode(
-    agent: Agent, env: gymnasium.Env, seed: int, max_primitives: int = MOST_PRIMITIVES
+    agent: Agent, env: gymnasium.Env, seed: int, max_primitives: int = LONGEST_EPISODE
 ) -> Iterator[tuple[SMDPTransition, dict[str, Any]]]:
     """Play one greedy episode, yielding each transition with its `info`.
 
@@ -116,7 +116,7 @@ def evaluate(
     seed: int = 0,
     primitives: int = 0,
     decisions: int = 0,
-    max_primitives: int = MOST_PRIMITIVES,
+    max_primitives: int = LONGEST_EPISODE,
     trials: int = 1,
 ) -> Evaluation:
     """Play greedy episodes with seeds that depend only on `seed` and the episode's number.
@@ -186,7 +186,7 @@ class _Sums:
 
 
 def _sum_trials(agent: Agent, env: gymnasium.Env, seed: int, episode: int, trials: int,
-                max_primitives: int = MOST_PRIMITIVES) -> list[_Sums]:
+                max_primitives: int = LONGEST_EPISODE) -> list[_Sums]:
     """Play an episode and sum up each of its trials."""
     sums = [_Sums() for _ in range(trials)]
     for transition, info in play_episode(agent, env, compute_episode_seed(seed, "evaluation", episode),
