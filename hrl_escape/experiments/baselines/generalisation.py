@@ -17,12 +17,12 @@ from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.ladder.hidden import derive_seed
 from hrl_escape.ladder.instance_set import InstanceSet
 
-__all__ = ["DEPTHS", "FLAT", "MEMORY", "OBJECTS", "TRAINING_ROOMS", "TRAINED", "VECTORS", "GeneralisationArgs",
-           "make_depth_grid", "make_sizes_grid"]
+__all__ = ["DEPTHS", "FLAT", "FLAT_CHANCE", "MEMORY", "OBJECTS", "TRAINING_ROOMS", "TRAINED", "VECTORS",
+           "GeneralisationArgs", "make_depth_grid", "make_sizes_grid"]
 
 TRAINING_ROOMS = (1, 4, 16, 64, 256, 1000)
 """Numbers of training rooms; the last is the whole set, of which few runs see a room twice."""
-FLAT, VECTORS = "ppo+objects", "smdp-ppo+no-primitives"
+FLAT, FLAT_CHANCE, VECTORS = "ppo+objects", "random", "smdp-ppo+no-primitives"
 OBJECTS, MEMORY = "smdp-ppo+objects+no-primitives", "smdp-ppo+objects+memory+no-primitives"
 TRAINED = "2 to 4 buttons"
 DEPTHS = {"6 buttons, layered": (6, "layered"), "6 buttons, one chain": (6, "chain"),
@@ -58,7 +58,7 @@ def make_sizes_grid(bench: Benchmark, args: GeneralisationArgs) -> Grid:
     Raises:
         EscapeError: no such rung, or more rooms than it has.
     """
-    agents = tuple(map(AgentSpec.parse, args.agents or (FLAT, VECTORS, OBJECTS, MEMORY, CHANCE)))
+    agents = tuple(map(AgentSpec.parse, args.agents or (FLAT, VECTORS, OBJECTS, MEMORY, CHANCE, FLAT_CHANCE)))
     sizes = tuple(size for size in args.sizes if size <= bench[args.rung].record.train.count)
     settings = LadderSettings(args.runs, args.primitives, args.rooms, sizes, first_seed=args.first_seed)
     grid = make_protocol_grid(bench, args.rung, "generalise", agents, settings)

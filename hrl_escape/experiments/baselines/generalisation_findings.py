@@ -12,15 +12,17 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.experiments.baselines.generalisation import DEPTHS
+from hrl_escape.experiments.baselines.generalisation import DEPTHS, FLAT_CHANCE
 from hrl_escape.experiments.baselines.lines import LEAST_RUNS, BaselineRun
 from hrl_escape.experiments.inference import compare_pairs, correct_by_holm
 from hrl_escape.experiments.pairs import ALPHA
+from hrl_escape.names import count_nouns, join_words
 
 __all__ = ["tell_puzzle_depths", "tell_room_numbers"]
 
 _Seeds = Mapping[int, float]
 """Efficiency in unseen rooms by training seed."""
+_RANDOM = {FLAT_CHANCE: "random primitives"}
 
 
 class _Question(NamedTuple):
@@ -31,19 +33,25 @@ class _Question(NamedTuple):
     differences: NDArray[np.float64]
 
 
-def tell_room_numbers(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Sequence[str], chance: str
-               ) -> list[str]:
+def tell_room_numbers(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Sequence[str],
+                      chances: Mapping[str, str]) -> list[str]:
     """Sentences on one rung: each agent against the one before it, against chance, and many rooms against few.
+
+    An agent that escapes in no test is told of alone: how far others stand above a floor depends on the budget.
 
     Args:
         cells: runs by agent and number of training rooms.
         agents: in the order of what they are given.
-        chance: the agent that chooses at random; how many rooms it trained in makes no difference to it.
+        chances: the agent that chooses at random among the same; how many rooms it trained in makes no difference to
+            it.
     """
     enough = {place: seeds for place, runs in cells.items() if len(seeds := _index(runs)) >= LEAST_RUNS}
-    floor = next((seeds for (agent, _), seeds in enough.items() if agent == chance), None)
+    chance = {agent: seeds for (agent, _), seeds in enough.items() if agent in chances.values()}
     known = [agent for agent in agents if any(agent == other for other, _ in enough)]
-    asked = []
+    tests = {agent: {count: cells[agent, count] for other, count in enough if other == agent} for agent in known}
+    told = {agent: _tell_zero(agent, tests[agent]) for agent in known
+            if not any(run.efficiency for runs in tests[agent].values() for run in runs)}
+    known, asked = [agent for agent in known if agent not in told], []
     for before, agent in zip((None, *known), known, strict=False):
         own = sorted(count for other, count in enough if other == agent)
         most = enough[agent, own[-1]]
@@ -51,12 +59,23 @@ def tell_room_numbers(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], ag
         if before is not None and both:
             asked.append(_ask(f"`{agent}` with {_count(both[-1])}", f"`{before}`",
                               enough[agent, both[-1]], enough[before, both[-1]]))
-        if floor is not None:
-            asked.append(_ask(f"`{agent}` with {_count(own[-1])}", "random choices", most, floor))
+        if (by_chance := chance.get(chances[agent])) is not None:
+            asked.append(_ask(f"`{agent}` with {_count(own[-1])}", _RANDOM.get(chances[agent], "random choices"),
+                              most, by_chance))
         if len(own) > 1:
             asked.append(_ask(f"`{agent}` with {_count(own[-1])}", f"with {_count(own[0])}", most,
                               enough[agent, own[0]]))
-    return _answer(asked)
+    return [*told.values(), *_answer(asked)]
+
+
+def _tell_zero(agent: str, tests: Mapping[int, Sequence[BaselineRun]]) -> str:
+    """Sentence on an agent that escapes from no unseen room, by numbers of training rooms."""
+    runs = [run for own in tests.values() for run in own]
+    seen = max((run.seen for run in runs if run.seen is not None), default=0.0)
+    also = "nor from one trained in" if not seen else f"though in rooms trained in a run reaches up to {seen:.2f}"
+    return (f"`{agent}` escapes from no unseen room after any of its {count_nouns(len(runs), 'run')}, trained in "
+            f"{join_words((f'{count:,}' for count in sorted(tests)), 'or')} rooms, {also}. At this floor no difference "
+            "from it is asked for.")
 
 
 def tell_puzzle_depths(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], agents: Sequence[str], chance: str

@@ -19,6 +19,7 @@ from hrl_escape.experiments.baselines.calibration import CHANCE
 from hrl_escape.experiments.baselines.generalisation import (
     DEPTHS,
     FLAT,
+    FLAT_CHANCE,
     MEMORY,
     OBJECTS,
     TRAINED,
@@ -35,6 +36,7 @@ __all__ = ["draw_sizes", "write_generalisation_page"]
 
 _NAMES = {FLAT: "primitives", VECTORS: "options, a vector", OBJECTS: "options, objects",
           MEMORY: "options, objects, memory"}
+_CHANCES = dict.fromkeys(_NAMES, CHANCE) | {FLAT: FLAT_CHANCE}
 _COLOURS = dict(zip(_NAMES, ("#777777", "#0072b2", "#e69f00", "#d55e00"), strict=True))
 _COMMAND = "hrl-escape experiment generalisation"
 _Key = TypeVar("_Key")
@@ -57,12 +59,12 @@ def write_generalisation_page(lines: Sequence[BaselineRun], docs: Path) -> None:
     if sizes:
         save_figure(docs / "figures" / "generalisation.svg", draw_sizes(rungs))
         text += ["![Efficiency against training rooms](figures/generalisation.svg)", "",
-                 "Solid: in rooms that no run was trained in. Dotted: in rooms trained in. Dots: single runs. Dashed: "
-                 "random choices among the options.", ""]
+                 "Solid: in rooms that no run was trained in. Dotted: in rooms trained in. Dots: single runs, agents "
+                 "side by side. Dashed: random choices among the options.", ""]
     for own in rungs.values():
         cells = _group((line.agent, _count_rooms(line), line) for line in own)
         text += [_summarise(own), "", _describe(own), "", *_tabulate_sizes(own), "",
-                 *_list(tell_room_numbers(cells, tuple(_NAMES), CHANCE))]
+                 *_list(tell_room_numbers(cells, tuple(_NAMES), _CHANCES))]
     text += ["## Deeper than trained", ""]
     if depth:
         told = tell_puzzle_depths(_group((line.agent, line.rung, line) for line in depth), tuple(_NAMES), CHANCE)
@@ -102,7 +104,7 @@ def _make_command(lines: Sequence[BaselineRun]) -> str:
 def draw_sizes(rungs: Mapping[str, Sequence[BaselineRun]]) -> Figure:
     """Efficiency against training rooms, a panel a rung, from the runs of each.
 
-    Solid in unseen rooms, dotted in rooms trained in; dots are runs.
+    Solid in unseen rooms, dotted in rooms trained in; dots are runs, those of different agents side by side.
     """
     with matplotlib.rc_context(FIGURE_STYLE):
         figure = Figure(figsize=(2.8 + 3.6 * len(rungs), 3.6), facecolor=palette.BACKGROUND, layout="constrained")
@@ -110,7 +112,7 @@ def draw_sizes(rungs: Mapping[str, Sequence[BaselineRun]]) -> Figure:
         for axes, (rung, lines) in zip(panels, rungs.items(), strict=True):
             _draw_panel(axes, lines)
             axes.set_title(rung, fontsize=9, color=palette.INK)
-        panels[0].set_ylabel("efficiency in unseen rooms", color=palette.INK)
+        panels[0].set_ylabel("efficiency", color=palette.INK)
         handles, labels = panels[0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside right center", fontsize=8, frameon=False)
     return figure
@@ -118,19 +120,20 @@ def draw_sizes(rungs: Mapping[str, Sequence[BaselineRun]]) -> Figure:
 
 def _draw_panel(axes: Axes, lines: Sequence[BaselineRun]) -> None:
     """Curves of one rung."""
-    agents = {line.agent for line in lines}
-    for agent, name in ((agent, name) for agent, name in _NAMES.items() if agent in agents):
+    agents = [agent for agent in _NAMES if any(line.agent == agent for line in lines)]
+    for number, agent in enumerate(agents):
         own = [line for line in lines if line.agent == agent]
         counts = sorted(set(map(_count_rooms, own)))
         unseen = [_average([line.efficiency for line in own if _count_rooms(line) == count]) for count in counts]
         seen = [_average([line.seen or 0.0 for line in own if _count_rooms(line) == count]) for count in counts]
-        axes.plot(counts, unseen, color=_COLOURS[agent], marker="o", markersize=4, linewidth=1.5, label=name)
+        axes.plot(counts, unseen, color=_COLOURS[agent], marker="o", markersize=4, linewidth=1.5, label=_NAMES[agent])
         axes.plot(counts, seen, color=_COLOURS[agent], linestyle=":", linewidth=1)
-        axes.scatter([_count_rooms(line) for line in own], [line.efficiency for line in own], color=_COLOURS[agent],
-                     s=8, alpha=0.5)
+        shift = 1.1 ** (number - (len(agents) - 1) / 2)
+        axes.scatter([shift * _count_rooms(line) for line in own], [line.efficiency for line in own],
+                     color=_COLOURS[agent], s=8, alpha=0.5, linewidths=0)
     chance = [line.efficiency for line in lines if line.agent == CHANCE]
     if chance:
-        axes.axhline(_average(chance), color=palette.MUTED, linestyle="--", linewidth=1, label="chance")
+        axes.axhline(_average(chance), color=palette.MUTED, linestyle="--", linewidth=1, label="options, at random")
     axes.set_xscale("log")
     axes.set_ylim(-0.03, 1.03)
     axes.set_xlabel("training rooms", color=palette.INK)

@@ -38,4 +38,6 @@ def describe_tower(lines: Sequence[BaselineRun], command: str) -> list[str]:
                     f"{float(np.mean([run.escapes for run in runs])):.0%} |")
     words = [command, "--protocol", TOWER, "--agents", *agents, "--runs", str(1 + max(line.seed for line in lines)),
              "--rooms", str(episodes)]
+    if budget := max(line.primitives for line in lines):
+        words += ["--primitives", str(budget)]
     return [*text, "", "```console", " ".join(words), "```", ""]

@@ -240,7 +240,10 @@ def test_a_tower_has_a_section_of_its_own_and_counts_in_no_rung(tmp_path: Path):
     page = (tmp_path / "page.md").read_text()
     assert f"| `{KNOWN}` | 2 | 0 | 1.00 | 100% |\n| `{CHANCE}` | 2 | 0 | 0.12 | 33% |" in page
     assert "one episode of 20,000 primitives: x/low/test[:3] and 2 floors above." in page
-    assert f"--protocol tower --agents {KNOWN} {CHANCE} --runs 2 --rooms 3" in page
+    assert f"--protocol tower --agents {KNOWN} {CHANCE} --runs 2 --rooms 3\n" in page
+    trained = [dataclasses.replace(run, agent="dqn", primitives=budget) for run in runs[:1] for budget in (500, 900)]
+    write_baselines_page([*lines, *runs, *trained], RUNGS, tmp_path / "trained.md")
+    assert "--runs 2 --rooms 3 --primitives 900\n" in (tmp_path / "trained.md").read_text()
     write_baselines_page(lines, RUNGS, tmp_path / "alone.md")
     start = page.index("## tower")
     assert page[:start] + page[page.index("```console\nhrl-escape", page.index("--rooms 3")):] == (

@@ -12,6 +12,8 @@ import pytest
 from hrl_escape.experiments.baselines.calibration import CHANCE
 from hrl_escape.experiments.baselines.generalisation import (
     DEPTHS,
+    FLAT,
+    FLAT_CHANCE,
     MEMORY,
     OBJECTS,
     VECTORS,
@@ -32,7 +34,7 @@ def test_rooms_trained_in_grow_and_those_tested_in_stay():
     places = grid.make_places()
     assert [len(place.split.train) for place in places] == [1, 4, 16, 64, 256, 1000]
     assert len({tuple(place.split.test.seeds) for place in places}) == 1 and len(places[0].split.test) == 3
-    assert len(grid.make_runs(places)) == 2 * 6 * 5 and grid.first_seed == 7
+    assert len(grid.make_runs(places)) == 2 * 6 * 6 and grid.first_seed == 7
     few = make_sizes_grid(load_benchmark("ladder-1"), dataclasses.replace(ARGS, sizes=(1, 16), agents=(VECTORS,)))
     assert [agent.label for agent in few.agents] == [VECTORS] and len(few.train_rooms) == 2
 
@@ -122,6 +124,26 @@ def test_ten_seeds_lead_to_sentences_and_nine_to_none(vectors: tuple, objects: t
     assert f"- `{OBJECTS}`" not in page and page.count("\n- ") == 2
     assert f"| `{OBJECTS}` | {objects[0]:.2f} (" in page and f"| `{VECTORS}` | **{vectors[0]:.2f}** (" in page
     assert "9 to 10 training seeds" in page and "Nothing is concluded from fewer than 10" in page
+
+
+def test_an_agent_at_the_floor_is_told_of_alone_and_flat_chance_is_that_over_primitives(tmp_path: Path):
+    flat = [dataclasses.replace(LINE, agent=FLAT, rooms=f"x/train[:{rooms}] > x/test", seed=seed, efficiency=0.0,
+                                seen=0.0) for rooms in (1, 1000) for seed in range(10)]
+    others = [*make_seeds(VECTORS, 1000, 0.3, 0), *make_seeds(CHANCE, 1, 0.4, 3, primitives=0)]
+    write_generalisation_page([*flat, *others], tmp_path)
+    page = (tmp_path / "generalisation.md").read_text()
+    assert (f"- `{FLAT}` escapes from no unseen room after any of its 20 runs, trained in 1 or 1,000 rooms, nor from "
+            "one trained in. At this floor no difference from it is asked for.") in page
+    assert page.count("\n- ") == 2 and f"- `{VECTORS}` with 1,000 training rooms reaches 0.10 less than random" in page
+    write_generalisation_page([dataclasses.replace(flat[0], seen=0.7), *flat[1:], *others], tmp_path)
+    page = (tmp_path / "generalisation.md").read_text()
+    assert "though in rooms trained in a run reaches up to 0.70. At this floor" in page
+    above = [dataclasses.replace(line, efficiency=0.02 + 0.001 * line.seed) for line in flat]
+    by_chance = [dataclasses.replace(line, agent=FLAT_CHANCE, primitives=0) for line in flat[:10]]
+    write_generalisation_page([*above, *others, *by_chance], tmp_path)
+    page = (tmp_path / "generalisation.md").read_text()
+    assert f"- `{FLAT}` with 1,000 training rooms reaches 0.02 more than random primitives (" in page
+    assert f"- `{VECTORS}` with 1,000 training rooms reaches 0.28 more than `{FLAT}` (" in page and "floor" not in page
 
 
 @pytest.mark.parametrize(("chain", "deepest", "told"), [
