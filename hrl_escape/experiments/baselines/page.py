@@ -64,7 +64,7 @@ def write_baselines_page(lines: Sequence[BaselineRun], rungs: Sequence[str], pat
             told = tell_calibration(_group(next(iter(parts.values()))), rungs, noisy)
             text += ["### Calibration", "", f"By cells of {LEAST_RUNS} runs or more.", "",
                      *(f"- {sentence}" for sentence in told), ""] if told else []
-    text += describe_tower(tower, _COMMAND)
+    text += describe_tower(tower, _COMMAND, max(map(get_budget, rungs)))
     text += ["```console", *_list_commands(lines, rungs), "```", "", "The commands go on with the runs that are "
              "missing, and more `--rooms`, `--runs` or `--minutes` add others. Without options the command is the "
              "whole: 10 rooms, 10 seeds, 20 episodes, and the rungs' own budgets.", ""]

@@ -244,6 +244,12 @@ def test_a_tower_has_a_section_of_its_own_and_counts_in_no_rung(tmp_path: Path):
     trained = [dataclasses.replace(run, agent="dqn", primitives=budget) for run in runs[:1] for budget in (500, 900)]
     write_baselines_page([*lines, *runs, *trained], RUNGS, tmp_path / "trained.md")
     assert "--runs 2 --rooms 3 --primitives 900\n" in (tmp_path / "trained.md").read_text()
+    assert "Learners train for 900 primitives, less than the tower's own 100,000." in (
+        tmp_path / "trained.md").read_text()
+    enough = [dataclasses.replace(trained[0], seed=seed, primitives=100_000) for seed in range(10)]
+    write_baselines_page(enough, RUNGS, tmp_path / "enough.md")
+    assert "Nothing is concluded" in page and "Learners train" not in page[page.index("## tower"):]
+    assert "Nothing is concluded" not in (text := (tmp_path / "enough.md").read_text()) and "less than" not in text
     write_baselines_page(lines, RUNGS, tmp_path / "alone.md")
     start = page.index("## tower")
     assert page[:start] + page[page.index("```console\nhrl-escape", page.index("--rooms 3")):] == (
