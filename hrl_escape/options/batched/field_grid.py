@@ -27,7 +27,7 @@ __all__ = ["OTHER_PRESS_COST", "FieldGrid"]
 OTHER_PRESS_COST = 100.0
 """Cost of touching another target: an option does so only where nothing else leads to its goal."""
 _FINE_STATES = 600_000  # cells are halved, at most twice, up to this many (cell, heading) states
-_TOLERANCE, _SWEEPS = 0.1, 80
+_TOLERANCE, _SWEEPS = 0.5, 80
 _NO_TARGET = 1 << 63  # bit of a goal that no move begins to touch
 
 

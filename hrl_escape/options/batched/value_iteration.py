@@ -41,7 +41,7 @@ class Moves(NamedTuple):
         shares: weights of the four there, lower row first, float32 (classes, translations, 4).
         listed: row of each state in the following tables, int32 (classes, cells); -1 where all its moves are free,
             touch no target and stay out of the exit, and -2 where the body does not fit.
-        corners: lowest of the four cells, int32 (listed, translations); -1 where a move is blocked.
+        corners: lowest of the four cells, int32 (listed, translations); -1 and -2 likewise, of a move.
         weights: their weights, 0 where the body does not fit, float32 (listed, translations, 4).
         special: row of each listed state in the last two tables, int32 (listed,); -1 where no move begins to touch a
             target or ends in the exit.
@@ -91,7 +91,7 @@ def _trace_free(size, rows, moves):
 
 
 @kernel
-def _trace_listed(scene, points, standing, rows, low, size, moves, shares, targets, reaches, way_out):
+def _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shares, targets, reaches, way_out):
     """`listed`, `corners`, `weights`, `special`, `begun` and `outside` of `Moves`."""
     cells, classes, translations = points.shape[0], moves.shape[0], moves.shape[1]
     columns = cells // rows
@@ -115,7 +115,7 @@ def _trace_listed(scene, points, standing, rows, low, size, moves, shares, targe
             listed[:, cell] = 0
             count += classes
             specials += classes if near[cell] != 0 or away <= 0.0 else 0
-    corners = np.full((count, translations), -1, dtype=np.int32)
+    corners = np.full((count, translations), _ABSENT, dtype=np.int32)
     weights = np.zeros((count, translations, 4), dtype=np.float32)
     special = np.full(count, -1, dtype=np.int32)
     begun = np.zeros((specials, translations), dtype=np.uint64)
@@ -127,26 +127,28 @@ def _trace_listed(scene, points, standing, rows, low, size, moves, shares, targe
         if listed[c, cell] != 0:
             continue
         x, y = points[cell, 0], points[cell, 1]
-        is_free = math.hypot(x - low[0] - (i + 0.5) * size, y - low[1] - (j + 0.5) * size) < 1e-9
-        is_special = False
-        corners[at] = -1
+        is_centre = math.hypot(x - low[0] - (i + 0.5) * size, y - low[1] - (j + 0.5) * size) < 1e-9
+        free, is_special = 0, False
+        corners[at] = _ABSENT
         for m in range(translations):
             dx, dy = moves[c, m, 0], moves[c, m, 1]
             fraction = sweep(scene, x, y, dx, dy, length)
-            is_free &= fraction == 1.0
             if fraction * length < _BLOCKED:
                 continue
             ex, ey = x + fraction * dx, y + fraction * dy
             bits = _find_touched(ex, ey, targets, reaches, near[cell]) & ~here[cell]
+            is_free = is_centre and fraction == 1.0
             is_out = not (way_out[0] <= ex <= way_out[1] and way_out[2] <= ey <= way_out[3])
             if bits != 0 or not is_out:
                 if not is_special:
                     is_special, special[at] = True, row
                     begun[row], outside[row] = 0, True
+                is_free = False
                 begun[row, m], outside[row, m] = bits, is_out
             u, v = (ex - low[0]) / size - 0.5, (ey - low[1]) / size - 0.5
             to_i = min(max(int(math.floor(u + 1e-9)), 0), columns - 2)
             to_j = min(max(int(math.floor(v + 1e-9)), 0), rows - 2)
+            is_free &= to_i * rows + to_j == cell + offsets[c, m]
             a, b = min(max(u - to_i, 0.0), 1.0), min(max(v - to_j, 0.0), 1.0)
             total = 0.0
             for k in range(4):
@@ -155,11 +157,14 @@ def _trace_listed(scene, points, standing, rows, low, size, moves, shares, targe
                 weights[at, m, k] = weight if fits else 0.0
                 total += weight if fits else 0.0
                 is_free &= abs(weights[at, m, k] - shares[c, m, k]) < 1e-6
-            if total > 1e-6:
+            if is_free:
+                corners[at, m] = _FREE
+                free += 1
+            elif total > 1e-6:
                 corners[at, m] = to_i * rows + to_j
                 for k in range(4):
                     weights[at, m, k] /= total
-        if is_free and not is_special:
+        if free == translations:
             listed[c, cell] = _FREE
         else:
             listed[c, cell] = at
@@ -183,7 +188,7 @@ def trace_moves(scene, points, standing, rows, low, size, moves, targets, reache
         way_out: x_min, x_max, y_min, y_max of the exit, m.
     """
     offsets, shares = _trace_free(size, rows, moves)
-    tables = _trace_listed(scene, points, standing, rows, low, size, moves, shares, targets, reaches, way_out)
+    tables = _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shares, targets, reaches, way_out)
     return Moves(rows, math.ceil(math.hypot(*moves[0, 0]) / size) + 1, offsets, shares, *tables)
 
 
@@ -246,27 +251,23 @@ def _back_up(values, moves, own, leaving, penalty, tolerance, begin, count, fres
     """Back up `count` cells in a row from cell `begin` on; returns True if a value has changed."""
     fields, classes, translations = own.shape[0], moves.listed.shape[0], moves.offsets.shape[1]
     for c in range(classes):
-        cell = begin
-        while cell < begin + count:
-            at = moves.listed[c, cell]
-            end = cell + 1
-            if at == _FREE:
-                while end < begin + count and moves.listed[c, end] == _FREE:
+        fresh[c, :count * fields] = _MOST
+        for m in range(translations):
+            cell = begin
+            while cell < begin + count:
+                at, corner, end = moves.listed[c, cell], _find_corner(moves, c, cell, m), cell + 1
+                while corner == _FREE and end < begin + count and _find_corner(moves, c, end, m) == _FREE:
                     end += 1
-            best = fresh[c, (cell - begin) * fields:(end - begin) * fields]
-            best[:] = _MOST
-            if at == _FREE:
-                for m in range(translations):
+                best = fresh[c, (cell - begin) * fields:(end - begin) * fields]
+                row = moves.special[at] if corner >= 0 else -1
+                if corner == _FREE:
                     _take_less(values[c], cell + moves.offsets[c, m], moves.rows, fields, moves.shares[c, m], best)
-            elif at >= 0:
-                row = moves.special[at]
-                for m in range(translations):
-                    if moves.corners[at, m] >= 0 and row < 0:
-                        _take_less(values[c], moves.corners[at, m], moves.rows, fields, moves.weights[at, m], best)
-                    elif moves.corners[at, m] >= 0:
-                        _take_less_by_goal(values[c], moves.corners[at, m], moves.rows, moves.weights[at, m],
-                                           moves.begun[row, m], moves.outside[row, m], own, leaving, penalty, best)
-            cell = end
+                elif row >= 0 and (moves.begun[row, m] != 0 or not moves.outside[row, m]):
+                    _take_less_by_goal(values[c], corner, moves.rows, moves.weights[at, m], moves.begun[row, m],
+                                       moves.outside[row, m], own, leaving, penalty, best)
+                elif corner >= 0:
+                    _take_less(values[c], corner, moves.rows, fields, moves.weights[at, m], best)
+                cell = end
     length, around = count * fields, classes + classes // 2
     for c in range(classes):
         _keep_goal(values[c, begin * fields:begin * fields + length], fresh[c, :length])
@@ -281,6 +282,13 @@ def _back_up(values, moves, own, leaving, penalty, tolerance, begin, count, fres
             changes += abs(new[n] - old[n]) >= tolerance
             old[n] = new[n]
     return changes > 0
+
+
+@kernel_part
+def _find_corner(moves, c, cell, m):
+    """Lowest cell at a move's end, `_FREE` or `_ABSENT`."""
+    at = moves.listed[c, cell]
+    return moves.corners[at, m] if at >= 0 else at
 
 
 @kernel_part
