@@ -39,7 +39,7 @@ from hrl_escape.experiments.price.trials import describe_trials, tell_exploratio
 from hrl_escape.experiments.reporting.agent_style import GREYS, SPARE
 from hrl_escape.experiments.studies.paper_figures import FIGURE_STYLE, finish_axes
 from hrl_escape.files import write_text
-from hrl_escape.names import count_nouns
+from hrl_escape.names import count_nouns, join_words
 
 __all__ = ["draw_price", "write_price_page"]
 
@@ -142,13 +142,15 @@ def _tell_cost(runs: Sequence[PriceRun], cost: RunCost) -> str:
 
 
 def _describe_budgets(runs: Sequence[PriceRun]) -> list[str]:
-    """Budgets of each learner, and how many runs had them."""
-    lines = ["| learner | copies of the room at once | runs by budget in primitives |", "|---|---|---|"]
-    copies = {contestant.label: max(contestant.streams, 1) for contestant in CONTESTANTS}
-    for label, count in copies.items():
+    """Budgets of each learner, how many runs had them, and how often they were evaluated."""
+    lines = ["| learner | copies of the room at once | runs by budget in primitives | evaluated every |",
+             "|---|---|---|---|"]
+    for label in dict.fromkeys(contestant.label for contestant in CONTESTANTS):
+        own = [contestant for contestant in CONTESTANTS if contestant.label == label]
         if budgets := Counter(run.budget for run in _choose(runs, label)):
             parts = [f"{number} of {budget:,}" for budget, number in sorted(budgets.items())]
-            lines.append(f"| {label} | {count} | {', '.join(parts)} |")
+            spans = join_words([f"{span:,}" for span in sorted({contestant.eval_every for contestant in own})], "or")
+            lines.append(f"| {label} | {max(own[0].streams, 1)} | {', '.join(parts)} | {spans} |")
     return [*lines, "", f"Processor time of all runs: {sum(run.seconds for run in runs) / 60:.0f} min. Longer budgets, "
             "and more runs of the longest, were not afforded."]
 

@@ -147,6 +147,17 @@ def test_a_price_measured_in_small_rooms_alone_grows_by_a_bound_at_least():
     assert "Each button from 1 to 2 multiplies the factor by more" in told
 
 
+def test_a_price_measured_in_three_sizes_grows_by_a_number_whatever_the_others_bound():
+    """A long budget in small rooms, a short one in large rooms; the truth is 1.6 a button."""
+    lines = [dataclasses.replace(line, **cap(line, 20_000)) if line.agent == "f" and line.buttons > 3 else line
+             for line in make_truth(price=10.0, growth=1.6)]
+    told = conclude(lines)
+    assert "with 2 buttons and" in told and "it pays more than" in told.split("with 3 buttons")[1]
+    words, = [part for part in told.split(". ") if part.startswith("Each button from 1 to 3 multiplies the factor by")]
+    low, high = (float(end) for end in words.split("(")[1].rstrip(").").split(" to "))
+    assert low < 1.6 < high < 2
+
+
 def test_cheap_flat_learners_and_too_few_runs_are_told_as_such():
     assert "pays only" in conclude(make_truth(price=0.1, growth=1.0))
     told = conclude(make_truth(price=10.0, growth=2.0, replicates=9))
