@@ -18,8 +18,7 @@ from hrl_escape.agents.agent import SMDPTransition, StateTree
 from hrl_escape.agents.components.exploration import (
     ExplorationSettings,
     choose_best,
-    compute_choice_entropy,
-    compute_policy,
+    compute_exploration_entropy,
     make_rng,
     sample_action,
 )
@@ -102,7 +101,7 @@ class ActionValueAgent(ReplayAgent):
         values = self._forward(encoded) / self.settings.reward_scale
         action = sample_action(values, action_mask, self.settings, self._steps, self._action_rng)
         self._conduct = {
-            "entropy": compute_choice_entropy(compute_policy(values, action_mask, self.settings, self._steps)),
+            "entropy": compute_exploration_entropy(values, action_mask, self.settings, self._steps),
             "greedy": float(values[action] >= values[action_mask].max()),
         }
         return action

@@ -6,6 +6,7 @@ expected SARSA needs them. Ornstein-Uhlenbeck noise for a continuous actor is at
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -23,6 +24,7 @@ __all__ = [
     "compute_choice_entropy",
     "compute_epsilon",
     "compute_epsilon_greedy",
+    "compute_exploration_entropy",
     "compute_policy",
     "compute_softmax",
     "make_rng",
@@ -125,6 +127,17 @@ def compute_choice_entropy(policy: NDArray) -> float:
     """Entropy of probabilities (actions,) in nats."""
     possible = policy[policy > 0]
     return float(-(possible * np.log(possible)).sum())
+
+
+def compute_exploration_entropy(values: NDArray, mask: NDArray[np.bool_], settings: ExplorationSettings, steps: int
+                                ) -> float:
+    """Entropy of `compute_policy` in nats; of epsilon-greedy without its probabilities. Shapes (actions,)."""
+    if settings.exploration == "boltzmann":
+        return compute_choice_entropy(compute_policy(values, mask, settings, steps))
+    others = int(np.count_nonzero(mask)) - 1
+    other = compute_epsilon(settings, steps) / (others + 1)
+    best = 1 - others * other
+    return sum(-count * share * math.log(share) for count, share in ((1, best), (others, other)) if share > 0)
 
 
 def sample_action(

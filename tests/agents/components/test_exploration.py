@@ -13,6 +13,7 @@ from hrl_escape.agents.components.exploration import (
     compute_choice_entropy,
     compute_epsilon,
     compute_epsilon_greedy,
+    compute_exploration_entropy,
     compute_policy,
     make_rng,
     sample_action,
@@ -40,8 +41,11 @@ def test_probabilities_are_zero_where_illegal_and_sum_to_one(values, mask, kind,
 
 @given(values=VALUES, mask=MASKS, kind=KINDS, steps=st.integers(0, 10_000))
 def test_entropy_is_that_of_scipy(values, mask, kind, steps):
-    policy = compute_policy(values, mask, ExplorationSettings(exploration=kind), steps)
+    settings = ExplorationSettings(exploration=kind, epsilon_end=0.0)
+    policy = compute_policy(values, mask, settings, steps)
     assert compute_choice_entropy(policy) == pytest.approx(special.entr(policy).sum(), abs=1e-12)
+    assert compute_exploration_entropy(values, mask, settings, steps) == pytest.approx(
+        special.entr(policy).sum(), abs=1e-12)
 
 
 def test_the_best_of_options_is_chosen_but_for_epsilon():
