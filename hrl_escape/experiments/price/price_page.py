@@ -78,7 +78,7 @@ def _write_lines(runs: Sequence[PriceRun], conclusions: Sequence[str]) -> list[s
         *(f"- **{conclusion}**" for conclusion in conclusions), "",
         "![Runs that got there](figures/price.svg)", "",
         "Share of runs that got there by then (Kaplan-Meier); a cross is where a run was given up, or ended because it "
-        "was efficient.", "",
+        "was efficient. Single runs are left out.", "",
         "## The factor", "",
         "A flat learner's cost divided by that of the same learner over options: the median over replicates, which are "
         "a room of each size and a training seed, with its 95 % interval by signs. A run that did not get there is "
@@ -184,7 +184,7 @@ def _tell_untuned(runs: Sequence[PriceRun]) -> list[str]:
 def draw_price(runs: Sequence[PriceRun]) -> Figure:
     """Share of runs that got there against primitives: a column a size, dashes without options, grey for chance."""
     labels = [label for label in dict.fromkeys(contestant.label for contestant in CONTESTANTS)
-              if label != _UNTUNED and _choose(runs, label)]
+              if label != _UNTUNED and any(len(_choose(runs, label, size)) > 1 for size in BUTTON_COUNTS)]
     twins = dict.fromkeys(PAIRS.get(label, label) for label in labels if label != _CHANCE)
     colours = dict(zip(twins, (*palette.LINES, *SPARE), strict=False)) | {_CHANCE: GREYS[0]}
     with matplotlib.rc_context(FIGURE_STYLE):
@@ -214,8 +214,8 @@ def draw_price(runs: Sequence[PriceRun]) -> Figure:
 
 
 def _draw_share(axes: Axes, runs: Sequence[PriceRun], cost: RunCost, colour: str, dash: str) -> None:
-    """Kaplan-Meier's curve of the runs that got there, with a cross where one was given up."""
-    if not runs:
+    """Kaplan-Meier's curve of the runs that got there, with a cross where one was given up; a single run has no share."""
+    if len(runs) < 2:
         return
     times, observed = (np.array(column) for column in zip(*(cost.read(run) for run in runs), strict=True))
     ends, waiting = compute_survival(times, observed)

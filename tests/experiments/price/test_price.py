@@ -25,7 +25,7 @@ from hrl_escape.experiments.price.contestants import (
     make_chain_room,
     sample_replicate_room,
 )
-from hrl_escape.experiments.price.price_page import write_price_page
+from hrl_escape.experiments.price.price_page import draw_price, write_price_page
 from hrl_escape.experiments.price.price_runs import (
     PriceRun,
     compute_run_key,
@@ -303,6 +303,16 @@ def test_a_study_goes_on_where_it_was_stopped_and_makes_changed_runs_anew(tmp_pa
     assert not list(measure_price_runs(path, 0, 2, contestants=[dataclasses.replace(QUICK, replicates=1)]))
     other = dataclasses.replace(QUICK, settings={"gamma": 0.95})
     assert [run.replicate for run in measure_price_runs(path, 0, 2, contestants=[other])] == [0, 1]
+
+
+def test_the_figure_has_a_curve_a_learner_and_size_but_for_single_runs():
+    runs = [make_line(label, buttons, number, 300.0 * buttons, 10**6)
+            for label, buttons, count in (("dqn", 1, 2), ("dqn", 2, 1), ("random", 2, 1)) for number in range(count)]
+    panels = draw_price(runs).get_axes()
+    drawn = [[line.get_label() for line in axes.get_lines() if len(line.get_xdata()) > 1] for axes in panels]
+    assert [len(lines) for lines in drawn] == [1, 0, 0, 0, 0] * 2
+    legend = panels[len(BUTTON_COUNTS) - 1].get_legend()
+    assert legend is not None and [text.get_text() for text in legend.get_texts()] == ["dqn"]
 
 
 def test_the_page_tells_every_learner_and_its_figure_is_drawn(tmp_path: Path):
