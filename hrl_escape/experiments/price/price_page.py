@@ -214,7 +214,7 @@ def draw_price(runs: Sequence[PriceRun]) -> Figure:
 
 
 def _draw_share(axes: Axes, runs: Sequence[PriceRun], cost: RunCost, colour: str, dash: str) -> None:
-    """Kaplan-Meier's curve of the runs that got there, with a cross where one was given up; a single run has no share."""
+    """Kaplan-Meier's curve of the runs that got there, a cross where one was given up; none of a single run."""
     if len(runs) < 2:
         return
     times, observed = (np.array(column) for column in zip(*(cost.read(run) for run in runs), strict=True))

@@ -309,7 +309,7 @@ def test_the_figure_has_a_curve_a_learner_and_size_but_for_single_runs():
     runs = [make_line(label, buttons, number, 300.0 * buttons, 10**6)
             for label, buttons, count in (("dqn", 1, 2), ("dqn", 2, 1), ("random", 2, 1)) for number in range(count)]
     panels = draw_price(runs).get_axes()
-    drawn = [[line.get_label() for line in axes.get_lines() if len(line.get_xdata()) > 1] for axes in panels]
+    drawn = [[line.get_label() for line in axes.get_lines() if np.size(line.get_xdata()) > 1] for axes in panels]
     assert [len(lines) for lines in drawn] == [1, 0, 0, 0, 0] * 2
     legend = panels[len(BUTTON_COUNTS) - 1].get_legend()
     assert legend is not None and [text.get_text() for text in legend.get_texts()] == ["dqn"]
