@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import count
+from operator import itemgetter
 from typing import Any
 
 import torch
@@ -46,7 +47,7 @@ class CompiledStep:
         self._kernel: Callable[..., Any] | None = None
         self._forms: list[tuple[torch.Size, torch.dtype]] = []
         self._flags: list[int] = []
-        self._result: Any = None
+        self._read: Callable[[Sequence[Tensor]], Any] = tuple
 
     def bind(self, *constants: Any) -> Callable[..., Any]:
         """Make a function of the other arguments, which come after the constant ones.
@@ -65,14 +66,14 @@ class CompiledStep:
             found = list(kernel(*tensors))
             for number in self._flags:
                 found[number] = found[number].view(torch.bool)
-            return _fill(self._result, tensors + found)
+            return self._read(tensors + found)
 
         return run
 
     def _compile(self, arguments: tuple[Any, ...], given: list[Tensor], tensors: list[Tensor]) -> Callable[..., Any]:
         self._forms = [(tensor.shape, tensor.dtype) for tensor in tensors]
         numbers = count()
-        places = map_tensors(lambda _: next(numbers), arguments)
+        read = _make_reader(map_tensors(lambda _: next(numbers), arguments))
 
         def trace(*inputs: Tensor) -> list[Tensor]:
             known = list(inputs)
@@ -82,7 +83,7 @@ class CompiledStep:
                 known.extend([tensor] if place == len(known) else [])
                 return place
 
-            self._result = map_tensors(find, self._step(*_fill(places, inputs)))
+            self._read = _make_reader(map_tensors(find, self._step(*read(inputs))))
             found = known[len(inputs):]
             self._flags = [number for number, tensor in enumerate(found) if tensor.dtype == torch.bool]
             for number in self._flags:  # by way of words, for the compiler would write truth values byte by byte
@@ -107,13 +108,18 @@ def _flatten(tree: Any, into: list[Tensor]) -> list[Tensor]:
     return into
 
 
-def _fill(tree: Any, tensors: Sequence[Tensor]) -> Any:
-    """Replace numbers by the tensors of these places."""
+def _make_reader(tree: Any) -> Callable[[Sequence[Tensor]], Any]:
+    """Make the function that replaces the numbers in a tree by the tensors of these places."""
     if isinstance(tree, int):
-        return tensors[tree]
+        return itemgetter(tree)
     if tree is None:
-        return None
+        return lambda tensors: None
     if isinstance(tree, dict):
-        return {key: _fill(part, tensors) for key, part in tree.items()}
-    parts = [_fill(part, tensors) for part in tree]
-    return tuple(parts) if type(tree) is tuple else type(tree)(*parts)
+        named = {key: _make_reader(part) for key, part in tree.items()}
+        return lambda tensors: {key: read(tensors) for key, read in named.items()}
+    make = tuple if type(tree) is tuple else type(tree)._make
+    if len(tree) > 1 and all(isinstance(part, int) for part in tree):
+        read_all = itemgetter(*tree)
+        return lambda tensors: make(read_all(tensors))
+    parts = [_make_reader(part) for part in tree]
+    return lambda tensors: make([read(tensors) for read in parts])

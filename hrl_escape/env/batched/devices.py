@@ -11,7 +11,7 @@ from torch import Tensor
 
 from hrl_escape.errors import ConfigError, UnsupportedError
 
-__all__ = ["check_compiler", "find_device", "store"]
+__all__ = ["as_flags", "check_compiler", "find_device", "store"]
 
 
 def find_device(device: str | torch.device) -> torch.device:
@@ -49,3 +49,11 @@ def store(value: Tensor) -> Tensor:
     from tables, above all. Nothing fuses across a change of strides, be it to the same ones.
     """
     return value.as_strided(value.shape, value.stride())
+
+
+def as_flags(where: Tensor) -> Tensor:
+    """The same truth values, found in double precision, in the form in which kernels combine truth values, bool.
+
+    The compiler combines them 32 bits wide, and would narrow the 64-bit outcomes of comparisons one by one.
+    """
+    return torch.where(where, 1.0, 0.0).to(torch.float32) > 0.5

@@ -71,7 +71,7 @@ class Outcome(NamedTuple):
     """The result of a step of the batch.
 
     Attributes:
-        observation: float32 (rooms, numbers), after any automatic reset.
+        observation: float32 (rooms, numbers), after any automatic reset; numbers of one kind lie together in memory.
         reward: float32 (rooms,).
         terminated: bool (rooms,).
         truncated: bool (rooms,).
@@ -96,28 +96,27 @@ def advance(layout: Layout, observation: TensorObservation, autoreset: Autoreset
     With `next-step`, a room whose episode has ended ignores its action, begins anew and earns nothing;
     with `same-step`, it begins anew as soon as its episode ends; with `disabled`, it moves on.
     """
-    had_ended = state.has_ended != 0
-    state, reward, terminated, truncated, pressed = step(layout, tables, state, action)
+    had_ended = state.has_ended.to(torch.int64) != 0  # as wide as what it chooses from
+    state, reward, terminated, truncated, pressed, escaped = step(layout, tables, state, action)
     if autoreset == "next-step":
         state = restart(layout, tables, state, had_ended)
         reward, pressed = torch.where(had_ended, 0.0, reward), torch.where(had_ended, 0, pressed)
-        terminated, truncated = terminated & ~had_ended, truncated & ~had_ended
-    seen, info = observe(layout, tables, state, observation), inform(layout, tables, state, pressed)
+        terminated, truncated, escaped = (flags & ~had_ended for flags in (terminated, truncated, escaped))
+    seen, info = observe(layout, tables, state, observation), inform(layout, tables, state, pressed, escaped)
     if autoreset != "same-step":
         return state, Outcome(seen, reward, terminated, truncated, info)
-    ended = state.has_ended != 0
+    ended = state.has_ended.to(torch.int64) != 0
     state = restart(layout, tables, state, ended)
-    now = inform(layout, tables, state, torch.where(ended, 0, pressed))
+    now = inform(layout, tables, state, torch.where(ended, 0, pressed), torch.zeros_like(escaped))
     return state, Outcome(observe(layout, tables, state, observation), reward, terminated, truncated, now, seen, info)
 
 
-def inform(layout: Layout, tables: Tables, state: TensorState, pressed: Tensor) -> RoomInfo:
-    """Make the info of every room; `pressed` holds bits, int64 (rooms,)."""
+def inform(layout: Layout, tables: Tables, state: TensorState, pressed: Tensor, escaped: Tensor) -> RoomInfo:
+    """Make the info of every room; `pressed` holds bits, int64 (rooms,), `escaped` truth values, bool (rooms,)."""
     form, columns = get_tensor_puzzle(layout.puzzle), pick(layout, tables.puzzle, state.instance)
     lit = form.get_lit(columns, state.puzzle)
-    begun, on = (unpack_bits(words, layout.targets, torch.int8).T.contiguous() for words in (store(pressed), lit))
-    success = is_in_exit(layout, tables, state.instance, state.x, state.y) & form.is_solved(columns, state.puzzle)
-    return RoomInfo(state.primitives, begun, on, state.instance, state.has_ended * success.to(torch.int32))
+    begun, on = (unpack_bits(words, layout.targets, torch.int8).T for words in (store(pressed), lit))
+    return RoomInfo(state.primitives, begun, on, state.instance, escaped.to(torch.int32))
 
 
 Kernel = Callable[[TensorState, Tensor], tuple[TensorState, Outcome]]
@@ -271,7 +270,11 @@ class TensorRoom:
         """The `info` of the rooms now, with nothing just pressed."""
         with torch.no_grad():
             state = self.state
-            return inform(self.layout, self.tables, state, torch.zeros_like(state.touching))
+            columns = pick(self.layout, self.tables.puzzle, state.instance)
+            is_solved = get_tensor_puzzle(self.layout.puzzle).is_solved(columns, state.puzzle)
+            escaped = is_in_exit(self.layout, self.tables, state.instance, state.x, state.y) & is_solved
+            return inform(self.layout, self.tables, state, torch.zeros_like(state.touching),
+                          escaped & (state.has_ended != 0))
 
     # --- states ------------------------------------------------------------------------
 
@@ -320,6 +323,8 @@ class TensorRoom:
         }
         if state.heading_offset and not self.layout.has_offsets:
             raise StateError("headings of these rooms are whole turn steps: they have neither noise nor such starts")
+        if any(state.joint_offsets) and not self.layout.has_joint_offsets:
+            raise StateError("joints of these rooms are at whole steps: they have no noise")
         changed = {}
         for name, value in values.items():
             field = getattr(self.state, name).clone()

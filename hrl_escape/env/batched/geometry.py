@@ -5,7 +5,7 @@ loop over rooms. A cylinder is a box without extent, rounded by its radius; so e
 here is a rounded box. Shapes come first, rooms last. Metres.
 
 Places are double precision; offsets from an outline are computed in the outline's own
-type: double, or single if thousands are searched (`Shapes.round`).
+type: double, or single if thousands are searched (`Shapes.round`, `Shapes.split`).
 """
 
 from __future__ import annotations
@@ -19,9 +19,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hrl_escape.env.batched.devices import store
 from hrl_escape.env.geometry import Footprint
 
-__all__ = ["Shapes", "cast_rays", "compute_distance", "compute_first_contact", "refine_first_contact", "stack_shapes"]
+__all__ = ["Shapes", "SplitShapes", "cast_rays", "compute_distance", "compute_first_contact", "refine_first_contact",
+           "stack_shapes"]
 
 _NEVER = 1e6  # place of the outlines that only pad a table
 _TINY = 1e-18  # keeps a velocity from zero
@@ -56,6 +58,41 @@ class Shapes(NamedTuple):
         """Places (rooms,), float64, relative to the centres, in the outlines' own type."""
         return (x - self.x).to(self.cos.dtype), (y - self.y).to(self.cos.dtype)
 
+    def split(self) -> SplitShapes:
+        """The same outlines in single precision throughout, which the search for the first contact takes."""
+        near = (field.to(torch.float32) for field in self)
+        return SplitShapes(*near, *((field - field.to(torch.float32)).to(torch.float32) for field in self[:2]))
+
+
+class SplitShapes(NamedTuple):
+    """Outlines in single precision, their centres as sums of two numbers; each field is float32, as in `Shapes`.
+
+    Attributes:
+        x: centre, its leading bits.
+        y: centre, its leading bits.
+        cos: direction of its own x.
+        sin: direction of its own x.
+        half_x: half size along its own x; 0 for a cylinder.
+        half_y: half size along its own y; 0 for a cylinder.
+        rounding: a cylinder's radius, else 0.
+        x_rest: what the centre has beyond its leading bits.
+        y_rest: likewise.
+    """
+
+    x: Tensor
+    y: Tensor
+    cos: Tensor
+    sin: Tensor
+    half_x: Tensor
+    half_y: Tensor
+    rounding: Tensor
+    x_rest: Tensor
+    y_rest: Tensor
+
+    def look_from(self, x: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+        """Places (rooms,), float64, relative to the centres, in single precision."""
+        return _subtract(x, self.x, self.x_rest), _subtract(y, self.y, self.y_rest)
+
 
 def stack_shapes(rows: Sequence[Sequence[Footprint]], least: int = 1) -> NDArray[np.float64]:
     """Stack the footprints of several instances, filled up to the same number (at least `least`) with far ones.
@@ -80,7 +117,8 @@ def compute_distance(x: Tensor, y: Tensor, shapes: Shapes) -> Tensor:
     return (torch.sqrt(qx * qx + qy * qy) - shapes.rounding).clamp(min=0.0)
 
 
-def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: float, shapes: Shapes) -> Tensor:
+def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: float,
+                          shapes: Shapes | SplitShapes) -> Tensor:
     """Share of displacements that discs can make before they meet each outline.
 
     The branch-free form of `geometry.compute_first_contact`: the disc's centre enters the box grown by the radius;
@@ -104,16 +142,18 @@ def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: 
     eps = torch.finfo(motion.vx.dtype).eps
     graze = max(1e-9, 8 * eps)
     reach = shapes.rounding + radius
-    rounding = reach * (1e-12 * reach + 16 * eps * (reach + shapes.half_x + shapes.half_y))  # of a squared distance
+    wide_x, wide_y = shapes.half_x + reach, shapes.half_y + reach
+    rounding = max(1e-12, 16 * eps) * reach * (wide_x + shapes.half_y)  # of a squared distance
 
     # passing through the grown box: when the centre is abreast of the outline's, and how long it takes from there
     ux, uy = motion.vx + _TINY, motion.vy + _TINY
     per = torch.reciprocal(ux * uy)
     per_x, per_y = per * uy, per * ux
     mid_x, mid_y = motion.ox * per_x, motion.oy * per_y  # with the other sign
-    half_x, half_y = (shapes.half_x + reach) * per_x.abs(), (shapes.half_y + reach) * per_y.abs()
+    half_x, half_y = wide_x * per_x.abs(), wide_y * per_y.abs()
     entered = torch.minimum(mid_x + half_x, mid_y + half_y)  # with the other sign: 0 or more if it is in it already
-    enter, leave = torch.relu(-entered), torch.minimum(half_x - mid_x, half_y - mid_y)
+    enter = torch.relu(-entered)
+    passes = (enter > half_x - mid_x) | (enter > half_y - mid_y)
 
     # from there, seen from the nearest point of the box
     wx = _shrink(motion.ox + enter * motion.vx, shapes.half_x)
@@ -122,14 +162,13 @@ def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: 
     away, reach_square = wx * wx + wy * wy, reach * reach
     gap, root = away - reach_square, motion.square * reach_square - cross * cross  # along**2 - square * gap
     share = enter + gap / (torch.sqrt(torch.relu(root)) - along)
-    inwards = torch.relu(-along)
-    is_inwards = inwards * inwards > graze * graze * motion.square * away
+    is_inwards = along < -graze * cross.abs()
     is_near = gap <= rounding
     is_met = is_inwards & (is_near | (root > motion.square * rounding))  # a tangent is no hit, however it is rounded
     # from within the box itself: along the nearer axis
     is_along_x = motion.ox.abs() - shapes.half_x > motion.oy.abs() - shapes.half_y
     outwards = torch.where(is_along_x, motion.ox * motion.vx, motion.oy * motion.vy)
-    is_met = (is_met | ((away == 0.0) & (outwards < 0.0))) & (enter <= leave) & (share < 1.0)
+    is_met = (is_met | ((away == 0.0) & (outwards < 0.0))) & ~passes & (share < 1.0)
     return torch.where(is_met, torch.where(is_near & (entered >= 0.0), along, torch.relu(share)), 1.0)
 
 
@@ -162,9 +201,8 @@ def refine_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: f
     root = motion.square * reach_square - cross * cross  # along**2 - square * gap, without its cancellation
     side = torch.where(is_beside_x, motion.ox.abs() - shapes.half_x, motion.oy.abs() - shapes.half_y) - reach
     speed = torch.where(is_beside_x, motion.vx, motion.vy).abs()
-    is_corner = is_beside_x & is_beside_y
-    return (torch.where(is_corner, kx * kx + ky * ky - reach_square, side)
-            / torch.where(is_corner, torch.sqrt(torch.relu(root)) - along, speed))
+    gap = torch.where(is_beside_x, torch.where(is_beside_y, kx * kx + ky * ky - reach_square, side), side)
+    return gap / torch.where(is_beside_x, torch.where(is_beside_y, torch.sqrt(torch.relu(root)) - along, speed), speed)
 
 
 class _Motion(NamedTuple):
@@ -177,11 +215,19 @@ class _Motion(NamedTuple):
     square: Tensor
 
     @classmethod
-    def make(cls, x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, shapes: Shapes) -> _Motion:
-        dx, dy = dx.to(shapes.cos.dtype), dy.to(shapes.cos.dtype)
+    def make(cls, x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, shapes: Shapes | SplitShapes) -> _Motion:
         px, py = shapes.look_from(x, y)
+        square = dx * dx + dy * dy
+        if shapes.cos.dtype == torch.float32:
+            dx, dy, square = (store(number.to(torch.float32)) for number in (dx, dy, square))
         return cls(shapes.cos * px + shapes.sin * py, shapes.cos * py - shapes.sin * px,
-                   shapes.cos * dx + shapes.sin * dy, shapes.cos * dy - shapes.sin * dx, dx * dx + dy * dy)
+                   shapes.cos * dx + shapes.sin * dy, shapes.cos * dy - shapes.sin * dx, square)
+
+
+def _subtract(place: Tensor, centre: Tensor, rest: Tensor) -> Tensor:
+    """Differences of places in double precision, as single ones: of the leading bits, and of the rest."""
+    near = store(place.to(torch.float32))
+    return (near - centre) + (store((place - near).to(torch.float32)) - rest)
 
 
 def _shrink(offset: Tensor, half: Tensor) -> Tensor:

@@ -33,8 +33,8 @@ TensorObservation: TypeAlias = Callable[[Layout, Tables, TensorState], list[Tens
 
 
 def observe(layout: Layout, tables: Tables, state: TensorState, observation: TensorObservation) -> Tensor:
-    """Observe every room, float32, shape (rooms, numbers)."""
-    return torch.cat(observation(layout, tables, state)).T.contiguous()
+    """Observe every room, float32, shape (rooms, numbers); numbers of one kind lie together in memory, room by room."""
+    return torch.cat(observation(layout, tables, state)).T
 
 
 def load_observation(name: str) -> TensorObservation:
@@ -72,8 +72,8 @@ def observe_features(layout: Layout, tables: Tables, state: TensorState) -> list
     limits = [max(abs(low), abs(high)) for low, high in layout.arm.limits]
     angles = compute_angles(layout, state).to(torch.float32).unbind()
     joints = [angle / limit for angle, limit in zip(angles, limits, strict=True)]
-    pose = torch.stack([x / half_x, y / half_y, sin, cos, *joints]).clamp(-1.0, 1.0)
-    return [pose, _observe_puzzle(layout, tables, state)]
+    x, y, *joints = (number.clamp(-1.0, 1.0) for number in (x / half_x, y / half_y, *joints))
+    return [*(number.unsqueeze(0) for number in (x, y, sin, cos, *joints)), _observe_puzzle(layout, tables, state)]
 
 
 def _round_pose(layout: Layout, tables: Tables, state: TensorState) -> list[Tensor]:

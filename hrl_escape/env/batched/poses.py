@@ -81,7 +81,8 @@ def compute_angles(layout: Layout, state: TensorState) -> Tensor:
     """Joint angles in rad, float64 (joints, rooms)."""
     arm = layout.arm
     home = torch.tensor(arm.home, dtype=torch.float64, device=state.x.device).unsqueeze(1)
-    return home + state.joint_steps.to(torch.float64) * arm.step + state.joint_offsets
+    angles = home + state.joint_steps.to(torch.float64) * arm.step
+    return angles + state.joint_offsets if layout.has_joint_offsets else angles
 
 
 def make_base(layout: Layout, tables: Tables, state: TensorState, margin: float) -> TensorBase | None:
@@ -94,7 +95,7 @@ def compute_touching(layout: Layout, tables: Tables, state: TensorState) -> Tens
     """Bits of the targets that the presser touches, int64 (rooms,)."""
     if not layout.targets:
         return torch.zeros_like(state.touching)
-    targets: Shapes = pick(layout, tables.targets, state.instance).round()
+    targets: Shapes = pick(layout, tables.round_targets, state.instance)
     robot, dynamics = layout.robot, layout.dynamics
     if dynamics.press_with == "hand":
         hand_x, hand_y, hand_z = compute_hand(layout.arm, compute_angles(layout, state).to(torch.float32))
@@ -103,6 +104,7 @@ def compute_touching(layout: Layout, tables: Tables, state: TensorState) -> Tens
         away = compute_distance(x, y, targets)
         height = pick(layout, tables.target_z, state.instance)
         half_height = pick(layout, tables.target_half_z, state.instance)
+        hand_z = store(hand_z) if isinstance(hand_z, Tensor) else hand_z
         above = ((hand_z - height).abs() - half_height).clamp(min=0.0)
         touched = torch.sqrt(away * away + above * above) <= robot.hand_radius + dynamics.press_margin
     else:
@@ -113,5 +115,6 @@ def compute_touching(layout: Layout, tables: Tables, state: TensorState) -> Tens
             away = base.compute_distance(pick(layout, tables.targets, state.instance))
             is_near = away <= pick(layout, tables.target_margin, state.instance)
             touched = touched & (is_near | ~pick(layout, tables.is_panel, state.instance))
-    places = torch.arange(layout.targets, device=state.x.device).unsqueeze(1)
-    return (touched.to(torch.int64) << places).sum(0)
+    word = torch.int32 if layout.targets < 32 else torch.int64
+    places = torch.arange(layout.targets, dtype=word, device=state.x.device).unsqueeze(1)
+    return store(touched.to(word) << places).sum(0, dtype=word).to(torch.int64)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from hrl_escape.env.batched.devices import store
+from hrl_escape.env.batched.devices import as_flags, store
 from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact, refine_first_contact
 from hrl_escape.env.batched.noise import compute_noise, draw_chance, draw_puzzle_start, draw_words, scale_word
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching, make_base
@@ -35,6 +35,7 @@ class TensorTransition(NamedTuple):
         terminated: bool (rooms,).
         truncated: bool (rooms,).
         pressed: bits of the targets pressed by it, int64 (rooms,).
+        escaped: bool (rooms,).
     """
 
     state: TensorState
@@ -42,6 +43,7 @@ class TensorTransition(NamedTuple):
     terminated: Tensor
     truncated: Tensor
     pressed: Tensor
+    escaped: Tensor
 
 
 # --- one primitive -------------------------------------------------------------------------
@@ -99,14 +101,21 @@ def _find_grip(layout: Layout, action: Tensor) -> Tensor:
     return grip
 
 
-def _sum_effects(layout: Layout, action: Tensor, name: str) -> Tensor:
-    """One field of the chosen base primitives (`forward`, `left` or `turn`), int32 (rooms,); 0 for joint steps."""
-    total = torch.zeros_like(action, dtype=torch.int32)
+def _find_effects(layout: Layout, action: Tensor, name: str, unit: Tensor) -> Tensor:
+    """One field of the chosen base primitives (`forward`, `left` or `turn`), (rooms,); 0 for joint steps.
+
+    Args:
+        layout: the properties that the rooms share.
+        action: numbers of primitives, int64 (rooms,).
+        name: of the field.
+        unit: size of one, () or (rooms,).
+    """
+    found = torch.zeros_like(unit)
     for number in layout.actions.base:
         effect = getattr(layout.actions.primitives[number], name)
         if effect:
-            total = total + effect * (action == number).to(torch.int32)
-    return total
+            found = torch.where(action == number, effect * unit, found)
+    return found.expand(action.shape)
 
 
 def _translate(layout: Layout, tables: Tables, state: TensorState, action: Tensor,
@@ -136,8 +145,8 @@ def _push(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Te
 def _compute_displacement(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor | None
                           ) -> tuple[Tensor, Tensor]:
     """Displacements that nothing blocks, m, float64 (rooms,) each."""
-    length = layout.robot.move_step if scale is None else layout.robot.move_step * scale
-    forward, left = (length * _sum_effects(layout, action, name).to(torch.float64) for name in ("forward", "left"))
+    length = layout.robot.move_step * (state.x.new_ones(()) if scale is None else scale)
+    forward, left = (_find_effects(layout, action, name, length) for name in ("forward", "left"))
     cos, sin = compute_rotation(layout, tables, state)
     return store(forward * cos - left * sin), store(forward * sin + left * cos)
 
@@ -154,25 +163,25 @@ def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: 
     The first solid is found in single precision; the contact with it is computed again in double, so that
     rounding does not grow from contact to contact.
     """
-    solids: Shapes = pick(layout, tables.solids, state.instance)
     base = make_base(layout, tables, state, CONTACT_SKIN)
     if base is not None:
+        solids: Shapes = pick(layout, tables.solids, state.instance)
         free = base.compute_first_contact(dx, dy, solids).amin(0)
         if not layout.has_door:
             return free
         doors, is_shut = _find_door(layout, tables, state, base)
         return torch.where(is_shut, torch.minimum(free, base.compute_first_contact(dx, dy, doors)[0]), free)
     motion = (state.x, state.y, dx, dy, layout.robot.body_radius + CONTACT_SKIN)
-    shares = store(compute_first_contact(*motion, solids.round()))
+    shares = store(compute_first_contact(*motion, pick(layout, tables.split_solids, state.instance)))
     nearly = shares.amin(0)
     numbers = torch.arange(len(shares), dtype=torch.int32, device=shares.device).unsqueeze(1)
     which = torch.where(shares == nearly, numbers, len(shares)).amin(0).to(torch.int64)
     column = torch.zeros_like(which) if layout.is_shared else state.instance
     first: Shapes = map_tensors(lambda table: table[which, column].unsqueeze(0), tables.solids)
-    nearly = torch.relu(nearly)
+    nearly = torch.relu(nearly).to(torch.float64)
     exactly = refine_first_contact(*motion, first, nearly)[0].clamp(0.0, 1.0)
-    is_exact = (nearly < 1.0) & ((exactly - nearly).abs() < 1e-3)  # let by one solid, it may meet another
-    free = torch.where(is_exact, exactly, nearly)
+    exactly = torch.where((exactly - nearly).abs() < 1e-3, exactly, nearly)
+    free = store(torch.where(nearly < 1.0, exactly, nearly))  # let by one solid, it may meet another
     if layout.inner_doors:
         inner: Shapes = pick(layout, tables.inner_doors, state.instance)
         is_shut = find_shut(layout, tables, state)
@@ -203,8 +212,8 @@ def _turn(layout: Layout, tables: Tables, state: TensorState, action: Tensor, sc
     base = make_base(layout, tables, state, CONTACT_SKIN)
     if base is None:
         return turned
-    angle = (math.tau / layout.headings) * _sum_effects(layout, action, "turn").to(torch.float64)
-    to, angle = compute_rotation(layout, tables, turned), angle if scale is None else scale * angle
+    angle = math.tau / layout.headings * (state.x.new_ones(()) if scale is None else scale)
+    to, angle = compute_rotation(layout, tables, turned), _find_effects(layout, action, "turn", angle)
     is_blocked = base.is_turn_blocked(*to, angle, pick(layout, tables.solids, state.instance)).any(0)
     if layout.has_door:
         doors, is_shut = _find_door(layout, tables, state, base)
@@ -214,7 +223,7 @@ def _turn(layout: Layout, tables: Tables, state: TensorState, action: Tensor, sc
 
 
 def _turn_freely(layout: Layout, state: TensorState, action: Tensor, scale: Tensor | None) -> TensorState:
-    turn = _sum_effects(layout, action, "turn")
+    turn = _find_effects(layout, action, "turn", state.heading_steps.new_ones(()))
     steps = state.heading_steps + turn
     steps = torch.where(steps < 0, steps + layout.headings, steps)
     steps = torch.where(steps >= layout.headings, steps - layout.headings, steps)
@@ -237,9 +246,9 @@ def _move_joints(layout: Layout, state: TensorState, action: Tensor, scale: Tens
     up, down = (column(numbers, torch.int64) for numbers in zip(*layout.actions.joints, strict=True))
     change = (action == up).to(torch.int32) - (action == down).to(torch.int32)  # (joints, rooms)
     steps = state.joint_steps + change
-    if scale is None:
+    if scale is None or not layout.has_joint_offsets:
         low, high = column(arm.step_low, torch.int32), column(arm.step_high, torch.int32)
-        return state._replace(joint_steps=torch.minimum(torch.maximum(steps, low), high))
+        return state._replace(joint_steps=store(torch.minimum(torch.maximum(steps, low), high)))
     offsets = state.joint_offsets + (scale - 1.0) * change * arm.step
     angles = compute_angles(layout, state._replace(joint_steps=steps, joint_offsets=offsets))
     low = column(tuple(low - 1e-9 for low, _ in arm.limits), torch.float64)
@@ -272,7 +281,7 @@ def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorSta
                            has_ended=(terminated | truncated).to(torch.int32))
     reward = torch.where(escaped, final, each)
     reward = reward if more is None else (reward + torch.where(is_told, more, 0.0)).to(torch.float32)
-    return TensorTransition(state, reward, terminated, truncated, pressed)
+    return TensorTransition(state, reward, terminated, truncated, pressed, escaped)
 
 
 def find_shut(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
@@ -300,7 +309,8 @@ def _find_at(layout: Layout, tables: Tables, state: TensorState, x: Tensor, y: T
 def is_in_exit(layout: Layout, tables: Tables, instance: Tensor, x: Tensor, y: Tensor) -> Tensor:
     """Return true where a place is inside the exit, bool (rooms,)."""
     x_min, x_max, y_min, y_max = pick(layout, tables.exits, instance)
-    return (x_min <= x) & (x <= x_max) & (y_min <= y) & (y <= y_max)
+    margin = torch.minimum(torch.minimum(x - x_min, x_max - x), torch.minimum(y - y_min, y_max - y))
+    return as_flags(margin >= 0.0)
 
 
 # --- episodes ------------------------------------------------------------------------------
@@ -329,9 +339,12 @@ def restart(layout: Layout, tables: Tables, state: TensorState, where: Tensor) -
     if len(tables.puzzle_starts) > 1:
         begun = draw_puzzle_start(noise_key, pick(layout, tables.puzzle_start_counts, instance)[0])
     x, y, offset = tables.starts[:, chosen, column]
+    offset = offset if layout.has_offsets else state.heading_offset  # 0, and so are the joints' then
+    joint_offsets = torch.zeros_like(state.joint_offsets) if layout.has_joint_offsets else state.joint_offsets
+    joint_steps = torch.zeros_like(state.joint_steps) if layout.robot.joints else state.joint_steps
     fresh = state._replace(
         x=x, y=y, heading_steps=tables.start_headings[chosen, column], heading_offset=offset,
-        joint_steps=torch.zeros_like(state.joint_steps), joint_offsets=torch.zeros_like(state.joint_offsets),
+        joint_steps=joint_steps, joint_offsets=joint_offsets,
         puzzle=tables.puzzle_starts[begun, column],
         touching=tables.start_touching[chosen, column], primitives=torch.zeros_like(state.primitives),
         noise_key=noise_key, instance=instance, episode=episode, has_ended=torch.zeros_like(state.has_ended),

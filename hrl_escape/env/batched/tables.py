@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.arm import Arm, make_arm
-from hrl_escape.env.batched.geometry import Shapes, stack_shapes
+from hrl_escape.env.batched.geometry import Shapes, SplitShapes, stack_shapes
 from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle
 from hrl_escape.env.config import DynamicsConfig, RewardConfig, RobotConfig
 from hrl_escape.env.instance import RoomInstance, Start
@@ -87,6 +87,11 @@ class Layout:
         return round(360 / self.robot.turn_step_deg)
 
     @property
+    def has_joint_offsets(self) -> bool:
+        """True if joints can leave the lattice of joint steps, which takes noise."""
+        return bool(self.dynamics.noise)
+
+    @property
     def is_random(self) -> bool:
         """True if primitives are noisy or may slip."""
         return self.dynamics.is_random
@@ -97,15 +102,17 @@ class Tables(NamedTuple):
 
     Attributes:
         solids: walls and obstacles, (solids, instances).
+        split_solids: the same in single precision.
         hiders: those of them that can stand between two places on the floor.
         doors: (1, instances), out of the way if there is none.
         inner_doors: (inner doors, instances), out of the way where there are fewer.
         inner_leaves: true for those that are doors, which hide what is behind them, bool (inner doors, instances).
         target_counts: targets that each instance has, int64 (1, instances); the others in its columns are out of reach.
         targets: outlines of targets, (targets, instances).
-        target_z: height of their centres, m.
-        target_half_z: half their height, m.
-        target_reach: largest distance on the floor from the body's axis at which it touches, m; -1 if never.
+        round_targets: the same in single precision, about their exact centres.
+        target_z: height of their centres, m, float32.
+        target_half_z: half their height, m, float32.
+        target_reach: largest distance on the floor from the body's axis at which it touches, m, float32; -1 if never.
         target_margin: that from the outline of a rectangular base, or from its axis over a pad, m; -1 if never.
         is_panel: true for the targets that are no pads, bool.
         exits: x_min, x_max, y_min, y_max, (4, instances).
@@ -124,12 +131,14 @@ class Tables(NamedTuple):
     """
 
     solids: Shapes
+    split_solids: SplitShapes
     hiders: Shapes
     doors: Shapes
     inner_doors: Shapes
     inner_leaves: Tensor
     target_counts: Tensor
     targets: Shapes
+    round_targets: Shapes
     target_z: Tensor
     target_half_z: Tensor
     target_reach: Tensor
@@ -250,6 +259,8 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
         return np.array(rows, dtype=np.float64).T
 
     rules = [Rules(instance) for instance in instances]
+    solids = shapes([[solid.footprint for solid in i.solids] for i in instances])
+    targets = shapes([[target.footprint for target in i.targets] for i in instances], layout.targets)
     most = max(len(instance.starts) for instance in instances)
     begins = [[rule.make_state(start) for start in (*i.starts, *(i.starts[-1],) * (most - len(i.starts)))]
               for rule, i in zip(rules, instances, strict=True)]  # (instances, starts)
@@ -264,16 +275,19 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
         return [*values, *[-1.0] * (layout.targets - len(values))]
 
     return Tables(
-        solids=shapes([[solid.footprint for solid in i.solids] for i in instances]),
+        solids=solids,
+        split_solids=solids.split(),
         hiders=shapes([list_hiders(i) for i in instances]),
         doors=shapes([[i.door.footprint] if i.door else [] for i in instances]),
         inner_doors=shapes([[door.footprint for door in i.inner_doors] for i in instances]),
         inner_leaves=_list_leaves(instances, max(1, layout.inner_doors)).to(device),
         target_counts=integers([[len(i.targets) for i in instances]]),
-        targets=shapes([[target.footprint for target in i.targets] for i in instances], layout.targets),
-        target_z=floats(columns([pad([t.z for t in i.targets]) for i in instances])),
-        target_half_z=floats(columns([pad([t.half_z for t in i.targets]) for i in instances])),
-        target_reach=floats(columns([pad([i.compute_press_reach(t) for t in i.targets]) for i in instances])),
+        targets=targets,
+        round_targets=targets.round(),
+        target_z=floats(columns([pad([t.z for t in i.targets]) for i in instances]), torch.float32),
+        target_half_z=floats(columns([pad([t.half_z for t in i.targets]) for i in instances]), torch.float32),
+        target_reach=floats(columns([pad([i.compute_press_reach(t) for t in i.targets]) for i in instances]),
+                            torch.float32),
         target_margin=floats(columns([pad([i.compute_press_margin(t) for t in i.targets]) for i in instances])),
         is_panel=floats(columns([pad([t.kind == "panel" for t in i.targets]) for i in instances])) > 0.5,
         exits=floats(columns([(i.exit.x_min, i.exit.x_max, i.exit.y_min, i.exit.y_max) for i in instances])),

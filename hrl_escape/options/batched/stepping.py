@@ -92,7 +92,7 @@ def make_view(layout: Layout, tables: Tables, state: TensorState, settings: Step
     if option is not None and settings.interruptible:
         mask = mask | (torch.arange(mask.shape[1], device=mask.device) == option.unsqueeze(1))
     mask = mask | ~mask.any(dim=1, keepdim=True)  # nothing can start: any choice then waits one primitive
-    return AgentView(observe(layout, tables, state, settings.observation), mask)
+    return AgentView(observe(layout, tables, state, settings.observation).contiguous(), mask)
 
 
 def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, fields: CostFields,
@@ -124,7 +124,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     primitive = torch.where(has_failed, layout.actions.wait, primitive)
     running = _watch_progress(running, choice, is_wasting)
 
-    after, reward, terminated, truncated, pressed = step(layout, tables, state, primitive)
+    after, reward, terminated, truncated, pressed, _ = step(layout, tables, state, primitive)
     after = TensorState(*(torch.where(is_over, old, new) for old, new in zip(state, after, strict=True)))
     running = running._replace(
         reward=running.reward + reward, discounted_reward=running.discounted_reward + running.discount * reward,

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.arm import compute_hand
-from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact
+from hrl_escape.env.batched.geometry import Shapes, SplitShapes, compute_distance, compute_first_contact
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
 from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle
 from hrl_escape.env.batched.tables import Layout, Tables, pick
@@ -63,11 +63,11 @@ def compute_moves(layout: Layout, tables: Tables, state: TensorState, is_open: T
         layout.actions.translations] for name in ("forward", "left"))
     dx, dy = forward * cos - left * sin, forward * sin + left * cos
     motion = (state.x, state.y, dx.unsqueeze(1), dy.unsqueeze(1), layout.robot.body_radius + CONTACT_SKIN)
-    solids: Shapes = pick(layout, tables.solids, state.instance)
-    free = compute_first_contact(*motion, solids.round()).amin(1).clamp(min=0.0)
+    solids: SplitShapes = pick(layout, tables.split_solids, state.instance)
+    free = compute_first_contact(*motion, solids).amin(1).clamp(min=0.0)
     if layout.has_door:
         doors: Shapes = pick(layout, tables.doors, state.instance)
-        door = compute_first_contact(*motion, doors.round()).amin(1).clamp(min=0.0)
+        door = compute_first_contact(*motion, doors.split()).amin(1).clamp(min=0.0)
         free = torch.where(is_open, free, torch.minimum(free, door))
     if layout.dynamics.blocked == "stay":
         free = (free >= 1.0).to(free.dtype)
@@ -81,7 +81,7 @@ def find_touched_by_body(layout: Layout, tables: Tables, state: TensorState, x: 
     """Bits of the targets that the body touches at positions (primitives, rooms), int64."""
     if not layout.targets:
         return torch.zeros_like(x, dtype=torch.int64)
-    targets: Shapes = pick(layout, tables.targets, state.instance).round()
+    targets: Shapes = pick(layout, tables.round_targets, state.instance)
     reach = pick(layout, tables.target_reach, state.instance)
     touched = compute_distance(x.unsqueeze(1), y.unsqueeze(1), targets) <= reach  # (primitives, targets, rooms)
     places = torch.arange(layout.targets, device=x.device).unsqueeze(1)
@@ -104,7 +104,7 @@ def find_touched_by_hand(layout: Layout, tables: Tables, instance: Tensor, hand:
     """
     ahead, left, up = hand
     room_x, room_y = x + cos * ahead - sin * left, y + sin * ahead + cos * left
-    targets: Shapes = pick(layout, tables.targets, instance).round()
+    targets: Shapes = pick(layout, tables.round_targets, instance)
     away = compute_distance(room_x.unsqueeze(1), room_y.unsqueeze(1), targets)  # (cases, targets, rooms)
     height = up.unsqueeze(-2) if isinstance(up, Tensor) else up
     beyond = (height - pick(layout, tables.target_z, instance)).abs() - pick(layout, tables.target_half_z, instance)

@@ -171,6 +171,11 @@ def test_states_of_another_robot_or_engine_are_refused():
     for wrong in (state._replace(joint_steps=(1,)), state._replace(z=0.3), state._replace(heading_offset=0.1)):
         with pytest.raises(StateError):
             room.set_room_state(0, wrong)
+    arm = make_rooms(1, instances=1, config=get_preset("arm-two-button"))
+    arm.reset(torch.tensor([0]))
+    state = arm.get_room_state(0)
+    with pytest.raises(StateError, match="whole steps"):
+        arm.set_room_state(0, state._replace(joint_offsets=(0.1,) * len(state.joint_steps)))
 
 
 # --- puzzles ---------------------------------------------------------------------------

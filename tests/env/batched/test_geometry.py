@@ -30,7 +30,7 @@ def column(*values: float) -> torch.Tensor:
 def meet(x: float, y: float, dx: float, dy: float, radius: float, outline: Footprint, single: bool = False) -> float:
     shapes = shapes_of(outline)
     fraction = compute_first_contact(column(x), column(y), column(dx), column(dy), radius,
-                                     shapes.round() if single else shapes)
+                                     shapes.split() if single else shapes)
     return max(fraction.item(), 0.0)
 
 
@@ -89,7 +89,7 @@ def test_nothing_is_met_where_nothing_moves():
 def test_shapes_that_fill_a_table_up_are_met_by_nothing():
     table = stack_shapes([[make_footprint(0, 0, 1, 1)], [make_footprint(3, 0, 1, 1), make_footprint(0, 3, 1, 1, 0.3)]])
     shapes = Shapes(*torch.from_numpy(table)[:, :, 0].unsqueeze(-1))  # the first room: one shape and a filler
-    fractions = compute_first_contact(column(-5), column(0), column(10), column(0), 0.5, shapes.round())
+    fractions = compute_first_contact(column(-5), column(0), column(10), column(0), 0.5, shapes.split())
     assert fractions[:, 0].tolist() == [pytest.approx(0.35, abs=1e-6), 1.0]
 
 
