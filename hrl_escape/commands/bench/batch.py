@@ -4,8 +4,8 @@ The others are the Bullet environment in Gymnasium's SyncVectorEnv, CartPole's o
 environment and, if installed, XLand-MiniGrid. All take random actions; resets are included.
 Repeats are interleaved and each contender's best counts. The memory bound is the rate at which
 the bytes that a step reads and writes could be copied: the limit if arithmetic were free. The
-arithmetic bound is the rate of the rooms by which the second smallest batch exceeds the smallest:
-the limit if calls and memory were free.
+arithmetic bound is the best rate of the rooms by which a batch exceeds the next smaller one: the
+limit if calls and memory were free.
 
 Examples:
     hrl-escape bench batch

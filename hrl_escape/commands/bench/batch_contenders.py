@@ -97,16 +97,22 @@ class Contender:
 
 
 def set_arithmetic_bounds(contenders: Sequence[Contender]) -> None:
-    """Find the arithmetic bound of every batch of which two smaller ones of the same room and engine were measured.
+    """Find the arithmetic bound of every batch that was measured in more than one size.
 
-    It is the rate of the rooms by which the second smallest batch exceeds the smallest: both stay in the cache, and
-    what a call costs, however many rooms there are, is in both.
+    It is the best rate of the rooms by which a batch exceeds the next smaller one, and the smallest one exceeds none:
+    what a call costs, however many rooms there are, is in both. A batch's own rate is a mean of such rates, weighted
+    by their times, so that none is above the bound. Batches that take longer than a larger one are left out.
     """
     for one in contenders:
-        others = sorted((other for other in contenders if (other.name, other.engine) == (one.name, one.engine)),
-                        key=lambda other: other.rooms)
-        if len(others) > 2 and one is not others[0] and others[1].wall > others[0].wall:
-            one.arithmetic_bound = (others[1].rooms - others[0].rooms) / (others[1].wall - others[0].wall)
+        others = [other for other in contenders if (other.name, other.engine) == (one.name, one.engine)]
+        if len(others) < 2:
+            continue
+        rooms, wall, rates = 0, 0.0, []
+        for other in sorted(others, key=lambda other: other.rooms):
+            if all(other.wall < larger.wall for larger in others if larger.rooms > other.rooms):
+                rates.append((other.rooms - rooms) / (other.wall - wall))
+                rooms, wall = other.rooms, other.wall
+        one.arithmetic_bound = max(rates)
 
 
 def make_scene(name: str) -> RoomConfig:
