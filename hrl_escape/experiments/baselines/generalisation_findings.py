@@ -46,7 +46,7 @@ def tell_room_numbers(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], ag
             it.
     """
     enough = {place: seeds for place, runs in cells.items() if len(seeds := _index(runs)) >= LEAST_RUNS}
-    chance = {agent: seeds for (agent, _), seeds in enough.items() if agent in chances.values()}
+    chance = {agent: seeds for (agent, _), seeds in reversed(enough.items())}
     known = [agent for agent in agents if any(agent == other for other, _ in enough)]
     tests = {agent: {count: cells[agent, count] for other, count in enough if other == agent} for agent in known}
     told = {agent: _tell_zero(agent, tests[agent]) for agent in known
