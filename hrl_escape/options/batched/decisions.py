@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from torch import Tensor
 
-__all__ = ["ENDINGS", "NOT_ASKED", "ORDER_LENGTH", "PLAN_LENGTH", "Transitions", "OpenDecisions"]
+__all__ = ["CHOSEN", "ENDINGS", "NOT_ASKED", "ORDER_LENGTH", "PLAN_LENGTH", "Transitions", "OpenDecisions"]
 
 ENDINGS = ("reached", "timeout", "episode-over", "planning-failed", "interrupted")
 """Endings of decisions, in the words of `info["option"]["ended"]`; `Transitions.ended` is an index into it."""
@@ -20,6 +20,8 @@ PLAN_LENGTH = 64
 """Longest plan that a room keeps, primitives."""
 ORDER_LENGTH = 16
 """Most goals of one option that a room keeps; of a longer order it asks for the rest when these are reached."""
+CHOSEN = 4
+"""Postures that a hand keeps to choose among on its way to a target."""
 NOT_ASKED = -1
 """Stands for a goal that the planner has to choose: the next one of an option that presses ancestors first."""
 
@@ -75,6 +77,7 @@ class OpenDecisions(NamedTuple):
         run: primitives of its run so far, interruptions included, int32.
         goal: target that it is after, the number of targets for the exit, or `NOT_ASKED`, int64.
         age: primitives since it is after this goal, int32.
+        postures: those that a hand may press it in, int64 (`CHOSEN`, rooms).
         order: goals to follow, or `NOT_ASKED` to ask again, aligned to the end, int8 (`ORDER_LENGTH`, rooms).
         order_left: how many, int32.
         least: lowest cost-to-go that the option has met, float32.
@@ -96,6 +99,7 @@ class OpenDecisions(NamedTuple):
     run: Tensor
     goal: Tensor
     age: Tensor
+    postures: Tensor
     order: Tensor
     order_left: Tensor
     least: Tensor

@@ -31,6 +31,7 @@ from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededE
 from hrl_escape.options.batched.cost_to_go import check_presses, stack_fields
 from hrl_escape.options.batched.decisions import ENDINGS, NOT_ASKED, OpenDecisions, Transitions
 from hrl_escape.options.batched.degraded import name_options
+from hrl_escape.options.batched.hand_choice import PostureChooser
 from hrl_escape.options.batched.host_planner import HostPlanner
 from hrl_escape.options.batched.stepping import (
     FAIL_AFTER,
@@ -43,6 +44,7 @@ from hrl_escape.options.batched.stepping import (
     make_view,
     step_decisions,
 )
+from hrl_escape.options.batched.successors import presses_by_hand
 from hrl_escape.options.degraded import OptionDegradation
 from hrl_escape.options.flavours import FLAVOURS
 from hrl_escape.options.options_env import OptionsEnv
@@ -164,6 +166,7 @@ class BatchedOptionsEnv:
                                       degradation.flavour == "press-with-ancestors", degradation)
         self._view: AgentView | None = None
         self._running: OpenDecisions | None = None
+        self._chooser = PostureChooser(self.room, self._fields, compile) if presses_by_hand(layout) else None
         self._kernel: DecisionKernel | None = None
         if compile:
             check_compiler(self.device)
@@ -288,9 +291,9 @@ class BatchedOptionsEnv:
         self._view, self._running = AgentView(**take(state["view"])), OpenDecisions(**take(state["running"]))
 
     def _plan(self, view: AgentView, running: OpenDecisions, action: Tensor) -> OpenDecisions:
-        """Ask for orders, and plan for the rooms whose greed has made no progress."""
+        """Ask for orders, choose postures, and plan for the rooms whose greed has made no progress."""
         settings, layout = self._settings, self.room.layout
-        if settings.interruptible or settings.has_ancestors:
+        if settings.interruptible or settings.has_ancestors or self._chooser is not None:
             running = begin_decisions(layout, settings, running, self.is_waiting & (action >= 0), action,
                                       view.observation)
         where = (running.action >= settings.primitives) & (running.plan_left == 0) & ~self.is_over
@@ -302,6 +305,8 @@ class BatchedOptionsEnv:
         if settings.has_ancestors:
             running = self._host_planner.order(running, where & (running.goal == NOT_ASKED), option)
             where = where & (running.goal != NOT_ASKED)
+        if self._chooser is not None:
+            running = self._chooser.choose(running, where)
         running, has_failed = self._host_planner.plan(running, where & (running.stalled >= PLAN_AFTER))
         # a room whose planning failed gives up after one more primitive without progress
         return running._replace(stalled=torch.where(has_failed, settings.fail_after, running.stalled))

@@ -1,8 +1,8 @@
 """Cost-to-go of presses by hand in a batch: what base and arm have left to do, in every posture of a small library.
 
 From a place where the hand can touch the target in some posture, exactly the joint steps to it are left. From
-elsewhere they are added to the way of the base, by the field of the posture with the least sum. Pure functions of
-tensors, rooms last.
+elsewhere they are added to the way of the base, by the field of the best of a few postures that were chosen
+(`hand_choice.py`). Pure functions of tensors, rooms last.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from hrl_escape.options.batched.postures import FAR
 from hrl_escape.options.batched.successors import find_touched_by_hand, rotate
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 
-__all__ = ["Reach", "estimate_arm_costs", "estimate_hand_costs", "find_reach"]
+__all__ = ["Reach", "displace", "estimate_arm_costs", "estimate_hand_costs", "find_reach", "measure_drift"]
 
 _SKIN = 1e-4  # of a touch that is foreseen, m
 
@@ -39,8 +39,9 @@ class Reach(NamedTuple):
         ahead: the hand in the base frame, m, float32.
         left: likewise.
         square: square of the largest distance over the floor at which it touches, m^2, float32; negative if never.
-        shifts: place of the base relative to the one that the posture's field is for, m, float32 (2, postures, rooms).
-        fields: number of this field, int64.
+        chosen: joint steps to the postures that were chosen, float32 (chosen, rooms).
+        shifts: place of the base relative to the one that the field of each is for, m, float32 (2, chosen, rooms).
+        fields: number of this field, int64 (chosen, rooms).
     """
 
     target: Tensor
@@ -50,26 +51,36 @@ class Reach(NamedTuple):
     ahead: Tensor
     left: Tensor
     square: Tensor
+    chosen: Tensor
     shifts: Tensor
     fields: Tensor
 
 
-def find_reach(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor) -> Reach:
-    """Look up the postures that touch every room's target, int64 (rooms,)."""
+def find_reach(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,
+               postures: Tensor) -> Reach:
+    """Look up the postures that touch every room's target, int64 (rooms,), and those chosen, int64 (chosen, rooms)."""
     target = goal.clamp(max=layout.targets - 1)
     column = torch.zeros_like(state.instance) if layout.is_shared else state.instance
-    steps, hands, shifts, numbers = (table[..., target, column] for table in fields.postures)
+    steps, hands = (table[..., target, column] for table in (fields.postures.steps, fields.postures.hands))
     away = (steps - state.joint_steps.unsqueeze(1)).abs().sum(0).to(torch.float32)
-    if layout.dynamics.noise:  # the joints are off their whole steps, and the hand off its place
-        whole = state._replace(joint_offsets=torch.zeros_like(state.joint_offsets))
-        now, then = (compute_hand(layout.arm, compute_angles(layout, one).to(torch.float32)) for one in (state, whole))
-        drift = [torch.as_tensor(a - b, device=goal.device).expand(len(goal)) for a, b in zip(now, then, strict=True)]
-        hands, shifts = hands + torch.stack(drift).unsqueeze(1), shifts + torch.stack(drift[:2]).unsqueeze(1)
+    shifts, numbers = (table[..., postures, target, column] for table in fields.postures[2:])
+    if layout.dynamics.noise:
+        drift = measure_drift(layout, state)
+        hands, shifts = hands + drift.unsqueeze(1), shifts + drift[:2].unsqueeze(1)
     beyond = (hands[2] - tables.target_z[target, column]).abs() - tables.target_half_z[target, column]
     limit = layout.robot.hand_radius + layout.dynamics.press_margin - _SKIN
     square = torch.where(away < FAR / 2, limit**2 - beyond.clamp(min=0.0) ** 2, -1.0)
-    reach = Reach(target, column, steps, away, hands[0], hands[1], square.to(torch.float32), shifts, numbers)
+    reach = Reach(target, column, steps, away, hands[0], hands[1], square.to(torch.float32), away.gather(0, postures),
+                  shifts, numbers)
     return map_tensors(store, reach)
+
+
+def measure_drift(layout: Layout, state: TensorState) -> Tensor:
+    """Displacement of the hand by joints that are off their whole steps, in the base frame, m; (3, rooms)."""
+    whole = state._replace(joint_offsets=torch.zeros_like(state.joint_offsets))
+    now, then = (compute_hand(layout.arm, compute_angles(layout, one).to(torch.float32)) for one in (state, whole))
+    return torch.stack([torch.as_tensor(a - b, device=state.x.device).expand(len(state.x))
+                        for a, b in zip(now, then, strict=True)])
 
 
 def estimate_hand_costs(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, reach: Reach,
@@ -92,19 +103,17 @@ def estimate_hand_costs(layout: Layout, tables: Tables, fields: CostFields, stat
             without touch, bool (places, rooms).
     """
     cos, sin = compute_rotation(layout, tables, state)
-    at = _shift(state.x, state.y, cos, sin, *reach.shifts)
-    place = locate(layout, fields, state.instance, *at)
+    place = locate(layout, fields, state.instance, *displace(state.x, state.y, cos, sin, *reach.shifts))
     every = interpolate_cost(layout, fields, state.instance, reach.fields, place, heading.expand_as(reach.fields),
                              between)
-    best = (every.clamp(min=1.0) + reach.away).argmin(0).unsqueeze(0)
+    best = (every.clamp(min=1.0) + reach.chosen).argmin(0).unsqueeze(0)
     shifts = reach.shifts.gather(1, best.expand(2, 1, -1))
     cos, sin = rotate(layout, tables, state, turn)
-    place = locate(layout, fields, state.instance, *_shift(x, y, cos, sin, *shifts))
+    place = locate(layout, fields, state.instance, *displace(x, y, cos, sin, *shifts))
     facing = torch.remainder(heading + turn, fields.classes).expand_as(x)
     way = interpolate_cost(layout, fields, state.instance, reach.fields.gather(0, best), place, facing, between)
-    left = reach.away.gather(0, best)
     touch, _ = _find_least_steps(tables, reach, x, y, cos, sin)
-    return torch.minimum(torch.where(is_held, UNREACHABLE, touch), way.clamp(min=1.0) + left)
+    return torch.minimum(torch.where(is_held, UNREACHABLE, touch), way.clamp(min=1.0) + reach.chosen.gather(0, best))
 
 
 def estimate_arm_costs(layout: Layout, tables: Tables, state: TensorState, reach: Reach, is_press: Tensor) -> Tensor:
@@ -147,5 +156,6 @@ def _find_least_steps(tables: Tables, reach: Reach, x: Tensor, y: Tensor, cos: T
     return torch.where(touches, reach.away, UNREACHABLE).min(1)
 
 
-def _shift(x: Tensor, y: Tensor, cos: Tensor, sin: Tensor, ahead: Tensor, left: Tensor) -> tuple[Tensor, Tensor]:
+def displace(x: Tensor, y: Tensor, cos: Tensor, sin: Tensor, ahead: Tensor, left: Tensor) -> tuple[Tensor, Tensor]:
+    """Places ahead and to the left of others, m, at headings; float64 (..., rooms) each."""
     return x + cos * ahead - sin * left, y + sin * ahead + cos * left

@@ -68,7 +68,7 @@ def can_start(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
 
 
 def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,
-                     cells: Tensor, costs: Tensor) -> Choice:
+                     postures: Tensor, cells: Tensor, costs: Tensor) -> Choice:
     """Choose every room's next primitive.
 
     Args:
@@ -77,12 +77,13 @@ def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: 
         fields: their fields.
         state: their states.
         goal: the target to press, or the number of targets for the exit, int64 (rooms,).
+        postures: postures that a hand may press in, int64 (chosen, rooms).
         cells: cells remembered, int64 (memory, rooms).
         costs: costs found there, float32 (memory, rooms).
     """
     depth = 1 if layout.headings >= _FINE_HEADINGS else 2
-    reach = find_reach(layout, tables, fields, state, goal) if presses_by_hand(layout) else None
-    after = _estimate_costs(layout, tables, fields, state, goal, reach, cells, costs, depth)
+    reach = find_reach(layout, tables, fields, state, goal, postures) if presses_by_hand(layout) else None
+    after = _estimate_costs(layout, tables, fields, state, goal, postures, reach, cells, costs, depth)
     if reach is not None:
         after = torch.cat([after, estimate_arm_costs(layout, tables, state, reach, goal < layout.targets)])
     best = after.amin(0)
@@ -94,7 +95,7 @@ def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: 
 
 
 def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,
-                    reach: Reach | None, cells: Tensor, costs: Tensor, depth: int) -> Tensor:
+                    postures: Tensor, reach: Reach | None, cells: Tensor, costs: Tensor, depth: int) -> Tensor:
     """Cost-to-go after each base primitive, by a look-ahead of `depth` primitives; (primitives, rooms)."""
     instance = state.instance
     solved = is_solved(layout, tables, state)
@@ -124,7 +125,8 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
         found = torch.where(cells.unsqueeze(1) == keys, costs.unsqueeze(1), 0.0).amax(0)
         after = torch.maximum(after, found).clamp(min=1.0) + (touched & own != 0)
     else:
-        after = _estimate_from_successors(layout, tables, fields, state, goal, cells, costs, depth, x, y, touched, turn)
+        after = _estimate_from_successors(layout, tables, fields, state, goal, postures, cells, costs, depth, x, y,
+                                          touched, turn)
     after = torch.where(hit, 0.0, after) + OTHER_PRESS_COST * (begun & ~own != 0)
     after = after + UNREACHABLE * (arrived & solved & is_press)
     is_blocked = (free * layout.robot.move_step < _BLOCKED) & (turn == 0) & ~hit
@@ -132,15 +134,15 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
 
 
 def _estimate_from_successors(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,
-                              cells: Tensor, costs: Tensor, depth: int, x: Tensor, y: Tensor, touched: Tensor,
-                              turn: Tensor) -> Tensor:
+                              postures: Tensor, cells: Tensor, costs: Tensor, depth: int, x: Tensor, y: Tensor,
+                              touched: Tensor, turn: Tensor) -> Tensor:
     """Cost-to-go after each base primitive: that of the best primitive to follow it, and one."""
     count = len(x)
     later = TensorState(*(field.repeat(*(1,) * (field.dim() - 1), count) for field in state))
     headings = torch.remainder(state.heading_steps + turn, layout.headings).to(torch.int32)
     later = later._replace(x=x.flatten(), y=y.flatten(), heading_steps=headings.flatten(), touching=touched.flatten())
-    goals = goal.repeat(count)
-    reach = find_reach(layout, tables, fields, later, goals) if presses_by_hand(layout) else None
-    after = _estimate_costs(layout, tables, fields, later, goals, reach, cells.repeat(1, count),
+    goals, later_postures = goal.repeat(count), postures.repeat(1, count)
+    reach = find_reach(layout, tables, fields, later, goals, later_postures) if presses_by_hand(layout) else None
+    after = _estimate_costs(layout, tables, fields, later, goals, later_postures, reach, cells.repeat(1, count),
                             costs.repeat(1, count), depth - 1)
     return after.amin(0).view_as(x) + 1.0

@@ -18,6 +18,7 @@ from hrl_escape.env.batched.rules import is_in_exit, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables
 from hrl_escape.options.batched.cost_to_go import CostFields
 from hrl_escape.options.batched.decisions import (
+    CHOSEN,
     ENDINGS,
     NOT_ASKED,
     ORDER_LENGTH,
@@ -37,7 +38,7 @@ PLAN_AFTER = 4
 """Primitives without progress after which an option follows a plan instead of its field."""
 FAIL_AFTER = 120
 """Primitives without progress after which it fails; more where primitives slip."""
-_OF_GOAL = ("age", "least", "stalled", "cells", "costs", "plan", "plan_left")
+_OF_GOAL = ("age", "postures", "least", "stalled", "cells", "costs", "plan", "plan_left")
 _OF_RUN = (*_OF_GOAL, "option", "run", "goal", "order", "order_left")
 REACHED, TIMEOUT, EPISODE_OVER, FAILED, INTERRUPTED = range(len(ENDINGS))
 
@@ -114,7 +115,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
         fails = fails | (is_new & (drawn < settings.degradation.failure))
 
     planned = _read_aligned(running.plan, running.plan_left)
-    choice = choose_primitive(layout, tables, fields, state, goal, running.cells, running.costs)
+    choice = choose_primitive(layout, tables, fields, state, goal, running.postures, running.cells, running.costs)
     is_lost = (running.age == 0) & (choice.cost >= UNREACHABLE)
     has_failed = is_option & (fails | (~is_wasting & (is_lost | (running.goal == NOT_ASKED))))
     primitive = torch.where(is_option, torch.where(running.plan_left > 0, planned, choice.primitive), running.action)
@@ -217,6 +218,7 @@ def make_decisions(observation: Tensor) -> OpenDecisions:
     return OpenDecisions(
         action=word - 1, observation=observation, reward=number, discounted_reward=number, discount=number + 1.0,
         duration=count, pressed=word, option=word - 1, run=count, goal=word, age=count,
+        postures=word.expand(CHOSEN, -1).clone(),
         order=count.to(torch.int8).expand(ORDER_LENGTH, -1).clone(), order_left=count,
         least=number + math.inf, stalled=count,
         cells=word.expand(MEMORY, -1) - 1, costs=number.expand(MEMORY, -1).clone(),

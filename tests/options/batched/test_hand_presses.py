@@ -14,6 +14,7 @@ from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.batched.cost_to_go import compute_instance_fields
+from hrl_escape.options.batched.decisions import CHOSEN
 from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.degraded import OptionDegradation
 from tests.env.rooms import all_schematics
@@ -109,6 +110,47 @@ def test_a_target_that_no_hand_reaches_costs_one_primitive(noise):
     assert (ENDINGS[done.ended[0]], int(done.duration[0]), int(done.pressed[0])) == ("planning-failed", 1, 0)
     after = env.room.get_room_state(0)
     assert (after.x, after.y) == (before.x, before.y) and after.heading_steps != before.heading_steps
+
+
+def test_a_hand_sets_out_for_the_postures_from_which_least_is_left_and_keeps_them_while_it_gets_nearer():
+    """The four least over all postures, by the arrays of the fields, cell by cell."""
+    env = make_env(6, CLUTTERED)
+    fields, instance, checked = compute_instance_fields(env.room.instances[0]), env.room.instances[0], 0
+    assert fields.postures is not None
+    before = None
+    for number in range(30):
+        states, waits = [env.room.get_room_state(room) for room in range(6)], env.is_waiting
+        env.step(torch.tensor([number % 2, 1 - number % 2] * 3))
+        running = env._get_begun()[1]
+        for room, state in enumerate(states):
+            chosen = running.postures[:, room].tolist()
+            if waits[room]:
+                left = [compute_left(fields, instance, state, int(running.goal[room]), n) for n in range(64)]
+                assert len(set(chosen)) == CHOSEN
+                assert [left[n] for n in chosen] == pytest.approx(sorted(left)[:CHOSEN], abs=0.01)
+                checked += 1
+            elif before is not None and before.stalled[room] == 0 and before.age[room] > 0:
+                assert chosen == before.postures[:, room].tolist()
+        before = running
+    assert checked >= 12
+
+
+def compute_left(fields, instance, state, target, number):
+    """Joint steps to a posture, and the interpolated way of the base to where it presses."""
+    library, angle = fields.postures, math.tau * state.heading_steps / fields.values.shape[2] + state.heading_offset
+    field = library.fields[target, number]
+    ahead, left = library.hands[target, number, :2] - library.approaches[field, 1:3]
+    x = state.x + math.cos(angle) * ahead - math.sin(angle) * left
+    y = state.y + math.sin(angle) * ahead + math.cos(angle) * left
+    u, v = (np.maximum((x, y) - np.array(fields.low), 0.0) / fields.size - 0.5).clip(min=0.0)
+    i, j = min(int(u), fields.shape[0] - 2), min(int(v), fields.shape[1] - 2)
+    total = weight = 0.0
+    for k in range(4):
+        share = abs(1 - k // 2 - min(u - i, 1.0)) * abs(1 - k % 2 - min(v - j, 1.0))
+        value = fields.values[field, (i + k // 2) * fields.shape[1] + j + k % 2, state.heading_steps]
+        total, weight = total + (value >= 0) * share * value * fields.scales[field], weight + (value >= 0) * share
+    steps = int(np.abs(library.steps[target, number] - np.array(state.joint_steps)).sum())
+    return max(total / weight if weight > 1e-6 else 10_000.0, 1.0) + steps
 
 
 # --- kinds of options ------------------------------------------------------------------------
