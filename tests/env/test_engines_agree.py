@@ -83,3 +83,17 @@ def test_of_two_solids_that_touch_the_one_that_truly_does_stops_the_body():
         room.step(torch.tensor([0]))  # forward
         found, expected = room.get_room_state(0), scalar.step(state._replace(noise_key=noise_key), 0).state
         assert abs(found.x - expected.x) < 1e-5 and abs(found.y - expected.y) < 1e-5
+
+
+def test_a_wall_that_the_body_leaves_does_not_hold_it():
+    """Nearly as far behind it as it moves, so that the contact is near the share that no solid limits."""
+    wall = Solid(x=0, y=1, half_x=10, half_y=0.1)
+    instance = dataclasses.replace(generate(RoomConfig(), 0), solids=(wall,))
+    scalar, room = Kinematics(instance), TensorRoom([instance], 1)
+    room.reset(torch.tensor([0]))
+    away = round(math.radians(270) / scalar.turn_step)
+    for behind in (0.9992, 0.9995, 0.9999):
+        y = 0.9 - instance.robot.body_radius - CONTACT_SKIN - behind
+        room.set_room_state(0, scalar.make_state(Start(0.0, y), 1)._replace(heading_steps=away))
+        room.step(torch.tensor([0]))  # forward
+        assert room.get_room_state(0).y == pytest.approx(y - instance.robot.move_step, abs=1e-9)
