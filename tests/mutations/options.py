@@ -7,6 +7,13 @@ TESTS = "options/test_options_env.py"
 
 MUTATIONS = [
     Mutation(
+        "a batch follows a plan on after a slip",
+        "options/batched/host_planner.py",
+        "kept = 1 if self._room.layout.is_random else PLAN_LENGTH",
+        "kept = PLAN_LENGTH",
+        "options/batched/test_batched_env.py::test_a_plan_is_not_followed_on_after_a_slip",
+    ),
+    Mutation(
         "an option counts as consistent where it cannot start",
         ENV,
         "if option.is_markov and option.initiation(step.state) and self._agrees(option, step):",

@@ -69,8 +69,9 @@ class HostPlanner:
             The decisions with plans, and the rooms in which planning failed, bool (rooms,).
         """
         rooms = where.nonzero().squeeze(1).tolist()
-        return self._store_plans(running, rooms,
-                                 [self._find_plan(room, int(running.goal[room]))[:PLAN_LENGTH] for room in rooms])
+        kept = 1 if self._room.layout.is_random else PLAN_LENGTH  # what follows a slip was planned from elsewhere
+        return self._store_plans(running, rooms, [self._find_plan(room, int(running.goal[room]))[:kept]
+                                                  for room in rooms])
 
     def _get_planner(self, room: int) -> RoomPlanner:
         number = int(self._room.state.instance[room])

@@ -171,6 +171,13 @@ def test_what_options_env_reaches_is_reached_in_about_as_many_primitives(name, m
     assert not found.side_presses
 
 
+@pytest.mark.parametrize("name", ["four-rooms", "key-chest"])
+def test_a_plan_is_not_followed_on_after_a_slip(name):
+    found = compare_options([generate(get_preset(name), 0)], 200)
+    assert not found.missed, found.missed[0]
+    assert found.more < 0.15
+
+
 def test_where_greed_leads_nowhere_the_planner_is_asked():
     env = begin(make_env(config="paper-two-button", include_primitives=False))
     env.step(torch.tensor([0]))
