@@ -243,7 +243,8 @@ def test_runs_of_another_budget_and_unknown_agents_are_refused_before_anything_r
     raw = tmp_path / "raw" / "scaling.csv"
     save_scaling_runs(raw, [make_result()])
     call = ["experiment", "scaling", "--docs", str(tmp_path), "--out", str(tmp_path / "runs")]
-    assert main([*call[:2], "--docs", str(tmp_path / "new"), *call[4:], "--minutes", "0.000001"]) == 2
+    few = ["--parts", "told", "--runs", "1"]
+    assert main([*call[:2], "--docs", str(tmp_path / "new"), *call[4:], *few, "--minutes", "0.000001"]) == 2
     assert "no run is finished after 1e-06 minutes" in capsys.readouterr().err
     assert main([*call, "--primitives", "60"]) == 2
     assert "the runs in" in (said := capsys.readouterr().err) and "have 20000. Choose another --docs" in said
