@@ -25,7 +25,7 @@ from hrl_escape.env.sampling.generation import generate
 
 POOL = 16  # batches of random actions, drawn beforehand
 SYNC_ROOMS = 8
-CARTPOLE, XLAND = "CartPole-v1", "XLand-MiniGrid-R1-9x9"
+CARTPOLE, XLAND, GYMNAX = "CartPole-v1", "XLand-MiniGrid-R1-9x9", "gymnax CartPole-v1"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -152,6 +152,8 @@ def list_makers(scenes: Sequence[str], sizes: Sequence[int], engines: Sequence[s
         makers.append((CARTPOLE, lambda: _make_cartpole(size)))
         if importlib.util.find_spec("xminigrid") is not None:
             makers.append((XLAND, lambda: _make_xland(min(size, 1024))))
+        if importlib.util.find_spec("gymnax") is not None:
+            makers.append((GYMNAX, lambda: _make_gymnax(size)))
     return makers
 
 
@@ -224,6 +226,26 @@ def _make_xland(rooms: int) -> Contender:
 
     step(1)
     return Contender(XLAND, "JAX, compiled", rooms, step, time.perf_counter() - begun)
+
+
+def _make_gymnax(count: int) -> Contender:
+    begun = time.perf_counter()
+    import gymnax  # pyright: ignore[reportMissingImports]  # a peer, if installed
+    import jax  # pyright: ignore[reportMissingImports]
+
+    env, params = gymnax.make(CARTPOLE)
+    keys = jax.random.split(jax.random.key(0), count)
+    advance = jax.jit(jax.vmap(env.step, in_axes=(0, 0, 0, None)))  # begins anew where an episode ends
+    pool = [jax.random.randint(jax.random.key(n), (count,), 0, env.num_actions) for n in range(POOL)]
+    now = [jax.jit(jax.vmap(env.reset, in_axes=(0, None)))(keys, params)[1]]
+
+    def step(steps: int) -> None:
+        for number in range(steps):
+            now[0] = advance(keys, now[0], pool[number % POOL], params)[1]
+        jax.block_until_ready(now[0])
+
+    step(1)
+    return Contender(GYMNAX, "JAX, compiled", count, step, time.perf_counter() - begun)
 
 
 def _wait(device: torch.device) -> None:
