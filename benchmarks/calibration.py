@@ -19,9 +19,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.simulated_pages import PAGES, Draw
-from hrl_escape.experiments.inference import compute_interval
-from hrl_escape.experiments.pairs import compare_agents, is_better
-from hrl_escape.experiments.statistics import compute_iqm, compute_mean
+from hrl_escape.comparison.inference import compute_interval
+from hrl_escape.comparison.pairs import compare_agents, is_better
+from hrl_escape.comparison.statistics import compute_iqm, compute_mean
 
 
 def make_bimodal(share: float) -> Draw:

@@ -13,10 +13,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from hrl_escape.experiments.comparison import run_grid
-from hrl_escape.experiments.grid import AgentSpec, Grid
-from hrl_escape.experiments.launching.local import Listener
-from hrl_escape.experiments.launching.ray import RayLauncher
+from hrl_escape.comparison.comparison import run_grid
+from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.comparison.launching.local import Listener
+from hrl_escape.comparison.launching.ray import RayLauncher
 
 
 @dataclasses.dataclass(frozen=True)

@@ -14,35 +14,35 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.experiments.baselines.calibration import CHANCE, IN_ORDER, ROUND, tell_calibration
-from hrl_escape.experiments.baselines.dial import DIAL, PLANNED, DialLine, conclude_dial
-from hrl_escape.experiments.baselines.generalisation_findings import tell_room_numbers
-from hrl_escape.experiments.baselines.lines import BaselineRun
-from hrl_escape.experiments.baselines.twin_studies import GIVEN_HIERARCHIES, INTRA_OPTION, LEARNED_HIERARCHIES
-from hrl_escape.experiments.baselines.twins import TwinStudy, compare_twins
-from hrl_escape.experiments.presets import get_grid
-from hrl_escape.experiments.price.contestants import BUTTON_COUNTS
-from hrl_escape.experiments.price.price_runs import PriceRun
-from hrl_escape.experiments.price.price_words import compare_with_chance, conclude_prices
-from hrl_escape.experiments.price.ratios import COSTS
-from hrl_escape.experiments.studies.claims import CLAIMS, FIGURES, judge_claims
-from hrl_escape.experiments.studies.contrasts import make_screening_design
-from hrl_escape.experiments.studies.factorial import get_factors, make_label, read_levels
-from hrl_escape.experiments.studies.factorial_cause import Findings, tell_fresh_runs
-from hrl_escape.experiments.studies.factorial_effects import (
+from hrl_escape.comparison.baselines.calibration import CHANCE, IN_ORDER, ROUND, tell_calibration
+from hrl_escape.comparison.baselines.dial import DIAL, PLANNED, DialLine, conclude_dial
+from hrl_escape.comparison.baselines.generalisation_findings import tell_room_numbers
+from hrl_escape.comparison.baselines.lines import BaselineRun
+from hrl_escape.comparison.baselines.twin_studies import GIVEN_HIERARCHIES, INTRA_OPTION, LEARNED_HIERARCHIES
+from hrl_escape.comparison.baselines.twins import TwinStudy, compare_twins
+from hrl_escape.comparison.presets import get_grid
+from hrl_escape.comparison.price.contestants import BUTTON_COUNTS
+from hrl_escape.comparison.price.price_runs import PriceRun
+from hrl_escape.comparison.price.price_words import compare_with_chance, conclude_prices
+from hrl_escape.comparison.price.ratios import COSTS
+from hrl_escape.comparison.studies.claims import CLAIMS, FIGURES, judge_claims
+from hrl_escape.comparison.studies.contrasts import make_screening_design
+from hrl_escape.comparison.studies.factorial import get_factors, make_label, read_levels
+from hrl_escape.comparison.studies.factorial_cause import Findings, tell_fresh_runs
+from hrl_escape.comparison.studies.factorial_effects import (
     SHARE,
     Screening,
     compute_effects,
     find_sufficient,
     measure_area,
 )
-from hrl_escape.experiments.studies.mediation import compute_paths
-from hrl_escape.experiments.studies.raw import BINS, OPTIMAL_SCORE, RawRun
-from hrl_escape.experiments.studies.scaling.difficulty import tell_difficulty
-from hrl_escape.experiments.studies.scaling.findings import tell_replication
-from hrl_escape.experiments.studies.scaling.scaling_runs import ScalingRun
-from hrl_escape.experiments.studies.scaling.study import AGENTS, BAR, BAR_AGENT, RULES, TOLD, TOLD_TASKS
-from hrl_escape.experiments.studies.scaling.told import compute_told_costs
+from hrl_escape.comparison.studies.mediation import compute_paths
+from hrl_escape.comparison.studies.raw import BINS, OPTIMAL_SCORE, RawRun
+from hrl_escape.comparison.studies.scaling.difficulty import tell_difficulty
+from hrl_escape.comparison.studies.scaling.findings import tell_replication
+from hrl_escape.comparison.studies.scaling.scaling_runs import ScalingRun
+from hrl_escape.comparison.studies.scaling.study import AGENTS, BAR, BAR_AGENT, RULES, TOLD, TOLD_TASKS
+from hrl_escape.comparison.studies.scaling.told import compute_told_costs
 
 __all__ = ["PAGES", "Draw"]
 

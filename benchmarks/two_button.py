@@ -11,10 +11,10 @@ import dataclasses
 import sys
 from pathlib import Path
 
-from hrl_escape.experiments.comparison import run_grid
-from hrl_escape.experiments.launching.local import LocalLauncher
-from hrl_escape.experiments.presets import get_grid
-from hrl_escape.experiments.reporting.report import write_report
+from hrl_escape.comparison.comparison import run_grid
+from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.comparison.presets import get_grid
+from hrl_escape.comparison.reporting.report import write_report
 
 NEEDED = {"smdp-dqn": 0.95, "smdp-q-learning": 0.95}
 

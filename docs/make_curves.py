@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from hrl_escape.agents.registry import SMDP_PREFIX, list_agents
-from hrl_escape.experiments.comparison import Comparison, run_grid
-from hrl_escape.experiments.grid import AgentSpec, Grid
-from hrl_escape.experiments.launching.local import LocalLauncher
-from hrl_escape.experiments.places import RoomSpec
+from hrl_escape.comparison.comparison import Comparison, run_grid
+from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.comparison.places import RoomSpec
 from hrl_escape.files import write_json
 
 ROOM, RUNS, PRIMITIVES, POINTS = "paper-one-button", 3, 10_000, 20

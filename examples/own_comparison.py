@@ -7,11 +7,11 @@ from pathlib import Path
 
 import tyro
 
-from hrl_escape.experiments.comparison import run_grid
-from hrl_escape.experiments.grid import AgentSpec, Grid, OptionsView
-from hrl_escape.experiments.places import RoomSpec
-from hrl_escape.experiments.reporting.report import write_report
-from hrl_escape.experiments.verdict import write_verdict
+from hrl_escape.comparison.comparison import run_grid
+from hrl_escape.comparison.grid import AgentSpec, Grid, OptionsView
+from hrl_escape.comparison.places import RoomSpec
+from hrl_escape.comparison.reporting.report import write_report
+from hrl_escape.comparison.verdict import write_verdict
 
 ONLY_OPTIONS = OptionsView(include_primitives=False)
 

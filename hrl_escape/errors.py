@@ -334,7 +334,7 @@ class BatchError(EscapeError, ValueError):
         super().__init__(f"{name} is {self.given}; the batch takes {allowed}")
 
 
-# --- experiments -----------------------------------------------------------------------
+# --- comparison ------------------------------------------------------------------------
 
 
 class GridError(EscapeError, ValueError):

@@ -12,7 +12,7 @@ import pytest
 
 from tests.mutations.mutation import ROOT, Mutation, PackageCopy
 
-PACKAGES = ("smdp_traps", "given", "learned", "env", "planning", "options", "agents", "ladder", "experiments", "viewer",
+PACKAGES = ("smdp_traps", "given", "learned", "env", "planning", "options", "agents", "ladder", "comparison", "viewer",
             "commands")
 MUTATIONS: dict[str, list[Mutation]] = {
     package: [Mutation(*fields) for fields in import_module(f"tests.mutations.{package}").MUTATIONS]

@@ -49,7 +49,7 @@ LINT_IMPORTS = ("lint-imports", "--no-cache", "--no-logo", "--config", str(ROOT 
 
 HOUSE = """
 cli errors files settings checks.option commands.list commands.bench.agents
-experiments.grid experiments.reporting.report viewer.scene.room_scene
+comparison.grid comparison.reporting.report viewer.scene.room_scene
 agents.agent agents.registry agents.components.networks agents.training.train
 agents.algorithms.dqn agents.algorithms.sarsa agents.algorithms.given.hamq agents.algorithms.given.maxq_0
 agents.hierarchy.task agents.factored.search agents.larg2019.recipes
@@ -63,15 +63,15 @@ ladder.benchmark ladder.rung ladder.instance_set
 """.split()
 
 ALLOWED_IMPORTS = {
-    "cli": "hrl_escape.experiments.reporting.report",
-    "experiments.reporting.report": "hrl_escape.agents.training.train",
+    "cli": "hrl_escape.comparison.reporting.report",
+    "comparison.reporting.report": "hrl_escape.agents.training.train",
     "agents.algorithms.dqn": "torchrl",
     "options.options_env": "hrl_escape.env.escape_room",
     "options.meta_actions": "hrl_escape.planning.room_planner",
     "planning.paths.navigator": "ompl",
     "planning.arm.model": "pinocchio",
     "ladder.instance_set": "hrl_escape.env.escape_room",
-    "experiments.grid": "hrl_escape.ladder.benchmark",
+    "comparison.grid": "hrl_escape.ladder.benchmark",
     "env.escape_room": "hrl_escape.env.engine",
     "env.vector_env": "gymnasium",
     "env.bullet.engine": "pybullet",
@@ -86,8 +86,8 @@ FORBIDDEN_IMPORTS = [  # (importer, imported, the contract that finds it); a fil
     ("planning.room_planner", "hrl_escape.options.option", "errors <- env <- planning <- options"),
     ("errors", "hrl_escape.env.config", "errors <- env <- planning <- options"),
     ("options.option", "hrl_escape.agents.agent", "errors <- env <- planning <- options"),
-    ("options.new", "hrl_escape.experiments.reporting.report", "errors <- env <- planning <- options"),
-    ("ladder.new", "hrl_escape.experiments.reporting.report", "errors <- env <- planning <- options"),
+    ("options.new", "hrl_escape.comparison.reporting.report", "errors <- env <- planning <- options"),
+    ("ladder.new", "hrl_escape.comparison.reporting.report", "errors <- env <- planning <- options"),
     ("agents.components.new", "hrl_escape.ladder.rung", "errors <- env <- planning <- options"),
     ("viewer.scene.room_scene", "hrl_escape.cli", "errors <- env <- planning <- options"),
     ("agents.algorithms.new", "hrl_escape.env.config", "agents know neither env, planning nor options"),

@@ -33,15 +33,15 @@ from rich.table import Table
 from rich.text import Text
 
 from hrl_escape.commands.launching import LaunchArgs
+from hrl_escape.comparison.comparison import Comparison
+from hrl_escape.comparison.grid import AgentSpec, Grid, load_grid
+from hrl_escape.comparison.places import RoomSpec
+from hrl_escape.comparison.presets import GRIDS, get_grid
+from hrl_escape.comparison.reporting.report import write_report
+from hrl_escape.comparison.reporting.tables import format_first_escape
+from hrl_escape.comparison.summary import Summary
+from hrl_escape.comparison.verdict import write_verdict
 from hrl_escape.errors import UnknownNameError
-from hrl_escape.experiments.comparison import Comparison
-from hrl_escape.experiments.grid import AgentSpec, Grid, load_grid
-from hrl_escape.experiments.places import RoomSpec
-from hrl_escape.experiments.presets import GRIDS, get_grid
-from hrl_escape.experiments.reporting.report import write_report
-from hrl_escape.experiments.reporting.tables import format_first_escape
-from hrl_escape.experiments.summary import Summary
-from hrl_escape.experiments.verdict import write_verdict
 from hrl_escape.names import make_console_text, make_file_name
 
 DEFAULT = "quickstart"

@@ -6,12 +6,12 @@ import dataclasses
 from pathlib import Path
 
 from hrl_escape.commands.room_choice import split_assignment
+from hrl_escape.comparison.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
+from hrl_escape.comparison.grid import Grid
+from hrl_escape.comparison.launching.local import Launcher, LocalLauncher
+from hrl_escape.comparison.launching.ray import RayLauncher
+from hrl_escape.comparison.launching.slurm import SlurmLauncher
 from hrl_escape.errors import ConfigError
-from hrl_escape.experiments.comparison import Comparison, Shard, count_missing, read_comparison, run_grid
-from hrl_escape.experiments.grid import Grid
-from hrl_escape.experiments.launching.local import Launcher, LocalLauncher
-from hrl_escape.experiments.launching.ray import RayLauncher
-from hrl_escape.experiments.launching.slurm import SlurmLauncher
 
 __all__ = ["LaunchArgs"]
 

@@ -28,11 +28,11 @@ from hrl_escape.agents.registry import get_recipe
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
 from hrl_escape.commands.room_choice import RoomChoice, VectorObservation, split_assignment
+from hrl_escape.comparison.grid import AgentSpec, OptionsView
+from hrl_escape.comparison.places import RunPlace
+from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.experiments.grid import AgentSpec, OptionsView
-from hrl_escape.experiments.places import RunPlace
-from hrl_escape.experiments.runs import make_env
 from hrl_escape.names import make_console_text, make_file_name
 from hrl_escape.planning.best_known import best_known_return
 from hrl_escape.settings import read_field_documents

@@ -11,9 +11,9 @@ import tyro
 
 from hrl_escape.cli import main
 from hrl_escape.commands.compare import CompareArgs
-from hrl_escape.experiments.grid import AgentSpec
-from hrl_escape.experiments.places import RoomSpec
-from hrl_escape.experiments.presets import get_grid
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.places import RoomSpec
+from hrl_escape.comparison.presets import get_grid
 
 
 def call(capsys: pytest.CaptureFixture[str], *arguments: object) -> tuple[int, str, str]:

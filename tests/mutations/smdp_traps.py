@@ -261,9 +261,9 @@ MUTATIONS = [
     ),
     Mutation(
         "18 a comparison without chance over the same options passes without a word",
-        "experiments/verdict.py",
+        "comparison/verdict.py",
         "if unmatched:",
         "if False:",
-        "experiments/test_verdict.py::test_cautions",
+        "comparison/test_verdict.py::test_cautions",
     ),
 ]

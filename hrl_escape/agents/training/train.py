@@ -2,7 +2,7 @@
 
 An episode's seed is a function of the run's seed and its number, and checkpoints are taken between episodes, so no
 environment needs saving: a killed run resumes to the same bits. Evaluations happen between episodes
-too. Many runs at once are the part of `hrl_escape.experiments`.
+too. Many runs at once are the part of `hrl_escape.comparison`.
 """
 
 from __future__ import annotations

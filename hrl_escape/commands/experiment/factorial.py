@@ -15,12 +15,12 @@ import dataclasses
 
 from rich.console import Console
 
+from hrl_escape.comparison.studies.factorial import ALGORITHMS, ROOMS, make_factorial_grid, name_factorial
+from hrl_escape.comparison.studies.factorial_cause import conclude
+from hrl_escape.comparison.studies.factorial_page import write_factorial_page
+from hrl_escape.comparison.studies.raw import load_runs
+from hrl_escape.comparison.studies.running import StudyArgs, get_raw_file, run_study
 from hrl_escape.errors import ConfigError, UnknownNameError
-from hrl_escape.experiments.studies.factorial import ALGORITHMS, ROOMS, make_factorial_grid, name_factorial
-from hrl_escape.experiments.studies.factorial_cause import conclude
-from hrl_escape.experiments.studies.factorial_page import write_factorial_page
-from hrl_escape.experiments.studies.raw import load_runs
-from hrl_escape.experiments.studies.running import StudyArgs, get_raw_file, run_study
 
 
 @dataclasses.dataclass(frozen=True)

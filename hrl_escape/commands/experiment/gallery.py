@@ -15,10 +15,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from hrl_escape.experiments.gallery.entries import load_entries
-from hrl_escape.experiments.gallery.measure import GallerySettings, load_gallery, measure_gallery, save_gallery
-from hrl_escape.experiments.gallery.page import GALLERY_PAGE, write_gallery
-from hrl_escape.experiments.studies.running import get_raw_file
+from hrl_escape.comparison.gallery.entries import load_entries
+from hrl_escape.comparison.gallery.measure import GallerySettings, load_gallery, measure_gallery, save_gallery
+from hrl_escape.comparison.gallery.page import GALLERY_PAGE, write_gallery
+from hrl_escape.comparison.studies.running import get_raw_file
 from hrl_escape.files import claim_folder
 
 

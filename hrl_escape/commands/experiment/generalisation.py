@@ -14,17 +14,17 @@ import dataclasses
 
 from rich.console import Console
 
-from hrl_escape.errors import ConfigError
-from hrl_escape.experiments.baselines.generalisation import (
+from hrl_escape.comparison.baselines.generalisation import (
     GeneralisationArgs,
     make_depth_grid,
     make_sizes_grid,
 )
-from hrl_escape.experiments.baselines.generalisation_page import write_generalisation_page
-from hrl_escape.experiments.baselines.lines import BaselineRun, collect_baselines, joining_lines, load_lines
-from hrl_escape.experiments.comparison import run_grid
-from hrl_escape.experiments.launching.local import LocalLauncher
-from hrl_escape.experiments.studies.running import get_raw_file, refuse_failures
+from hrl_escape.comparison.baselines.generalisation_page import write_generalisation_page
+from hrl_escape.comparison.baselines.lines import BaselineRun, collect_baselines, joining_lines, load_lines
+from hrl_escape.comparison.comparison import run_grid
+from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.comparison.studies.running import get_raw_file, refuse_failures
+from hrl_escape.errors import ConfigError
 from hrl_escape.files import claim_folder
 from hrl_escape.ladder.benchmark import load_benchmark
 

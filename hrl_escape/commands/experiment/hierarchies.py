@@ -10,8 +10,8 @@ Examples:
 
 from __future__ import annotations
 
-from hrl_escape.experiments.baselines.twin_studies import GIVEN_HIERARCHIES
-from hrl_escape.experiments.baselines.twins_running import TwinArgs, load_twin_lines, write_page
+from hrl_escape.comparison.baselines.twin_studies import GIVEN_HIERARCHIES
+from hrl_escape.comparison.baselines.twins_running import TwinArgs, load_twin_lines, write_page
 
 
 def run(args: TwinArgs) -> None:

@@ -12,8 +12,8 @@ from __future__ import annotations
 
 import dataclasses
 
-from hrl_escape.experiments.baselines.twin_studies import INTRA_OPTION
-from hrl_escape.experiments.baselines.twins_running import TwinArgs, load_twin_lines, write_page
+from hrl_escape.comparison.baselines.twin_studies import INTRA_OPTION
+from hrl_escape.comparison.baselines.twins_running import TwinArgs, load_twin_lines, write_page
 
 
 @dataclasses.dataclass(frozen=True)

@@ -16,17 +16,17 @@ from pathlib import Path
 
 from rich.console import Console
 
-from hrl_escape.errors import ConfigError
-from hrl_escape.experiments.baselines.lines import joining_lines, load_lines
-from hrl_escape.experiments.baselines.page import write_baselines_page
-from hrl_escape.experiments.baselines.running import (
+from hrl_escape.comparison.baselines.lines import joining_lines, load_lines
+from hrl_escape.comparison.baselines.page import write_baselines_page
+from hrl_escape.comparison.baselines.running import (
     BaselineArgs,
     collect_lines,
     list_missing,
     run_baselines,
     ship_agents,
 )
-from hrl_escape.experiments.studies.running import get_raw_file
+from hrl_escape.comparison.studies.running import get_raw_file
+from hrl_escape.errors import ConfigError
 from hrl_escape.files import claim_folder
 from hrl_escape.ladder.benchmark import load_benchmark
 

@@ -11,11 +11,11 @@ Examples:
 
 from __future__ import annotations
 
-from hrl_escape.experiments.baselines.dial import DIAL, DialLine, make_dial_section, measure_dial
-from hrl_escape.experiments.baselines.lines import load_data_lines
-from hrl_escape.experiments.baselines.twin_studies import LEARNED_HIERARCHIES
-from hrl_escape.experiments.baselines.twins_running import TwinArgs, load_twin_lines, write_page
-from hrl_escape.experiments.studies.running import get_raw_file
+from hrl_escape.comparison.baselines.dial import DIAL, DialLine, make_dial_section, measure_dial
+from hrl_escape.comparison.baselines.lines import load_data_lines
+from hrl_escape.comparison.baselines.twin_studies import LEARNED_HIERARCHIES
+from hrl_escape.comparison.baselines.twins_running import TwinArgs, load_twin_lines, write_page
+from hrl_escape.comparison.studies.running import get_raw_file
 
 
 def run(args: TwinArgs) -> None:

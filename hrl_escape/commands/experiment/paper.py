@@ -13,10 +13,10 @@ import dataclasses
 
 from rich.console import Console
 
-from hrl_escape.experiments.presets import get_grid
-from hrl_escape.experiments.studies.claims import FIGURES
-from hrl_escape.experiments.studies.paper_page import write_paper_page
-from hrl_escape.experiments.studies.running import StudyArgs, run_study
+from hrl_escape.comparison.presets import get_grid
+from hrl_escape.comparison.studies.claims import FIGURES
+from hrl_escape.comparison.studies.paper_page import write_paper_page
+from hrl_escape.comparison.studies.running import StudyArgs, run_study
 
 
 @dataclasses.dataclass(frozen=True)

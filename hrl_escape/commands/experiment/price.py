@@ -15,10 +15,10 @@ from pathlib import Path
 
 from rich.console import Console
 
-from hrl_escape.experiments.baselines.lines import load_data_lines
-from hrl_escape.experiments.price.price_page import write_price_page
-from hrl_escape.experiments.price.price_runs import PriceRun, measure_price_runs
-from hrl_escape.experiments.studies.running import get_raw_file
+from hrl_escape.comparison.baselines.lines import load_data_lines
+from hrl_escape.comparison.price.price_page import write_price_page
+from hrl_escape.comparison.price.price_runs import PriceRun, measure_price_runs
+from hrl_escape.comparison.studies.running import get_raw_file
 from hrl_escape.files import claim_folder
 
 

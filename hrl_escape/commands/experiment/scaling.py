@@ -19,16 +19,16 @@ from pathlib import Path
 
 from rich.console import Console
 
-from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
-from hrl_escape.experiments.studies.running import StudyArgs
-from hrl_escape.experiments.studies.scaling.page import write_scaling_page
-from hrl_escape.experiments.studies.scaling.scaling_runs import (
+from hrl_escape.comparison.studies.running import StudyArgs
+from hrl_escape.comparison.studies.scaling.page import write_scaling_page
+from hrl_escape.comparison.studies.scaling.scaling_runs import (
     ScalingRun,
     join_scaling_runs,
     load_scaling_runs,
     save_scaling_runs,
 )
-from hrl_escape.experiments.studies.scaling.study import AGENTS, STUDY_PARTS, TOLD, run_scaling
+from hrl_escape.comparison.studies.scaling.study import AGENTS, STUDY_PARTS, TOLD, run_scaling
+from hrl_escape.errors import ComparisonError, ConfigError, UnknownNameError
 from hrl_escape.files import claim_folder
 
 _KNOWN = (*AGENTS, *(spec.label for spec in TOLD))

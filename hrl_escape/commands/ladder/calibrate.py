@@ -22,11 +22,11 @@ from typing import Literal
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.experiments.comparison import run_grid
-from hrl_escape.experiments.grid import AgentSpec
-from hrl_escape.experiments.launching.local import LocalLauncher
-from hrl_escape.experiments.protocols import LadderSettings, find_miscalibration, find_steps, make_protocol_grid
-from hrl_escape.experiments.summary import summarise
+from hrl_escape.comparison.comparison import run_grid
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.comparison.protocols import LadderSettings, find_miscalibration, find_steps, make_protocol_grid
+from hrl_escape.comparison.summary import summarise
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 
 _YARDSTICKS = ("smdp-random+no-primitives", "smdp-shuffled-round+no-primitives", "smdp-index-order+no-primitives",

@@ -22,9 +22,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from hrl_escape.errors import FileReadError
-from hrl_escape.experiments.comparison import read_comparison
-from hrl_escape.experiments.protocols import (
+from hrl_escape.comparison.comparison import read_comparison
+from hrl_escape.comparison.protocols import (
     TOWER,
     Protocol,
     RungStanding,
@@ -32,7 +31,8 @@ from hrl_escape.experiments.protocols import (
     name_protocol,
     score_standings,
 )
-from hrl_escape.experiments.summary import summarise
+from hrl_escape.comparison.summary import summarise
+from hrl_escape.errors import FileReadError
 from hrl_escape.ladder.benchmark import load_benchmark
 
 

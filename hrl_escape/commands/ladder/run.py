@@ -27,8 +27,8 @@ import tyro
 from rich.console import Console
 
 from hrl_escape.commands.launching import LaunchArgs
-from hrl_escape.experiments.grid import AgentSpec
-from hrl_escape.experiments.protocols import (
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.protocols import (
     TOWER,
     LadderSettings,
     Protocol,
@@ -37,7 +37,7 @@ from hrl_escape.experiments.protocols import (
     make_tower_grid,
     name_protocol,
 )
-from hrl_escape.experiments.reporting.report import write_report
+from hrl_escape.comparison.reporting.report import write_report
 from hrl_escape.ladder.benchmark import load_benchmark
 
 FROM = {"word": "from"}

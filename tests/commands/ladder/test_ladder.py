@@ -3,8 +3,8 @@
 import json
 
 from hrl_escape.cli import main
+from hrl_escape.comparison.comparison import read_comparison
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.experiments.comparison import read_comparison
 from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 from hrl_escape.ladder.tower import TOWER_HORIZON
 from tests.ladder.small import make_config, make_manifest

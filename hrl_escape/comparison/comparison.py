@@ -1,0 +1,209 @@
+"""Comparisons: all runs of a grid in one folder, in which finished runs are kept and never run twice.
+
+`summary.py` computes the results, `reporting/report.py` writes them up.
+"""
+
+from __future__ import annotations
+
+import os
+import statistics
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from rich.console import Console
+
+from hrl_escape.comparison.grid import Grid, GridRun, load_grid
+from hrl_escape.comparison.launching.local import Failure, Launcher, LocalLauncher
+from hrl_escape.comparison.launching.monitor import Monitor
+from hrl_escape.comparison.places import RunPlace
+from hrl_escape.comparison.runs import RunResult, get_run_folder, load_run_result
+from hrl_escape.errors import ConfigError, FileReadError, RunBusyError
+from hrl_escape.files import clear_unfinished, make_folder, open_for_writing, write_json
+from hrl_escape.names import parse_whole
+from hrl_escape.processes import take_lock
+
+__all__ = ["Comparison", "Shard", "count_missing", "read_comparison", "run_grid", "run_grids"]
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Runs of a grid that have ended.
+
+    Attributes:
+        grid: the settings.
+        places: rooms, or sets of rooms, in the grid's order.
+        runs: finished runs with their results, in the grid's order.
+        failures: runs that failed.
+        out: its folder.
+    """
+
+    grid: Grid
+    places: tuple[RunPlace, ...]
+    runs: tuple[tuple[GridRun, RunResult], ...]
+    failures: tuple[Failure, ...]
+    out: Path
+
+
+class Shard(NamedTuple):
+    """Static part of a grid's runs: every `parts`-th, beginning with number `number`.
+
+    Attributes:
+        number: number of the part, from 1.
+        parts: number of parts.
+    """
+
+    number: int
+    parts: int
+
+    @classmethod
+    def parse(cls, text: str) -> Shard:
+        """Read `2/8`.
+
+        Raises:
+            ConfigError: it is no part.
+        """
+        number, _, parts = map(parse_whole, text.partition("/"))
+        if number is None or parts is None or not 1 <= number <= parts:
+            raise ConfigError("shard", text, "the number of a part and how many there are, such as 2/8")
+        return cls(number, parts)
+
+    def choose(self, runs: Sequence[GridRun]) -> list[GridRun]:
+        """Runs of this part, in order; the parts are disjoint, and together they are all."""
+        return list(runs[self.number - 1 :: self.parts])
+
+
+WHOLE = Shard(1, 1)
+
+
+def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None = None,
+             console: Console | None = None, shard: Shard = WHOLE) -> Comparison:
+    """Run what of a grid is not finished in a folder, and return all of it.
+
+    Processes are started, so a script that calls this needs `if __name__ == "__main__":` around it.
+
+    Args:
+        grid: what to compare.
+        out: the folder; made if missing. Runs in it that have the same settings are kept, others left alone.
+        launcher: starts the runs; processes on this machine by default.
+        console: shows progress; standard error by default.
+        shard: part of the runs to make. Machines that share the folder make one part each; `read_comparison` reads
+            what all have made.
+
+    Raises:
+        GridError: the grid has nothing to run or the same thing twice.
+        RunBusyError: another comparison is running in this folder.
+        FileWriteError: the folder cannot be written.
+        EscapeError: no such room, agent or setting.
+    """
+    plan = _Plan.make(grid)
+    out = Path(out).absolute()
+    with _lock(out, shard):
+        chosen = plan._replace(runs=shard.choose(plan.runs))
+        return _run(chosen, out, launcher or LocalLauncher(), console or _make_console(), shard == WHOLE)
+
+
+def read_comparison(out: str | os.PathLike[str], grid: Grid | None = None) -> Comparison:
+    """Read the finished runs of a comparison, made by whomever, without running or changing anything.
+
+    Args:
+        out: its folder.
+        grid: what was compared; None for what the folder says.
+
+    Raises:
+        FileReadError: there is no comparison, or one of its files is damaged.
+    """
+    out = Path(out).absolute()
+    grid = grid or load_grid(out / "grid.json")
+    plan = _Plan.make(grid)
+    found = [(run, result) for run in plan.runs if (result := load_run_result(out, run)) is not None]
+    return Comparison(grid, plan.places, tuple(found), (), out)
+
+
+def count_missing(grid: Grid, out: str | os.PathLike[str]) -> tuple[int, int, float | None]:
+    """Count a grid's runs, those not finished in a folder, and the median seconds of training of those that are.
+
+    Returns:
+        All runs, runs to be made, and the seconds; None where none has finished.
+    """
+    plan, out = _Plan.make(grid), Path(out).absolute()
+    seconds = [result.seconds[-1] for run in plan.runs if (result := load_run_result(out, run)) is not None]
+    return len(plan.runs), len(plan.runs) - len(seconds), statistics.median(seconds) if seconds else None
+
+
+def run_grids(grids: Iterable[Grid], out: str | os.PathLike[str], launcher: Launcher | None = None,
+              console: Console | None = None) -> Iterator[Comparison]:
+    """Run grids one after another in one folder, locked throughout; see `run_grid`.
+
+    The next grid is asked for after the comparison before it was yielded, so it may depend on that one's results.
+    """
+    out = Path(out).absolute()
+    with _lock(out):
+        for grid in grids:
+            yield _run(_Plan.make(grid), out, launcher or LocalLauncher(), console or _make_console())
+
+
+def _make_console() -> Console:
+    """Console on standard error, where progress is shown."""
+    return Console(stderr=True, highlight=False)
+
+
+class _Plan(NamedTuple):
+    """A grid with its places and runs; making it refuses impossible grids."""
+
+    grid: Grid
+    places: tuple[RunPlace, ...]
+    runs: list[GridRun]
+
+    @classmethod
+    def make(cls, grid: Grid) -> _Plan:
+        places = grid.make_places()
+        return cls(grid, places, grid.make_runs(places))
+
+
+def _run(plan: _Plan, out: Path, launcher: Launcher, console: Console, is_alone: bool = True) -> Comparison:
+    shared = [out, out / "rooms"] if is_alone else []  # where other parts may be writing at this moment
+    for folder in (*shared, *(get_run_folder(out, run) for run in plan.runs)):
+        clear_unfinished(folder)
+    write_json(out / "grid.json", plan.grid.to_dict())
+    for place in plan.places:
+        place.save(out / "rooms")
+    monitor = Monitor(plan.runs, console)
+    unfinished = []
+    for run in plan.runs:
+        result = _read_finished(out, run, console)
+        if result is None:
+            unfinished.append(run)
+        else:
+            monitor.keep(run, result)
+    if len(unfinished) < len(plan.runs):
+        console.print(f"{len(plan.runs) - len(unfinished)} of {len(plan.runs)} runs were finished before and are kept")
+    with monitor.watch():
+        launcher.run(unfinished, out, monitor)
+    order = {run.folder: number for number, run in enumerate(plan.runs)}
+    finished = sorted(monitor.results, key=lambda result: order[result[0].folder])
+    failures = sorted(monitor.failures, key=lambda failure: order[failure.run.folder])
+    return Comparison(plan.grid, plan.places, tuple(finished), tuple(failures), out)
+
+
+@contextmanager
+def _lock(out: Path, shard: Shard = WHOLE) -> Iterator[None]:
+    """One comparison at a time in a folder, or one of each part; the lock falls with the process, however it ends."""
+    make_folder(out)
+    with open_for_writing(out / ("lock" if shard == WHOLE else f"lock-{shard.number}-of-{shard.parts}")) as lock:
+        if not take_lock(lock):
+            raise RunBusyError(
+                f"{out}: another comparison is running in this folder. Wait for it or choose another folder")
+        yield
+
+
+def _read_finished(out: Path, run: GridRun, console: Console) -> RunResult | None:
+    """Result of a finished run; a damaged one is removed, so that the run is finished again from its training."""
+    try:
+        return load_run_result(out, run)
+    except FileReadError as error:
+        console.print(f"{error}. It is made again", style="yellow")
+        (get_run_folder(out, run) / "run_result.json").unlink(missing_ok=True)
+        return None

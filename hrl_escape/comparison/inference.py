@@ -1,0 +1,250 @@
+"""Inference over few runs: intervals that hold for bounded scores, paired tests, and Holm's correction.
+
+Intervals draw weights of the runs instead of runs: a flat Dirichlet law over them and one more value, the lowest
+possible for the lower end and the highest for the upper end (Gaffke 2005). For the mean of zeros and ones this is the
+interval of Clopper and Pearson, so it holds where a bootstrap of eight equal runs has no width at all. Comparisons are
+paired by room and training seed. `benchmarks/calibration.py` measures how often both are wrong.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import operator
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import special  # pyright: ignore[reportMissingTypeStubs]
+
+from hrl_escape.comparison.statistics import Floats, Scores
+
+__all__ = [
+    "Estimate",
+    "PairedTest",
+    "Statistic",
+    "compare_pairs",
+    "compute_ends",
+    "compute_interval",
+    "compute_restricted_mean",
+    "compute_sign_flip_p",
+    "compute_survival",
+    "compute_wilson_interval",
+    "correct_by_benjamini_hochberg",
+    "correct_by_holm",
+    "cut_interval",
+    "draw_weights",
+]
+
+LEVEL = 0.95
+RESAMPLES = 2_000
+MOST_SIGNS = 14
+"""Differences whose signs are all tried."""
+
+
+class Statistic(Protocol):
+    """Statistic of scores, (..., runs) a room, and of their weights, which add up to 1 in each room."""
+
+    def __call__(self, scores: Scores, weights: Scores | None = None, /) -> Floats:
+        """Compute it; without weights all scores of a room weigh the same."""
+        ...
+
+
+class Estimate(NamedTuple):
+    """A number and its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+def compute_interval(statistic: Statistic, scores: Scores, bounds: tuple[float, float], rng: np.random.Generator,
+                     resamples: int = RESAMPLES, level: float = LEVEL) -> tuple[Floats, Floats]:
+    """Interval of a statistic of bounded scores that grows with them, such as their mean or interquartile mean.
+
+    Args:
+        statistic: of values and weights.
+        scores: (..., runs) a room.
+        bounds: lowest and highest possible score.
+        rng: source of the draws.
+        resamples: number of draws.
+        level: confidence.
+
+    Returns:
+        Lower and upper end, each of the statistic's own shape.
+    """
+    weights = [draw_weights(room.shape[-1], resamples, rng).reshape(resamples, *[1] * (room.ndim - 1), -1)
+               for room in scores]
+    return cut_interval(*compute_ends(statistic, scores, bounds, weights), level)
+
+
+def compute_ends(statistic: Statistic, scores: Scores, bounds: tuple[float, float], weights: Scores
+                 ) -> tuple[Floats, Floats]:
+    """Draws (resamples, ...) of a statistic with the lowest possible score added, and with the highest.
+
+    The share of the first at or below a level is the p-value of a statistic above that level, the share of the second
+    at or above it that of a statistic below.
+
+    Args:
+        statistic: of values and weights.
+        scores: (..., runs) a room.
+        bounds: lowest and highest possible score.
+        weights: (resamples, ..., runs + 1) a room, from `draw_weights`.
+    """
+    lower, upper = (statistic([_append(room, bound) for room in scores], weights) for bound in bounds)
+    return lower, upper
+
+
+def cut_interval(lower: Floats, upper: Floats, level: float = LEVEL) -> tuple[Floats, Floats]:
+    """Ends of the interval of this confidence, from what `compute_ends` drew."""
+    return np.quantile(lower, (1 - level) / 2, axis=0), np.quantile(upper, (1 + level) / 2, axis=0)
+
+
+def draw_weights(count: int, resamples: int, rng: np.random.Generator) -> Floats:
+    """Weights (resamples, count + 1) by a flat Dirichlet law: of so many values, and of the one that is added."""
+    drawn = rng.standard_exponential((resamples, count + 1))
+    drawn /= drawn.sum(axis=-1, keepdims=True)
+    return drawn
+
+
+def _append(room: Floats, bound: float) -> Floats:
+    return np.concatenate([room, np.full((*room.shape[:-1], 1), bound)], axis=-1)
+
+
+def compute_wilson_interval(share: float, tries: int, level: float = LEVEL) -> tuple[float, float]:
+    """Wilson's interval of a share (Wilson 1927).
+
+    Args:
+        share: observed; where a try is itself a share of episodes, the mean of these.
+        tries: independent ones. Episodes of one run are not independent, runs are.
+        level: confidence.
+    """
+    z2 = float(special.ndtri((1 + level) / 2)) ** 2
+    middle = (share + z2 / (2 * tries)) / (1 + z2 / tries)
+    reach = math.sqrt(z2 * share * (1 - share) / tries + z2**2 / (4 * tries**2)) / (1 + z2 / tries)
+    return max(0.0, middle - reach), min(1.0, middle + reach)
+
+
+def compute_restricted_mean(times: ArrayLike, observed: ArrayLike, horizon: float) -> float:
+    """Mean time to an event up to a horizon: the area under the Kaplan-Meier curve.
+
+    Args:
+        times: (n,) of the event, or until which it was waited for.
+        observed: (n,) the event came.
+        horizon: where to stop; after the last time the curve stays as it is.
+    """
+    ends, waiting = compute_survival(times, observed)
+    inside = ends < horizon
+    edges = np.concatenate([[0.0], ends[inside], [horizon]])
+    return float(np.sum(np.diff(edges) * np.concatenate([[1.0], waiting[inside]])))
+
+
+def compute_survival(times: ArrayLike, observed: ArrayLike) -> tuple[Floats, Floats]:
+    """Kaplan-Meier curve: the share for which an event has not come.
+
+    Args:
+        times: (n,) of the event, or until which it was waited for.
+        observed: (n,) the event came.
+
+    Returns:
+        The different times, ascending, and the share from each of them on.
+    """
+    at, seen = np.asarray(times, dtype=np.float64), np.asarray(observed, dtype=bool)
+    ends = np.unique(at)
+    falls = [1 - np.sum(seen & (at == end)) / np.sum(at >= end) for end in ends]
+    return ends, np.array(list(itertools.accumulate(falls, operator.mul)), dtype=np.float64)
+
+
+class PairedTest(NamedTuple):
+    """Difference between two agents over the runs they share.
+
+    Attributes:
+        difference: mean over rooms of the mean difference.
+        low: lower end of its 95 % interval.
+        high: upper end.
+        p: two-sided.
+        pairs: (room, seed) pairs.
+    """
+
+    difference: float
+    low: float
+    high: float
+    p: float
+    pairs: int
+
+
+def compare_pairs(differences: Sequence[NDArray[np.float64]]) -> PairedTest:
+    """Student's t test of paired differences, rooms as strata of equal weight (Satterthwaite's degrees of freedom).
+
+    Where the differences of every room are equal there is no spread to divide by, and the interval has no width. The
+    p-value is then a bound: two independent runs of one law differ by some given d other than 0 with a chance of 1/4
+    at most (x + d and x, each in half of all runs), so that n of them all differ by one d with a chance of 4^(1 - n)
+    at most. The test of signs would say 2^(1 - n), for any law that is symmetric: of five differences that are more
+    than Student's t says of four and a zero.
+
+    Args:
+        differences: (seeds,) a room, first agent less second in the same room with the same seed.
+    """
+    count = sum(map(len, differences))
+    rooms = [room for room in differences if len(room)]
+    mean = float(np.mean([room.mean() for room in rooms])) if rooms else 0.0
+    if min(map(len, rooms), default=0) < 2:
+        return PairedTest(mean, -math.inf, math.inf, 1.0, count)
+    variances = np.array([room.var(ddof=1) / len(room) for room in rooms])
+    error = math.sqrt(variances.sum()) / len(rooms)
+    if error <= 1e-12:
+        lasting = [room for room in rooms if abs(room[0]) > 1e-12]
+        p = 1.0 if abs(mean) <= 1e-12 else math.prod(4.0 ** (1 - len(room)) for room in lasting)
+        return PairedTest(mean, mean, mean, p, count)
+    freedom = variances.sum() ** 2 / np.sum(variances**2 / [len(room) - 1 for room in rooms])
+    reach = float(special.stdtrit(freedom, (1 + LEVEL) / 2)) * error
+    return PairedTest(mean, mean - reach, mean + reach, float(2 * special.stdtr(freedom, -abs(mean) / error)), count)
+
+
+def compute_sign_flip_p(differences: ArrayLike, side: Literal["above", "below"]) -> float:
+    """One-sided p-value of a mean above (below) 0, by the signs that symmetric differences could as well have had.
+
+    Exact up to 14 differences, beyond that from 2^14 draws (Fisher 1935). It holds for paired differences of any
+    form, where Student's t does not: of ten differences of 0 and 1 alone, six are 0.0026 to the one and 1 / 64 to the
+    other.
+
+    Args:
+        differences: (n,) between runs that could change places if nothing were to be found.
+        side: of 0 on which the mean is looked for.
+    """
+    values = np.asarray(differences, dtype=np.float64)
+    sums = _list_signs(len(values)) @ (values if side == "above" else -values)
+    return float(np.mean(sums >= sums[0] - 1e-9))
+
+
+@lru_cache(maxsize=8)
+def _list_signs(count: int) -> Floats:
+    """All signs of so many numbers, (2^count, count), or drawn ones of many; those of the first row are plus."""
+    if count <= MOST_SIGNS:
+        return 1.0 - 2.0 * (np.arange(2**count)[:, np.newaxis] >> np.arange(count) & 1)
+    signs = np.random.default_rng(2019).choice([-1.0, 1.0], size=(2**MOST_SIGNS, count))
+    signs[0] = 1.0
+    return signs
+
+
+def correct_by_benjamini_hochberg(p: Sequence[float]) -> list[float]:
+    """Adjust p-values so that of the answers below 0.05, 5 % are wrong at most on average (Benjamini, Hochberg)."""
+    adjusted, least = [0.0] * len(p), 1.0
+    for rank, index in reversed(list(enumerate(sorted(range(len(p)), key=lambda index: p[index]), start=1))):
+        least = min(least, p[index] * len(p) / rank)
+        adjusted[index] = least
+    return adjusted
+
+
+def correct_by_holm(p: Sequence[float]) -> list[float]:
+    """Adjust the p-values of a family of comparisons, so that one below 0.05 is wrong in 5 % of families at most.
+
+    Holm (1979): the k-th smallest of n is multiplied by n - k + 1, and none falls below a smaller one's.
+    """
+    adjusted, largest = [0.0] * len(p), 0.0
+    for rank, index in enumerate(sorted(range(len(p)), key=lambda index: p[index])):
+        largest = max(largest, min(1.0, (len(p) - rank) * p[index]))
+        adjusted[index] = largest
+    return adjusted

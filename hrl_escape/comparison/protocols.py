@@ -1,0 +1,276 @@
+"""Protocols of the ladder: the grid of a rung under each, and which rungs an agent has passed.
+
+Every protocol is a grid for the same comparison; nothing here runs anything.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.comparison.inference import Estimate, compute_wilson_interval
+from hrl_escape.comparison.ladder_score import compute_ladder_score
+from hrl_escape.comparison.places import RoomSpec
+from hrl_escape.comparison.references import INDEX_ORDER, SHUFFLED_ROUND
+from hrl_escape.comparison.statistics import Scores
+from hrl_escape.comparison.summary import AgentSummary, Summary
+from hrl_escape.errors import ConfigError
+from hrl_escape.ladder.benchmark import Benchmark
+from hrl_escape.ladder.tower import TOWER_HORIZON, join_floors, list_sets
+
+__all__ = ["TOWER", "LadderSettings", "Protocol", "RungStanding", "choose_floors", "find_miscalibration", "find_steps",
+           "get_budget", "judge", "list_standings", "make_protocol_grid", "make_tower_grid", "name_protocol",
+           "score_standings"]
+
+Protocol: TypeAlias = Literal["per-instance", "generalise", "transfer", "few-shot", "tower"]
+"""`per-instance`: learn each test room from nothing. `generalise`: learn in training rooms, be tested in others of the
+same rung. `transfer`: learn in training rooms of one rung, be tested in rooms of another. `few-shot`: as `generalise`,
+with several trials in each room, through which memories last and weights stay as they are. `tower`: as `generalise`,
+with a room of every rung in an episode, one after another."""
+
+BUDGETS = dict.fromkeys(("doormat", "pair", "chain-3", "chain-4", "chain"), 20_000) | {"house": 500_000}
+"""Primitives of a run, by rung."""
+BUDGET = 100_000
+"""Primitives of a run on any other rung."""
+TOWER: Literal["tower"] = "tower"
+"""Name of the protocol, and of its rungs in sequence where results go by rung."""
+FLOOR_ROOMS = 10
+"""Rooms of each floor of a tower to be tested in, by default."""
+EVALUATIONS = 5
+"""Evaluations in a run after the first."""
+PASSED_ESCAPES, PASSED_EFFICIENCY = 0.9, 0.5
+"""A rung is passed with escapes above the first, by the lower end of Wilson's interval, and efficiency above the
+second."""
+
+STEP = 0.9, 0.1
+"""A learner steps between two neighbouring rungs where it falls from above the first efficiency to below the second."""
+MOST_CHANCE = 0.5
+"""Efficiency that random choices among the options must stay below."""
+
+
+def get_budget(rung: str) -> int:
+    """Primitives of a run on a rung, unless others are asked for."""
+    return BUDGETS.get(rung, BUDGET)
+
+
+class LadderSettings(NamedTuple):
+    """Numbers that may be changed; None for the protocol's own.
+
+    Attributes:
+        runs: training seeds in each room or set.
+        primitives: training budget of a run.
+        rooms: rooms of the test set: to learn in one by one, or to be tested in.
+        train_sizes: with all protocols but `per-instance`: numbers of training rooms, each a set of its own; in a tower
+            those of every floor.
+        eval_episodes: episodes in an evaluation.
+        observation: of every agent; by default `features` with `per-instance`, where nothing need carry over to
+            another room, unless an agent's network reads objects; else `objects`.
+        source: with `transfer`: rung to train on.
+        trials: with `few-shot`: in each room.
+        first_seed: lowest training seed.
+    """
+
+    runs: int = 10
+    primitives: int | None = None
+    rooms: int | None = None
+    train_sizes: tuple[int, ...] = (64,)
+    eval_episodes: int | None = None
+    observation: str | None = None
+    source: str | None = None
+    trials: int = 8
+    first_seed: int = 0
+
+
+def name_protocol(protocol: Protocol, source: str | None) -> str:
+    """Name of a protocol's folder, such as `generalise` or `transfer-from-chain`.
+
+    Raises:
+        ConfigError: `transfer` without a rung to train on, or another protocol with one.
+    """
+    if (protocol == "transfer") != (source is not None):
+        raise ConfigError("from", source, "the rung to train on with the protocol transfer, and with no other")
+    return protocol if source is None else f"{protocol}-from-{source}"
+
+
+def make_protocol_grid(bench: Benchmark, rung: str, protocol: Protocol, agents: Sequence[AgentSpec],
+                       settings: LadderSettings) -> Grid:
+    """Grid of a rung under a protocol.
+
+    Args:
+        bench: the benchmark.
+        rung: name of the rung.
+        protocol: see `Protocol`.
+        agents: to be compared.
+        settings: numbers to change.
+
+    Raises:
+        UnknownNameError: no such rung.
+        ConfigError: more rooms than the rung has, or a rung to train on that does not go with the protocol.
+    """
+    label = name_protocol(protocol, settings.source)
+    if protocol == "few-shot" and settings.trials < 2:
+        raise ConfigError("trials", settings.trials, "2 or more; with one it is the protocol generalise")
+    record, source = bench[rung].record, settings.source or rung
+    if settings.source == rung:
+        raise ConfigError("from", rung, f"another rung than {rung}; the protocol generalise trains and tests on one")
+    name, test = f"{bench.source}/{rung}", record.test.count
+    count = settings.rooms or (min(10, test) if protocol == "per-instance" else test)
+    if not 1 <= count <= test:
+        raise ConfigError("rooms", count, f"from 1 to {test}, the rooms of {name}/test")
+    primitives = settings.primitives or get_budget(source)
+    is_plain = protocol == "per-instance" and not any(agent.reads_objects for agent in agents)
+    observation = settings.observation or ("features" if is_plain else "objects")
+    if protocol == "per-instance":
+        return Grid(
+            name=f"{bench.name}-{rung}-per-instance", description=f"Each of {count} rooms of {name} from nothing.",
+            agents=tuple(agents), rooms=tuple(RoomSpec(set=f"{name}/test[{index}]") for index in range(count)),
+            runs=settings.runs, first_seed=settings.first_seed, primitives=primitives,
+            eval_every=max(1, primitives // EVALUATIONS),
+            eval_episodes=settings.eval_episodes or 20, observation=observation,
+        )
+    train, most = f"{bench.source}/{source}", bench[source].record.train.count
+    for size in settings.train_sizes:
+        if not 1 <= size <= most:
+            raise ConfigError("train_sizes", size, f"from 1 to {most}, the rooms of {train}/train")
+    tested = f"{count} others" if source == rung else f"{count} of {name}, without learning there"
+    return Grid(
+        name=f"{bench.name}-{rung}-{label}", description=f"Trained in rooms of {train}, tested in {tested}.",
+        agents=tuple(agents), train_rooms=tuple(f"{train}/train[:{size}]" for size in settings.train_sizes),
+        test_rooms=(f"{name}/test[:{count}]",), runs=settings.runs, first_seed=settings.first_seed,
+        primitives=primitives, eval_every=max(1, primitives // EVALUATIONS),
+        eval_episodes=settings.eval_episodes or count, observation=observation,
+        trials=settings.trials if protocol == "few-shot" else 1,
+    )
+
+
+def choose_floors(bench: Benchmark) -> tuple[str, ...]:
+    """Rungs, in order, whose robots have the primitives of the first rung's: the floors of the benchmark's tower."""
+    first, *_ = bench
+    return tuple(rung.name for rung in bench if rung.config.robot.actions == first.config.robot.actions)
+
+
+def make_tower_grid(bench: Benchmark, rungs: Sequence[str], agents: Sequence[AgentSpec], settings: LadderSettings
+                    ) -> Grid:
+    """Grid of rungs as the floors of one tower.
+
+    Args:
+        bench: the benchmark.
+        rungs: names of the floors, from the bottom to the top.
+        agents: to be compared.
+        settings: numbers to change; `trials` and `source` are of other protocols.
+
+    Raises:
+        UnknownNameError: no such rung.
+        ConfigError: fewer than two floors, one twice, more rooms than a rung has, or an agent that follows the numbers
+            of one room's options.
+    """
+    name_protocol(TOWER, settings.source)
+    records = [bench[rung].record for rung in rungs]
+    if len(rungs) < 2 or len(set(rungs)) < len(rungs):
+        raise ConfigError("rung", " ".join(rungs), "two or more with the protocol tower, each once")
+    followers = [agent.label for agent in agents if agent.name in (INDEX_ORDER, SHUFFLED_ROUND)]
+    if followers:
+        raise ConfigError("agents", followers[0], "one that does not follow the numbers of one room's options, which "
+                          "the floors of a tower have not in common")
+    count = settings.rooms or min(FLOOR_ROOMS, *(record.test.count for record in records))
+    for field, role, number in (("rooms", "test", count), *(("train_sizes", "train", n) for n in settings.train_sizes)):
+        most = min(getattr(record, role).count for record in records)
+        if not 1 <= number <= most:
+            raise ConfigError(field, number, f"from 1 to {most}, the rooms that {role} of every floor has")
+
+    def name_rooms(role: str, number: int) -> str:
+        return join_floors(f"{bench.source}/{rung}/{role}[:{number}]" for rung in rungs)
+
+    primitives = settings.primitives or max(map(get_budget, rungs))
+    return Grid(
+        name=f"{bench.name}-{TOWER}", description=f"A room of each of {len(rungs)} rungs of {bench.name} in an episode "
+        f"of {TOWER_HORIZON:,} primitives, from {rungs[0]} to {rungs[-1]}; tested in others than those trained in.",
+        agents=tuple(agents), train_rooms=tuple(name_rooms("train", size) for size in settings.train_sizes),
+        test_rooms=(name_rooms("test", count),), runs=settings.runs, first_seed=settings.first_seed,
+        primitives=primitives, eval_every=max(1, primitives // EVALUATIONS),
+        eval_episodes=settings.eval_episodes or count, observation=settings.observation or "objects",
+    )
+
+
+class RungStanding(NamedTuple):
+    """Result of one agent on one rung.
+
+    Attributes:
+        rung: name of the rung.
+        agent: its summary.
+        escapes: share of final test episodes that escaped, with Wilson's interval over all of them.
+        is_passed: the rung is passed, see `judge`.
+        units: efficiencies (runs,) of each room that was learned in, or of each run alone that was tested in others.
+        floors: number of floors of a tower, of which the escapes are the share climbed; 1 on a rung.
+    """
+
+    rung: str
+    agent: AgentSummary
+    escapes: tuple[float, float, float]
+    is_passed: bool
+    units: Scores
+    floors: int = 1
+
+
+def judge(agent: AgentSummary, episodes: int) -> tuple[tuple[float, float, float], bool]:
+    """Return the share of escapes with Wilson's interval over so many episodes, and whether the rung is passed.
+
+    It is with the interval's lower end at 0.9 or above and an interquartile mean of efficiency of 0.5 or above.
+    """
+    low, high = compute_wilson_interval(agent.success.value, episodes)
+    escapes = (agent.success.value, float(low), float(high))
+    return escapes, escapes[1] >= PASSED_ESCAPES and agent.efficiency.value >= PASSED_EFFICIENCY
+
+
+def list_standings(rung: str, summary: Summary) -> list[RungStanding]:
+    """RungStanding of every agent of a comparison on a rung."""
+    found, has_sets = [], bool(summary.grid.train_rooms)
+    floors = max(1 if room.place.split is None else len(list_sets(room.place.split.test)) for room in summary.rooms)
+    for agent in summary.agents:
+        rooms = summary.grid.eval_episodes if has_sets else 1  # episodes in one room are much alike
+        efficiencies = [room for room in agent.efficiencies if len(room)]
+        units = [run for room in efficiencies for run in np.split(room, len(room))] if has_sets else efficiencies
+        found.append(RungStanding(rung, agent, *judge(agent, agent.runs * rooms), units, floors))
+    return found
+
+
+def score_standings(standings: Iterable[RungStanding]) -> tuple[list[str], dict[str, Estimate]]:
+    """Rungs that every agent was run on, in order, and the ladder score of each agent over them, by label."""
+    by_rung: dict[str, dict[str, Scores]] = {}
+    for standing in standings:
+        by_rung.setdefault(standing.rung, {})[standing.agent.label] = standing.units
+    labels = list(dict.fromkeys(label for agents in by_rung.values() for label in agents))
+    common = [rung for rung, agents in by_rung.items() if len(agents) == len(labels)]
+    return common, {label: compute_ladder_score([by_rung[rung][label] for rung in common], np.random.default_rng(0))
+                    for label in labels if common}
+
+
+def find_miscalibration(chance: float, planner: float, is_stochastic: bool = False) -> list[str]:
+    """Faults of a rung, in words, by the efficiency of random choices among its options and of the planner.
+
+    Where moves err the planner is measured by its own expectation, from which a few episodes stray by 0.05 or less.
+    """
+    faults = [f"chance reaches {chance:.2f}, not below {MOST_CHANCE:g}"] if chance >= MOST_CHANCE else []
+    least = 0.95 if is_stochastic else 1.0
+    return faults + ([f"the planner reaches {planner:.2f}, not 1"] if planner < least else [])
+
+
+def find_steps(rows: Mapping[str, Mapping[str, float]], learners: Iterable[str]) -> dict[str, list[str]]:
+    """Find learners that fall from mastery to nothing from one rung to the next; the rungs between are missing.
+
+    Args:
+        rows: efficiency of each agent on each rung, the rungs in order.
+        learners: agents to look at.
+
+    Returns:
+        Faults of each rung, in words.
+    """
+    faults: dict[str, list[str]] = {rung: [] for rung in rows}
+    for (before, high), (after, low) in itertools.pairwise(rows.items()):
+        faults[after] += [f"{agent} falls from {high[agent]:.2f} on {before} to {low[agent]:.2f}"
+                          for agent in learners if high[agent] > STEP[0] and low[agent] < STEP[1]]
+    return faults

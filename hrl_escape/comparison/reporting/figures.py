@@ -1,0 +1,80 @@
+"""Figures of a comparison as SVG files, for papers and slides: the page's numbers, the same bytes each time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter
+
+from hrl_escape.comparison.reporting.agent_style import choose_styles
+from hrl_escape.comparison.summary import PROFILE, Summary
+from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.maps import make_map, save_figure
+
+__all__ = ["save_figures"]
+
+AXES = {"primitives": "primitives of training", "decisions": "decisions of training", "seconds": "seconds of training"}
+METRIC_LABELS = {"efficiency": "efficiency (IQM, 95 % interval)", "success": "episodes that escape",
+                 "score": "return score (IQM, 95 % interval)"}
+_STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9, "svg.hashsalt": "hrl-escape"}
+
+
+def save_figures(summary: Summary, folder: Path) -> None:
+    """Write learning curves, the performance profile and the rooms' maps.
+
+    Raises:
+        FileWriteError: a file cannot be written.
+    """
+    with matplotlib.rc_context(_STYLE):
+        for metric in METRIC_LABELS:
+            for against in AXES:
+                save_figure(folder / f"{metric}-against-{against}.svg", draw_curves(summary, metric, against))
+        save_figure(folder / "performance-profile.svg", draw_profile(summary))
+    for room in summary.rooms:
+        save_figure(folder / f"room-{room.instance.id}.svg", make_map(room.instance))
+
+
+def draw_curves(summary: Summary, metric: str, against: str) -> Figure:
+    """Learning curves over all rooms."""
+    figure, axes = _make_axes(AXES[against], METRIC_LABELS[metric])
+    for agent, look in zip(summary.agents, choose_styles([a.spec for a in summary.agents]), strict=True):
+        x = getattr(agent.curve, against)
+        middle, low, high = agent.curve.metrics[metric]
+        axes.fill_between(x, low, high, color=look.colour, alpha=0.14, linewidth=0)
+        axes.plot(x, middle, color=look.colour, linestyle="--" if look.is_dashed else "-", linewidth=1.8,
+                  label=agent.label)
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:,.0f}"))
+    _finish(axes)
+    return figure
+
+
+def draw_profile(summary: Summary) -> Figure:
+    """Share of runs above each efficiency."""
+    figure, axes = _make_axes("efficiency", "share of runs above")
+    for agent, look in zip(summary.agents, choose_styles([a.spec for a in summary.agents]), strict=True):
+        axes.step(PROFILE, agent.profile, where="post", color=look.colour, linewidth=1.8,
+                  linestyle="--" if look.is_dashed else "-", label=agent.label)
+    axes.set_ylim(-0.02, 1.04)
+    _finish(axes)
+    return figure
+
+
+def _make_axes(x: str, y: str) -> tuple[Figure, Axes]:
+    figure = Figure(figsize=(6.4, 3.6), facecolor=palette.BACKGROUND, layout="constrained")
+    axes = figure.add_subplot()
+    axes.set_xlabel(x, color=palette.INK)
+    axes.set_ylabel(y, color=palette.INK)
+    return figure, axes
+
+
+def _finish(axes: Axes) -> None:
+    axes.grid(axis="y", color="#e5dfd2", linewidth=0.8)
+    axes.set_axisbelow(True)
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+    axes.tick_params(colors=palette.MUTED, labelcolor=palette.INK)
+    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), frameon=False)

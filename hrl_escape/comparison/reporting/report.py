@@ -1,0 +1,301 @@
+"""The report of a comparison: one HTML page that needs no network, beside tables, figures and a Markdown summary.
+
+The page is `templates/report.html` filled by this module; its scripts draw the charts and
+play the replays from the data inside it. What the numbers mean is decided in `summary.py` and `verdict.py`.
+"""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import re
+import shlex
+from collections.abc import Sequence
+from importlib.resources import files
+from typing import Any
+
+import matplotlib
+import numpy as np
+from markupsafe import Markup, escape
+
+from hrl_escape.comparison.comparison import Comparison
+from hrl_escape.comparison.pairs import ALPHA, Pair
+from hrl_escape.comparison.reporting.agent_style import AgentStyle, choose_styles
+from hrl_escape.comparison.reporting.figures import save_figures
+from hrl_escape.comparison.reporting.page_data import MEDIAN, choose_replays, make_page_data
+from hrl_escape.comparison.reporting.tables import describe_place, format_first_escape, write_markdown, write_tables
+from hrl_escape.comparison.runs import get_room_file, get_training_folder
+from hrl_escape.comparison.statistics import compute_iqm
+from hrl_escape.comparison.summary import AgentSummary, RoomSummary, Summary, summarise
+from hrl_escape.comparison.verdict import find_leader, write_verdict
+from hrl_escape.env.drawing.maps import make_map
+from hrl_escape.files import write_text
+from hrl_escape.templates import embed_json, render_template
+
+__all__ = ["write_report"]
+
+PAGE = "report.html"
+SCRIPTS = ("chart.js", "replay.js", "page.js")
+BETTER, EVEN, WORSE = (0, 114, 178), (120, 110, 90), (213, 94, 0)
+"""Tints of the odds: blue above one half, orange below."""
+
+
+def write_report(comparison: Comparison, command: str) -> Summary:
+    """Write `report.html`, `summary.md`, `results.csv`, `curves.csv`, `timings.csv` and `figures/`.
+
+    Args:
+        comparison: what was run; its folder takes the files.
+        command: the command that makes it again.
+
+    Returns:
+        What the runs amount to.
+
+    Raises:
+        ComparisonError: no run has finished.
+        FileWriteError: a file cannot be written.
+        FileReadError: a record of episodes is missing or damaged.
+    """
+    summary = summarise(comparison)
+    write_tables(summary, comparison.out)
+    write_markdown(summary, write_verdict(summary), command, comparison.out / "summary.md")
+    save_figures(summary, comparison.out / "figures")
+    write_text(comparison.out / PAGE, make_page(comparison, summary, command))
+    return summary
+
+
+def make_page(comparison: Comparison, summary: Summary, command: str) -> str:
+    """The page as text."""
+    templates = files("hrl_escape.comparison.reporting") / "templates"
+    agent_styles = choose_styles([agent.spec for agent in summary.agents])
+    chips = {agent.label: _make_chip(agent, look) for agent, look in zip(summary.agents, agent_styles, strict=True)}
+    verdict = [(sentence.kind, _mark_agents(sentence.text, chips)) for sentence in write_verdict(summary)]
+    replays = choose_replays(comparison)
+    leader = find_leader(summary.agents)
+    hero = next((number for number, replay in enumerate(replays)
+                 if replay["agent"] == leader.label and MEDIAN in replay["kinds"]), None)
+    return render_template(
+        "hrl_escape.comparison.reporting", PAGE,
+        grid=summary.grid,
+        css=Markup((templates / "report.css").read_text(encoding="utf-8")),
+        script=Markup("\n".join((templates / name).read_text(encoding="utf-8") for name in SCRIPTS)),
+        data=embed_json(make_page_data(summary, agent_styles, replays)),
+        headline=verdict[0][1],
+        findings=[text for kind, text in verdict if kind == "finding"],
+        cautions=[text for kind, text in verdict if kind == "caution"],
+        hero="" if hero is None else hero,
+        viewings=[] if hero is None or leader.spec.is_reference else _list_viewings(comparison, replays[hero]),
+        hero_caption="" if hero is None else _describe_hero(replays[hero], chips[leader.label]),
+        facts=_list_facts(summary),
+        rows=[_make_row(agent, look, chips[agent.label], agent is leader)
+              for agent, look in zip(summary.agents, agent_styles, strict=True)],
+        by_room=_make_room_rows(summary, chips) if len(summary.rooms) > 1 else [],
+        odds=_make_odds(summary, chips),
+        rooms=[_describe_room(summary, number, agent_styles, chips) for number in range(len(summary.rooms))],
+        settings=_list_settings(summary),
+        versions=summary.versions.items(),
+        failures=[{"name": failure.run.name, "message": failure.message, "traceback": failure.traceback}
+                  for failure in comparison.failures],
+        command=command,
+    )
+
+
+# --- agents in words -------------------------------------------------------------------
+
+
+def _make_chip(agent: AgentSummary, look: AgentStyle) -> Markup:
+    style = f"--line:{look.colour};--text:{look.text}"
+    view = "flat" if look.is_dashed else "options"
+    return Markup('<span class="agent {}" style="{}">{}</span>').format(view, style, agent.label)
+
+
+def _mark_agents(text: str, chips: dict[str, Markup]) -> Markup:
+    """Escape a sentence and put agents' chips where their labels stand between backticks."""
+    parts = re.split(r"`([^`]*)`", text)
+    return Markup("").join(
+        chips.get(part, Markup("<code>{}</code>").format(part)) if number % 2 else escape(part)
+        for number, part in enumerate(parts)
+    )
+
+
+def _describe_hero(replay: dict[str, Any], chip: Markup) -> Markup:
+    return Markup("{}: its median episode at the end of training, {:,} primitives, return {:g}.").format(
+        chip, replay["primitives"], replay["return"])
+
+
+def _list_viewings(comparison: Comparison, replay: dict[str, Any]) -> list[str]:
+    """The commands that show a replay's run in 3D: with what it thinks, and as a page that plays offline."""
+    place = comparison.places[replay["room"]]
+    run = next(run for run, _ in comparison.runs if (run.agent.label, run.place_id, run.seed)
+               == (replay["agent"], place.id, replay["seed"]))
+    arguments = shlex.join([str(get_training_folder(comparison.out, run)),
+                            "--load", str(get_room_file(comparison.out, place.instance.id))])
+    flavour = run.agent.options.flavour
+    arguments += f" --flavour {flavour}" if run.agent.chooses_options and flavour != "press" else ""
+    return [f"hrl-escape watch {arguments}", f"hrl-escape record {arguments} --out escape.html"]
+
+
+def _describe_kind(agent: AgentSummary) -> str:
+    spec = agent.spec
+    if spec.leaves is not None:
+        actions = f"synthesised hierarchy, {spec.leaves} leaves; privileged: {', '.join(spec.privileges)}"
+    elif not spec.chooses_options:
+        actions = "primitives only"
+    else:
+        actions = "options and primitives" if spec.options.include_primitives else "options only"
+        actions += ", with ancestors" if spec.options.flavour != "press" else ""
+    chance = "reference, " if spec.is_reference else "" if spec.learns else "chance, "
+    return chance + actions + (f", recipe {spec.recipe}" if spec.recipe != "corrected" else "")
+
+
+# --- tables ----------------------------------------------------------------------------
+
+
+def _list_facts(summary: Summary) -> list[tuple[str, str]]:
+    grid = summary.grid
+    hours = sum(agent.seconds * agent.runs for agent in summary.agents)
+    return [
+        ("agents", str(len(grid.agents))),
+        ("rooms", str(len(summary.rooms))),
+        ("runs each", str(grid.runs)),
+        ("training budget", f"{grid.primitives:,} primitives"),
+        ("evaluated", f"every {grid.evaluation_step:,}, {grid.eval_episodes} episodes"),
+        ("training time, all runs", _format_seconds(hours)),
+    ]
+
+
+def _make_row(agent: AgentSummary, look: AgentStyle, chip: Markup, leads: bool) -> dict[str, Any]:
+    low, high = (100 * min(max(end, 0.0), 1.0) for end in (agent.efficiency.low, agent.efficiency.high))
+    failed = f", {agent.failed} failed" if agent.failed else ""
+    return {
+        "chip": chip,
+        "kind": _describe_kind(agent) + failed,
+        "leads": leads,
+        "efficiency": f"{agent.efficiency.value:.3f}",
+        "interval": f"{agent.efficiency.low:.3f} to {agent.efficiency.high:.3f}",
+        "progress": f"{agent.progress.value:.2f}",
+        "score": f"{agent.score.value:.3f}",
+        "low": f"{min(low, 99):.2f}",
+        "width": f"{max(high - low, 0):.2f}",
+        "colour": look.colour,
+        "seen": "" if agent.seen is None else f"{agent.seen.value:.3f}",
+        "success": f"{agent.success.value:.0%}",
+        "wilson": f"{agent.success.low:.0%} to {agent.success.high:.0%}",
+        "length": f"{agent.length.value:,.0f}",
+        "area": f"{agent.area.value:.3f}",
+        "first_escape": format_first_escape(agent),
+        "stuck": f"{round(agent.stuck * agent.runs)} of {agent.runs}",
+        "options_gap": f"{agent.gap.options:.3f}",
+        "learning_gap": f"{agent.gap.learning:.3f}",
+        "settings": [(name, json.dumps(value)) for name, value in agent.settings.items()],
+        "cost": f"{agent.decisions:,.0f} decisions, {agent.planner_calls:,.0f} planner calls and "
+                f"{_format_seconds(agent.seconds)} of training a run, {_format_seconds(agent.planner_seconds)} of it "
+                "in planners",
+    }
+
+
+def _make_room_rows(summary: Summary, chips: dict[str, Markup]) -> list[dict[str, Any]]:
+    rows = []
+    for agent in summary.agents:
+        cells = []
+        for room, scores in zip(summary.rooms, agent.efficiencies, strict=True):
+            if not len(scores):
+                cells.append({"text": "-", "style": "", "title": f"{agent.label} has no result in {room.name}"})
+                continue
+            score = float(compute_iqm([scores]))
+            runs = ", ".join(f"{value:.3f}" for value in sorted(scores))
+            cells.append({"text": f"{score:.3f}", "style": _tint(BETTER, min(max(score, 0), 1)),
+                          "title": f"{agent.label} in {room.name}: {runs}"})
+        rows.append({"chip": chips[agent.label], "cells": cells})
+    return rows
+
+
+def _make_odds(summary: Summary, chips: dict[str, Markup]) -> list[dict[str, Any]]:
+    rows = []
+    for first, odds in zip(summary.agents, summary.pairs, strict=True):
+        cells = [
+            {"text": "", "style": "", "title": ""} if first is second else _make_odds_cell(first, second, pair)
+            for second, pair in zip(summary.agents, odds, strict=True)
+        ]
+        rows.append({"chip": chips[first.label], "short": first.label, "cells": cells})
+    return rows
+
+
+def _make_odds_cell(first: AgentSummary, second: AgentSummary, pair: Pair) -> dict[str, Any]:
+    odds, gain = pair.improvement, pair.difference
+    tint = _tint(BETTER if odds.value > 0.5 else WORSE if odds.value < 0.5 else EVEN, abs(odds.value - 0.5) * 2)
+    return {
+        "text": f"{odds.value:.2f}",
+        "style": tint + (";font-weight:700" if pair.p < ALPHA else ""),
+        "title": f"{first.label} above {second.label} in {odds.value:.3f} of {pair.count} pairs; difference of "
+                 f"efficiency {gain.value:+.3f} ({gain.low:+.3f} to {gain.high:+.3f}), corrected p {pair.p:.3g}",
+    }
+
+
+def _tint(colour: tuple[int, int, int], strength: float) -> str:
+    red, green, blue = colour
+    return f"background:rgba({red},{green},{blue},{0.05 + 0.3 * strength:.2f})"
+
+
+def _list_settings(summary: Summary) -> list[tuple[str, str]]:
+    grid = summary.grid
+    last = grid.first_seed + grid.runs - 1
+    rows = [
+        ("agents", ", ".join(agent.label for agent in grid.agents)),
+        ("training seeds", f"{grid.first_seed} to {last}" if grid.runs > 1 else f"{last}"),
+        ("training budget of a run", f"{grid.primitives:,} primitives"),
+        ("evaluation", f"every {grid.evaluation_step:,} primitives, {grid.eval_episodes} episodes with frozen weights; "
+                       "the same episodes for every agent, others for each training seed"),
+        ("observation", grid.observation),
+    ]
+    for room in summary.rooms:
+        rows.append((f"room {room.name}", f"{describe_place(room.place)}; best known escape {room.fewest:g} "
+                                          f"primitives, return {room.best:g}, found by {room.source}; worst return "
+                                          f"{room.worst:g}"))
+    return rows
+
+
+# --- rooms -----------------------------------------------------------------------------
+
+
+def _describe_room(summary: Summary, number: int, agent_styles: Sequence[AgentStyle], chips: dict[str, Markup]
+                   ) -> dict[str, Any]:
+    room = summary.rooms[number]
+    instance = room.instance
+    ranks = [
+        {"chip": chips[agent.label], "score": f"{score:.3f}", "width": f"{100 * min(max(score, 0), 1):.1f}",
+         "colour": look.colour, "rank": -score}
+        for agent, look in zip(summary.agents, agent_styles, strict=True) if len(agent.efficiencies[number])
+        for score in [float(compute_iqm([agent.efficiencies[number]]))]
+    ]
+    puzzle = instance.puzzle
+    edges = [f"{puzzle.target_names[a]} before {puzzle.target_names[b]}" for a, b in puzzle.edges]
+    words = [f"{2 * instance.half_width:g} \N{MULTIPLICATION SIGN} {2 * instance.half_depth:g} m"]
+    words += [", ".join(edges)] if 0 < len(edges) <= 6 else []
+    ends = ("" if np.isnan(room.best) else
+            f" The best known escape takes {room.fewest:g} primitives ({room.source}).")
+    return {
+        "name": room.name,
+        "id": instance.id,
+        "words": f"{'; '.join(words)}.{ends}{_describe_split(room)}",
+        "picture": _embed_picture(instance),
+        "ranks": sorted(ranks, key=lambda row: row["rank"]),
+    }
+
+
+def _describe_split(room: RoomSummary) -> str:
+    return "" if room.place.split is None else f" One of the rooms tested in: {describe_place(room.place)}."
+
+
+def _embed_picture(instance: Any) -> str:
+    content = io.BytesIO()
+    with matplotlib.rc_context({"svg.hashsalt": "hrl-escape", "svg.fonttype": "path"}):
+        make_map(instance).savefig(content, format="svg", metadata={"Date": None}, bbox_inches="tight", pad_inches=0.05)
+    return f"data:image/svg+xml;base64,{base64.b64encode(content.getvalue()).decode()}"
+
+
+def _format_seconds(seconds: float) -> str:
+    if seconds < 100:
+        return f"{seconds:.1f} s" if seconds < 10 else f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 100 else f"{minutes / 60:.1f} h"

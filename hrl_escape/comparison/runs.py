@@ -1,0 +1,354 @@
+"""One run of a comparison: make the room, train the agent, keep its numbers and its last episodes.
+
+`execute_run` leaves `run_result.json` once everything else is on disk, so a folder that has it is finished.
+Which runs there are is `grid.py`; starting and watching them is `local.py`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate, evaluate_trials
+from hrl_escape.agents.training.results import TrainResult
+from hrl_escape.comparison.episodes import StateRecorder, find_recorder, record_episode
+from hrl_escape.comparison.grid import AgentSpec, GridRun
+from hrl_escape.comparison.places import RoomSchedule, RunPlace, Split
+from hrl_escape.comparison.probes.solved_probe import Solution, SolvedProbe
+from hrl_escape.comparison.references import make_reference
+from hrl_escape.comparison.score_range import ScoreRange, compute_score_range
+from hrl_escape.comparison.statistics import compute_final, compute_mean_efficiency
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import EscapeError, FileReadError, describe_damage
+from hrl_escape.files import read_json, write_json
+from hrl_escape.ladder.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
+from hrl_escape.ladder.instance_set import InstanceSet
+from hrl_escape.ladder.sequence import SequenceEnv, compute_floor_seed
+from hrl_escape.ladder.tower import Rooms, Tower, list_sets
+from hrl_escape.settings import read_record
+from hrl_escape.synthesis.kinds import find_kind
+from hrl_escape.version import __version__, find_versions
+
+__all__ = ["RunResult", "execute_run", "get_room_file", "get_run_folder", "get_training_folder", "make_env",
+           "read_episodes", "load_run_result"]
+
+@dataclass(frozen=True)
+class RunResult:
+    """Result of one run; its `GridRun` says which.
+
+    Attributes:
+        budget: primitives it was to train for; those it did train for where it ended early.
+        primitives: trained for; a last option may carry it beyond the budget.
+        decisions: trained for.
+        episodes: trained for.
+        planner_calls: behind options, in training.
+        first_escape: primitives at the end of the first training episode that escaped; None if none did. A
+            reference's are counted from its first evaluation episode.
+        evaluations: the first before training, the last after it; of a reference, one.
+        solution: course towards the solution, in grids with `until_solved`.
+        seconds: of training when each evaluation was made; left out of comparisons.
+        score_range: best known and worst results, by which its scores are measured.
+        planner_seconds: of training, in planners; left out of comparisons.
+        versions: of the packages that made it; left out of comparisons.
+        seen: last evaluation in rooms that were trained in, where others were tested in.
+        seen_range: its scale.
+        trials: where rooms are tried several times, the evaluation of each trial at the end, over all test rooms.
+        trial_ranges: their scales.
+    """
+
+    budget: int
+    primitives: int
+    decisions: int
+    episodes: int
+    planner_calls: int
+    first_escape: int | None
+    evaluations: tuple[Evaluation, ...]
+    score_range: ScoreRange
+    solution: Solution | None
+    seconds: tuple[float, ...] = dataclasses.field(compare=False)
+    planner_seconds: float = dataclasses.field(compare=False)
+    versions: Mapping[str, str] = dataclasses.field(compare=False)
+    seen: Evaluation | None = None
+    seen_range: ScoreRange | None = None
+    trials: tuple[Evaluation, ...] = ()
+    trial_ranges: tuple[ScoreRange, ...] = ()
+
+    @classmethod
+    def make(cls, budget: int, result: TrainResult, score_range: ScoreRange, solution: Solution | None) -> RunResult:
+        """Sum up a finished training run."""
+        return cls(
+            budget, result.primitives, result.decisions, len(result.episodes), result.planner_calls,
+            result.first_escape, result.evaluations, score_range, solution,
+            tuple(result.curve(against="seconds")[0].tolist()), result.planner_seconds, list_versions(),
+        )
+
+    @classmethod
+    def make_reference(cls, budget: int, evaluation: Evaluation, score_range: ScoreRange) -> RunResult:
+        """Sum up the evaluation of a reference."""
+        waited = np.cumsum(evaluation.lengths)
+        escapes = [int(at) for at, success in zip(waited, evaluation.successes, strict=True) if success]
+        return cls(budget, 0, 0, 0, 0, escapes[0] if escapes else None, (evaluation,), score_range, None, (0.0,), 0.0,
+                   list_versions())
+
+    def get_curve(self, metric: str) -> NDArray[np.float64]:
+        """`primitives`, `decisions`, `seconds`, `efficiency` or a mean of `Evaluation`, at every evaluation."""
+        if metric == "seconds":
+            return np.array(self.seconds)
+        if metric == "efficiency":
+            return np.array([_compute_efficiency(found, self.score_range) for found in self.evaluations])
+        return np.array([getattr(evaluation, metric) for evaluation in self.evaluations], dtype=np.float64)
+
+    @property
+    def seen_efficiency(self) -> float | None:
+        """Efficiency at the end in rooms that were trained in; None without others to be tested in."""
+        if self.seen is None or self.seen_range is None:
+            return None
+        return _compute_efficiency(self.seen, self.seen_range)
+
+    @property
+    def trial_efficiencies(self) -> NDArray[np.float64]:
+        """Efficiency at the first, second, ... trial in rooms not seen before; empty without trials."""
+        return np.array([_compute_efficiency(*scored) for scored in zip(self.trials, self.trial_ranges, strict=True)])
+
+    def get_final(self, metric: str) -> float:
+        """Mean of a curve over the last fifth of the budget; see `compute_final`."""
+        return compute_final(self.get_curve("primitives"), self.get_curve(metric), self.budget)
+
+    @property
+    def is_stuck(self) -> bool:
+        """No evaluation episode succeeded in the last fifth of the budget."""
+        return self.get_final("success_rate") == 0.0
+
+
+def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange) -> float:
+    return compute_mean_efficiency(evaluation.successes, evaluation.lengths, score_range.fewest,
+                                   score_range.is_expected)
+
+
+def make_env(agent: AgentSpec, rooms: RoomInstance | Rooms, observation: str,
+             schedule: Mapping[str, int] | None = None, common: CommonSpaces | None = None, trials: int = 1
+             ) -> tuple[gymnasium.Env, StateRecorder]:
+    """The environment an agent acts in, and the recorder inside it; in a tower the one on the lowest floor.
+
+    Args:
+        agent: of the comparison.
+        rooms: one room, a set of which every episode draws one, or a tower.
+        observation: by name.
+        schedule: numbers of episodes by their seeds. They go round a set, or the set of every floor; see
+            `RoomSchedule`.
+        common: spaces to show it in, together with rooms of another schematic.
+        trials: in the same room, an episode; see `SequenceEnv`.
+    """
+    import hrl_escape  # noqa: F401  # registers the environment
+
+    schedule = schedule or {}
+    if isinstance(rooms, Tower):
+        (first, recorder), *above = (
+            make_env(agent, floor, observation,
+                     {str(compute_floor_seed(int(seed), level)): number for seed, number in schedule.items()}, common)
+            for level, floor in enumerate(rooms.floors))
+        return SequenceEnv(first, then=[floor for floor, _ in above]), recorder
+    if isinstance(rooms, InstanceSet):
+        flat = RoomSchedule(rooms.make_env(observation=observation),
+                            {seed: number % len(rooms) for seed, number in schedule.items()})
+    else:
+        flat = gymnasium.make("hrl_escape/EscapeRoom-v1", instance=rooms, observation=observation,
+                              disable_env_checker=True)
+    recorder = StateRecorder(flat)
+    if agent.leaves is not None:
+        from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
+
+        return HierarchyEnv(recorder, find_kind(agent.name), agent.leaves), recorder
+    env = _add_options(agent, recorder, trials) if agent.chooses_options else _add_trials(recorder, trials)
+    return (env if common is None else CommonSpacesEnv(env, *common)), recorder
+
+
+def _add_trials(env: gymnasium.Env, trials: int) -> gymnasium.Env:
+    return env if trials == 1 else SequenceEnv(env, trials)
+
+
+def _add_options(agent: AgentSpec, recorder: StateRecorder, trials: int) -> gymnasium.Env:
+    from hrl_escape.options.memory import DecisionMemory
+    from hrl_escape.options.options_env import OptionsEnv  # brings the planners in
+
+    arguments = agent.options.to_dict()
+    has_memory = arguments.pop("memory")
+    env = _add_trials(OptionsEnv(recorder, trace=agent.needs_trace, **arguments), trials)
+    return DecisionMemory(env) if has_memory else env
+
+
+def _find_common_spaces(agent: AgentSpec, split: Split, observation: str) -> CommonSpaces | None:
+    """Spaces of rooms to train in and to be tested in together; None where they are the same already."""
+    if not split.is_transfer or (agent.is_reference and not isinstance(split.test, Tower)):
+        return None
+    envs = [make_env(agent, rooms, observation)[0] for rooms in split.sets]
+    try:
+        return join_spaces(envs)
+    finally:
+        for env in envs:
+            env.close()
+
+
+def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
+    """Bring a run to its end, from where it was last stopped.
+
+    Args:
+        run: the run.
+        out: the comparison's folder; it holds the room.
+        checkpoint_seconds: between checkpoints of the training run.
+    """
+    folder, place = get_run_folder(out, run), RunPlace.load(out / "rooms", run.place_id)
+    agent, grid = run.agent, run.grid
+    seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(grid.eval_episodes)]
+    order = {str(seed): n for n, seed in enumerate(seeds)}
+    common = _find_common_spaces(agent, place.split, grid.observation) if place.split else None
+    rooms = place.split.test if place.split else place.instance
+    floors = 1 if isinstance(rooms, RoomInstance) else len(list_sets(rooms))
+    env, recorder = make_env(agent, rooms, grid.observation, order, common)
+    try:
+        score_range = compute_score_range(_find_starts(env, recorder, seeds), agent, out / "references", floors)
+        if agent.is_reference:
+            player: Agent = make_reference(agent.name, env, recorder)
+            evaluation = evaluate(player, env, len(seeds), run.eval_seed, grid.primitives, trials=floors)
+            value = RunResult.make_reference(grid.primitives, evaluation, score_range)
+        elif place.split is None:
+            player, value = _train(run, out, env, env, place, score_range, checkpoint_seconds)
+        else:
+            player, value = _train_in_set(run, out, env, place, common, score_range, checkpoint_seconds)
+        if grid.trials > 1 and place.split is not None:
+            value = _try_several_times(run, out, player, place.split, common, order, value)
+        drawn = seeds if place.split is None else seeds[:: len(place.split.test)]  # those in the room in pictures
+        episodes = [] if floors > 1 else [record_episode(player, env, recorder, seed) for seed in drawn]
+    finally:
+        env.close()
+    write_json(folder / "episodes.json", episodes, indent=None)
+    write_json(folder / "run_result.json", {"identity": run.identity, "result": dataclasses.asdict(value)}, indent=None)
+
+
+def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPlace, common: CommonSpaces | None,
+                  score_range: ScoreRange, checkpoint_seconds: float) -> tuple[Agent, RunResult]:
+    """Train in one set of rooms, with evaluations in another, and evaluate in rooms of the first at the end."""
+    assert place.split is not None
+    seeds = [compute_episode_seed(run.eval_seed, "evaluation", n) for n in range(run.grid.eval_episodes)]
+    order, floors = {str(seed): n for n, seed in enumerate(seeds)}, len(list_sets(place.split.train))
+    env, _ = make_env(run.agent, place.split.train, run.grid.observation, common=common, trials=run.grid.trials)
+    again, again_recorder = make_env(run.agent, place.split.train, run.grid.observation, order, common)
+    try:
+        agent, value = _train(run, out, env, eval_env, place, score_range, checkpoint_seconds)
+        starts = _find_starts(again, again_recorder, seeds)
+        seen_range = compute_score_range(starts, run.agent, out / "references", floors)
+        seen = evaluate(agent, again, len(seeds), run.eval_seed, value.primitives, value.decisions, trials=floors)
+    finally:
+        env.close()
+        again.close()
+    return agent, dataclasses.replace(value, seen=seen, seen_range=seen_range)
+
+
+def _try_several_times(run: GridRun, out: Path, player: Agent, split: Split, common: CommonSpaces | None,
+                       order: Mapping[str, int], value: RunResult) -> RunResult:
+    """Evaluate every trial of episodes with several in the rooms to be tested in."""
+    trials, starts = run.grid.trials, []
+    env, recorder = make_env(run.agent, split.test, run.grid.observation, order, common, trials)
+    room: Any = env.unwrapped
+    if run.agent.is_reference:
+        player = make_reference(run.agent.name, env, recorder)
+    try:
+        found = evaluate_trials(
+            player, env, run.grid.eval_episodes, trials, run.eval_seed, value.primitives, value.decisions,
+            lambda: starts.append([(room.instance, state) for state in recorder.starts]))
+    finally:
+        env.close()
+    ranges = tuple(compute_score_range(trial, run.agent, out / "references") for trial in zip(*starts, strict=True))
+    return dataclasses.replace(value, trials=found, trial_ranges=ranges)
+
+
+def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env, place: RunPlace,
+           score_range: ScoreRange, checkpoint_seconds: float) -> tuple[Agent, RunResult]:
+    from hrl_escape.agents.training.train import train
+
+    rule = run.grid.until_solved
+    probe = None if rule is None else SolvedProbe(rule, env, place.instance, run.agent, score_range)
+    result = train(
+        run.agent.name, env, primitives=run.grid.primitives, decisions=run.grid.decisions, seed=run.seed,
+        settings=run.settings, eval_env=eval_env, eval_every=run.grid.evaluation_step,
+        eval_episodes=run.grid.eval_episodes, eval_seed=run.eval_seed, out=get_training_folder(out, run),
+        checkpoint_seconds=checkpoint_seconds, progress=False, probe=probe,
+        eval_trials=1 if place.split is None else len(list_sets(place.split.test)),
+    )
+    assert result.agent is not None, "a run that this process finished or loaded has its agent"
+    solution = None if probe is None else probe.solution
+    budget = min(run.grid.primitives, result.primitives)
+    return result.agent, RunResult.make(budget, result, score_range, solution)
+
+
+def _find_starts(env: gymnasium.Env, recorder: StateRecorder, seeds: Sequence[int]
+                 ) -> list[tuple[RoomInstance, RoomState]]:
+    """Room and first state of the episodes of these seeds; of a tower those of every floor."""
+    if isinstance(env, SequenceEnv):
+        return [start for seed in seeds for level, floor in enumerate(env.floors)
+                for start in _find_starts(floor, find_recorder(floor), [compute_floor_seed(seed, level)])]
+    room: Any = env.unwrapped
+    starts = []
+    for seed in seeds:
+        env.reset(seed=seed)
+        starts.append((room.instance, recorder.states[0]))
+    return starts
+
+
+def load_run_result(out: Path, run: GridRun) -> RunResult | None:
+    """The result of a finished run, or None if it is not finished.
+
+    Raises:
+        FileReadError: the file is damaged or belongs to another run.
+    """
+    path = get_run_folder(out, run) / "run_result.json"
+    if not path.exists():
+        return None
+    value = read_json(path, "result of a run")
+    try:
+        if value["identity"] != run.identity:
+            raise FileReadError(f"{path}: this result belongs to another run than its folder's name says")
+        return read_record(RunResult, value["result"])
+    except FileReadError:
+        raise
+    except (EscapeError, KeyError, TypeError, AttributeError) as error:
+        raise FileReadError(f"{path}: this result of a run is damaged ({describe_damage(error)})") from error
+
+
+def read_episodes(out: Path, run: GridRun) -> list[dict[str, Any]]:
+    """The recorded episodes of a finished run; see `record_episode`.
+
+    Raises:
+        FileReadError: the file is missing or damaged.
+    """
+    return read_json(get_run_folder(out, run) / "episodes.json", "record of episodes")
+
+
+def list_versions() -> dict[str, str]:
+    """Versions of what decides the numbers."""
+    return {"python": platform.python_version(), "hrl-escape": __version__, **find_versions()}
+
+
+def get_run_folder(out: Path, run: GridRun) -> Path:
+    """Folder of a run's files."""
+    return out / "runs" / run.folder
+
+
+def get_training_folder(out: Path, run: GridRun) -> Path:
+    """Folder of a run's training: log, checkpoint and result."""
+    return get_run_folder(out, run) / "training"
+
+
+def get_room_file(out: Path, instance_id: str) -> Path:
+    """File of a room."""
+    return out / "rooms" / f"{instance_id}.json"

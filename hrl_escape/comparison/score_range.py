@@ -1,0 +1,139 @@
+"""Ends of the scales of a comparison: best known and worst returns, and the fewest primitives known for an escape.
+
+Each is computed for the starts of a run's evaluation episodes, by the planners (`planning.best_known`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import EscapeError
+from hrl_escape.files import read_json, write_json
+from hrl_escape.version import __version__
+
+__all__ = ["CEILING", "PLANNER", "ScoreRange", "compute_score_range"]
+
+PLANNER, CEILING = "planner", "ceiling"
+
+
+@dataclass(frozen=True)
+class ScoreRange:
+    """Best known and worst results of a run's evaluation episodes.
+
+    Attributes:
+        worst: return of an episode without escape.
+        starts: pose at the start of each episode: x, y (m), heading (turn steps, and rad beyond them); where rooms
+            differ, also a number that tells them apart.
+        best: best known return of each.
+        reachable: best known return of each by the actions the agent has.
+        fewest: primitives of the best known escape of each, or their expectation.
+        fewest_reachable: the same by the actions the agent has; None where they cannot escape.
+        is_expected: best and fewest are means over rollouts of the planner in rooms with noise or slip; an episode can
+            do better by luck.
+        source: what found `best` and `fewest`: `planner`, or `ceiling` where no plan is known and an escape
+            by the first primitive stands for it.
+    """
+
+    worst: float
+    starts: tuple[tuple[float, ...], ...]
+    best: tuple[float, ...]
+    reachable: tuple[float, ...]
+    fewest: tuple[float, ...]
+    fewest_reachable: tuple[float | None, ...]
+    source: str
+    is_expected: bool = False
+
+
+def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent: AgentSpec, cache: Path,
+                        floors: int = 1) -> ScoreRange:
+    """Compute the range for episodes that begin in these states of these rooms.
+
+    Args:
+        starts: room and first state of each episode.
+        agent: says which actions there are.
+        cache: folder that keeps what planners have found, for other runs.
+        floors: of a tower, on each of which a part of an episode begins; all share the horizon.
+    """
+    is_limited = agent.chooses_options and not agent.options.include_primitives
+    ends = [_find_ends(*start, agent.options.flavour if is_limited else None, cache) for start in starts]
+    instance = starts[0][0]
+    worst = instance.horizon * instance.reward.step / floors
+    several = len({room.id for room, _ in starts}) > 1
+    poses = tuple((state.x, state.y, state.heading_steps, state.heading_offset,
+                   *((float(int(room.digest[:12], 16)),) if several else ())) for room, state in starts)
+    if any(end is None for end in ends):
+        reward = instance.reward
+        at_once = (reward.exit if reward.exit_replaces_step else reward.step + reward.exit,) * len(starts)
+        ones = (1,) * len(starts)
+        return ScoreRange(worst, poses, at_once, at_once, ones, ones, CEILING)
+    best, fewest, reachable, fewest_reachable = zip(*(end for end in ends if end), strict=True)
+    return ScoreRange(worst, poses, best, reachable, fewest, fewest_reachable, PLANNER,
+                      any(_has_noise(room) for room, _ in starts))
+
+
+def _has_noise(instance: RoomInstance) -> bool:
+    """Return whether scales are expectations."""
+    return instance.dynamics.is_random and instance.dynamics.kind == "kinematic"
+
+
+Ends = tuple[float, float, float, "float | None"]
+"""Best known return and its primitives; the same by the options alone, whose escape may be None."""
+
+
+def _find_ends(instance: RoomInstance, state: RoomState, flavour: str | None, cache: Path) -> Ends | None:
+    """Best known results from one state, from the cache if it has them; None where no planner knows an escape.
+
+    Args:
+        instance: the room.
+        state: first of an episode.
+        flavour: of the options, where they are the only actions.
+        cache: see `compute_score_range`.
+    """
+    start = [__version__, flavour, state.x, state.y, state.heading_steps, state.heading_offset, state.joint_steps]
+    if _has_noise(instance):
+        start.append("expected")
+    path = cache / instance.id / f"{hashlib.sha256(json.dumps(start).encode()).hexdigest()[:12]}.json"
+    if path.exists():
+        with contextlib.suppress(EscapeError, TypeError, LookupError, ValueError):  # damaged: computed again
+            known = read_json(path, "best known results")["ends"]
+            if known is None:
+                return None
+            best, fewest, reachable, few = known
+            return float(best), float(fewest), float(reachable), None if few is None else float(few)
+    ends = _compute_ends(instance, state, flavour)
+    write_json(path, {"start": start, "ends": ends}, indent=None)
+    return ends
+
+
+def _compute_ends(instance: RoomInstance, state: RoomState, flavour: str | None) -> Ends | None:
+    from hrl_escape.options.best_with_options import find_best_with_options  # these bring the planners in
+    from hrl_escape.planning.best_known import find_best_known
+
+    worst = instance.horizon * instance.reward.step
+    try:
+        known = find_best_known(instance, state)
+    except EscapeError:  # a puzzle that planners cannot do
+        return None
+    if known.primitives is None or known.value <= worst:
+        return None
+    reachable = known if flavour is None else find_best_with_options(instance, state, flavour)
+    ends = known.value, known.primitives, reachable.value, reachable.primitives if reachable.value > worst else None
+    return _expect(instance, state, ends) if _has_noise(instance) else ends
+
+
+def _expect(instance: RoomInstance, state: RoomState, ends: Ends) -> Ends:
+    """Ends under noise: the planner's by rollouts, those by the options alone as far behind as without noise."""
+    from hrl_escape.planning.best_known import compute_expected_escape
+
+    best, fewest, reachable, fewest_reachable = ends
+    value, primitives, _ = compute_expected_escape(instance, state)
+    return (value, primitives, value - (best - reachable),
+            None if fewest_reachable is None else primitives * fewest_reachable / fewest)

@@ -1,0 +1,306 @@
+"""Verdict of a comparison in plain words, as far as its runs support it.
+
+Pure functions from a `Summary` to sentences. One agent is called better than another only where a paired
+test says so after correction for all pairs of agents (`pairs.py`). Labels of agents stand between backticks.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from hrl_escape.comparison import references
+from hrl_escape.comparison.grid import AgentSpec, OptionsView
+from hrl_escape.comparison.pairs import FEWEST_PAIRS, is_better
+from hrl_escape.comparison.score_range import CEILING, PLANNER
+from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.comparison.summary import AgentSummary, Summary
+from hrl_escape.names import join_words
+
+__all__ = ["Sentence", "count_things", "find_leader", "tell_privileges", "write_verdict"]
+
+SETTLED = 0.9
+"""From this share of escapes on, it is said how many primitives an escape takes."""
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """Sentence of the verdict.
+
+    Attributes:
+        kind: the headline, a finding that supports it, or a caution.
+        text: plain words; labels of agents between backticks.
+    """
+
+    kind: Literal["headline", "finding", "caution"]
+    text: str
+
+
+def write_verdict(summary: Summary) -> list[Sentence]:
+    """Write the verdict: one headline, then findings, then cautions."""
+    findings = [*_compare_views(summary), *_compare_with_chance(summary), *_compare_with_index_order(summary),
+                *_describe_generalisation(summary), *_describe_trials(summary), *_describe_speed(summary),
+                *_describe_gap(summary), *_describe_stuck(summary), *_describe_better_ways(summary)]
+    return [Sentence("headline", _write_headline(summary)), *(Sentence("finding", text) for text in findings),
+            *(Sentence("caution", text) for text in _write_cautions(summary))]
+
+
+def find_leader(agents: Sequence[AgentSummary]) -> AgentSummary:
+    """Most efficient agent; the planner that knows the room only where it is alone."""
+    contenders = [agent for agent in agents if agent.spec.name != references.PLANNER] or agents
+    return max(contenders, key=lambda agent: agent.efficiency.value)
+
+
+def _beats(summary: Summary, first: AgentSummary, second: AgentSummary) -> bool:
+    return is_better(summary.get_pair(first, second))
+
+
+# --- headline --------------------------------------------------------------------------
+
+
+def _write_headline(summary: Summary) -> str:
+    contenders = [agent for agent in summary.agents if agent.spec.name != references.PLANNER]
+    leader = find_leader(summary.agents)
+    if leader.success.value == 0:
+        return f"Nobody escapes within {summary.grid.primitives:,} primitives of training."
+    if len(contenders) < 2:
+        return f"`{leader.label}` {_describe_escapes(leader)}."
+    level = [agent for agent in contenders if agent is not leader and not _beats(summary, leader, agent)]
+    if min(summary.get_pair(leader, agent).count for agent in contenders if agent is not leader) < FEWEST_PAIRS:
+        return (f"`{leader.label}` is most efficient, but {count_things(leader.fewest_runs, 'run')} a room "
+                f"{'is' if leader.fewest_runs == 1 else 'are'} too few to be sure.")
+    if not leader.spec.learns and not level:
+        return f"Nothing that learns beats `{leader.label}`, which {_describe_escapes(leader)}."
+    if not level:
+        return f"`{leader.label}` is best: it {_describe_escapes(leader)}."
+    if len(level) > 1:
+        return f"No clear winner: `{leader.label}` is ahead, but not clearly of {count_things(len(level), 'other')}."
+    return f"`{leader.label}` and `{level[0].label}` cannot be told apart; the first {_describe_escapes(leader)}."
+
+
+def _describe_escapes(agent: AgentSummary) -> str:
+    """`escapes every time, in 37 primitives`."""
+    if agent.success.value == 0:
+        return "never escapes"
+    if agent.success.value < SETTLED:
+        return f"escapes in {agent.success.value:.0%} of episodes"
+    often = "every time" if agent.success.value == 1 else f"in {agent.success.value:.1%} of episodes"
+    return f"escapes {often}, in {agent.length.value:.0f} primitives"
+
+
+# --- findings --------------------------------------------------------------------------
+
+
+def _compare_views(summary: Summary) -> list[str]:
+    """With options against without."""
+    policies = [agent for agent in summary.agents if not (agent.spec.is_reference or agent.spec.leaves)]
+    flat = [agent for agent in policies if not agent.spec.chooses_options]
+    hierarchical = [agent for agent in policies if agent.spec.chooses_options]
+    if not flat or not hierarchical:
+        return []
+    best_flat, best = find_leader(_prefer_learners(flat)), find_leader(_prefer_learners(hierarchical))
+    names = join_words([f"`{agent.label}`" for agent in flat])
+    if best.success.value > 0 and all(agent.success.value == 0 for agent in flat):
+        return [f"Without options nobody escapes: {names} never {'does' if len(flat) == 1 else 'do'} within "
+                f"{summary.grid.primitives:,} primitives. With options, `{best.label}` {_describe_escapes(best)}."]
+    if _beats(summary, best, best_flat):
+        return [f"Options help: {_describe_odds(summary, best, best_flat)}; the first {_describe_escapes(best)}, the "
+                f"second {_describe_escapes(best_flat)}."]
+    if _beats(summary, best_flat, best):
+        return [f"Options do not help here: {_describe_odds(summary, best_flat, best)}; the first "
+                f"{_describe_escapes(best_flat)}, the second {_describe_escapes(best)}."]
+    return [f"Whether options help cannot be told from these runs: `{best.label}` has an efficiency of "
+            f"{_describe_efficiency(best)}, `{best_flat.label}` {_describe_efficiency(best_flat)}."]
+
+
+def _prefer_learners(agents: Sequence[AgentSummary]) -> list[AgentSummary]:
+    return [agent for agent in agents if agent.spec.learns] or list(agents)
+
+
+def _compare_with_chance(summary: Summary) -> list[str]:
+    """Learners over options against choosing among the same options at random: what learning adds."""
+    sentences = []
+    for chance in summary.agents:
+        if not chance.spec.chooses_options or chance.spec.algorithm != "random":
+            continue
+        learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent is not chance
+                    and agent.spec.options == chance.spec.options and agent.spec.learns]
+        if not learners:
+            continue
+        best = find_leader(learners)
+        start = (f"Choosing among the options at random (`{chance.label}`) already {_describe_escapes(chance)}: that "
+                 "much their planners know" if chance.success.value > 0 else
+                 f"Choosing among the options at random (`{chance.label}`) never escapes")
+        if _beats(summary, best, chance):
+            both = min(chance.success.value, best.success.value) >= SETTLED
+            gain = f"shortens that to {best.length.value:.0f}" if both else _describe_escapes(best)
+            sentences.append(f"{start}. Learning adds to it: `{best.label}` {gain}.")
+        elif _beats(summary, chance, best):
+            sentences.append(f"{start}. No learner comes up to it: the best, `{best.label}`, "
+                             f"{_describe_escapes(best)}.")
+        else:
+            sentences.append(f"{start}. That learning adds anything is not shown: `{best.label}` has an "
+                             f"efficiency of {_describe_efficiency(best)}, chance {_describe_efficiency(chance)}.")
+        worse = [agent for agent in learners if agent is not best and _beats(summary, chance, agent)]
+        if worse:
+            names = join_words([f"`{agent.label}`" for agent in worse])
+            sentences.append(f"{names} {'ends' if len(worse) == 1 else 'end'} below choosing at random.")
+    return sentences
+
+
+def _compare_with_index_order(summary: Summary) -> list[str]:
+    """Learners over options or hierarchies against pressing all buttons in the order of their numbers."""
+    sentences = []
+    for reference in summary.agents:
+        learners = [agent for agent in summary.agents
+                    if (agent.spec.chooses_options or agent.spec.leaves) and agent.spec.learns]
+        if reference.spec.name != references.INDEX_ORDER or not learners:
+            continue
+        best = find_leader(learners)
+        start = (f"Pressing all buttons in the order of their numbers (`{reference.label}`) "
+                 f"{_describe_escapes(reference)}")
+        if _beats(summary, best, reference):
+            sentences.append(f"{start}; `{best.label}` is better.")
+        elif _beats(summary, reference, best):
+            sentences.append(f"{start}; no learner comes up to it.")
+        else:
+            sentences.append(f"{start}; that any learner is better is not shown.")
+    return sentences
+
+
+def _describe_speed(summary: Summary) -> list[str]:
+    """First escapes in training; runs without one count with the whole budget."""
+    learners = sorted((agent.first_escape.value, agent.label, agent) for agent in summary.agents
+                      if agent.spec.learns and agent.escaped_runs)
+    if not learners:
+        return []
+    when = join_words([f"`{label}` after {value:,.0f} primitives ({agent.escaped_runs} of {agent.runs} runs escape)"
+                  for value, label, agent in learners])
+    return [f"First escape in training, on average, with runs that never escape counted at the budget: {when}."]
+
+
+def _describe_gap(summary: Summary) -> list[str]:
+    leader = find_leader(summary.agents)
+    missing = sum(leader.gap)
+    if missing <= 0.0005:
+        return [f"`{leader.label}` is as efficient as the best known escape: nothing is missing."]
+    way = f"`{leader.label}` has an efficiency of {leader.efficiency.value:.3f}, where the best known escape has 1"
+    if leader.gap.options > 0.0005:
+        return [f"{way}; of the rest, {leader.gap.options:.3f} is out of reach of its options and "
+                f"{max(leader.gap.learning, 0):.3f} is left to learn."]
+    if leader.spec.leaves == "planned":
+        return [f"{way}; how much of the rest its planned leaves put out of reach is not measured."]
+    return [f"{way}; its actions can reach that."]
+
+
+def _describe_stuck(summary: Summary) -> list[str]:
+    some = [f"{round(agent.stuck * agent.runs)} of {agent.runs} runs of `{agent.label}`"
+            for agent in _prefer_learners(summary.agents) if 0 < agent.stuck and agent.success.value > 0]
+    return [f"Stuck, without any escape in the last fifth of training: {join_words(some)}."] if some else []
+
+
+def _describe_generalisation(summary: Summary) -> list[str]:
+    """Rooms that were tested in against rooms that were trained in."""
+    learners = [(agent, agent.seen) for agent in summary.agents if agent.spec.learns and agent.seen is not None]
+    if not learners:
+        return []
+    words = [f"`{agent.label}` {agent.efficiency.value:.2f} against {seen.value:.2f}" for agent, seen in learners]
+    return [f"Efficiency in rooms tested in against rooms trained in: {join_words(words)}."]
+
+
+def _describe_trials(summary: Summary) -> list[str]:
+    """Efficiency trial by trial in the same rooms."""
+    tried = [agent for agent in summary.agents if agent.trials]
+    if not tried:
+        return []
+    words = [f"`{agent.label}` {', '.join(f'{trial.value:.2f}' for trial in agent.trials)}" for agent in tried]
+    sentences = [f"Efficiency trial by trial in the same unseen rooms, without learning: {'; '.join(words)}."]
+    forgetful = [f"`{agent.label}`" for agent in tried if not agent.spec.remembers]
+    if forgetful:
+        sentences.append(f"No memory, so the same policy at every trial: {join_words(forgetful)}.")
+    return sentences
+
+
+def _describe_better_ways(summary: Summary) -> list[str]:
+    sentences, labels = [], {agent.label for agent in summary.agents if agent.spec.name != references.PLANNER}
+    for room in summary.rooms:
+        finders = [f"`{source}`" for source in room.source.split(", ") if source in labels]
+        if finders:
+            sentences.append(f"In {room.name}, {join_words(finders)} found a better way than the planners; efficiency "
+                             f"is measured by it ({room.fewest:g} primitives).")
+    return sentences
+
+
+# --- cautions --------------------------------------------------------------------------
+
+
+def _write_cautions(summary: Summary) -> list[str]:
+    grid, cautions = summary.grid, []
+    expected = len(summary.rooms) * grid.runs
+    short = [agent for agent in summary.agents if agent.runs < expected]
+    if short or len(summary.agents) < len(grid.agents):
+        lost = [f"`{agent.label}` {expected - agent.runs} of {expected}" for agent in short]
+        known = {agent.label for agent in summary.agents}
+        lost += [f"`{spec.label}` all {expected}" for spec in grid.agents if spec.label not in known]
+        cautions.append(f"Some runs have no result and count nowhere: {join_words(lost)}. Their errors stand below.")
+    if grid.runs < LEAST_RUNS:
+        cautions.append(f"{count_things(grid.runs, 'run').capitalize()} a room: large differences show, small ones may "
+                        f"not. A published table needs {LEAST_RUNS} or more.")
+    cautions += tell_privileges(agent.spec for agent in summary.agents)
+    learners = [agent for agent in summary.agents if agent.spec.chooses_options and agent.spec.learns]
+    chance = [_get_choices(agent) for agent in summary.agents
+              if agent.spec.chooses_options and agent.spec.algorithm == "random"]
+    unmatched = [f"`{agent.label}`" for agent in learners if _get_choices(agent) not in chance]
+    if unmatched:
+        cautions.append(f"No random policy over the same options was run beside {join_words(unmatched)}, so how much "
+                        "of the score the options' planners bring is not known.")
+    if learners and not any(agent.spec.name == references.INDEX_ORDER for agent in summary.agents):
+        cautions.append(f"`{references.INDEX_ORDER}` was not run beside the learners, so what pressing all buttons in "
+                        "the order of their numbers brings is not known.")
+    for room in summary.rooms:
+        if room.place.split is not None and (known := room.place.split.room_overlap):
+            cautions.append(f"{known:.0%} of the rooms tested in by {room.name} are trained in too, so that efficiency "
+                            "there is not that in unseen rooms.")
+        if CEILING in room.source.split(", "):
+            cautions.append(f"No plan is known for {room.name}: its scores are measured by an escape at once, which no "
+                            "agent can do, so that efficiency there is near 0.")
+        elif PLANNER not in room.source.split(", ") and room.source == "nothing":
+            cautions.append(f"No run in {room.name} has a result.")
+    mixed = [name for name, version in summary.versions.items() if ", " in version]
+    if mixed:
+        cautions.append(f"The runs were made with different versions of {join_words(mixed)}.")
+    return cautions
+
+
+def _get_choices(agent: AgentSummary) -> OptionsView:
+    """Options that an agent chooses among, whatever it remembers."""
+    return dataclasses.replace(agent.spec.options, memory=False)
+
+
+# --- words -----------------------------------------------------------------------------
+
+
+def _describe_odds(summary: Summary, first: AgentSummary, second: AgentSummary) -> str:
+    pair = summary.get_pair(first, second)
+    gain = pair.difference
+    return (f"`{first.label}` is more efficient than `{second.label}` by {gain.value:.2f} ({gain.low:.2f} to "
+            f"{gain.high:.2f}) with the same room and seed, in {pair.improvement.value:.0%} of {pair.count} pairs")
+
+
+def _describe_efficiency(agent: AgentSummary) -> str:
+    return f"{agent.efficiency.value:.3f} ({agent.efficiency.low:.3f} to {agent.efficiency.high:.3f})"
+
+
+def tell_privileges(agents: Iterable[AgentSpec]) -> list[str]:
+    """Sentence on what their hierarchies tell agents; none where no agent has one."""
+    told = [f"`{agent.label}` ({', '.join(agent.privileges)})" for agent in agents if agent.privileges]
+    return [f"Privileged, by a hierarchy that is synthesised from the room: {join_words(told)}."] if told else []
+
+
+def count_things(number: int, noun: str) -> str:
+    """Number and noun as in a sentence: `no runs`, `one run`, `two runs`, `10 runs`."""
+    words = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine")
+    word = words[number] if number < len(words) else f"{number:,}"
+    return f"{word} {noun}" + ("" if number == 1 else "s")
