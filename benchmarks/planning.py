@@ -4,7 +4,7 @@ Run: `python benchmarks/planning.py` (four minutes on one core, one with `--plan
 if a target is missed. A plan is a whole meta-action, checked by replay; cached is the same question
 again. Times are CPU time of this thread, so that a busy machine shows less in them; wall time
 stands beside.
-How few primitives the plans take is `hrl-escape bench planners --contenders fields --rooms 20 --queries 10`.
+How few primitives the plans take is `python -m benchmarks.planners --contenders fields --rooms 20 --queries 10`.
 """
 
 from __future__ import annotations

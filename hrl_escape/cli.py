@@ -1,5 +1,7 @@
 """The command line `hrl-escape`: finds the commands in `hrl_escape/commands` and runs the one that is asked for.
 
+`run_script` gives a single module, such as a benchmark, the same front.
+
 Help is read from the files without importing them, and only the command that runs is
 imported: help is quick, and a missing optional package stops no other command. What the
 user did wrong is one line on stderr and exit code 2, never a traceback.
@@ -23,7 +25,7 @@ from pathlib import Path
 from hrl_escape import __version__
 from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError
 
-__all__ = ["main"]
+__all__ = ["main", "run_script"]
 
 _PROGRAM = "hrl-escape"
 _COMMANDS = "hrl_escape.commands"
@@ -43,29 +45,51 @@ def main(arguments: Sequence[str] | None = None) -> int:
         The exit code: 0 for success, 2 for a mistake of the user's or output that cannot be written, 128 and the
         signal's number if a signal or a closed pipe ended it.
     """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    return _run_in_order(_PROGRAM, lambda: _run(words, _FOLDER, _COMMANDS, [_PROGRAM]))
+
+
+def run_script(run: Callable[..., int | None], arguments: Sequence[str] | None = None) -> int:
+    """Run a module's `run` as `python -m MODULE`: its options, help and errors are made as those of `hrl-escape` are.
+
+    Args:
+        run: takes the options, one dataclass; its module's docstring is the help.
+        arguments: what follows the module's name; None takes this process's.
+
+    Returns:
+        The exit code, as of `main`.
+    """
+    spec = sys.modules[run.__module__].__spec__
+    words = ["python", "-m", spec.name if spec else run.__module__]
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    return _run_in_order(" ".join(words), lambda: _run_command(run, given, words))
+
+
+def _run_in_order(program: str, work: Callable[[], int]) -> int:
+    """Exit code of the work; what stops it is said in one line."""
     try:
         with _raising_signals():
             _check_threads()
-            code = _run(list(sys.argv[1:] if arguments is None else arguments), _FOLDER, _COMMANDS, [_PROGRAM])
+            code = work()
             if sys.stdout is not None:
                 sys.stdout.flush()
             return code
     except _Ended as ended:
-        return _report(f"ended by {signal.Signals(ended.number).name}", 128 + ended.number)
+        return _report(program, f"ended by {signal.Signals(ended.number).name}", 128 + ended.number)
     except KeyboardInterrupt as stop:
-        return _report(str(stop) or "interrupted", 128 + signal.SIGINT)
+        return _report(program, str(stop) or "interrupted", 128 + signal.SIGINT)
     except BrokenPipeError:  # whoever read our output has seen enough
         _drop_output()
         return 128 + signal.SIGPIPE
     except EscapeError as error:
-        return _report(" ".join(str(error).splitlines()), 2)
+        return _report(program, " ".join(str(error).splitlines()), 2)
     except OSError as error:
         if error.filename is not None and error.errno in _IMPOSSIBLE_PATH:
-            return _report(f"{str(error.filename)[:200]}: {error.strerror}", 2)
+            return _report(program, f"{str(error.filename)[:200]}: {error.strerror}", 2)
         if error.filename is not None or error.errno not in _UNWRITABLE_OUTPUT:
             raise
         _drop_output()
-        return _report(f"cannot write the output: {error.strerror}", 2)
+        return _report(program, f"cannot write the output: {error.strerror}", 2)
     except SystemExit as exit_:  # tyro has printed help, or what is wrong with the arguments
         if isinstance(exit_.__context__, BrokenPipeError):  # rich's answer to a closed pipe
             return 128 + signal.SIGPIPE
@@ -111,9 +135,9 @@ def _drop_output() -> None:
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-def _report(message: str, code: int) -> int:
+def _report(program: str, message: str, code: int) -> int:
     """Say in one line why the program ends; returns the exit code."""
-    print(f"{_PROGRAM}: {message}", file=sys.stderr)
+    print(f"{program}: {message}", file=sys.stderr)
     return code
 
 

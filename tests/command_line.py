@@ -6,12 +6,13 @@ import contextlib
 import io
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from hrl_escape.cli import main
+from hrl_escape.cli import main, run_script
 
 PROGRAM = Path(sys.executable).with_name("hrl-escape")
 
@@ -23,11 +24,27 @@ def call(capsys: pytest.CaptureFixture[str], *arguments: Any) -> tuple[int, str,
     return code, out, err
 
 
+def call_script(capsys: pytest.CaptureFixture[str], module: str, *arguments: Any) -> tuple[int, str, str]:
+    """The same of `python -m MODULE`."""
+    code = run_script(import_module(module).run, [str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
 def assert_refused(capsys: pytest.CaptureFixture[str], arguments: list[str], words: str) -> None:
     """A mistake ends in exit code 2 and one line on stderr that has these words."""
-    code, out, err = call(capsys, *arguments)
+    assert_is_refusal(call(capsys, *arguments), "hrl-escape", words)
+
+
+def assert_script_refused(capsys: pytest.CaptureFixture[str], module: str, arguments: list[str], words: str) -> None:
+    """The same of `python -m MODULE`."""
+    assert_is_refusal(call_script(capsys, module, *arguments), f"python -m {module}", words)
+
+
+def assert_is_refusal(done: tuple[int, str, str], program: str, words: str) -> None:
+    code, out, err = done
     assert code == 2 and out == ""
-    assert err.startswith("hrl-escape: ") and err.count("\n") == 1 and words in err
+    assert err.startswith(f"{program}: ") and err.count("\n") == 1 and words in err
 
 
 def run_program(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:

@@ -17,10 +17,10 @@ def test_help_lists_every_command_with_one_line_each():
     done = run_program("--help")
     assert done.returncode == 0 and done.stderr == ""
     commands = dict(re.findall(r"^  (\S+) +(\S.*)$", done.stdout, re.MULTILINE))
-    assert {"bench", "demo", "list", "room"} <= set(commands)
+    assert {"demo", "ladder", "list", "room"} <= set(commands)
     assert all(len(line) <= 120 for line in done.stdout.splitlines())
-    group = run_program("bench", "--help")
-    assert group.returncode == 0 and re.search(r"^  env +\S", group.stdout, re.MULTILINE)
+    group = run_program("ladder", "--help")
+    assert group.returncode == 0 and re.search(r"^  verify +\S", group.stdout, re.MULTILINE)
 
 
 def test_without_a_command_help_is_shown_and_the_exit_code_says_so(capsys):
@@ -61,7 +61,7 @@ def test_a_missing_extra_is_named(capsys, tmp_path, monkeypatch):
 
 
 COMMANDS = [["room"], ["solve"], ["train"], ["play"], ["watch"], ["record"], ["list"], ["demo"], ["compare"],
-            ["bench", "env"], ["bench", "batch"], ["bench", "agents"], ["bench", "modes"], ["bench", "planners"]]
+            ["ladder", "run"]]
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
@@ -76,7 +76,7 @@ def test_a_command_explains_itself_and_every_option(capsys, command):
 
 @pytest.mark.parametrize(("arguments", "words"), [
     (["rom"], "did you mean 'room'"),
-    (["bench", "envs"], "did you mean 'env'"),
+    (["ladder", "runs"], "did you mean 'run'"),
     (["compare", "quickstart", "--workers", "-1"], "workers = -1 is not possible"),
 ])
 def test_a_mistake_is_one_line_and_exit_code_2(capsys, arguments, words):

@@ -48,8 +48,6 @@ def test_pyright_finds_nothing():
 LINT_IMPORTS = ("lint-imports", "--no-cache", "--no-logo", "--config", str(ROOT / "pyproject.toml"))
 
 HOUSE = """
-cli errors files settings checks.option commands.list commands.bench.agents
-comparison.grid comparison.reporting.report viewer.scene.room_scene
 agents.agent agents.registry agents.components.networks agents.training.train
 agents.algorithms.dqn agents.algorithms.sarsa agents.algorithms.given.hamq agents.algorithms.given.maxq_0
 agents.hierarchy.task agents.factored.search agents.larg2019.recipes

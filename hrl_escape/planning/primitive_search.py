@@ -46,7 +46,7 @@ LARGE = 3_000.0
 """Floor area beyond which the grid of a room's fields is dearer than the first few places asked for by corridors, m^2.
 
 On 20 x 20 m a first query in a corridor takes 0.6 to 1.1 of the time along fields, later ones 1.8 times the time or
-more; for places on 60 x 60 m the first one takes 0.7, on 200 x 200 m 0.6 of it (`hrl-escape bench planners`)."""
+more; for places on 60 x 60 m the first one takes 0.7, on 200 x 200 m 0.6 of it (`python -m benchmarks.planners`)."""
 EXPANSIONS = 300_000
 SCHEDULE = ((0, 1.0, 3_000), (-1, 1.05, 6_000), (-2, 1.1, 20_000), (-4, 1.5, EXPANSIONS))
 """Weighted-A* schedule: (heuristic offset, weight, node budget), from the fewest primitives to any plan at all."""

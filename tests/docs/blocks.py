@@ -60,5 +60,10 @@ def parse(arguments: Sequence[str]) -> None:
     module, words = "hrl_escape.commands", list(arguments)
     while words and not isroutine(getattr(import_module(module), "run", None)):  # a folder may hold a module `run`
         module = f"{module}.{words.pop(0).replace('-', '_')}"
-    loaded = import_module(module)
-    tyro.cli(typing.get_type_hints(loaded.run)["args"], args=words, config=(tyro.conf.FlagCreatePairsOff,))
+    parse_options(module, words)
+
+
+def parse_options(module: str, words: Sequence[str]) -> None:
+    """Parse the options of a module's `run`, without running it. Raises SystemExit if wrong."""
+    options = typing.get_type_hints(import_module(module).run)["args"]
+    tyro.cli(options, args=words, config=(tyro.conf.FlagCreatePairsOff,))

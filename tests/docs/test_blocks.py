@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from hrl_escape.cli import main
-from tests.docs.blocks import PAGES, ROOT, Block, parse, read_blocks, read_commands
+from tests.docs.blocks import PAGES, ROOT, Block, parse, parse_options, read_blocks, read_commands
 
 BLOCKS = {page: read_blocks(page) for page in PAGES}
 KNOWN = {"python", "console", "bibtex", "text", "toml", "json"}
@@ -58,6 +58,8 @@ def run(block: Block, words: list[str]) -> None:
         extras = re.findall(r"\.\[([\w,]+)\]", " ".join(arguments))
         listed = (ROOT / "pyproject.toml").read_text()
         assert all(re.search(rf"^{extra} = \[", listed, re.M) for part in extras for extra in part.split(",")), words
+    elif words[:2] == ["python", "-m"] and arguments[1].startswith("benchmarks."):
+        parse_options(arguments[1], arguments[2:])
     elif program in ("python", "pytest", "sphinx-build"):  # scripts have tests of their own
         paths = [word for word in arguments if "/" in word and not word.startswith(("-", "build/", "runs/"))]
         assert paths and all((ROOT / path).exists() for path in paths), words
@@ -74,7 +76,7 @@ def test_a_wrong_argument_is_found():
     with pytest.raises(SystemExit):
         parse(["room", "--prest", "clutter"])
     with pytest.raises(ModuleNotFoundError):
-        parse(["bench", "nothing"])
+        parse(["ladder", "nothing"])
 
 
 def test_a_replacement_that_fits_nothing_is_found(tmp_path: Path):

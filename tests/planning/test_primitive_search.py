@@ -10,7 +10,7 @@ import sys
 import numpy as np
 import pytest
 
-from hrl_escape.commands.bench.planner_contenders import make_queries
+from benchmarks.planner_contenders import make_queries
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import DynamicsConfig, ExitConfig, ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.geometry import Solid, compute_distance, make_footprint

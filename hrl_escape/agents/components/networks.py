@@ -3,7 +3,7 @@
 Multilayer perceptrons, with a convolutional front (Mnih et al. 2015) for images. Weights are drawn from a generator of
 their own and lie in one vector, so that Adam, clipping and target networks are single operations. Acting on one
 observation goes through numpy views of the same weights, four to five times faster on a CPU than torch. Learning is
-plain torch because that measured fastest (`hrl-escape bench agents`, beside TorchRL and Stable-Baselines3).
+plain torch because that measured fastest (`python -m benchmarks.agents`, beside TorchRL and Stable-Baselines3).
 """
 
 from __future__ import annotations

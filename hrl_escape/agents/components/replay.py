@@ -2,7 +2,7 @@
 
 The buffer stores the backup (R, b) of each decision, target R + b V(s'), so that duration, discount and termination
 cannot be lost or applied twice (see `agent.compute_backup`). On one CPU core it samples several times faster than
-TorchRL's ReplayBuffer over LazyTensorStorage (`hrl-escape bench agents`).
+TorchRL's ReplayBuffer over LazyTensorStorage (`python -m benchmarks.agents`).
 """
 
 from __future__ import annotations

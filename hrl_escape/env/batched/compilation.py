@@ -22,7 +22,7 @@ from hrl_escape.errors import BatchError
 __all__ = ["CompiledStep"]
 
 # Keep loops over a few solids as loops, and read far ahead before storing shared results. Both halve the time of a
-# step (`hrl-escape bench batch`). Shapes are compared here, and indices come from the tables.
+# step (`python -m benchmarks.batch`). Shapes are compared here, and indices come from the tables.
 _OPTIONS: dict[str, bool] = {"size_asserts": False, "assert_indirect_indexing": False}
 _CPU_OPTIONS: dict[str, int] = {"unroll_reductions_threshold": 1, "realize_reads_threshold": 8}
 

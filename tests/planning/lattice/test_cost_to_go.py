@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from hrl_escape.commands.bench.planner_contenders import make_queries
+from benchmarks.planner_contenders import make_queries
 from hrl_escape.env.config import ExitConfig, ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset

@@ -1,14 +1,14 @@
-"""`hrl-escape bench agents` through the command line."""
+"""Updates per second of the deep agents beside other libraries."""
 
 import json
 
 import pytest
 
-from tests.command_line import call
+from tests.command_line import call_script
 
 
-def test_bench_agents_measures_ours_beside_stable_baselines3_in_one_run(capsys):
-    code, out, _ = call(capsys, "bench", "agents", "--updates", "40", "--rounds", "1", "--json")
+def test_ours_are_measured_beside_stable_baselines3_in_one_run(capsys):
+    code, out, _ = call_script(capsys, "benchmarks.agents", "--updates", "40", "--rounds", "1", "--json")
     assert code == 0
     rows = json.loads(out)
     assert {"dqn", "ppo", "sarsa", "Stable-Baselines3 DQN", "Stable-Baselines3 PPO"} <= set(rows)

@@ -5,8 +5,8 @@ Repeats are interleaved, so that a busy moment of the machine slows all of them 
 counts. Resets are timed separately.
 
 Examples:
-    hrl-escape bench env
-    hrl-escape bench env --presets clutter ten-button --observation features --json
+    python -m benchmarks.env
+    python -m benchmarks.env --presets clutter ten-button --observation features --json
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import dataclasses
 import importlib.util
 import json
 import statistics
+import sys
 import time
 from typing import Any
 
@@ -23,7 +24,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from hrl_escape.commands.bench.machine import describe_machine
+from benchmarks.machine import describe_machine
+from hrl_escape.cli import run_script
 from hrl_escape.env import escape_room  # noqa: F401  # so that no measurement has to import it
 from hrl_escape.env.presets import PRESETS, make_env_name
 from hrl_escape.errors import ConfigError, UnknownNameError
@@ -35,8 +37,8 @@ _MAKES, _RESETS = 3, 20
 
 
 @dataclasses.dataclass(frozen=True)
-class BenchEnvArgs:
-    """Options of `hrl-escape bench env`."""
+class Args:
+    """Options of the command line."""
 
     presets: tuple[str, ...] = ()
     """Presets to measure; all by default."""
@@ -69,10 +71,10 @@ class _Subject:
                 "make_ms": 1e3 * self.make_seconds, "reset_ms": 1e3 * statistics.median(self.reset_seconds)}
 
 
-def run(args: BenchEnvArgs) -> None:
+def run(args: Args) -> None:
     """Measure and print."""
     if args.repeats < 1 or not args.seconds > 0:
-        raise ConfigError("bench", (args.repeats, args.seconds), "repeats of at least 1 and seconds above 0")
+        raise ConfigError("repeats, seconds", (args.repeats, args.seconds), "repeats of at least 1 and seconds above 0")
     for preset in args.presets:
         if preset not in PRESETS:
             raise UnknownNameError("preset", preset, PRESETS)
@@ -94,7 +96,7 @@ def run(args: BenchEnvArgs) -> None:
         _print(rows)
 
 
-def _choose(args: BenchEnvArgs) -> list[tuple[str, str, dict[str, Any]]]:
+def _choose(args: Args) -> list[tuple[str, str, dict[str, Any]]]:
     """Name, id and arguments of each environment: ours, then the peers that are installed."""
     ours = [(name, f"hrl_escape/{make_env_name(name)}-v1", {"observation": args.observation})
             for name in args.presets or PRESETS]
@@ -156,3 +158,7 @@ def _print(rows: list[dict[str, Any]]) -> None:
                       f"{row['reset_ms']:.3f}")
     table.caption = f"random actions; ratio to {BASELINE} in this run; resets are not in steps/s"
     Console(soft_wrap=True).print(table)
+
+
+if __name__ == "__main__":
+    sys.exit(run_script(run))

@@ -6,8 +6,8 @@ and 9 actions, on one core. They take turns in one run, so that other work on th
 of them alike; the median of the rounds is printed.
 
 Examples:
-    hrl-escape bench agents
-    hrl-escape bench agents --compile --json
+    python -m benchmarks.agents
+    python -m benchmarks.agents --compile --json
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import dataclasses
 import json
 import logging
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -33,6 +34,7 @@ from torchrl.objectives import DQNLoss, SoftUpdate, ValueEstimators
 
 from hrl_escape.agents import make_agent
 from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.cli import run_script
 from hrl_escape.errors import MissingExtraError
 
 INPUTS, ACTIONS, HIDDEN, BATCH, STORED = 12, 9, (64, 64), 64, 10_000
@@ -206,8 +208,8 @@ def measure_updates(contenders: dict[str, Callable[[int], None]], updates: int, 
 
 
 @dataclasses.dataclass(frozen=True)
-class BenchAgentsArgs:
-    """Options of `hrl-escape bench agents`."""
+class Args:
+    """Options of the command line."""
 
     updates: int = 400
     """Updates in a round."""
@@ -219,7 +221,7 @@ class BenchAgentsArgs:
     """Print JSON instead of a table."""
 
 
-def run(args: BenchAgentsArgs) -> int:
+def run(args: Args) -> int:
     """Measure and print; ratios are to Stable-Baselines3's agent of the same kind."""
     torch.set_num_threads(1)
     logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every buffer on standard output
@@ -254,5 +256,9 @@ def _load_stable_baselines() -> Any:
     try:
         import stable_baselines3
     except ImportError:
-        raise MissingExtraError("stable-baselines3", "bench", "bench agents") from None
+        raise MissingExtraError("stable-baselines3", "bench", "python -m benchmarks.agents") from None
     return stable_baselines3
+
+
+if __name__ == "__main__":
+    sys.exit(run_script(run))

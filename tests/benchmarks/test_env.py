@@ -1,15 +1,15 @@
-"""`hrl-escape bench env` through the command line."""
+"""Steps per second beside other environments."""
 
 import json
 
 import pytest
 
-from tests.command_line import assert_refused, call
+from tests.command_line import assert_script_refused, call_script
 
 
-def test_bench_env_compares_with_cartpole_and_taxi_in_one_run(capsys):
-    code, out, err = call(capsys, "bench", "env", "--presets", "paper-one-button", "push-block", "--seconds", "0.02",
-                          "--repeats", "2", "--json")
+def test_rooms_are_compared_with_cartpole_and_taxi_in_one_run(capsys):
+    code, out, err = call_script(capsys, "benchmarks.env", "--presets", "paper-one-button", "push-block",
+                                 "--seconds", "0.02", "--repeats", "2", "--json")
     report = json.loads(out)
     rows = {row["name"]: row for row in report["environments"]}
     assert code == 0 and err == ""
@@ -28,4 +28,4 @@ def test_bench_env_compares_with_cartpole_and_taxi_in_one_run(capsys):
     (["--repeats", "0"], "at least 1"),
 ])
 def test_a_mistake_is_one_line_and_exit_code_2(capsys, arguments, words):
-    assert_refused(capsys, ["bench", "env", *arguments], words)
+    assert_script_refused(capsys, "benchmarks.env", arguments, words)

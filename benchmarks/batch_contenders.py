@@ -1,4 +1,4 @@
-"""Contenders of `hrl-escape bench batch`: built, stepped and timed. Not a command."""
+"""Contenders of `benchmarks/batch.py`: built, stepped and timed."""
 
 from __future__ import annotations
 

@@ -8,9 +8,9 @@ Times are those of the first query in a room, of a goal that is new to a known r
 again; compilation is in none of them.
 
 Examples:
-    hrl-escape bench planners
-    hrl-escape bench planners --contenders fields RRTConnect PRM --floors empty 'interior walls'
-    hrl-escape bench planners --csv planners.csv --plot planners.png
+    python -m benchmarks.planners
+    python -m benchmarks.planners --contenders fields RRTConnect PRM --floors empty 'interior walls'
+    python -m benchmarks.planners --csv planners.csv --plot planners.png
 """
 
 from __future__ import annotations
@@ -18,18 +18,20 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
+import sys
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
+from hrl_escape.cli import run_script
 from hrl_escape.errors import ConfigError, UnknownNameError
 
 
 @dataclasses.dataclass(frozen=True)
-class BenchPlannersArgs:
-    """Options of `hrl-escape bench planners`."""
+class Args:
+    """Options of the command line."""
 
     contenders: tuple[str, ...] = ("auto", "fields", "RRTConnect", "BITstar", "RRTConnect-path")
     """Contenders to measure: auto, fields, path planners by name, or the bare path of one, as RRTConnect-path."""
@@ -48,33 +50,33 @@ class BenchPlannersArgs:
     """Print JSON instead of a table."""
 
 
-def run(args: BenchPlannersArgs) -> None:
+def run(args: Args) -> None:
     """Measure and print."""
-    from hrl_escape.commands.bench import planner_contenders as bench  # loads OMPL and numba, which --help does without
+    from benchmarks import planner_contenders as contest  # heavy imports, which --help does without
 
-    known = bench.list_contenders()
+    known = contest.list_contenders()
     for name in args.contenders:
         if name not in known:
             raise UnknownNameError("contender", name, known)
     for name in args.floors:
-        if name not in bench.FLOORS:
-            raise UnknownNameError("floor", name, bench.FLOORS)
+        if name not in contest.FLOORS:
+            raise UnknownNameError("floor", name, contest.FLOORS)
     if args.rooms < 1 or args.queries < 1:
-        raise ConfigError("bench", (args.rooms, args.queries), "at least 1 room and 1 query")
-    contenders, floors = args.contenders, args.floors or tuple(bench.FLOORS)
-    rows: list[bench.QueryResult] = []
+        raise ConfigError("rooms, queries", (args.rooms, args.queries), "at least 1 room and 1 query")
+    contenders, floors = args.contenders, args.floors or tuple(contest.FLOORS)
+    rows: list[contest.QueryResult] = []
     with Progress(console=Console(stderr=True), transient=True, disable=args.json) as progress:
         task = progress.add_task("", total=len(floors) * args.rooms * args.queries * len(contenders))
         for floor in floors:
             progress.update(task, description=f"{floor}: fewest primitives")
-            queries = bench.make_queries(floor, range(args.rooms), args.queries)
-            rows += bench.measure(queries, contenders, lambda name, floor=floor: progress.update(
+            queries = contest.make_queries(floor, range(args.rooms), args.queries)
+            rows += contest.measure(queries, contenders, lambda name, floor=floor: progress.update(
                 task, advance=1, description=f"{floor}: {name}"))
-    scores = bench.score_contenders(rows)
+    scores = contest.score_contenders(rows)
     if args.csv:
-        bench.write_csv(args.csv, rows)
+        contest.write_csv(args.csv, rows)
     if args.plot:
-        bench.draw_scores(args.plot, rows)
+        contest.draw_scores(args.plot, rows)
     if args.json:
         print(json.dumps([dataclasses.asdict(score) for score in scores], indent=2))
     else:
@@ -105,3 +107,7 @@ def _print(scores: list) -> None:
 def _show(value: float, digits: int) -> str:
     """A number; a dash where there is none."""
     return "-" if math.isnan(value) else f"{value:.{digits}f}"
+
+
+if __name__ == "__main__":
+    sys.exit(run_script(run))

@@ -1,4 +1,4 @@
-"""`hrl-escape bench batch` through the command line: contenders, JSON, plot and refusals."""
+"""Steps per second of batched rooms: contenders, bounds, JSON, plot and refusals."""
 
 from __future__ import annotations
 
@@ -10,8 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from hrl_escape.cli import main
-from hrl_escape.commands.bench.batch_contenders import (
+from benchmarks.batch_contenders import (
     Contender,
     count_bytes,
     count_moved_bytes,
@@ -20,14 +19,13 @@ from hrl_escape.commands.bench.batch_contenders import (
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
+from tests.command_line import call_script
 
 QUICK = ("--seconds", "0.01", "--repeats", "1", "--threads", "1", "--engines", "eager", "--sizes", "2", "16")
 
 
-def run(capsys, *arguments: str) -> tuple[int, str, str]:
-    code = main(["bench", "batch", *arguments])
-    out, err = capsys.readouterr()
-    return code, out, err
+def run(capsys, *arguments: object) -> tuple[int, str, str]:
+    return call_script(capsys, "benchmarks.batch", *arguments)
 
 
 def test_it_measures_our_batches_beside_others_in_one_run(capsys, tmp_path):

@@ -8,22 +8,24 @@ arithmetic bound is the best rate of the rooms by which a batch exceeds the next
 limit if calls and memory were free.
 
 Examples:
-    hrl-escape bench batch
-    hrl-escape bench batch --scenes paper-two-button --sizes 8192 --threads 2
-    hrl-escape bench batch --sizes 1024 32768 1048576 --device cuda --plot batch.png
+    python -m benchmarks.batch
+    python -m benchmarks.batch --scenes paper-two-button --sizes 8192 --threads 2
+    python -m benchmarks.batch --sizes 1024 32768 1048576 --device cuda --plot batch.png
 """
 
 from __future__ import annotations
 
 import dataclasses
 import json
+import sys
 from pathlib import Path
 
 from rich.console import Console
 from rich.progress import Progress
 from rich.table import Table
 
-from hrl_escape.commands.bench.machine import describe_machine
+from benchmarks.machine import describe_machine
+from hrl_escape.cli import run_script
 from hrl_escape.env.presets import PRESETS
 from hrl_escape.errors import ConfigError, UnknownNameError
 
@@ -31,8 +33,8 @@ SCENES = ("paper-two-button", "ten-obstacles", "ten-obstacles-by-hand")
 
 
 @dataclasses.dataclass(frozen=True)
-class BenchBatchArgs:
-    """Options of `hrl-escape bench batch`."""
+class Args:
+    """Options of the command line."""
 
     scenes: tuple[str, ...] = SCENES
     """Rooms to measure: presets, ten-obstacles (4 buttons among 10 yawed boxes), ten-obstacles-by-hand (3 joints)."""
@@ -60,7 +62,7 @@ class BenchBatchArgs:
     """Print JSON instead of a table."""
 
 
-def run(args: BenchBatchArgs) -> None:
+def run(args: Args) -> None:
     """Measure and print."""
     for scene in args.scenes:
         if scene not in (*SCENES, *PRESETS):
@@ -69,15 +71,16 @@ def run(args: BenchBatchArgs) -> None:
         if engine not in ("eager", "compiled"):
             raise UnknownNameError("engine", engine, ("eager", "compiled"))
     if args.repeats < 1 or not args.seconds > 0 or min((args.instances, *args.sizes)) < 1 or args.threads < 0:
-        raise ConfigError("bench", (args.repeats, args.seconds, args.instances, args.sizes, args.threads),
+        raise ConfigError("repeats, seconds, instances, sizes, threads",
+                          (args.repeats, args.seconds, args.instances, args.sizes, args.threads),
                           "repeats, instances and sizes of at least 1, threads of at least 0, seconds above 0")
-    from hrl_escape.commands.bench import batch_contenders as bench  # loads torch, which --help does without
+    from benchmarks import batch_contenders as contest  # heavy imports, which --help does without
 
-    bench.set_threads(args.threads)
-    contenders: list[bench.Contender] = []
+    contest.set_threads(args.threads)
+    contenders: list[contest.Contender] = []
     with Progress(console=Console(stderr=True), transient=True, disable=args.json) as progress:
-        batch = bench.BatchSettings(args.instances, args.observation, args.device)
-        makers = bench.list_makers(args.scenes, args.sizes, args.engines, args.peers, batch)
+        batch = contest.BatchSettings(args.instances, args.observation, args.device)
+        makers = contest.list_makers(args.scenes, args.sizes, args.engines, args.peers, batch)
         task = progress.add_task("", total=len(makers) * (1 + args.repeats))
         for name, make in makers:
             progress.update(task, description=f"building {name}")
@@ -88,12 +91,12 @@ def run(args: BenchBatchArgs) -> None:
                 progress.update(task, description=f"measuring {contender.name}, {contender.engine}")
                 contender.measure(args.seconds)
                 progress.advance(task)
-    bandwidth = bench.measure_bandwidth(args.device)
-    bench.set_arithmetic_bounds(contenders)
+    bandwidth = contest.measure_bandwidth(args.device)
+    contest.set_arithmetic_bounds(contenders)
     rows = [contender.summarise(bandwidth) for contender in contenders]
-    machine = describe_machine("torch") | bench.describe_torch(args.device)
+    machine = describe_machine("torch") | contest.describe_torch(args.device)
     if args.plot:
-        bench.draw(args.plot, rows)
+        contest.draw(args.plot, rows)
     if args.json:
         settings = dataclasses.asdict(args) | {"plot": args.plot and str(args.plot)}
         print(json.dumps({"machine": machine, "settings": settings,
@@ -119,3 +122,7 @@ def _print(rows: list[dict], bandwidth: float, machine: dict) -> None:
     table.caption = (f"random actions, resets included; {machine['threads']} threads on {machine['cores']} cores; "
                      f"memory copies at {bandwidth / 1e9:.1f} GB/s")
     Console(width=160).print(table)
+
+
+if __name__ == "__main__":
+    sys.exit(run_script(run))

@@ -1,4 +1,4 @@
-"""The machine that a benchmark ran on, and the versions of the packages measured. Not a command."""
+"""The machine that a benchmark ran on, and the versions of the packages measured."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""All planners on the same queries: number of primitives beside a near-exact reference, and time. Not a command.
+"""All planners on the same queries: number of primitives beside a near-exact reference, and time.
 
 The idea is OMPL's Planner Arena (Moll, Sucan and Kavraki 2015). Queries are drawn without any
 planner's help: from certified free places of generated rooms to the rooms' own goals, or to other

@@ -5,8 +5,8 @@ Random primitives run in the same room headless and on the viewer's page, as it 
 published code made 97 steps a second when rerun in its fastest setting.
 
 Examples:
-    hrl-escape bench modes
-    hrl-escape bench modes --preset clutter --seconds 2 --json
+    python -m benchmarks.modes
+    python -m benchmarks.modes --preset clutter --seconds 2 --json
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from typing import Any
@@ -22,6 +23,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
+from hrl_escape.cli import run_script
 from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
@@ -37,8 +39,8 @@ _CHUNK = 50
 
 
 @dataclasses.dataclass(frozen=True)
-class BenchModesArgs(RoomChoice):
-    """Options of `hrl-escape bench modes`."""
+class Args(RoomChoice):
+    """Options of the command line."""
 
     repeats: int = 3
     """Number of measurements of each mode."""
@@ -48,10 +50,10 @@ class BenchModesArgs(RoomChoice):
     """Print JSON instead of a table."""
 
 
-def run(args: BenchModesArgs) -> None:
+def run(args: Args) -> None:
     """Measure and print."""
     if args.repeats < 1 or not args.seconds > 0:
-        raise ConfigError("bench", (args.repeats, args.seconds), "repeats of at least 1 and seconds above 0")
+        raise ConfigError("repeats, seconds", (args.repeats, args.seconds), "repeats of at least 1 and seconds above 0")
     instance = args.make_instance()
     server = open_server(port=0)
     try:
@@ -145,3 +147,7 @@ def _print(instance: RoomInstance, rows: list[dict[str, Any]]) -> None:
                       f"{row['times_published']:,.1f}")
     table.caption = f"{instance.name}, room {instance.seed}; random choices, planning included; medians of one run"
     Console(soft_wrap=True).print(table)
+
+
+if __name__ == "__main__":
+    sys.exit(run_script(run))

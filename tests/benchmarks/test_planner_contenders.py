@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from hrl_escape.cli import main
-from hrl_escape.commands.bench.planner_contenders import (
+from benchmarks.planner_contenders import (
     AUTO,
     FIELDS,
     FLOORS,
@@ -26,6 +25,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GenerationError
 from hrl_escape.planning.goals import is_reached
 from hrl_escape.planning.paths.registry import list_planners
+from tests.command_line import assert_script_refused, call_script
 
 
 def test_queries_begin_at_free_places_where_something_is_left_to_do():
@@ -107,16 +107,16 @@ def test_without_a_reference_the_best_contender_has_the_ratio_one():
 
 def test_the_command_prints_writes_and_draws(tmp_path, capsys):
     csv, plot = tmp_path / "planners.csv", tmp_path / "planners.png"
-    words = ["bench", "planners", "--rooms", "1", "--queries", "2", "--contenders", "fields", "RRTConnect", "--floors",
-             "empty"]
-    assert main([*words, "--csv", str(csv), "--plot", str(plot), "--json"]) == 0
-    scores = json.loads(capsys.readouterr().out)
+    words = ["--rooms", "1", "--queries", "2", "--contenders", "fields", "RRTConnect", "--floors", "empty"]
+    code, out, _ = call_script(capsys, "benchmarks.planners", *words, "--csv", csv, "--plot", plot, "--json")
+    assert code == 0
+    scores = json.loads(out)
     assert [(score["contender"], score["queries"]) for score in scores] == [("fields", 2), ("RRTConnect", 2)]
     assert len(csv.read_text().splitlines()) == 5
     with Image.open(plot) as picture:
         assert picture.width > 800 and len(picture.getcolors(1 << 24)) > 50
-    assert main(words) == 0
-    assert "again ms" in capsys.readouterr().out
+    code, out, _ = call_script(capsys, "benchmarks.planners", *words)
+    assert code == 0 and "again ms" in out
 
 
 @pytest.mark.parametrize(("words", "complaint"), [
@@ -125,5 +125,4 @@ def test_the_command_prints_writes_and_draws(tmp_path, capsys):
     (["--rooms", "0"], "at least 1 room"),
 ])
 def test_the_command_says_what_is_wrong(words, complaint, capsys):
-    assert main(["bench", "planners", *words]) == 2
-    assert complaint in capsys.readouterr().err
+    assert_script_refused(capsys, "benchmarks.planners", words, complaint)
