@@ -17,7 +17,8 @@ from typing import Any
 
 import gymnasium
 
-from hrl_escape.agents.agent import Agent, StateTree
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.agents.training.train import train

@@ -31,6 +31,7 @@ class MonteCarlo(Agent):
     """Q(s, o) is the mean of the returns that followed o in s; s is the observation, rounded."""
 
     Settings = MonteCarloSettings
+    STATE = ("table", "rng")  # everything that learning depends on, between episodes
 
     def __init__(self, observation_space, action_space, seed, settings=None):
         """Begin with an empty table."""
@@ -66,14 +67,6 @@ class MonteCarlo(Agent):
             row[:, step.action] += future, 1
         self.episode = []
         return {"value": future}
-
-    def state_dict(self):
-        """Everything that learning depends on, between episodes."""
-        return {"table": dict(self.table), "rng": self.rng.bit_generator.state}
-
-    def load_state_dict(self, state):
-        """Go on from there."""
-        self.table, self.rng.bit_generator.state = dict(state["table"]), state["rng"]
 
 
 def main(primitives: int = 10_000) -> None:

@@ -6,6 +6,7 @@ from .hierarchy.task_graph import maxq
 from .option_policy import OptionPolicy
 from .registry import get_recipe, list_agents, make_agent
 from .settings import AgentSettings, LearningSettings
+from .state import Kept, Stateful
 from .training.evaluation import Evaluation, evaluate, play_episode
 from .training.results import TrainResult, load_result
 from .training.train import load_agent, load_env, train
@@ -17,10 +18,12 @@ __all__ = [
     "Call",
     "Evaluation",
     "Hierarchy",
+    "Kept",
     "LearningSettings",
     "OptionPolicy",
     "SMDPTransition",
     "StackAgent",
+    "Stateful",
     "TrainResult",
     "choose",
     "compute_backup",

@@ -20,13 +20,13 @@ from typing_extensions import Self
 
 from hrl_escape.agents.option_policy import OptionPolicy, make_whole_policy
 from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.state import Stateful
 from hrl_escape.errors import DiscountMismatchError, StepContractError, UnsupportedSpaceError
 
 __all__ = [
     "Agent",
     "RunningCall",
     "SMDPTransition",
-    "StateTree",
     "check_actions",
     "check_observation",
     "compute_backup",
@@ -36,10 +36,6 @@ __all__ = [
     "read_action_mask",
     "read_success",
 ]
-
-StateTree = dict[str, Any]
-"""Content of a checkpoint: a tree of dicts and lists over numbers, strings, None and numpy arrays."""
-
 
 class SMDPTransition(NamedTuple):
     """One decision and its outcome.
@@ -91,8 +87,11 @@ class RunningCall(NamedTuple):
     place: tuple[float, float] | None = None
 
 
-class Agent(ABC):
-    """A learner. Derive from it and write the abstract members, and `train` can run it.
+class Agent(Stateful, ABC):
+    """A learner. Derive from it, write the abstract members, declare its `STATE`, and `train` can run it.
+
+    `STATE` names the attributes that learning depends on: weights, optimiser, replay, counters, generators; see
+    `hrl_escape.agents.state`.
 
     For `make_agent` by name, a class also has `Settings` (a frozen dataclass, best an `AgentSettings`), is constructed
     as `Class(observation_space, action_space, seed, settings)`, and is published under the entry-point group
@@ -151,17 +150,6 @@ class Agent(ABC):
         Transitions come in order, each from the state reached by the one before, until one is terminated or
         truncated.
         """
-
-    @abstractmethod
-    def state_dict(self) -> StateTree:
-        """Everything that learning depends on: weights, optimiser, replay, counters, generators.
-
-        Arrays may share memory with the agent: write or copy them before it goes on learning.
-        """
-
-    @abstractmethod
-    def load_state_dict(self, state: StateTree) -> None:
-        """Go on exactly where `state_dict` was taken, to the last bit."""
 
     def compute_values(self, observation: Any) -> NDArray | None:
         """Q(s, .) at an observation in units of return, (actions,); None without action values."""

@@ -13,8 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import gymnasium
 
-from hrl_escape.agents.agent import Agent, StateTree
+from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import DiscountMismatchError
 
 if TYPE_CHECKING:

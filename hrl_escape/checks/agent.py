@@ -118,6 +118,10 @@ class _AgentCheck(Claims):
         self.require(not missing, "it has every member of the protocol", missing)
         self.require(isinstance(agent.gamma, float) and 0.0 <= agent.gamma <= 1.0, "gamma is a float from 0 to 1",
                      agent.gamma)
+        try:
+            agent.state_dict()
+        except TypeError as error:
+            self.require(False, "it declares what a checkpoint keeps of it", str(error))
         elsewhere = _read_global_random_state()
         seen = self._train(agent, _Play(_Corridor(), agent.gamma, self._seed), decisions)
         self.require(_read_global_random_state() == elsewhere, "it draws from generators of its own, never from the "

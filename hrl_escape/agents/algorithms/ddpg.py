@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.exploration import (
     OrnsteinUhlenbeck,
     choose_best,
@@ -36,6 +36,7 @@ from hrl_escape.agents.components.networks import (
 from hrl_escape.agents.components.replay import Experience
 from hrl_escape.agents.components.replay_agent import ReplayAgent, ReplaySettings
 from hrl_escape.agents.larg2019.linear_relaxation import LinearRelaxation
+from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["DDPG", "DDPGSettings", "OneHotRelaxation"]

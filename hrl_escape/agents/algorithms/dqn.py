@@ -17,7 +17,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.action_value_agent import ActionValueAgent, ActionValueSettings
 from hrl_escape.agents.components.distillation import DeepBonusSettings, make_bonus
 from hrl_escape.agents.components.exploration import compute_epsilon, make_rng
@@ -27,6 +27,7 @@ from hrl_escape.agents.components.streams.exploration import sample_actions
 from hrl_escape.agents.components.streams.open_choices import OpenChoices
 from hrl_escape.agents.components.streams.replay import StreamNStep, StreamReplay
 from hrl_escape.agents.goal_rule import GoalRule
+from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.streams import StreamAgent, StreamTransitions, compute_backups
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range

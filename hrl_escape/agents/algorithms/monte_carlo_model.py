@@ -16,10 +16,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.exploration import sample_index
 from hrl_escape.agents.factored.planning_agent import PlanningAgent, PlanningSettings
 from hrl_escape.agents.factored.search import ModelPlan
+from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["MonteCarloModel", "MonteCarloModelSettings"]

@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions
+from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions
 from hrl_escape.agents.components.distillation import DeepBonusSettings, make_bonus
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.learner import Learner
@@ -40,6 +40,7 @@ from hrl_escape.agents.components.policy_gradient import (
     take_column,
 )
 from hrl_escape.agents.components.streams.open_choices import OpenChoices
+from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.streams import StreamAgent, StreamTransitions
 
 __all__ = ["PPO", "PPOSettings"]

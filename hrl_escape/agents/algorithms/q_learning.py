@@ -12,9 +12,10 @@ from typing import ClassVar
 
 import gymnasium
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
 from hrl_escape.agents.components.tabular_agent import TabularAgent, TabularAgentSettings
+from hrl_escape.agents.state import StateTree
 
 __all__ = ["QLearning", "QLearningSettings"]
 

@@ -13,7 +13,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_actions
+from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
 from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.settings import Range
@@ -34,6 +34,7 @@ class RandomAgent(Agent):
 
     Settings: ClassVar[type] = RandomSettings
     settings: RandomSettings
+    STATE = ("_rng",)
 
     def __init__(
         self,
@@ -57,11 +58,3 @@ class RandomAgent(Agent):
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Nothing to learn."""
         return {}
-
-    def state_dict(self) -> StateTree:
-        """The generator."""
-        return {"rng": self._rng.bit_generator.state}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self._rng.bit_generator.state = state["rng"]

@@ -14,11 +14,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.action_value_agent import ActionValueAgent, ActionValueSettings
 from hrl_escape.agents.components.exploration import compute_epsilon, compute_policy, sample_index
 from hrl_escape.agents.components.replay import Experience
 from hrl_escape.agents.larg2019.late_terminal import LateTerminal
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 

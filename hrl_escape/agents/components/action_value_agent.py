@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.exploration import (
     ExplorationSettings,
     choose_best,
@@ -31,6 +31,7 @@ from hrl_escape.agents.components.networks import (
 from hrl_escape.agents.components.object_network import ObjectNetworkSettings, make_action_network
 from hrl_escape.agents.components.replay import Experience
 from hrl_escape.agents.components.replay_agent import ReplayAgent, ReplaySettings
+from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["ActionValueAgent", "ActionValueSettings"]

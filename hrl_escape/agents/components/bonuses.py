@@ -15,9 +15,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.components.tables import TabularSettings, make_cell_finder
 from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["BonusSettings", "CountBonus"]

@@ -19,7 +19,6 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.components.learner import Learner
@@ -30,6 +29,7 @@ from hrl_escape.agents.components.networks import (
     make_generator,
     make_network,
 )
+from hrl_escape.agents.state import StateTree
 
 __all__ = ["DeepBonusSettings", "DistillationBonus", "make_bonus"]
 

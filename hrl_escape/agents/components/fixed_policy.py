@@ -8,13 +8,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree
+from hrl_escape.agents.agent import Agent, SMDPTransition
 
 __all__ = ["FixedPolicy"]
 
 
 class FixedPolicy(Agent):
     """Base of such agents: a subclass gives `act`, which is evaluated as it is."""
+
+    STATE = ()
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """Same choice as `act`."""
@@ -25,11 +27,3 @@ class FixedPolicy(Agent):
         """Learn nothing."""
         del transition
         return {}
-
-    def state_dict(self) -> StateTree:
-        """Keep nothing."""
-        return {}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore nothing."""
-        del state

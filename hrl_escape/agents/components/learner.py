@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.components.networks import Network, NetworkSettings
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import CheckpointError, DivergenceError
 
 __all__ = ["Learner"]

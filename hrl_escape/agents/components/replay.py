@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
-from hrl_escape.agents.agent import StateTree
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import CheckpointError
 
 __all__ = ["Experience", "NStep", "ReplayBuffer"]

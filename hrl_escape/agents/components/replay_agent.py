@@ -13,11 +13,12 @@ from typing import Annotated, ClassVar, Literal
 
 import gymnasium
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, compute_backup, count_actions, count_steps
+from hrl_escape.agents.agent import Agent, SMDPTransition, compute_backup, count_actions, count_steps
 from hrl_escape.agents.components.exploration import EpsilonSettings, compute_epsilon, make_rng
 from hrl_escape.agents.components.networks import NetworkSettings, ObservationEncoder
 from hrl_escape.agents.components.replay import Experience, ReplayBuffer
 from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["ReplayAgent", "ReplaySettings"]

@@ -15,8 +15,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.settings import Range
 

@@ -9,7 +9,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, compute_backup, count_actions, count_steps
+from hrl_escape.agents.agent import Agent, SMDPTransition, compute_backup, count_actions, count_steps
 from hrl_escape.agents.components.exploration import (
     ExplorationSettings,
     choose_best,
@@ -19,6 +19,7 @@ from hrl_escape.agents.components.exploration import (
 )
 from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
 from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.state import StateTree
 
 __all__ = ["TabularAgent", "TabularAgentSettings"]
 

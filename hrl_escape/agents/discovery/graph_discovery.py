@@ -10,10 +10,11 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.discovery.discovering_agent import DiscoverySettings
 from hrl_escape.agents.discovery.found_option import StateModel, TableSkill
 from hrl_escape.agents.discovery.state_graph import StateGraph
+from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["GraphDiscovery", "GraphDiscoverySettings"]

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
-from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.discovery.found_option import StateModel
+from hrl_escape.agents.state import StateTree
 
 __all__ = ["StateGraph"]
 

@@ -16,7 +16,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.factored.compiled_model import (
     ActionModel,
     ChooseHypotheses,
@@ -28,6 +28,7 @@ from hrl_escape.agents.factored.durations import DurationHistory, DurationModel,
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.factored.search import MOST_ACTIONS, ModelPlan, find_plan, make_tables
 from hrl_escape.agents.factored.structure import LEVELS, StructureLearner
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import UnsupportedSpaceError
 
 __all__ = ["Belief", "FactoredModel", "PendingPlan"]

@@ -14,12 +14,13 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_actions
+from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
 from hrl_escape.agents.factored.model import Belief, FactoredModel, PendingPlan
 from hrl_escape.agents.factored.search import ModelPlan
 from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["PlanningAgent", "PlanningSettings"]

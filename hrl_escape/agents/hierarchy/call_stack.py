@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.hierarchy.task import Decision, Frame, Hierarchy, Seen, Stack, Step, Task
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import StepContractError
 
 __all__ = ["Return", "arrive", "descend", "load_stack", "save_stack"]

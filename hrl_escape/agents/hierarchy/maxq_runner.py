@@ -14,7 +14,6 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.components.exploration import (
     ExplorationSettings,
     choose_best,
@@ -28,6 +27,7 @@ from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
 from hrl_escape.agents.hierarchy.task_graph import GraphTask, View, freeze, get_graph
 from hrl_escape.agents.hierarchy.value_table import ValueTable
+from hrl_escape.agents.state import StateTree
 
 __all__ = ["MaxqRunner", "MaxqSettings"]
 

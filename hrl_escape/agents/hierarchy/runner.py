@@ -16,12 +16,13 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, StateTree
+from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.hierarchy.call_stack import Return, arrive, descend, load_stack, save_stack
 from hrl_escape.agents.hierarchy.task import Frame, Hierarchy, Seen, Stack, Step, Task
 from hrl_escape.agents.option_policy import OptionPolicy
 from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import StepContractError
 from hrl_escape.settings import Range
 

@@ -13,10 +13,11 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree
+from hrl_escape.agents.agent import Agent, SMDPTransition
 from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step, Task
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import DiscountMismatchError
 
 __all__ = ["StackAgent", "make_task_transition"]

@@ -8,15 +8,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup
+from hrl_escape.agents.agent import SMDPTransition, compute_backup
 from hrl_escape.agents.components.replay import Experience
 from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.state import Kept, Stateful, StateTree
 
 __all__ = ["LateTerminal"]
 
 
-class LateTerminal:
+def _pack(experience: Experience) -> StateTree:
+    return {name: np.asarray(field) for name, field in experience._asdict().items()}
+
+
+class LateTerminal(Stateful):
     """Delays each experience by one decision and moves the end of the episode to the one before."""
+
+    STATE = (Kept("_waiting", pack=_pack, unpack=lambda saved: Experience(**saved)),)
 
     def __init__(self) -> None:
         self._waiting: Experience | None = None
@@ -45,13 +52,3 @@ class LateTerminal:
             due.append((without_end, None))
         self._waiting = None if is_over else without_end
         return due
-
-    def state_dict(self) -> StateTree:
-        """The decision that waits."""
-        if self._waiting is None:
-            return {"waiting": None}
-        return {"waiting": {name: np.asarray(field) for name, field in self._waiting._asdict().items()}}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self._waiting = None if state["waiting"] is None else Experience(**state["waiting"])

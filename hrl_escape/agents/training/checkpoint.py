@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.lib import format as npy
 
-from hrl_escape.agents.agent import StateTree
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import CheckpointError, describe_damage
 from hrl_escape.files import atomic_writer, open_plain
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from hrl_escape.agents.agent import Agent, StateTree
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.results import EpisodeRecord
 
 __all__ = ["Probe"]

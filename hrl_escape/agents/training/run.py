@@ -19,7 +19,6 @@ import gymnasium
 from hrl_escape.agents.agent import (
     Agent,
     SMDPTransition,
-    StateTree,
     check_actions,
     check_observation,
     make_transition,
@@ -27,6 +26,7 @@ from hrl_escape.agents.agent import (
     read_success,
 )
 from hrl_escape.agents.registry import SMDP_PREFIX
+from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.env_description import compute_digest, describe_env, hash_large_parts
 from hrl_escape.agents.training.evaluation import Evaluation, compute_episode_seed, evaluate
 from hrl_escape.agents.training.interrupt import deferring_interrupts

@@ -15,8 +15,8 @@ import gymnasium
 import torch
 from gymnasium.vector import VectorEnv
 
-from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.registry import SMDP_PREFIX
+from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.streams import StreamAgent, Streams, StreamTransitions, gather_decisions
 from hrl_escape.agents.training.env_description import describe_many
 from hrl_escape.agents.training.evaluation import compute_episode_seed

@@ -14,7 +14,8 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
-from hrl_escape.agents.agent import StateTree, check_observation, count_actions
+from hrl_escape.agents.agent import check_observation, count_actions
+from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.streams import SavedEpisodes, Streams, StreamSource
 from hrl_escape.errors import StepContractError
 

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Literal, NamedTuple
 
-from hrl_escape.agents.agent import StateTree
+from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.comparison.baselines.calibration import CHANCE, IN_ORDER, KNOWN, ROUND
 from hrl_escape.comparison.baselines.lines import BaselineRun, collect_baselines

@@ -11,7 +11,8 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from hrl_escape.agents.agent import Agent, StateTree
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.results import EpisodeRecord
 from hrl_escape.comparison.grid import AgentSpec, SolvedRule

@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import StateTree, count_actions
+from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.exploration import (
     ExplorationSettings,
     choose_best,
@@ -28,6 +28,7 @@ from hrl_escape.agents.hierarchy.feudal import FeudalTask, make_feudal_hierarchy
 from hrl_escape.agents.hierarchy.regions import Quadtree
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Seen, Stack, Step
+from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["FeudalRl", "FeudalRlSettings"]

@@ -15,12 +15,13 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_actions
+from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import EpsilonSettings, compute_epsilon, make_rng, sample_legal
 from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.regions import Landmarks
 from hrl_escape.agents.hierarchy.task_graph import freeze
 from hrl_escape.agents.option_policy import OptionPolicy
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.settings import Range
 

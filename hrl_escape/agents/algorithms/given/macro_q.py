@@ -14,7 +14,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import StateTree, count_actions
+from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.exploration import (
     ExplorationSettings,
     choose_best,
@@ -27,6 +27,7 @@ from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.macros import Macro, make_macro_hierarchy
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Seen, Stack, Step
+from hrl_escape.agents.state import StateTree
 
 __all__ = ["MacroQ", "MacroQSettings"]
 

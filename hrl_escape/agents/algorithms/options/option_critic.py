@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions
+from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions
 from hrl_escape.agents.components.exploration import (
     compute_epsilon_greedy,
     compute_softmax,
@@ -26,6 +26,7 @@ from hrl_escape.agents.components.exploration import (
 from hrl_escape.agents.components.options.agent import OptionAgent
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["OptionCritic", "OptionCriticSettings", "OptionTables"]

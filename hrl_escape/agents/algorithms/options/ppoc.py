@@ -17,12 +17,12 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.options.choices import OptionChoices, mix_values
 from hrl_escape.agents.components.options.networks import EndingSettings
 from hrl_escape.agents.components.options.streams import StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, StreamRolloutSettings, take_column
+from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["PPOC", "OptionSamples", "PPOCSettings"]

@@ -13,10 +13,11 @@ from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent, DiscoverySettings
 from hrl_escape.agents.discovery.found_option import TableSkill, make_subgoal_option
 from hrl_escape.agents.discovery.state_graph import StateGraph
+from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["SkillChain", "SkillChaining", "SkillChainingSettings"]

@@ -15,11 +15,12 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, StateTree, count_actions
+from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_index, sample_legal
 from hrl_escape.agents.discovery.interventions import InterventionRule, compute_intervention_probabilities
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.settings import AgentSettings
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.settings import Range
 

@@ -8,7 +8,7 @@ from collections import deque
 
 import numpy as np
 
-from hrl_escape.agents.agent import StateTree
+from hrl_escape.agents.state import StateTree
 
 __all__ = ["OptionLog"]
 

@@ -17,7 +17,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree, compute_backup, count_actions
+from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
 from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.networks import (
@@ -44,6 +44,7 @@ from hrl_escape.agents.components.policy_gradient import (
     unstack_decisions,
 )
 from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["EndingSettings", "NetworkOptionAgent", "OptionNetworkSettings"]

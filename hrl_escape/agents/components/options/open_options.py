@@ -6,10 +6,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.components.options.choices import NONE, SMALLEST, OptionChoices, mix_with_former
 from hrl_escape.agents.components.options.log import OptionLog
 from hrl_escape.agents.components.policy_gradient import sample_policy, take_column
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import CheckpointError
 
 __all__ = ["OpenOptions"]

@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hrl_escape.agents.agent import SMDPTransition, StateTree
+from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.components.networks import make_forward
 from hrl_escape.agents.components.options.choices import OptionChoices
@@ -22,6 +22,7 @@ from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
 from hrl_escape.agents.components.options.open_options import OpenOptions
 from hrl_escape.agents.components.policy_gradient import Rollout, sample_policy, take_column
 from hrl_escape.agents.components.streams.open_choices import OpenChoices
+from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.streams import StreamAgent, StreamTransitions
 
 __all__ = ["StreamOptionAgent"]

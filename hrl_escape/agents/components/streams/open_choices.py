@@ -6,9 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.components.networks import ObservationEncoder
 from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout
+from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.streams import StreamTransitions, compute_backups
 from hrl_escape.errors import CheckpointError
 

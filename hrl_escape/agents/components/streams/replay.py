@@ -9,8 +9,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from hrl_escape.agents.agent import StateTree
 from hrl_escape.agents.components.replay import Experience
+from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import CheckpointError
 
 __all__ = ["StreamNStep", "StreamReplay"]
