@@ -34,10 +34,10 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.robot import BASE_LINK
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason
+from hrl_escape.planning.arm.arm_planner import ArmPlanner
 from hrl_escape.planning.arm.model import ArmKinematics
-from hrl_escape.planning.motion.arm_planner import ArmPlanner
-from hrl_escape.planning.scene.scene import Scene
-from hrl_escape.planning.trajectories.path import MotionPath
+from hrl_escape.planning.motion.path import MotionPath
+from hrl_escape.planning.scene import Scene
 
 try:
     import pink

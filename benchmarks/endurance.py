@@ -25,7 +25,7 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 
 SEEDS = 100_000
 WARM_UP = 0.2

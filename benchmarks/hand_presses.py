@@ -25,11 +25,11 @@ from hrl_escape.env.geometry import stack_footprints
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.floor.sweeps import compile_geometry
 from hrl_escape.planning.arm.reacher import UNLIMITED, Reacher
 from hrl_escape.planning.arm.search import find_touching
 from hrl_escape.planning.goals import PressGoal
-from hrl_escape.planning.lattice.sweep_kernels import compile_geometry
-from hrl_escape.planning.primitive_search import PrimitiveSearch
+from hrl_escape.planning.search.primitive_search import PrimitiveSearch
 
 THREE = RobotConfig(joints=3, body_radius=0.4, body_height=0.8)
 ARMS = {

@@ -28,14 +28,14 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GenerationError
 from hrl_escape.files import write_text
 from hrl_escape.kernels import read_clock
+from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, describe_goal, is_reached
-from hrl_escape.planning.lattice.areas import compute_goal_area
-from hrl_escape.planning.lattice.reference import find_fewest_primitives
+from hrl_escape.planning.motion.limits import MotionLimits, compute_duration, compute_rest_to_rest
 from hrl_escape.planning.paths.navigator import PathResult
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.paths.registry import list_planners
-from hrl_escape.planning.primitive_search import METHODS, PrimitiveSearch, SearchResult
-from hrl_escape.planning.trajectories.limits import MotionLimits, compute_duration, compute_rest_to_rest
+from hrl_escape.planning.search.primitive_search import METHODS, PrimitiveSearch, SearchResult
+from hrl_escape.planning.search.reference import find_fewest_primitives
 
 __all__ = ["AUTO", "FIELDS", "FLOORS", "PATH", "Floor", "Query", "QueryResult", "Score", "draw_scores",
            "list_contenders", "make_queries", "measure", "score_contenders", "write_csv"]

@@ -25,9 +25,9 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.planning.calls import start_planning
 from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.paths.navigator import Navigator
-from hrl_escape.planning.primitive_search import PrimitiveSearch
-from hrl_escape.planning.requests.request import PlanningRequest
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
+from hrl_escape.planning.requests import PlanningRequest
+from hrl_escape.planning.search.primitive_search import PrimitiveSearch
 
 PRESETS = ("paper-one-button", "paper-two-button", "larg-2019", "clutter", "ten-button", "arm-two-button")
 MEDIAN_MS, P99_MS, PREPARE_S, CACHED_MS = 5.0, 50.0, 1.0, 0.2

@@ -33,7 +33,7 @@ from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GenerationError, PlanningFailed
 from hrl_escape.options.closed_loop import pursue
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 
 
 def make_arm_room(joints: int, **robot: Any) -> RoomConfig:

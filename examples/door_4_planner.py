@@ -6,7 +6,7 @@ import gymnasium
 import tyro
 
 import hrl_escape  # noqa: F401  # registers the environments
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 
 
 def main(config: str = "clutter", draw: Path = Path("plan.svg")) -> None:

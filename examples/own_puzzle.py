@@ -17,7 +17,7 @@ from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.settings import Range
 
 

@@ -6,7 +6,7 @@ from .env.instance import RoomInstance
 from .env.presets import get_preset
 from .env.sampling.generation import generate
 from .options.options_env import OptionsEnv
-from .planning.room_planner import RoomPlanner
+from .planning.planner import RoomPlanner
 
 __version__: str
 

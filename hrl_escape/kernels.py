@@ -26,9 +26,8 @@ from hrl_escape.version import __version__
 __all__ = ["SOURCES", "find_cache_folder", "kernel", "kernel_in_place", "kernel_part", "read_clock"]
 
 SOURCES = ("agents/factored/search.py", "env/body/rectangle.py", "env/geometry.py", "env/primitives.py",
-           "options/batched/value_iteration.py", "planning/arm/search.py", "planning/arm/tables.py",
-           "planning/lattice/a_star.py", "planning/lattice/dijkstra_kernels.py", "planning/lattice/reference.py",
-           "planning/lattice/repair_kernels.py", "planning/lattice/sweep_kernels.py")
+           "floor/dijkstra.py", "floor/sweeps.py", "options/batched/value_iteration.py", "planning/arm/search.py",
+           "planning/arm/tables.py", "planning/search/a_star.py", "planning/search/reference.py")
 """Files, relative to the package, that compiled code is made of."""
 
 _CONFIG: Any = config  # its names are set when it is imported

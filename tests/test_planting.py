@@ -108,7 +108,7 @@ TIMED = '''
 import time
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 
 planner = RoomPlanner(generate(get_preset("paper-two-button"), 0), time_limit=10.0)
 began = time.perf_counter()

@@ -52,7 +52,7 @@ agents.agent agents.registry agents.components.networks agents.training.train
 agents.algorithms.dqn agents.algorithms.sarsa agents.algorithms.given.hamq agents.algorithms.given.maxq_0
 agents.hierarchy.task agents.factored.search agents.larg2019.recipes
 options.option options.options_env options.meta_actions
-planning.goals planning.room_planner planning.paths.navigator planning.arm.model planning.lattice.a_star
+planning.goals planning.planner planning.paths.navigator planning.arm.model planning.search.a_star floor.clearance
 env.config env.presets env.instance env.robot env.primitives env.geometry env.observations env.engine
 env.puzzles.base env.puzzles.buttons env.puzzles.bit_flip env.sampling.generation env.drawing.maps
 env.bullet.engine env.bullet.scene env.batched.engine env.batched.rules
@@ -65,7 +65,7 @@ ALLOWED_IMPORTS = {
     "comparison.reporting.report": "hrl_escape.agents.training.train",
     "agents.algorithms.dqn": "torchrl",
     "options.options_env": "hrl_escape.env.escape_room",
-    "options.meta_actions": "hrl_escape.planning.room_planner",
+    "options.meta_actions": "hrl_escape.planning.planner",
     "planning.paths.navigator": "ompl",
     "planning.arm.model": "pinocchio",
     "ladder.instance_set": "hrl_escape.env.escape_room",
@@ -79,15 +79,15 @@ ALLOWED_IMPORTS = {
 }
 
 FORBIDDEN_IMPORTS = [  # (importer, imported, the contract that finds it); a file of a new name where globs must hold
-    ("env.config", "hrl_escape.options.option", "errors <- env <- planning <- options"),
-    ("env.config", "hrl_escape.planning.goals", "errors <- env <- planning <- options"),
-    ("planning.room_planner", "hrl_escape.options.option", "errors <- env <- planning <- options"),
-    ("errors", "hrl_escape.env.config", "errors <- env <- planning <- options"),
-    ("options.option", "hrl_escape.agents.agent", "errors <- env <- planning <- options"),
-    ("options.new", "hrl_escape.comparison.reporting.report", "errors <- env <- planning <- options"),
-    ("ladder.new", "hrl_escape.comparison.reporting.report", "errors <- env <- planning <- options"),
-    ("agents.components.new", "hrl_escape.ladder.rung", "errors <- env <- planning <- options"),
-    ("viewer.scene.room_scene", "hrl_escape.cli", "errors <- env <- planning <- options"),
+    ("env.config", "hrl_escape.options.option", "errors <- env <- floor <- planning <- options"),
+    ("env.config", "hrl_escape.planning.goals", "errors <- env <- floor <- planning <- options"),
+    ("planning.planner", "hrl_escape.options.option", "errors <- env <- floor <- planning <- options"),
+    ("errors", "hrl_escape.env.config", "errors <- env <- floor <- planning <- options"),
+    ("options.option", "hrl_escape.agents.agent", "errors <- env <- floor <- planning <- options"),
+    ("options.new", "hrl_escape.comparison.reporting.report", "errors <- env <- floor <- planning <- options"),
+    ("ladder.new", "hrl_escape.comparison.reporting.report", "errors <- env <- floor <- planning <- options"),
+    ("agents.components.new", "hrl_escape.ladder.rung", "errors <- env <- floor <- planning <- options"),
+    ("viewer.scene.room_scene", "hrl_escape.cli", "errors <- env <- floor <- planning <- options"),
     ("agents.algorithms.new", "hrl_escape.env.config", "agents know neither env, planning nor options"),
     ("agents.training.new", "hrl_escape.options.option", "agents know neither env, planning nor options"),
     ("env.geometry", "hrl_escape.env.bullet.engine", "rules of a room"),
@@ -135,8 +135,8 @@ def test_import_contracts_find_a_cycle(tmp_path: Path):
 
 
 def test_import_contracts_find_a_cycle_of_types(tmp_path: Path):
-    house = write_house(tmp_path, {"planning.goals": "hrl_escape.planning.room_planner"})
-    (house / "hrl_escape/planning/room_planner.py").write_text(
+    house = write_house(tmp_path, {"planning.goals": "hrl_escape.planning.planner"})
+    (house / "hrl_escape/planning/planner.py").write_text(
         "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import hrl_escape.planning.goals\n")
     assert "no cycles BROKEN" in run(*LINT_IMPORTS, cwd=house).stdout
 

@@ -28,7 +28,7 @@ from hrl_escape.env.drawing.video import save_picture
 from hrl_escape.env.engine import film
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.planning.room_planner import get_planner
+from hrl_escape.planning.planner import get_planner
 
 CURVES = Path(__file__).parents[1] / "curves"
 

@@ -18,7 +18,7 @@ from hrl_escape.checks.claims import Claims
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import compute_noise, draw_chance
 from hrl_escape.planning.goals import parse_goal
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 
 __all__ = ["GridOutcome", "ReferenceDomain", "ReferenceGrid", "check_isomorphism"]
 

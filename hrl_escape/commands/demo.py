@@ -19,7 +19,7 @@ from hrl_escape.env.drawing.video import make_filmstrip, save_picture, save_vide
 from hrl_escape.env.engine import film
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.names import make_console_text
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 
 
 @dataclasses.dataclass(frozen=True)

@@ -29,10 +29,10 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text
 from hrl_escape.options.closed_loop import ClosedLoopExecution, pursue
+from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.plan import Execution, Plan
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.symbolic.pddl import save_pddl
-from hrl_escape.planning.trajectories.trajectory import make_trajectory
 
 ESCAPE = "escape"
 MOST_FRAMES = 60

@@ -28,7 +28,7 @@ from hrl_escape.planning.best_known import (
     improve_best_known,
     list_start_states,
 )
-from hrl_escape.planning.room_planner import RoomPlanner, get_planner
+from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import get_pose
 
 __all__ = ["best_return_with_options", "find_best_with_options", "simulate"]

@@ -16,7 +16,7 @@ from hrl_escape.options.meta_actions import list_goals, make_meta_options, make_
 from hrl_escape.options.option import Option
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import ExitGoal, Goal, check_goal, parse_goal
-from hrl_escape.planning.room_planner import RoomPlanner, get_planner
+from hrl_escape.planning.planner import RoomPlanner, get_planner
 
 __all__ = ["ClosedLoopExecution", "pursue"]
 

@@ -16,7 +16,7 @@ import numpy as np
 from hrl_escape.errors import OptionError, StepContractError
 from hrl_escape.options.domain import DomainStep, OptionDomain
 from hrl_escape.options.option import Option
-from hrl_escape.planning.report import PlanningReport
+from hrl_escape.planning.route import PlanningReport
 
 __all__ = ["DecisionOutcome", "OptionCall", "OptionExecution", "RunningDecision"]
 

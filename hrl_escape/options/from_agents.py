@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hrl_escape.errors import OptionError
 from hrl_escape.options.learned import LegalActions, check_legal, find_legal
 from hrl_escape.options.option import Option
-from hrl_escape.planning.report import PlanningReport
+from hrl_escape.planning.route import PlanningReport
 
 __all__ = ["AgentOption", "GivenPolicy", "GivenRun", "TeachingAgent", "make_learned_options"]
 

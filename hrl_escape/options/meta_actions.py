@@ -16,9 +16,9 @@ from hrl_escape.errors import OptionError, PlanningFailed, PlanningReason, Unkno
 from hrl_escape.options.flavours import FLAVOURS
 from hrl_escape.options.option import Option, OptionAction
 from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PressGoal, PushGoal, is_reached, make_goal
-from hrl_escape.planning.inner_doors import is_way_open
-from hrl_escape.planning.room_planner import RoomPlanner, get_planner
+from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route, get_pose
+from hrl_escape.planning.search.inner_doors import is_way_open
 
 __all__ = ["AncestorsOption", "MarkovOption", "PlannedOption", "list_goals", "make_meta_options", "make_option"]
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import OptionError
-from hrl_escape.planning.report import PlanningReport
+from hrl_escape.planning.route import PlanningReport
 
 __all__ = ["FunctionOption", "Option", "OptionAction", "ScriptedOption", "TableOption"]
 

@@ -24,8 +24,8 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import PlanningFailed, PlanningReason
 from hrl_escape.options.option import Option
 from hrl_escape.planning.goals import PoseGoal, PushGoal, find_push
+from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.props import GRAZE, get_prop_poses, list_blocks, meets
-from hrl_escape.planning.room_planner import RoomPlanner
 from hrl_escape.planning.route import Route
 
 __all__ = ["PushOption", "PushField"]

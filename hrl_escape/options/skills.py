@@ -14,7 +14,7 @@ from hrl_escape.errors import PlanningReason, UnknownNameError, UnsupportedError
 from hrl_escape.options.meta_actions import PlannedOption
 from hrl_escape.options.option import Option, OptionAction
 from hrl_escape.planning.goals import Goal, PoseGoal, PressGoal, check_goal, describe_goal, parse_goal
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 
 __all__ = ["PressOption", "ReachOption", "make_go_to", "make_press", "make_reach"]
 

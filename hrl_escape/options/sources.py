@@ -57,7 +57,7 @@ def make_meta_source(flavour: str, planner: str = "auto") -> OptionsSource:
 
     def make(instance: RoomInstance) -> Sequence[Option]:
         from hrl_escape.options.meta_actions import make_meta_options  # loads the planners
-        from hrl_escape.planning.room_planner import get_planner
+        from hrl_escape.planning.planner import get_planner
 
         return make_meta_options(instance, flavour, get_planner(instance, planner))
 

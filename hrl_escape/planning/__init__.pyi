@@ -1,20 +1,20 @@
+from .arm.arm_planner import ArmPlanner
 from .arm.reacher import Reacher
 from .best_known import BestKnown, best_known_return, find_best_known, record_return
 from .calls import plan_many, start_planning
 from .goals import ExitGoal, Goal, GripGoal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached, parse_goal
-from .motion.arm_planner import ArmPlanner
+from .motion.limits import MotionLimits
+from .motion.trajectory import TimedTrajectory, make_trajectory
 from .paths.navigator import Navigator
 from .paths.problem import PathProblem, PathResult
 from .paths.registry import list_planners, register_planner
 from .plan import Execution, Plan, PlanPart
-from .report import PlanningReport
-from .requests.request import PlanningRequest, PlanningResult
-from .room_planner import RoomPlanner, get_planner
-from .scene.scene import Scene
+from .planner import RoomPlanner, get_planner
+from .requests import PlanningRequest, PlanningResult
+from .route import PlanningReport
+from .scene import Scene
 from .symbolic.pddl import export_pddl, save_pddl, solve_pddl
 from .task_motion import TaskMotionPlanner
-from .trajectories.limits import MotionLimits
-from .trajectories.trajectory import TimedTrajectory, make_trajectory
 
 __all__ = [
     "ArmPlanner",

@@ -26,7 +26,7 @@ from hrl_escape.files import read_json, write_json
 from hrl_escape.planning.goals import Goal
 from hrl_escape.planning.lower_bounds import bound_escape
 from hrl_escape.planning.plan import Plan, strip
-from hrl_escape.planning.room_planner import RoomPlanner, get_planner
+from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Pose, get_pose
 
 __all__ = ["ROLLOUTS", "BestKnown", "ExpectedEscape", "Replanner", "best_known_return", "compute_escape_return",

@@ -9,8 +9,8 @@ from concurrent.futures import Future, ProcessPoolExecutor
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ConfigError
-from hrl_escape.planning.requests.request import PlanningRequest, PlanningResult
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
+from hrl_escape.planning.requests import PlanningRequest, PlanningResult
 from hrl_escape.processes import die_with_parent
 
 __all__ = ["PlanningCall", "plan_many", "start_planning"]

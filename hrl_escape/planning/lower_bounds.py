@@ -17,8 +17,8 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.env.robot import make_robot
+from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.goals import Goal, PressGoal
-from hrl_escape.planning.lattice.areas import compute_goal_area
 from hrl_escape.planning.symbolic.operator_order import Leg, TaskSearch
 
 __all__ = ["LegBounds", "bound_escape"]

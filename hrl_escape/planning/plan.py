@@ -1,6 +1,6 @@
 """`Plan`: primitives with the states they lead to, in named parts; a value that can be executed and drawn.
 
-Made by `room_planner.py`. The states are those of the room's own kinematics without noise and
+Made by `planner.py`. The states are those of the room's own kinematics without noise and
 slip; in a room without these an executed plan meets them exactly.
 """
 

@@ -1,14 +1,18 @@
-"""A route, the settings of the search that finds it, and the part of a state that it depends on."""
+"""A route, the settings of the search that finds it, the part of a state that it depends on, and what finding took."""
 
 from __future__ import annotations
 
+import dataclasses
 import numbers
 from typing import Any, NamedTuple, TypeAlias
 
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import ConfigError
 
-__all__ = ["Pose", "Route", "SearchSettings", "check_budget", "get_pose"]
+__all__ = ["EFFORTS", "PlanningReport", "Pose", "Route", "SearchSettings", "check_budget", "get_pose"]
+
+EFFORTS = (2, 4, 8)
+"""Heuristic offsets of further searches for a shorter plan, one for each step of effort that a caller asks for."""
 
 Pose: TypeAlias = tuple[Any, ...]
 
@@ -45,7 +49,7 @@ class SearchSettings(NamedTuple):
         method: as in `RoomPlanner`.
         budget: search nodes that may be expanded.
         seed: of path planners.
-        effort: further searches for a shorter plan, at most `len(EFFORTS)` of `primitive_search`; -1 for the first
+        effort: further searches for a shorter plan, at most `len(EFFORTS)`; -1 for the first
             plan found, which may be some primitives longer.
     """
 
@@ -59,3 +63,36 @@ def check_budget(budget: int) -> None:
     """Check a number of search nodes. Raises `ConfigError`."""
     if isinstance(budget, bool) or not isinstance(budget, numbers.Integral) or budget < 1:
         raise ConfigError("budget", budget, "a whole number of search nodes, at least 1")
+
+
+@dataclasses.dataclass
+class PlanningReport:
+    """Planning done on behalf of one run of an option, from its start on.
+
+    Attributes:
+        planner_seconds: wall time spent planning.
+        planner_calls: requests for plans, cached or new.
+        cache_hits: requests answered from the cache.
+        replans: plans made after the state had left the last plan.
+        unavoidable: names of targets that the plan had to press on the way.
+    """
+
+    planner_seconds: float = 0.0
+    planner_calls: int = 0
+    cache_hits: int = 0
+    replans: int = 0
+    unavoidable: tuple[str, ...] = ()
+
+    def add(self, other: PlanningReport) -> None:
+        """Add the report of a nested option."""
+        self.planner_seconds += other.planner_seconds
+        self.planner_calls += other.planner_calls
+        self.cache_hits += other.cache_hits
+        self.replans += other.replans
+        self.unavoidable += other.unavoidable
+
+    def count_since(self, earlier: PlanningReport) -> PlanningReport:
+        """Counts and seconds since an earlier report of the same run; `unavoidable` stays that of the whole run."""
+        return PlanningReport(
+            self.planner_seconds - earlier.planner_seconds, self.planner_calls - earlier.planner_calls,
+            self.cache_hits - earlier.cache_hits, self.replans - earlier.replans, self.unavoidable)

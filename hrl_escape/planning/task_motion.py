@@ -11,12 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Any
 
+from hrl_escape.clock import Clock
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
-from hrl_escape.planning.clock import Clock
 from hrl_escape.planning.goals import ExitGoal, Goal, PushGoal, make_goal
 from hrl_escape.planning.plan import Plan
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.symbolic.pddl import clean_name, read_problem, run_engine, write_all, write_atom
 
 __all__ = ["TaskMotionPlanner"]

@@ -19,7 +19,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.symbolic import Operator
 from hrl_escape.errors import PlanningFailed, UnsupportedError
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
-from hrl_escape.planning.room_planner import RoomPlanner, get_planner
+from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route
 from hrl_escape.planning.symbolic.operator_order import find_relevant_operators
 

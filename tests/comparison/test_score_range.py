@@ -12,7 +12,7 @@ from hrl_escape.comparison.score_range import CEILING, PLANNER, compute_score_ra
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 from tests.comparison.small import SCHEMATIC
 
 ROOM = generate(SCHEMATIC, 0)

@@ -23,13 +23,13 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.primitive_proof import meets_condition
 from hrl_escape.errors import ConfigError, UnsupportedError
 from hrl_escape.options.degraded import OptionDegradation
+from hrl_escape.planning.areas import compute_goal_area
+from hrl_escape.planning.arm.arm_planner import ArmPlanner
 from hrl_escape.planning.goals import PressGoal
-from hrl_escape.planning.lattice.areas import compute_goal_area
-from hrl_escape.planning.lattice.reference import find_fewest_primitives
-from hrl_escape.planning.motion.arm_planner import ArmPlanner
-from hrl_escape.planning.room_planner import RoomPlanner
-from hrl_escape.planning.trajectories.limits import MotionLimits
-from hrl_escape.planning.trajectories.trajectory import make_trajectory
+from hrl_escape.planning.motion.limits import MotionLimits
+from hrl_escape.planning.motion.trajectory import make_trajectory
+from hrl_escape.planning.planner import RoomPlanner
+from hrl_escape.planning.search.reference import find_fewest_primitives
 
 SMALL = RoomConfig(room=ShapeConfig(width=8, depth=8), robot=RobotConfig(body_radius=0.4, turn_step_deg=15,
                                                                          drive="differential"),

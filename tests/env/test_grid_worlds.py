@@ -18,7 +18,7 @@ from hrl_escape.env.presets.grid_worlds import FOUR_ROOMS
 from hrl_escape.env.puzzles.taxi import RIDING, Ride, TaxiPuzzle
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, ContractError
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 from tests.classic.four_rooms import EAST_HALLWAY, GRID, FourRooms
 
 assert hrl_escape  # registers the environments

@@ -31,12 +31,12 @@ from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import ConfigError, InstanceFileError, StateError, UnsupportedError
 from hrl_escape.options.batched.cost_to_go import compute_instance_fields
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.areas import compute_goal_area, get_presser
 from hrl_escape.planning.goals import ExitGoal, PoseGoal, PressGoal, is_reached, parse_goal
-from hrl_escape.planning.lattice.areas import compute_goal_area, get_presser
 from hrl_escape.planning.lower_bounds import LegBounds
+from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.paths.navigator import Navigator
-from hrl_escape.planning.room_planner import RoomPlanner
-from hrl_escape.planning.trajectories.trajectory import make_trajectory
+from hrl_escape.planning.planner import RoomPlanner
 
 ROBOT = RobotConfig(footprint="rectangle", body_length=1.2, body_width=0.6)
 SMALL = RoomConfig(room=ShapeConfig(width=8, depth=8), robot=ROBOT, obstacles=ObstaclesConfig(count=4),

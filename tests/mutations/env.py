@@ -187,7 +187,7 @@ MUTATIONS = [
     ),
     Mutation(
         "routes of other doors are taken",
-        "planning/route_finder.py",
+        "planning/routes.py",
         "(self.is_solved(state), self._doors.make_key(state, goal))",
         "(self.is_solved(state), (0, ()))",
         "env/test_mini_grid.py",

@@ -14,7 +14,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.options.meta_actions import MarkovOption, PlannedOption, make_meta_options
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.goals import PressGoal
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 
 
 def list_states(env: EscapeRoomEnv, count: int) -> list[RoomState]:

@@ -21,7 +21,7 @@ from hrl_escape.options.meta_actions import list_goals, make_meta_options
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.options.skills import make_go_to, make_press, make_reach
 from hrl_escape.planning.goals import PressGoal
-from hrl_escape.planning.room_planner import get_planner
+from hrl_escape.planning.planner import get_planner
 from tests.env.rooms import make_ordered_chain
 
 KINEMATIC = [name for name in PRESETS if name != "push-block"]

@@ -11,7 +11,7 @@ from hrl_escape.errors import ContractError, OptionError
 from hrl_escape.options.learned import LearnedOption
 from hrl_escape.options.option import Option, ScriptedOption
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.planning.report import PlanningReport
+from hrl_escape.planning.route import PlanningReport
 
 
 @pytest.fixture(scope="module")

@@ -11,8 +11,8 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.push_block import PushBlockConfig
 from hrl_escape.options.closed_loop import pursue
 from hrl_escape.planning.goals import ExitGoal
+from hrl_escape.planning.planner import get_planner
 from hrl_escape.planning.props import list_blocks, list_obstacles
-from hrl_escape.planning.room_planner import get_planner
 
 
 def escape(env, seed):

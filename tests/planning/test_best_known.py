@@ -9,6 +9,7 @@ import warnings
 import numpy as np
 import pytest
 
+from hrl_escape.clock import Clock
 from hrl_escape.env.config import ExitConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.kinematics import Kinematics, RoomState
@@ -22,8 +23,7 @@ from hrl_escape.options.best_with_options import best_return_with_options, find_
 from hrl_escape.options.option import ScriptedOption
 from hrl_escape.planning import best_known
 from hrl_escape.planning.best_known import best_known_return, find_best_known, record_return
-from hrl_escape.planning.clock import Clock
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 
 
 @pytest.fixture(autouse=True)

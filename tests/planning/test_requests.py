@@ -18,14 +18,13 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError, GoalError, PlanningReason, UnknownNameError
+from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.calls import plan_many, start_planning
 from hrl_escape.planning.goals import ExitGoal, PressGoal
-from hrl_escape.planning.lattice.areas import compute_goal_area
-from hrl_escape.planning.lattice.reference import find_fewest_primitives
-from hrl_escape.planning.requests.objectives import compute_lacking_clearance, compute_plan_cost
-from hrl_escape.planning.requests.request import PlanningRequest
-from hrl_escape.planning.room_planner import RoomPlanner
-from hrl_escape.planning.trajectories.limits import MotionLimits, compute_rest_to_rest
+from hrl_escape.planning.motion.limits import MotionLimits, compute_rest_to_rest
+from hrl_escape.planning.planner import RoomPlanner
+from hrl_escape.planning.requests import PlanningRequest, compute_lacking_clearance, compute_plan_cost
+from hrl_escape.planning.search.reference import find_fewest_primitives
 
 
 @pytest.fixture(scope="module")

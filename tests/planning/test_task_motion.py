@@ -11,8 +11,8 @@ from hrl_escape.env.geometry import Solid
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
-from hrl_escape.planning.room_planner import RoomPlanner
-from hrl_escape.planning.scene.scene import Scene
+from hrl_escape.planning.planner import RoomPlanner
+from hrl_escape.planning.scene import Scene
 from hrl_escape.planning.task_motion import TaskMotionPlanner
 
 

@@ -19,7 +19,7 @@ from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import FileReadError
 from hrl_escape.files import read_text, write_text
-from hrl_escape.planning.room_planner import get_planner
+from hrl_escape.planning.planner import get_planner
 from hrl_escape.planning.symbolic.operator_order import find_relevant_operators
 
 __all__ = ["PLAYERS", "LEARNER", "GallerySettings", "PlayedRun", "SolvedRoom", "count_fewest", "load_gallery",

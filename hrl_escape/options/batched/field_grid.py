@@ -1,6 +1,6 @@
 """Grid of one room on which the cost-to-go fields of its goals are found together.
 
-Cells are those of the planners' grid (`lattice/cost_to_go.py`), halved. The goal of a press is a move that begins to
+Cells are those of the planners' grid (`floor/cost_to_go.py`), halved. The goal of a press is a move that begins to
 touch a target with the body, or the states from which the hand touches it in one posture; `value_iteration.py` goes
 from there.
 """
@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.floor.cost_to_go import lay_grid, make_collision
+from hrl_escape.floor.dijkstra import choose_points
+from hrl_escape.floor.sweeps import make_sweep_scene
 from hrl_escape.options.batched.value_iteration import AT_GOAL, UNREACHABLE, encode_values, iterate_values, trace_moves
 from hrl_escape.planning.goals import Goal, PressGoal
-from hrl_escape.planning.lattice.cost_to_go import lay_grid, make_collision
-from hrl_escape.planning.lattice.dijkstra_kernels import choose_points
-from hrl_escape.planning.lattice.sweep_scene import make_sweep_scene
 
 __all__ = ["OTHER_PRESS_COST", "FieldGrid"]
 

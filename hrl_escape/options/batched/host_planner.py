@@ -13,7 +13,7 @@ from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.errors import PlanningFailed
 from hrl_escape.options.batched.decisions import NOT_ASKED, ORDER_LENGTH, PLAN_LENGTH, OpenDecisions
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
-from hrl_escape.planning.room_planner import RoomPlanner, get_planner
+from hrl_escape.planning.planner import RoomPlanner, get_planner
 
 __all__ = ["HostPlanner"]
 

@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.floor.sweeps import get_shape, is_clear_of_all, measure_distance, sweep
 from hrl_escape.kernels import kernel, kernel_part
-from hrl_escape.planning.lattice.sweep_kernels import get_shape, is_clear_of_all, measure_distance, sweep
 
 __all__ = ["AT_GOAL", "UNREACHABLE", "Moves", "encode_values", "iterate_values", "trace_moves"]
 

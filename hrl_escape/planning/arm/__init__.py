@@ -1,1 +1,1 @@
-"""The arm by itself: its model in Pinocchio, its lattice of joint steps, and the tables of what it reaches."""
+"""The arm by itself: its model in Pinocchio, its joint lattice, tables of what it reaches, and collision-free paths."""

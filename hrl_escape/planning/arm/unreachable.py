@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.geometry import compute_distance_many, make_footprint, stack_footprints
+from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.planning.arm.joint_lattice import NEVER
 from hrl_escape.planning.arm.reacher import Reacher
 from hrl_escape.planning.arm.search import collect_hands, find_place
 from hrl_escape.planning.arm.tables import bound_costs
-from hrl_escape.planning.collision_map import CollisionMap
 
 __all__ = ["explain_unreachable"]
 

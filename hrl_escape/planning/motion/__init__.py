@@ -1,1 +1,1 @@
-"""Motion of the arm by itself and with the base: inverse kinematics, reachability, collision-free paths."""
+"""Motion in continuous time: limits of speed and acceleration, smooth paths, and trajectories sampled at any rate."""

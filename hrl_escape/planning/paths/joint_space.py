@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from ompl import base, geometric, util
 
-from hrl_escape.planning.clock import NO_LIMIT, Clock
+from hrl_escape.clock import NO_LIMIT, Clock
 from hrl_escape.planning.paths.problem import Spent
 from hrl_escape.planning.paths.single_query import ANYTIME, SINGLE_QUERY_PLANNERS
 

@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.clock import Clock, OutOfTime
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.errors import ConfigError, EscapeError, GoalError, PathPlannerError, show_value
+from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import read_clock
-from hrl_escape.planning.clock import Clock, OutOfTime
-from hrl_escape.planning.collision_map import CollisionMap
+from hrl_escape.planning.areas import compute_goal_area, sample_places
 from hrl_escape.planning.goals import FARTHEST, Goal, PressGoal, check_goal
-from hrl_escape.planning.lattice.areas import compute_goal_area, sample_places
 from hrl_escape.planning.paths.pose_path import check_pose_planner, find_pose_path
 from hrl_escape.planning.paths.problem import (
     CHECKER_CALLS,

@@ -12,9 +12,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.clock import Clock
 from hrl_escape.errors import PathPlannerError, UnsupportedError
-from hrl_escape.planning.clock import Clock
-from hrl_escape.planning.collision_map import CollisionMap
+from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.planning.paths.joint_space import find_joint_path
 from hrl_escape.planning.paths.problem import SPACING
 from hrl_escape.planning.paths.single_query import SINGLE_QUERY_PLANNERS

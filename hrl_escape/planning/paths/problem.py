@@ -14,8 +14,8 @@ from typing import Literal, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.planning.clock import NO_LIMIT, Clock
-from hrl_escape.planning.collision_map import CollisionMap
+from hrl_escape.clock import NO_LIMIT, Clock
+from hrl_escape.floor.clearance import CollisionMap
 
 __all__ = ["CHECKER_CALLS", "DEFAULT_PLANNER", "PathPlanner", "PathProblem", "PathResult", "PlannerFactory", "Spent",
            "Status", "compute_spacing"]

@@ -2,7 +2,7 @@
 
 A best-first search over (facts that hold, last operator) with the planner's cost of each leg. For a
 puzzle that is a set of targets it is Held and Karp's dynamic programme, pruned by the symbolic
-model. It knows operators and costs, no geometry; `room_planner.py` plans the legs. `pddl.py`
+model. It knows operators and costs, no geometry; `planner.py` plans the legs. `pddl.py`
 exports the same model for other planners.
 """
 

@@ -16,7 +16,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.errors import ConfigError
 from hrl_escape.files import write_text
-from hrl_escape.planning.trajectories.trajectory import TimedTrajectory
+from hrl_escape.planning.motion.trajectory import TimedTrajectory
 from hrl_escape.viewer.scene.poses import RoomPose, make_pose
 from hrl_escape.viewer.scene.room_scene import RoomScene
 from hrl_escape.viewer.server import open_server

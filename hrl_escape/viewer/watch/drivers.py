@@ -22,7 +22,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import FileReadError, RunMismatchError
 from hrl_escape.ladder.trained import find_trained_agent
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.planning.room_planner import get_planner
+from hrl_escape.planning.planner import get_planner
 from hrl_escape.synthesis.hierarchy_env import HierarchyEnv
 from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.viewer.step_hooks import StepHooks

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
 from hrl_escape.options.meta_actions import list_goals
 from hrl_escape.planning.goals import ExitGoal
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 
 __all__ = ["PlannerAgent"]
 

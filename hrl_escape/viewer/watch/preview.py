@@ -11,7 +11,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import EscapeError
 from hrl_escape.options.execution import OptionExecution
 from hrl_escape.options.meta_actions import make_meta_options
-from hrl_escape.planning.room_planner import get_planner
+from hrl_escape.planning.planner import get_planner
 
 __all__ = ["Preview", "Previewer"]
 

@@ -15,7 +15,7 @@ from hrl_escape.env.puzzles.factored import FactoredConfig, FactoredPuzzle
 from hrl_escape.env.puzzles.light_box import LightBoxPuzzle
 from hrl_escape.errors import ConfigError
 from hrl_escape.options import pursue
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 
 SIZES = st.sampled_from([(1, 2, 0), (2, 3, 1), (3, 2, 2), (4, 3, 3), (5, 2, 3), (6, 2, 0)])
 

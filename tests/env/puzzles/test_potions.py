@@ -12,7 +12,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.potions import Brew, PotionsPuzzle, list_rules
 from hrl_escape.errors import ContractError
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 
 assert hrl_escape  # registers the environments
 

@@ -18,9 +18,9 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError
 from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.goals import PressGoal
-from hrl_escape.planning.lattice.areas import compute_goal_area
-from hrl_escape.planning.lattice.reference import find_fewest_primitives
+from hrl_escape.planning.search.reference import find_fewest_primitives
 from tests.env.rooms import all_schematics
 
 FORWARD, TURN_LEFT = 0, 4

@@ -17,7 +17,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import PlanningFailed
 from hrl_escape.planning.arm.path_steps import follow_path, plan_steps
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 
 
 def test_joint_steps_follow_a_path_round_what_blocks_the_straight_way():

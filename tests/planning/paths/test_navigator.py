@@ -24,7 +24,7 @@ from hrl_escape.planning.paths.navigator import Navigator
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, PathProblem
 from hrl_escape.planning.paths.registry import list_planners, register_planner
 from hrl_escape.planning.paths.single_query import ANYTIME
-from tests.planning.test_collision_map import make_room
+from tests.floor.test_clearance import make_room
 
 PLANNERS = list_planners()
 HIDDEN = PressGoal(3)  # out of sight from the start of `clutter`

@@ -13,7 +13,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import MissingExtraError
-from hrl_escape.planning.room_planner import RoomPlanner
+from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.symbolic.pddl import export_pddl, make_domain, make_problem, save_pddl, solve_pddl
 from tests.env.rooms import make_ordered_chain
 

@@ -21,7 +21,7 @@ from hrl_escape.env.observations import make_observer
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.planning.room_planner import get_planner
+from hrl_escape.planning.planner import get_planner
 from hrl_escape.viewer.pages.play import PlayPage
 from hrl_escape.viewer.pages.replay import save_replay
 from hrl_escape.viewer.pages.watch import WatchPage, run_in_thread

@@ -12,8 +12,8 @@ from hrl_escape.cli import main
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ConfigError
-from hrl_escape.planning.room_planner import RoomPlanner
-from hrl_escape.planning.trajectories.trajectory import make_trajectory
+from hrl_escape.planning.motion.trajectory import make_trajectory
+from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.viewer.pages.motion import make_motion
 from tests.viewer.pages.test_replay import read_recorded
 

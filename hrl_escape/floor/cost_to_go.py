@@ -1,0 +1,400 @@
+"""Cost-to-go fields: approximate fewest primitives to a goal from anywhere on the floor.
+
+The floor is a grid with cells of a quarter of a move. From a representative place in each cell,
+every move at every heading is swept exactly and its end rounded to a cell. Dijkstra's search from
+the goal over the reversed links gives the cost-to-go of all cells and headings (Dial 1969). All
+goals of a room share the links, and fields are cached by goal, which makes later searches short.
+Fields are estimates: `planning/search/primitive_search.py` searches exact poses.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.clock import NO_LIMIT, Clock
+from hrl_escape.env.geometry import Footprint, compute_distance_many, make_footprint, stack_footprints
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.floor import dijkstra
+from hrl_escape.floor.clearance import CollisionMap, compute_extent_radius, list_cells
+from hrl_escape.floor.sweeps import make_sweep_scene
+
+__all__ = ["FieldMaker", "FloorGrid", "Seeds", "lay_grid", "make_collision"]
+
+MOST_STATES = 1_500_000
+CACHE_BYTES = 256_000_000
+SLICE = 100_000
+"""States that a kernel works on between two looks at a clock."""
+
+
+def make_collision(instance: RoomInstance, door_shut: bool) -> CollisionMap:
+    """Compute the clearances of a room that searches need."""
+    return CollisionMap(instance, door_shut=door_shut, reach=2.0)
+
+
+class Seeds(NamedTuple):
+    """States whose cost-to-go is known before a search.
+
+    Attributes:
+        states: cell * headings + heading, shape (n,), int64.
+        costs: their cost-to-go, shape (n,), int64.
+        headings: headings that the states distinguish: the grid's classes, or all.
+    """
+
+    states: NDArray[np.int64]
+    costs: NDArray[np.int64]
+    headings: int
+
+    def equals(self, other: Seeds) -> bool:
+        """Return whether these are the same states with the same costs."""
+        return (self.headings == other.headings and np.array_equal(self.states, other.states)
+                and np.array_equal(self.costs, other.costs))
+
+
+class FloorGrid(NamedTuple):
+    """Cells over a floor.
+
+    Attributes:
+        classes: heading classes.
+        size: side of a cell, m.
+        shape: (columns, rows) of cells.
+    """
+
+    classes: int
+    size: float
+    shape: tuple[int, int]
+
+    @property
+    def states(self) -> int:
+        """Number of (cell, class) states."""
+        return self.classes * self.shape[0] * self.shape[1]
+
+
+def lay_grid(instance: RoomInstance, rules: Rules, refinement: int = 0) -> FloorGrid:
+    """Lay a grid over a room's floor; `FieldMaker` says how, and `refinement` halves its cells."""
+    classes = rules.headings // math.gcd(rules.headings, rules.symmetry)
+    area = 4 * instance.reach_x * instance.reach_y
+    step = instance.robot.move_step
+    size = max(min(step / 4, 0.25), math.sqrt(area * classes / MOST_STATES)) / 2**refinement
+    return FloorGrid(classes, size, (math.ceil(2 * instance.reach_x / size), math.ceil(2 * instance.reach_y / size)))
+
+
+class _KeptField(NamedTuple):
+    """A field, its seeds, and the cells of the grid that have changed since it was computed."""
+
+    costs: NDArray[np.int16]
+    seeds: Seeds
+    changed: NDArray[np.int64]
+
+
+class FieldMaker:
+    """Grid of one room with the links between its cells, and the fields computed on it.
+
+    A disc that strafes has the same moves at headings 90 degrees apart, one with a differential
+    drive, and a rectangle, at opposite ones. So links distinguish only `classes` headings: the turn steps of a quarter
+    or half a turn, or more of them where that is no whole number of turns. Cells are a quarter of a
+    move wide, at most 0.25 m, and wider where a room would have more than 1.5 million (cell, class)
+    states; a link then stands for several moves in a row, so that it still spans about four cells.
+
+    Attributes:
+        door_shut: True if there is a door and it is shut.
+        collision: clearances of the room.
+        headings: turn steps of a full turn.
+        low: corner of the grid, shape (2,), m.
+        size: side of a cell, m.
+        macro: primitives of a link.
+        span: length of a link that nothing blocks, m.
+        bin_size: resolution of poses for a search, m.
+        shape: (columns, rows) of cells.
+        classes: heading classes.
+        scene: the room for the compiled kernels.
+        points: representative place of each cell, shape (cells, 2), m.
+        standing: True where the body fits there at some heading, shape (cells,), bool.
+        turns: cosine and sine of the heading classes, and of the next one after the last, shape (classes + 1, 2).
+        targets: footprints of the room's targets, shape (targets, 7).
+    """
+
+    def __init__(self, instance: RoomInstance, rules: Rules, *, door_shut: bool, refinement: int = 0,
+                 collision: CollisionMap | None = None, path: NDArray[np.float64] | None = None, width: float = 0.0,
+                 clock: Clock = NO_LIMIT) -> None:
+        """Build the grid and its links. Raises `OutOfTime`.
+
+        Args:
+            instance: the room.
+            rules: its rules, for headings and touching.
+            door_shut: True to shut the exit door, if there is one.
+            refinement: number of times that the cells are halved.
+            collision: clearances of the room with the door like that; None to compute them.
+            path: places (n, 2) of a path, m; the grid then holds only cells in a corridor round it.
+            width: half width of the corridor, in moves.
+            clock: time limit.
+        """
+        step = instance.robot.move_step
+        self.door_shut = door_shut and instance.door is not None
+        self.headings = rules.headings
+        self.classes, self.size, self.shape = lay_grid(instance, rules, refinement)
+        self.macro = max(1, round(4 * self.size / step))
+        self.bin_size = min(self.size / 2, step / 4)
+        self._turn_step = rules.turn_step
+        self.targets = stack_footprints([target.footprint for target in instance.targets])
+        self.span = self.macro * step
+        self.collision = collision or make_collision(instance, door_shut)
+        self.low = self.collision.low
+        door = len(instance.solids) if self.door_shut else -1
+        self.scene = make_sweep_scene(self.collision, door, self.span)
+        angles = np.arange(self.classes) * rules.turn_step
+        self.turns = np.array([rules.get_rotation(n % rules.headings, 0.0) for n in range(self.classes + 1)])
+        self._moves = self.span * rules.actions.compute_moves(np.cos(angles), np.sin(angles))
+        self._within = self._find_corridor(path, width * max(step, 2 * self.size))
+        columns, rows = self.shape
+        self.points, self.standing = np.empty((columns * rows, 2)), np.zeros(columns * rows, dtype=np.bool_)
+        self._landing = np.full(self.states * self._moves.shape[1], -1, dtype=np.int32)
+        self._link_cost = np.zeros(len(self._landing), dtype=np.int16)
+        self._choose_points(0, columns, clock)
+        self._choose_headings(clock)
+        self._find_landings(0, columns, clock)
+        self._link_cells()
+        if refinement:  # these grids are large, and are not adapted
+            del self._landing, self._link_cost
+        self._fields: OrderedDict[object, _KeptField] = OrderedDict()
+
+    def _find_corridor(self, path: NDArray[np.float64] | None, width: float) -> NDArray[np.bool_]:
+        """Cells whose centres are within a distance of a path; all without one."""
+        if path is None:
+            return np.ones(self.shape[0] * self.shape[1], dtype=np.bool_)
+        legs = np.diff(path, axis=0)
+        shapes = stack_footprints([
+            make_footprint(x, y, math.hypot(dx, dy) / 2, 0.0, math.atan2(dy, dx))
+            for (x, y), (dx, dy) in zip((path[:-1] + legs / 2).tolist(), legs.tolist(), strict=True)
+        ])
+        centres = np.add(self.low, (list_cells((0, 0), self.shape) + 0.5) * self.size, dtype=np.float64)
+        return compute_distance_many(centres, shapes) <= width
+
+    def _choose_points(self, begin: int, end: int, clock: Clock) -> None:
+        """Choose the places of some columns of cells."""
+        rows = self.shape[1]
+        stride = max(1, SLICE // rows)
+        for first in range(begin, end, stride):
+            clock.check()
+            dijkstra.choose_points(self.scene, self.low, self.size, rows, first, min(first + stride, end),
+                                           self._within, self.points, self.standing)
+
+    def _choose_headings(self, clock: Clock) -> None:
+        """Find the headings at which a rectangular base fits, and the turns that are free; a disc has them all."""
+        self._fits, self._can_turn = None, np.zeros(0, dtype=np.bool_)
+        if self.scene.half_length == 0.0:
+            return
+        self._fits, self._can_turn = (np.zeros(self.states, dtype=np.bool_) for _ in range(2))
+        stride = max(1, SLICE // self.classes)
+        for first in range(0, len(self.points), stride):
+            clock.check()
+            dijkstra.choose_headings(self.scene, self.points, self.standing, self.turns, self._turn_step, first,
+                                             min(first + stride, len(self.points)), self._fits, self._can_turn)
+
+    @property
+    def fits(self) -> NDArray[np.bool_]:
+        """True where the body fits: shape (cells,), or (cells * classes,) where that depends on its heading."""
+        return self.standing if self._fits is None else self._fits
+
+    def get_fits(self, cells: NDArray[np.int64], headings: int) -> NDArray[np.bool_]:
+        """Return true where the body fits in some cells at the first headings, shape (cells, headings)."""
+        layers = len(self.fits) // len(self.points)
+        return self.fits.reshape(-1, layers)[cells][:, np.arange(headings) % layers]
+
+    def _find_landings(self, begin: int, end: int, clock: Clock) -> None:
+        """Find the moves from some columns of cells."""
+        rows = self.shape[1]
+        stride = max(1, SLICE // self.classes)
+        for first in range(begin * rows, end * rows, stride):
+            clock.check()
+            dijkstra.find_landings(self.scene, self.points, self.fits, self.turns, rows, self.low, self.size,
+                                           self._moves, self.macro, first, min(first + stride, end * rows),
+                                           self._landing, self._link_cost)
+        clock.check()
+
+    def _link_cells(self) -> None:
+        """Reverse the moves."""
+        self._links = dijkstra.link_cells(self._landing, self._link_cost, self.classes, self._moves.shape[1])
+
+    # --- edited rooms ------------------------------------------------------------------
+
+    def adapt(self, instance: RoomInstance, collision: CollisionMap, changed: Sequence[Footprint],
+              keeps: Callable[[Any], bool]) -> FieldMaker:
+        """Make the grid of a room that differs in some solids only, equal to one made anew; the base is a disc.
+
+        Columns of cells that no changed solid comes near are taken over. Fields are, too: when one is asked for, the
+        part of it that rested on changed cells is searched again.
+
+        Args:
+            instance: the edited room: same floor, same base.
+            collision: its clearances, with the door as here.
+            changed: footprints of the solids that came, went or moved (before and after).
+            keeps: (key of a field) -> whether its goal is still the same.
+        """
+        new = copy.copy(self)
+        new.collision = collision
+        new.targets = stack_footprints([target.footprint for target in instance.targets])
+        new.scene = make_sweep_scene(collision, len(instance.solids) if self.door_shut else -1, self.span)
+        new.points, new.standing = self.points.copy(), self.standing.copy()
+        new._landing, new._link_cost = self._landing.copy(), self._link_cost.copy()
+        near = collision.radius + 3 * self.size + collision.slack
+        for begin, end in self._find_columns(changed, near):
+            new.standing[begin * self.shape[1] : end * self.shape[1]] = False
+            new._choose_points(begin, end, NO_LIMIT)
+        wide = self.shape[1] * self.classes * self._moves.shape[1]
+        for begin, end in self._find_columns(changed, near + self.span + 3 * self.size):
+            new._landing[begin * wide : end * wide], new._link_cost[begin * wide : end * wide] = -1, 0
+            new._find_landings(begin, end, NO_LIMIT)
+        new._link_cells()
+        links = (new._landing != self._landing) | (new._link_cost != self._link_cost)
+        moved = (new.standing != self.standing) | (new.points != self.points).any(axis=1)
+        cells = np.flatnonzero(moved | links.reshape(len(moved), -1).any(axis=1))
+        new._fields = OrderedDict((key, field._replace(changed=np.union1d(field.changed, cells)))
+                                  for key, field in self._fields.items() if keeps(key))
+        return new
+
+    def _find_columns(self, shapes: Sequence[Footprint], around: float) -> list[tuple[int, int]]:
+        """Columns of cells within a distance of footprints, as ranges [first, last) apart from each other."""
+        spans = sorted(
+            (max(0, math.floor((s.x - compute_extent_radius(s) - around - self.low[0]) / self.size)),
+             min(self.shape[0], math.ceil((s.x + compute_extent_radius(s) + around - self.low[0]) / self.size)))
+            for s in shapes)
+        joined: list[tuple[int, int]] = []
+        for begin, end in spans:
+            if joined and begin <= joined[-1][1]:
+                joined[-1] = joined[-1][0], max(end, joined[-1][1])
+            elif begin < end:
+                joined.append((begin, end))
+        return joined
+
+    def _repair(self, old: _KeptField, seeds: Seeds) -> NDArray[np.int16]:
+        """Field of the same seeds on the grid as it was before some cells changed, made that of this grid."""
+        field = old.costs.copy()
+        starts, sources, costs = self._links
+        states, values = dijkstra.forget_changed(
+            starts, sources, costs, self._landing, self._link_cost, self.classes, seeds.headings, old.changed,
+            self.standing, seeds.states, seeds.costs, field)
+        return self._search(field, states, values, seeds.headings, self.everywhere, NO_LIMIT)
+
+    @cached_property
+    def everywhere(self) -> NDArray[np.bool_]:
+        """Mask that allows every cell."""
+        return np.ones(len(self.points), dtype=bool)
+
+    def find_seeds(self, goal: Footprint, reach: float, facing: NDArray[np.bool_] | None = None,
+                   presser: tuple[float, float] = (0.0, 0.0)) -> Seeds:
+        """Find the states that are in a goal, or one move away: the body's axis within `reach` of a footprint.
+
+        Args:
+            goal: footprint of the goal.
+            reach: largest distance from it, m.
+            facing: headings that reach it, shape (headings,); by default any heading will do.
+            presser: half sizes of a rectangular base that must touch the goal, m; within `reach` it then only may.
+        """
+        row = stack_footprints([goal])[0]
+        away = compute_distance_many(self.points, row[None])
+        surely = reach - math.hypot(*presser) + min(presser)  # touches at any heading
+        inside = np.flatnonzero(self.standing & (away <= reach))
+        close = np.flatnonzero(self.standing & (away > surely) & (away <= reach + self.span))
+        here = self._find_touching(inside, row, reach, presser)
+        last = dijkstra.find_last_moves(self.scene, self.points, self.fits, self.turns, close, self._moves,
+                                                self.macro, row, reach, np.array(presser))
+        if presser[0] > 0.0:
+            last[self._find_touching(close, row, reach, presser)] = 0
+        headings = np.arange(self.classes) if facing is None else np.flatnonzero(facing)
+        layers = self.classes if facing is None else self.headings
+        last = last[:, headings % self.classes]
+        which, column = np.nonzero(last)
+        begun, heading = np.nonzero(here[:, headings % self.classes])
+        states = np.concatenate([inside[begun] * layers + headings[heading], close[which] * layers + headings[column]])
+        costs = np.zeros(len(states), dtype=np.int64)
+        costs[len(begun) :] = last[which, column]
+        return Seeds(states, costs, layers)
+
+    def _find_touching(self, cells: NDArray[np.int64], goal: NDArray[np.float64], reach: float,
+                       presser: tuple[float, float]) -> NDArray[np.bool_]:
+        """Return true where the body fits and touches a goal that the axis is near, shape (cells, classes)."""
+        touching = np.ones((len(cells), self.classes), dtype=np.bool_)
+        if presser[0] > 0.0:
+            touching = dijkstra.find_touching_cells(self.points, self.turns, cells, goal, reach,
+                                                            np.array(presser))
+        return touching & self.get_fits(cells, self.classes)
+
+    def make_field(self, seeds: Seeds, allowed: NDArray[np.bool_] | None = None, clock: Clock = NO_LIMIT
+                   ) -> NDArray[np.int16]:
+        """Compute a field from states with a known cost-to-go. Raises `OutOfTime`.
+
+        Args:
+            seeds: the states.
+            allowed: cells that may be used, shape (cells,); by default all.
+            clock: time limit.
+
+        Returns:
+            Shape (cells * headings,), int16, with the headings of the seeds; -1 where none of them can be reached.
+            Cells in which the body does not fit take the least cost-to-go of their neighbours.
+        """
+        field = np.full(len(self.points) * seeds.headings, dijkstra.UNREACHED, dtype=np.int16)
+        return self._search(field, seeds.states, seeds.costs, seeds.headings,
+                            self.everywhere if allowed is None else allowed, clock)
+
+    def _search(self, field: NDArray[np.int16], states: NDArray[np.int64], costs: NDArray[np.int64], headings: int,
+                allowed: NDArray[np.bool_], clock: Clock) -> NDArray[np.int16]:
+        """Complete a field, in place, from states with a known cost-to-go."""
+        order = np.argsort(costs, kind="stable")
+        seeds, seed_costs = states[order].astype(np.int64), costs[order].astype(np.int64)
+        starts, sources, costs_of_links = self._links
+        levels = max(2, int(costs_of_links.max(initial=0)) + 1)
+        buckets, filled = np.empty((levels, 4096), dtype=np.int32), np.zeros(levels, dtype=np.int64)
+        counts = np.array([0, 0, 0, int(np.diff(starts).max(initial=0))])
+        while counts[0] >= 0:
+            clock.check()
+            buckets = dijkstra.run_dijkstra(starts, sources, costs_of_links, self.classes, headings,
+                                                    self._can_turn, allowed, seeds, seed_costs, field, buckets, filled,
+                                                    counts, SLICE)
+        known = self.fits & np.repeat(allowed, len(self.fits) // len(allowed))
+        return dijkstra.fill_gaps(field, known, headings, self.shape[1])
+
+    def get_field(self, key: object, find_seeds: Callable[[FieldMaker], Seeds], clock: Clock = NO_LIMIT
+                  ) -> NDArray[np.int16]:
+        """Field under a key, computed on first use; beyond 256 MB the least recently used are dropped.
+
+        Args:
+            key: the goal, and everything else that its seeds depend on.
+            find_seeds: finds them.
+            clock: time limit.
+        """
+        kept = self._fields.get(key)
+        if kept is None or len(kept.changed):
+            seeds = find_seeds(self)
+            if kept is not None and kept.seeds.equals(seeds):
+                field = self._repair(kept, seeds)
+            else:
+                field = self.make_field(seeds, clock=clock)
+            self._fields[key] = _KeptField(field, seeds, np.zeros(0, dtype=np.int64))
+            while len(self._fields) > 1 and sum(f.costs.nbytes for f in self._fields.values()) > CACHE_BYTES:
+                self._fields.popitem(last=False)
+        self._fields.move_to_end(key)
+        return self._fields[key].costs
+
+    @property
+    def states(self) -> int:
+        """Number of (cell, class) states."""
+        return len(self.points) * self.classes
+
+    def get_cost(self, field: NDArray[np.int16], state: RoomState) -> int:
+        """Cost-to-go of a pose by a field; -1 if the goal cannot be reached from there."""
+        low_x, low_y = self.low.tolist()
+        i, j = math.floor((state.x - low_x) / self.size), math.floor((state.y - low_y) / self.size)
+        if not (0 <= i < self.shape[0] and 0 <= j < self.shape[1]):
+            return -1
+        layers = len(field) // len(self.points)
+        layer = (state.heading_steps + round(state.heading_offset / self._turn_step)) % layers
+        return int(field[(i * self.shape[1] + j) * layers + layer])

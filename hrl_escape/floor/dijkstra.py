@@ -1,0 +1,462 @@
+"""Kernels of cost-to-go fields: representative places, links between cells, Dijkstra's search, and repair.
+
+Arrays in, arrays out; `cost_to_go.py` gives them their meaning and keeps them. `forget_changed` repairs a
+field after its grid has changed in some cells (Ramalingam and Reps 1996): it finds all states whose
+cost-to-go rested on changed cells, and the costs by which the search goes on from the rest. The
+repaired field is the one that a search from nothing would give: all costs are positive, so there is only
+one. Kernels are compiled on first use and kept on disk.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hrl_escape.floor.sweeps import (
+    can_turn_body,
+    does_fit,
+    get_shape,
+    is_touched,
+    measure_clearance,
+    sweep_body,
+)
+from hrl_escape.kernels import kernel, kernel_in_place, kernel_part
+
+__all__ = ["UNREACHED", "choose_headings", "choose_points", "fill_gaps", "find_landings", "find_last_moves",
+           "find_touching_cells", "forget_changed", "link_cells", "run_dijkstra"]
+
+UNREACHED = 32_000
+
+
+@kernel_part
+def _find_cell(points, fits, layers, layer, columns, rows, i, j, x, y):
+    """The cell (i, j) if the body fits there, else its neighbour whose place is nearest; -1 if none."""
+    if 0 <= i < columns and 0 <= j < rows and fits[(i * rows + j) * layers + layer]:
+        return i * rows + j
+    best, nearest = -1, 1e18
+    for near_i in range(max(i - 1, 0), min(i + 2, columns)):
+        for near_j in range(max(j - 1, 0), min(j + 2, rows)):
+            other = near_i * rows + near_j
+            if fits[other * layers + layer]:
+                away = (points[other, 0] - x) ** 2 + (points[other, 1] - y) ** 2
+                if away < nearest:
+                    best, nearest = other, away
+    return best
+
+
+@kernel_in_place
+def choose_points(scene, low, size, rows, first, last, within, points, standing):
+    """Choose a representative place in each cell of some columns of a grid, and test whether the body fits there.
+
+    The place is the cell's centre if the body fits there, else the one of 5 x 5 with the most clearance. A rectangular
+    base counts as fitting where the largest disc within it does.
+
+    Args:
+        scene: the room.
+        low: corner of the grid, shape (2,).
+        size: side of a cell, m.
+        rows: cells along y.
+        first: first column.
+        last: column to stop before.
+        within: cells to look at, shape (columns * rows,); the others count as blocked.
+        points: places, shape (columns * rows, 2), m; filled in.
+        standing: True where the body fits, shape (columns * rows,); filled in.
+    """
+    for i in range(first, last):
+        for j in range(rows):
+            x, y = low[0] + (i + 0.5) * size, low[1] + (j + 0.5) * size
+            if not within[i * rows + j]:
+                points[i * rows + j, 0], points[i * rows + j, 1] = x, y
+                continue
+            best_x, best_y, widest = x, y, measure_clearance(scene, x, y)
+            if widest < scene.radius and widest + size > scene.inner:
+                for k in range(25):
+                    try_x, try_y = x + (k // 5 - 2) * size / 5, y + (k % 5 - 2) * size / 5
+                    clearance = measure_clearance(scene, try_x, try_y)
+                    if clearance > widest:
+                        best_x, best_y, widest = try_x, try_y, clearance
+            cell = i * rows + j
+            points[cell, 0], points[cell, 1] = best_x, best_y
+            standing[cell] = widest >= scene.inner
+
+
+@kernel_in_place
+def choose_headings(scene, points, standing, turns, turn_step, first, last, fits, can_turn):
+    """Test at which headings a rectangular base fits in some cells, and where it can turn on the spot.
+
+    Args:
+        scene: the room.
+        points: a representative place in each cell, shape (cells, 2).
+        standing: False where no heading fits, shape (cells,).
+        turns: cosine and sine of each heading class and of the next one after the last, shape (classes + 1, 2).
+        turn_step: angle between two of them, rad.
+        first: first cell.
+        last: cell to stop before.
+        fits: True where the base fits, shape (cells * classes,); filled in.
+        can_turn: True where it can turn from a class to the next one and back, shape (cells * classes,); filled in.
+    """
+    classes = turns.shape[0] - 1
+    for cell in range(first, last):
+        if not standing[cell]:
+            continue
+        x, y = points[cell, 0], points[cell, 1]
+        for c in range(classes):
+            fits[cell * classes + c] = does_fit(scene, x, y, turns[c])
+        for c in range(classes):
+            can_turn[cell * classes + c] = (
+                fits[cell * classes + c] and fits[cell * classes + (c + 1) % classes]
+                and can_turn_body(scene, x, y, turns[c], turns[c + 1], turn_step))
+
+
+@kernel_in_place
+def find_landings(scene, points, fits, turns, cells_a_row, low, size, moves, steps, first, last, landing, link_cost):
+    """Find the cells to which moves lead from some cells.
+
+    Args:
+        scene: the room.
+        points: a representative place in each cell, shape (cells, 2).
+        fits: True where the body fits there, shape (cells,), or (cells * classes,) where that depends on its heading.
+        turns: cosine and sine of each heading class, shape (at least classes, 2).
+        cells_a_row: cells along y; a cell's index is i * cells_a_row + j.
+        low: corner of the grid, shape (2,).
+        size: side of a cell, m.
+        moves: displacements, shape (classes, translations, 2), m.
+        steps: primitives of a whole displacement.
+        first: first cell.
+        last: cell to stop before.
+        landing: cell at the end of each (cell, class, translation); filled in, -1 for none.
+        link_cost: primitives of each; filled in.
+    """
+    classes, translations = moves.shape[0], moves.shape[1]
+    columns = points.shape[0] // cells_a_row
+    layers = fits.shape[0] // points.shape[0]
+    length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
+    for cell in range(first, last):
+        x, y = points[cell, 0], points[cell, 1]
+        for c in range(classes):
+            layer = c % layers
+            if not fits[cell * layers + layer]:
+                continue
+            for m in range(translations):
+                dx, dy = moves[c, m, 0], moves[c, m, 1]
+                fraction = sweep_body(scene, x, y, turns[c], dx, dy, length)
+                ex, ey = x + fraction * dx, y + fraction * dy
+                i, j = int(math.floor((ex - low[0]) / size)), int(math.floor((ey - low[1]) / size))
+                best = _find_cell(points, fits, layers, layer, columns, cells_a_row, i, j, ex, ey)
+                if best >= 0 and best != cell:
+                    at = (cell * classes + c) * translations + m
+                    landing[at] = best
+                    link_cost[at] = max(1, int(math.ceil(fraction * steps - 1e-9)))
+
+
+@kernel
+def link_cells(landing, link_cost, classes, translations):
+    """Reverse the moves: for each state, list the states that lead to it.
+
+    Args:
+        landing: from `find_landings`.
+        link_cost: from `find_landings`.
+        classes: heading classes.
+        translations: moves of each class.
+
+    Returns:
+        starts (cells * classes + 1,), sources (links,), costs (links,): state (cell, class) is entered from
+        `sources[starts[s]:starts[s + 1]]` (cells, same class) at those costs.
+    """
+    cells = landing.shape[0] // (classes * translations)
+    starts = np.zeros(cells * classes + 1, dtype=np.int32)
+    for at in range(landing.shape[0]):
+        if landing[at] >= 0:
+            starts[landing[at] * classes + (at // translations) % classes + 1] += 1
+    for s in range(cells * classes):
+        starts[s + 1] += starts[s]
+    sources = np.empty(starts[-1], dtype=np.int32)
+    costs = np.empty(starts[-1], dtype=np.int16)
+    fill = starts[:-1].copy()
+    for cell in range(cells):
+        for c in range(classes):
+            for m in range(translations):
+                at = (cell * classes + c) * translations + m
+                if landing[at] >= 0:
+                    state = landing[at] * classes + c
+                    sources[fill[state]] = cell
+                    costs[fill[state]] = link_cost[at]
+                    fill[state] += 1
+    return starts, sources, costs
+
+
+@kernel
+def find_last_moves(scene, points, fits, turns, candidates, moves, steps, goal, reach, presser):
+    """Cost of the displacement from each cell that ends in the goal, 0 if none does; shape (candidates, classes)."""
+    classes, translations = moves.shape[0], moves.shape[1]
+    link_cost = np.zeros((candidates.shape[0], classes), dtype=np.int32)
+    length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
+    shape, layers = get_shape(goal), fits.shape[0] // points.shape[0]
+    for n in range(candidates.shape[0]):
+        x, y = points[candidates[n], 0], points[candidates[n], 1]
+        for c in range(classes):
+            if not fits[candidates[n] * layers + c % layers]:
+                continue
+            for m in range(translations):
+                dx, dy = moves[c, m, 0], moves[c, m, 1]
+                fraction = sweep_body(scene, x, y, turns[c], dx, dy, length)
+                if is_touched(x + fraction * dx, y + fraction * dy, turns[c], presser, shape, reach):
+                    cost = max(1, int(math.ceil(fraction * steps - 1e-9)))
+                    if link_cost[n, c] == 0 or cost < link_cost[n, c]:
+                        link_cost[n, c] = cost
+    return link_cost
+
+
+@kernel
+def find_touching_cells(points, turns, candidates, goal, reach, presser):
+    """Return whether a presser touches a goal from each cell at each heading class; shape (candidates, classes), bool.
+
+    `turns` holds the cosine and sine of the classes; see `is_touched` for the others.
+    """
+    classes, shape = turns.shape[0] - 1, get_shape(goal)
+    touching = np.zeros((candidates.shape[0], classes), dtype=np.bool_)
+    for n in range(candidates.shape[0]):
+        for c in range(classes):
+            x, y = points[candidates[n], 0], points[candidates[n], 1]
+            touching[n, c] = is_touched(x, y, turns[c], presser, shape, reach)
+    return touching
+
+
+@kernel
+def run_dijkstra(starts, sources, costs, classes, headings, can_turn, allowed, seeds, seed_costs, best, buckets, filled,
+                 counts, most):
+    """Fewest primitives from every (cell, heading) to the nearest seed, by Dijkstra's search with buckets (Dial 1969).
+
+    Each call continues the search; it is over when `counts[0]` is negative.
+
+    Args:
+        starts: from `link_cells`.
+        sources: from `link_cells`.
+        costs: from `link_cells`.
+        classes: heading classes of the links.
+        headings: headings of the field, a multiple of `classes` or equal to it.
+        can_turn: True where the body can turn from a class to the next one, shape (cells * classes,); empty where it
+            always can.
+        allowed: cells that may be used, shape (cells,), bool.
+        seeds: states cell * headings + heading, in the order of their costs, shape (seeds,).
+        seed_costs: their cost-to-go, shape (seeds,).
+        best: cost-to-go of each state, shape (cells * headings,); `UNREACHED` at first, -1 in the end where no seed
+            can be reached.
+        buckets: states of the next levels, shape (levels, any), empty at first.
+        filled: states in each bucket, shape (levels,).
+        counts: level, seeds used, states in the fullest bucket, most links of a state; shape (4,).
+        most: states to take up in this call; a level is always finished.
+
+    Returns:
+        The buckets.
+    """
+    wide = filled.shape[0]
+    level, used, fullest, most_links = counts[0], counts[1], counts[2], counts[3]
+    taken = 0
+    while level < UNREACHED - wide:
+        if taken >= most:
+            counts[0], counts[1], counts[2] = level, used, fullest
+            return buckets
+        slot = level % wide
+        while used < seeds.shape[0] and seed_costs[used] <= level:
+            if fullest == buckets.shape[1]:
+                buckets = _widen(buckets, filled)
+            state = seeds[used]
+            if allowed[state // headings] and level < best[state]:
+                best[state] = level
+                buckets[slot, filled[slot]] = state
+                filled[slot] += 1
+                fullest = max(fullest, filled[slot])
+            used += 1
+        if filled[slot] == 0:
+            waiting = 0
+            for k in range(wide):
+                waiting += filled[k]
+            if waiting > 0:
+                level += 1
+            elif used < seeds.shape[0]:
+                level = seed_costs[used]
+            else:
+                break
+            continue
+        at = 0
+        while at < filled[slot]:
+            if fullest + 2 + most_links > buckets.shape[1]:
+                buckets = _widen(buckets, filled)
+            state = buckets[slot, at]
+            at += 1
+            taken += 1
+            if best[state] != level:
+                continue
+            cell = state // headings
+            heading = state - cell * headings
+            cost = level + 1
+            to = cost % wide
+            first = filled[to]
+            for turn in range(2):
+                if turn == 0:
+                    before = state + 1 if heading + 1 < headings else state + 1 - headings
+                else:
+                    before = state - 1 if heading > 0 else state - 1 + headings
+                if can_turn.shape[0] > 0 and not can_turn[cell * classes + (heading - turn + classes) % classes]:
+                    continue
+                if cost < best[before]:
+                    best[before] = cost
+                    buckets[to, first] = before
+                    first += 1
+            filled[to] = first
+            fullest = max(fullest, first)
+            known = cell * classes + (heading if headings == classes else heading % classes)
+            for k in range(starts[known], starts[known + 1]):
+                before, cost = sources[k] * headings + heading, level + costs[k]
+                if cost < best[before] and allowed[sources[k]]:
+                    best[before] = cost
+                    to = cost % wide
+                    buckets[to, filled[to]] = before
+                    filled[to] += 1
+                    fullest = max(fullest, filled[to])
+        filled[slot] = 0
+        level += 1
+    for state in range(best.shape[0]):
+        if best[state] == UNREACHED:
+            best[state] = -1
+    counts[0] = -1
+    return buckets
+
+
+@kernel
+def _widen(buckets, filled):
+    """Copy the buckets into ones for twice as many states."""
+    wider = np.empty((buckets.shape[0], 2 * buckets.shape[1]), dtype=np.int32)
+    for row in range(buckets.shape[0]):  # slices of two dimensions take numba seconds to compile
+        for k in range(filled[row]):
+            wider[row, k] = buckets[row, k]
+    return wider
+
+
+@kernel
+def fill_gaps(field, known, headings, rows):
+    """Give cells that are not `known` the least cost-to-go of their neighbours; changes `field`.
+
+    `known` holds one value a cell, or one for each of its heading classes.
+    """
+    layers = known.shape[0] * headings // field.shape[0]
+    columns = known.shape[0] // (rows * layers)
+    for i in range(columns):
+        for j in range(rows):
+            cell = i * rows + j
+            if layers == 1 and known[cell]:
+                continue
+            for heading in range(headings):
+                layer = heading % layers
+                if known[cell * layers + layer]:
+                    continue
+                least = -1
+                for near_i in range(max(i - 1, 0), min(i + 2, columns)):
+                    for near_j in range(max(j - 1, 0), min(j + 2, rows)):
+                        other = near_i * rows + near_j
+                        cost = field[other * headings + heading]
+                        if known[other * layers + layer] and cost >= 0 and (least < 0 or cost < least):
+                            least = cost
+                field[cell * headings + heading] = least
+    return field
+
+
+@kernel_part
+def _find_least(field, gone, landing, link_cost, classes, headings, translations, cell, heading):
+    """Least cost-to-go by way of a successor that is not gone."""
+    least = UNREACHED
+    for turn in (1, headings - 1):
+        after = cell * headings + (heading + turn) % headings
+        if not gone[after] and field[after] + 1 < least:
+            least = field[after] + 1
+    at = (cell * classes + heading % classes) * translations
+    for m in range(translations):
+        if landing[at + m] >= 0:
+            after = landing[at + m] * headings + heading
+            if not gone[after] and field[after] + link_cost[at + m] < least:
+                least = field[after] + link_cost[at + m]
+    return least
+
+
+@kernel
+def forget_changed(starts, sources, costs, landing, link_cost, classes, headings, changed, standing, seeds, seed_costs,
+                   field):
+    """Forget the cost-to-go of states in changed cells, and of all states that have no other support.
+
+    Args:
+        starts: links of the new grid, from `link_cells`.
+        sources: links of the new grid, from `link_cells`.
+        costs: links of the new grid, from `link_cells`.
+        landing: moves of the new grid, from `find_landings`.
+        link_cost: moves of the new grid, from `find_landings`.
+        classes: heading classes of the links.
+        headings: headings of the field.
+        changed: cells whose moves, or whose place, differ from the old grid, shape (n,).
+        standing: True where the body fits, shape (cells,).
+        seeds: states with a cost-to-go of their own, the same in both grids, shape (seeds,).
+        seed_costs: their cost-to-go, shape (seeds,).
+        field: the old field, shape (cells * headings,), int16; unreached and forgotten states become `UNREACHED`.
+
+    Returns:
+        States that have been forgotten but have a successor or seed that has not, (n,) int64, and their cost-to-go by
+        way of it, (n,) int64.
+    """
+    translations = landing.shape[0] // (standing.shape[0] * classes)
+    own = np.full(field.shape[0], UNREACHED, dtype=np.int16)
+    for k in range(seeds.shape[0]):
+        own[seeds[k]] = min(own[seeds[k]], seed_costs[k])
+    gone = np.zeros(field.shape[0], dtype=np.bool_)
+    heads, links = np.full(UNREACHED + 1, -1, dtype=np.int64), np.full(field.shape[0], -1, dtype=np.int64)
+    for cell in range(standing.shape[0]):
+        for heading in range(headings):
+            state = cell * headings + heading
+            if field[state] < 0:
+                field[state] = UNREACHED
+            if not standing[cell]:
+                field[state] = UNREACHED  # it held the least of its neighbours
+    for k in range(changed.shape[0]):
+        for heading in range(headings):
+            state = changed[k] * headings + heading
+            if not gone[state]:
+                gone[state] = True
+                links[state], heads[field[state]] = heads[field[state]], state
+    count = 0
+    for level in range(UNREACHED):
+        while heads[level] >= 0:
+            state = heads[level]
+            heads[level] = links[state]
+            count += 1
+            cell = state // headings
+            heading = state - cell * headings
+            known = cell * classes + heading % classes
+            for k in range(starts[known] - 2, starts[known + 1]):
+                if k < starts[known]:  # the two turns that lead here
+                    turn = 1 if k == starts[known] - 1 else headings - 1
+                    source, cost = cell, 1
+                    before = cell * headings + (heading + turn) % headings
+                else:
+                    source, cost = sources[k], costs[k]
+                    before = source * headings + heading
+                if gone[before] or field[before] != level + cost or own[before] == field[before]:
+                    continue
+                least = _find_least(field, gone, landing, link_cost, classes, headings, translations, source,
+                                    before - source * headings)
+                if least > field[before]:
+                    gone[before] = True
+                    links[before], heads[field[before]] = heads[field[before]], before
+    states, values = np.empty(field.shape[0], dtype=np.int64), np.empty(field.shape[0], dtype=np.int64)
+    count = 0
+    for state in range(field.shape[0]):
+        cell = state // headings
+        if gone[state] and standing[cell]:
+            least = min(own[state], _find_least(field, gone, landing, link_cost, classes, headings, translations, cell,
+                                                state - cell * headings))
+            if least < UNREACHED:
+                states[count], values[count] = state, least
+                count += 1
+    for state in range(field.shape[0]):
+        if gone[state]:
+            field[state] = UNREACHED
+    return states[:count], values[:count]

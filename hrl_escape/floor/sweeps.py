@@ -1,0 +1,248 @@
+"""Sweeps and clearances of the body in compiled code, bit for bit those of `Kinematics`.
+
+The geometry is the own source of `env/geometry.py` and `env/body/rectangle.py`, compiled by numba as it stands.
+Importing this module imports numba. Kernels that loop over sweeps are in `dijkstra.py` and `planning/search/a_star.py`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from types import FunctionType
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env import geometry
+from hrl_escape.env.body import rectangle
+from hrl_escape.env.geometry import compute_distance_many, stack_footprints
+from hrl_escape.floor.clearance import CollisionMap, list_cells
+from hrl_escape.kernels import kernel_part
+
+__all__ = ["SweepScene", "can_turn_body", "compile_geometry", "does_fit", "first_contact", "get_shape",
+           "is_clear_of_all", "is_touched", "make_sweep_scene", "measure_clearance", "measure_distance", "sweep",
+           "sweep_body"]
+
+
+def _compile(function: Callable, **names: Any) -> Any:
+    return kernel_part(FunctionType(function.__code__, {**function.__globals__, **names}, function.__name__))
+
+
+def compile_geometry() -> tuple[Any, Any]:
+    """Compile `compute_first_contact` and `compute_distance` of the room's geometry from their own source."""
+    meet = _compile(geometry._meet_circle)
+    return _compile(geometry.compute_first_contact, _meet_circle=meet), _compile(geometry.compute_distance)
+
+
+first_contact, measure_distance = compile_geometry()
+_names = {"_compute_sides": _compile(rectangle._compute_sides), "compute_distance": measure_distance,
+          "compute_first_contact": first_contact}
+_base_contact = _compile(rectangle.compute_base_contact, **_names)
+_base_gap = _names["measure_base_gap"] = _compile(rectangle.measure_base_gap, **_names)
+_names["_find_nearest_corner"] = _compile(rectangle._find_nearest_corner, **_names)
+_base_distance = _compile(rectangle.compute_base_distance, **_names)
+_is_turn_blocked = _compile(rectangle.is_turn_blocked, **_names)
+
+
+class SweepScene(NamedTuple):
+    """Room for the sweeps: its solids, indexed by floor cell, and its clearances.
+
+    Attributes:
+        solids: rows of `stack_footprints`, shape (n, 7).
+        door: row of the shut exit door, or -1.
+        radius: radius of the smallest disc that holds the base, plus contact skin, m.
+        inner: that of the largest disc within the base, m.
+        half_length: half length of a rectangular base, plus contact skin, m; 0 for a disc.
+        half_width: half its width, plus contact skin, m.
+        low: corner of both grids, shape (2,), m.
+        near_size: side of a cell of the grid of neighbour lists, m.
+        near_shape: columns and rows of that grid, shape (2,).
+        near_starts: start of each cell's list in `near_items`, row-major, shape (cells + 1,).
+        near_items: rows of `solids` that a sweep from the cell can meet.
+        distance: the clearance grid of `CollisionMap`, shape (columns, rows), float32, m.
+        resolution: side of its cells, m.
+        slack: largest difference between a place's clearance and its cell's distance, m.
+    """
+
+    solids: NDArray[np.float64]
+    door: int
+    radius: float
+    inner: float
+    half_length: float
+    half_width: float
+    low: NDArray[np.float64]
+    near_size: float
+    near_shape: NDArray[np.int64]
+    near_starts: NDArray[np.int64]
+    near_items: NDArray[np.int32]
+    distance: NDArray[np.float32]
+    resolution: float
+    slack: float
+
+
+@kernel_part
+def get_shape(row):
+    """Row of `stack_footprints` as a tuple for the geometry's functions."""
+    return row[0] > 0.5, row[1], row[2], row[3], row[4], row[5], row[6]
+
+
+@kernel_part
+def is_clear_of_all(scene, x, y, length):
+    """Return whether no solid is within a distance of the base at a place, by the grid of clearances.
+
+    From the middle of a move, half of its length decides: that is more than its length does from where it begins.
+    """
+    i = int(math.floor((x - scene.low[0]) / scene.resolution))
+    j = int(math.floor((y - scene.low[1]) / scene.resolution))
+    inside = 0 <= i < scene.distance.shape[0] and 0 <= j < scene.distance.shape[1]
+    return inside and scene.distance[i, j] - scene.slack >= scene.radius + length
+
+
+@kernel_part
+def sweep(scene, x, y, dx, dy, length):
+    """Free fraction of a displacement of a disc, as `Kinematics.compute_free_fraction` computes it."""
+    if is_clear_of_all(scene, x + 0.5 * dx, y + 0.5 * dy, 0.5 * length):
+        return 1.0
+    i = min(max(int((x - scene.low[0]) / scene.near_size), 0), scene.near_shape[0] - 1)
+    j = min(max(int((y - scene.low[1]) / scene.near_size), 0), scene.near_shape[1] - 1)
+    cell = i * scene.near_shape[1] + j
+    fraction = 1.0
+    for k in range(scene.near_starts[cell], scene.near_starts[cell + 1]):
+        item = scene.near_items[k]
+        shape = get_shape(scene.solids[item])
+        if item == scene.door and measure_distance(x, y, shape) < scene.radius - 1e-6:
+            continue
+        met = first_contact(x, y, dx, dy, scene.radius, shape)
+        if met < fraction:
+            fraction = met
+    return fraction
+
+
+@kernel_part
+def measure_clearance(scene, x, y):
+    """Distance to the nearest solid among those near the place."""
+    nearest = 1e9
+    i = min(max(int((x - scene.low[0]) / scene.near_size), 0), scene.near_shape[0] - 1)
+    j = min(max(int((y - scene.low[1]) / scene.near_size), 0), scene.near_shape[1] - 1)
+    cell = i * scene.near_shape[1] + j
+    for k in range(scene.near_starts[cell], scene.near_starts[cell + 1]):
+        nearest = min(nearest, measure_distance(x, y, get_shape(scene.solids[scene.near_items[k]])))
+    return nearest
+
+
+@kernel_part
+def _list_near(scene, x, y):
+    """First and last place in `near_items` of the solids near a place."""
+    i = min(max(int((x - scene.low[0]) / scene.near_size), 0), scene.near_shape[0] - 1)
+    j = min(max(int((y - scene.low[1]) / scene.near_size), 0), scene.near_shape[1] - 1)
+    cell = i * scene.near_shape[1] + j
+    return scene.near_starts[cell], scene.near_starts[cell + 1]
+
+
+@kernel_part
+def _lets_out(scene, item, x, y, turn, shape):
+    """Return whether a shut door lets out a rectangular base that stands in it."""
+    return item == scene.door and _base_gap(x, y, turn[0], turn[1], scene.half_length, scene.half_width, shape) < -1e-6
+
+
+@kernel_part
+def sweep_body(scene, x, y, turn, dx, dy, length):
+    """Free fraction of a displacement at a heading, whose cosine and sine a disc does not need."""
+    if scene.half_length == 0.0:
+        return sweep(scene, x, y, dx, dy, length)
+    if is_clear_of_all(scene, x + 0.5 * dx, y + 0.5 * dy, 0.5 * length):
+        return 1.0
+    fraction = 1.0
+    first, last = _list_near(scene, x, y)
+    for k in range(first, last):
+        shape = get_shape(scene.solids[scene.near_items[k]])
+        if not _lets_out(scene, scene.near_items[k], x, y, turn, shape):
+            fraction = min(fraction, _base_contact(x, y, turn[0], turn[1], scene.half_length, scene.half_width, dx, dy,
+                                                   shape))
+    return fraction
+
+
+@kernel_part
+def does_fit(scene, x, y, turn):
+    """Return whether a rectangular base fits at a pose."""
+    if is_clear_of_all(scene, x, y, 0.0):
+        return True
+    first, last = _list_near(scene, x, y)
+    for k in range(first, last):
+        shape = get_shape(scene.solids[scene.near_items[k]])
+        if _base_gap(x, y, turn[0], turn[1], scene.half_length, scene.half_width, shape) < 0.0:
+            return False
+    return True
+
+
+@kernel_part
+def can_turn_body(scene, x, y, turn, to, angle):
+    """Return whether a base can turn on the spot from one heading to another by an angle in rad."""
+    if scene.half_length == 0.0 or is_clear_of_all(scene, x, y, 0.0):
+        return True
+    first, last = _list_near(scene, x, y)
+    for k in range(first, last):
+        shape = get_shape(scene.solids[scene.near_items[k]])
+        if not _lets_out(scene, scene.near_items[k], x, y, turn, shape) and _is_turn_blocked(
+                x, y, turn[0], turn[1], to[0], to[1], angle, scene.half_length, scene.half_width, shape):
+            return False
+    return True
+
+
+@kernel_part
+def is_touched(x, y, turn, presser, shape, reach):
+    """Return whether a presser touches a footprint: a point, or a rectangle of such half sizes round it.
+
+    Args:
+        x: place of the presser, m.
+        y: place of the presser, m.
+        turn: cosine and sine of its heading.
+        presser: half sizes of the rectangle; 0 and 0 for a point.
+        shape: the footprint.
+        reach: largest distance from the point, m: beyond the rectangle it is less by half of its diagonal.
+    """
+    if measure_distance(x, y, shape) > reach:
+        return False
+    if presser[0] == 0.0:
+        return True
+    margin = reach - math.hypot(presser[0], presser[1]) + 1e-12
+    return _base_distance(x, y, turn[0], turn[1], presser[0], presser[1], shape) <= margin
+
+
+def make_sweep_scene(collision: CollisionMap, door: int, span: float) -> SweepScene:
+    """Index a room's solids by floor cell, for the sweeps.
+
+    Args:
+        collision: clearances of the room.
+        door: number of the shut exit door among its solids, or -1.
+        span: length of the longest sweep, m.
+    """
+    width, depth = collision.resolution * np.array(collision.distance.shape)
+    size = max(min(span, 2.0), 0.5, width / 128, depth / 128)
+    shape = (math.ceil(width / size), math.ceil(depth / size))
+    limit = collision.radius + span + size * math.sqrt(0.5) + 1e-6
+    cells: list[NDArray[np.int64]] = []
+    items: list[NDArray[np.int32]] = []
+    for number, footprint in enumerate(collision.footprints):
+        around = footprint.half_x if footprint.is_disc else math.hypot(footprint.half_x, footprint.half_y)
+        middle = np.array([footprint.x, footprint.y])
+        i0, j0 = np.maximum(np.floor((middle - around - limit - collision.low) / size).astype(int), 0)
+        i1, j1 = np.minimum(np.ceil((middle + around + limit - collision.low) / size).astype(int), shape)
+        if i0 >= i1 or j0 >= j1:
+            continue
+        grid = list_cells((i0, j0), (i1, j1))
+        centres = np.add(collision.low, (grid + 0.5) * size, dtype=np.float64)
+        away = compute_distance_many(centres, stack_footprints([footprint]))
+        near = grid[away <= limit]
+        cells.append(near[:, 0] * shape[1] + near[:, 1])
+        items.append(np.full(len(near), number, dtype=np.int32))
+    flat = np.concatenate(cells) if cells else np.zeros(0, dtype=np.int64)
+    order = np.argsort(flat, kind="stable")
+    starts = np.searchsorted(flat[order], np.arange(shape[0] * shape[1] + 1))
+    return SweepScene(
+        collision.solids, door, collision.radius, collision.inner, *collision.half_sizes, collision.low, size,
+        np.array(shape), starts.astype(np.int64),
+        (np.concatenate(items) if items else np.zeros(0, dtype=np.int32))[order], collision.distance,
+        collision.resolution, collision.slack,
+    )

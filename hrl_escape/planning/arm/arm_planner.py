@@ -1,0 +1,397 @@
+"""`ArmPlanner`: inverse kinematics and collision-free motion of one room's robot, in joint angles.
+
+Pinocchio gives kinematics and Jacobians, coal tells collisions (links against solids, the shut door
+and each other), OMPL finds the way. Nothing here is tied to whole joint steps: `RoomPlanner` plans
+primitives, and follows these only through options.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hrl_escape.clock import Clock, OutOfTime
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
+from hrl_escape.env.state_checks import check_fields
+from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
+from hrl_escape.floor.clearance import CollisionMap, list_cells
+from hrl_escape.kernels import read_clock
+from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
+from hrl_escape.planning.motion.path import MotionPath
+from hrl_escape.planning.paths.joint_space import find_joint_path
+from hrl_escape.planning.paths.single_query import SINGLE_QUERY_PLANNERS
+
+__all__ = ["ArmPlanner", "ArmPosture", "ReachMap", "make_halton", "map_reach"]
+
+KEPT_MARGINS = (0.02, 0.005, 0.001)
+"""Distances from solids that a path keeps, m: the first that start and goal keep, too."""
+DISTINCT = 0.05
+"""Postures nearer to each other than this in every joint are one, rad."""
+_Test: TypeAlias = Callable[[NDArray[np.float64], float], bool]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ArmPosture:
+    """Configuration of the arm that brings the hand to a target.
+
+    Attributes:
+        angles: joint angles, shape (joints,), rad.
+        margin: least distance of a joint from its limits, rad.
+        manipulability: Yoshikawa's measure, sqrt(det(J J^T)), of the hand's translation, and of its rotation too if the
+            target was a pose (Yoshikawa 1985); of J^T J for arms with fewer joints than rows.
+        is_free: no link meets a solid, the shut door or another link.
+    """
+
+    angles: NDArray[np.float64]
+    margin: float
+    manipulability: float
+    is_free: bool
+
+
+class ArmPlanner:
+    """Arm of one room's robot. Not thread-safe.
+
+    Attributes:
+        instance: the room; its exit door counts as shut.
+        kinematics: the arm's, from Pinocchio.
+    """
+
+    def __init__(self, instance: RoomInstance) -> None:
+        """Prepare nothing yet.
+
+        Raises:
+            UnsupportedError: the robot has no arm.
+        """
+        if instance.robot.joints == 0:
+            raise UnsupportedError("this room's robot has no arm: an ArmPlanner is for robot.joints of at least 1")
+        self.instance = instance
+        self.rules = Kinematics(instance, is_still=True)
+        self._collisions: dict[float, ArmCollisions] = {}
+
+    @cached_property
+    def kinematics(self) -> ArmKinematics:
+        """Kinematics of the arm."""
+        return ArmKinematics(self.rules.robot)
+
+    @cached_property
+    def _floor(self) -> CollisionMap:
+        return CollisionMap(self.instance, door_shut=True)
+
+    @cached_property
+    def _limits(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        low, high = np.array(self.rules.robot.limits).T
+        return low, high
+
+    def _get_collisions(self, margin: float) -> ArmCollisions:
+        if margin not in self._collisions:
+            room = self.instance
+            solids = (*room.solids, *((room.door,) if room.door else ()))
+            self._collisions[margin] = ArmCollisions(self.rules.robot, room.robot.hand_radius, solids, margin)
+        return self._collisions[margin]
+
+    def is_free(self, state: RoomState, angles: Sequence[float], margin: float = 0.0) -> bool:
+        """Return whether the arm is clear of solids, the shut door and the robot itself.
+
+        Args:
+            state: says where the base stands.
+            angles: joint angles, rad.
+            margin: distance that counts as a collision already, m.
+        """
+        return self._get_collisions(margin).is_free(state.x, state.y, self.rules.get_heading(state), angles)
+
+    # --- inverse kinematics --------------------------------------------------------------
+
+    def solve_ik(self, target: ArrayLike, state: RoomState, *, seeds: int = 64, tolerance: float = 1e-4,
+                 only_free: bool = True) -> list[ArmPosture]:
+        """Find the postures that bring the hand to a target, those farthest from joint limits first.
+
+        Levenberg-Marquardt searches begin at the arm's present posture and at points of a Halton sequence between
+        the joint limits; postures that coincide count once. An arm with as many joints as the target has
+        coordinates has finitely many, which enough seeds find; one with more has infinitely many, of which these are
+        a sample.
+
+        Args:
+            target: in the room frame: position of the hand (3,), m, or placement of its link (4, 4).
+            state: where the base stands.
+            seeds: searches.
+            tolerance: largest distance from the target, m; for a pose also the largest rotation from it, rad.
+            only_free: leave out postures in collision.
+
+        Raises:
+            StateError: no such state in this room.
+            ConfigError: the target is neither a position nor a pose.
+        """
+        check_fields(self.rules, state)
+        goal = self._read_target(target, state)
+        low, high = self._limits
+        here = np.clip(self.rules.get_angles(state), low, high)
+        starts = np.concatenate([here[None], low + (high - low) * make_halton(max(0, seeds - 1), len(low))])
+        found: list[NDArray[np.float64]] = []
+        for seed in starts.tolist():
+            angles = self.kinematics.descend(goal, seed, tolerance)
+            if angles is not None and all(np.abs(angles - other).max() > DISTINCT for other in found):
+                found.append(angles)
+        rows = 3 if goal.shape == (3,) else 6
+        postures = [ArmPosture(angles, float(np.minimum(angles - low, high - angles).min()),
+                               self._measure_manipulability(angles, rows), self.is_free(state, angles.tolist()))
+                    for angles in found]
+        return sorted((p for p in postures if p.is_free or not only_free), key=lambda p: -p.margin)
+
+    def _read_target(self, target: ArrayLike, state: RoomState) -> NDArray[np.float64]:
+        """Target in the base frame."""
+        try:
+            goal = np.asarray(target, dtype=np.float64)
+        except (TypeError, ValueError):
+            goal = np.zeros(0)
+        if goal.shape not in ((3,), (4, 4)) or not np.isfinite(goal).all():
+            raise ConfigError("target", target, "a position (3,) in m, or a placement (4, 4)")
+        if goal.shape == (4, 4) and not (np.allclose(goal[:3, :3] @ goal[:3, :3].T, np.eye(3), atol=1e-6)
+                                         and np.linalg.det(goal[:3, :3]) > 0.0):
+            raise ConfigError("target", target, "a placement (4, 4) whose upper left part is a rotation")
+        cos, sin = self.rules.get_rotation(state.heading_steps, state.heading_offset)
+        base = np.eye(4)
+        base[:2, :2], base[:3, 3] = [[cos, -sin], [sin, cos]], (state.x, state.y, state.z)
+        inverse = np.linalg.inv(base)
+        return inverse @ goal if goal.shape == (4, 4) else inverse[:3, :3] @ goal + inverse[:3, 3]
+
+    def _measure_manipulability(self, angles: NDArray[np.float64], rows: int) -> float:
+        jacobian = self.kinematics.compute_jacobian(angles.tolist())[:rows]
+        square = jacobian @ jacobian.T if jacobian.shape[1] >= rows else jacobian.T @ jacobian
+        return math.sqrt(max(0.0, float(np.linalg.det(square))))
+
+    def map_reach(self, point: Sequence[float], *, cell: float = 0.1, tolerance: float = 0.05) -> ReachMap:
+        """Map the places of the base from which the hand reaches a point, whatever else the arm meets.
+
+        Args:
+            point: x, y and z in the room, m.
+            cell: side of the map's cells, m; a place counts if the hand gets to the point from somewhere in its cell.
+            tolerance: largest difference in height that counts as reached, m.
+        """
+        x, y, z = (float(number) for number in point)
+        return map_reach(self.instance, self.rules, (x, y, z), self._floor, cell, tolerance)
+
+    # --- motion --------------------------------------------------------------------------
+
+    def plan(self, state: RoomState, goal: ArrayLike, *, planner: str = "RRTConnect", seed: int = 0,
+             budget: int = 100_000, time_limit: float | None = None) -> MotionPath:
+        """Plan a collision-free motion of the arm, the base at rest.
+
+        Args:
+            state: base and arm at the beginning.
+            goal: joint angles (joints,), or several of which any will do (n, joints), rad.
+            planner: one of OMPL's single-query planners.
+            seed: the same seed gives the same path.
+            budget: places that may be tested.
+            time_limit: s; None leaves the decision to the budget.
+
+        Raises:
+            PlanningFailed: there is no path; its reason says why.
+            StateError: no such state in this room.
+            ConfigError: the goal is no configuration within the joint limits.
+        """
+        check_fields(self.rules, state)
+        goals, place = self._read_goals(goal), (state.x, state.y, self.rules.get_heading(state))
+        names = self.rules.robot.joint_names
+
+        def is_free(angles: NDArray[np.float64], margin: float) -> bool:
+            return self._get_collisions(margin).is_free(*place, angles.tolist())
+
+        start = np.array(self.rules.get_angles(state))
+        return self._search(state, names, self._limits, start, goals, is_free, planner, seed, budget, time_limit)
+
+    def plan_whole_body(self, state: RoomState, place: Sequence[float], goal: ArrayLike, *,
+                        planner: str = "RRTConnect", seed: int = 0, budget: int = 200_000,
+                        time_limit: float | None = None) -> MotionPath:
+        """Plan a collision-free motion of base and arm together.
+
+        Args:
+            state: base and arm at the beginning.
+            place: of the base at the end: x, y, m, and heading, rad.
+            goal: joint angles at the end, (joints,), rad.
+            planner: as in `plan`.
+            seed: as in `plan`.
+            budget: as in `plan`.
+            time_limit: as in `plan`.
+
+        Raises:
+            PlanningFailed: there is no path; its reason says why.
+            StateError: no such state in this room.
+            ConfigError: place or goal are impossible.
+            UnsupportedError: the base has a differential drive, which cannot move in any direction.
+        """
+        check_fields(self.rules, state)
+        if self.instance.robot.drive == "differential":
+            raise UnsupportedError("base and arm move together only where the base strafes: plan the base's way with "
+                                   "RoomPlanner and the arm's with plan")
+        end = np.array([float(number) for number in place])
+        if end.shape != (3,) or not np.isfinite(end).all():
+            raise ConfigError("place", place, "x and y in m and a heading in rad")
+        heading = self.rules.get_heading(state)
+        end[2] = heading + math.remainder(end[2] - heading, math.tau)
+        start = np.array([state.x, state.y, heading, *self.rules.get_angles(state)])
+        goals = np.concatenate([end, self._read_goals(goal)[0]])[None]
+        low, high = self._limits
+        floor = np.array([self.instance.reach_x, self.instance.reach_y])
+        box = (np.concatenate([-floor, [heading - 1.5 * math.pi], low]),
+               np.concatenate([floor, [heading + 1.5 * math.pi], high]))
+        if (np.abs(end[:2]) > floor).any():
+            raise ConfigError("place", place, f"x and y on the floor, at most {floor.tolist()}")
+
+        def is_free(at: NDArray[np.float64], margin: float) -> bool:
+            x, y, turn, *angles = at.tolist()
+            return (self._floor.does_fit(x, y, (math.cos(turn), math.sin(turn)), margin)
+                    and self._get_collisions(margin).is_free(x, y, turn, angles))
+
+        names = ("x", "y", "heading", *self.rules.robot.joint_names)
+        return self._search(state, names, box, start, goals, is_free, planner, seed, budget, time_limit)
+
+    def _read_goals(self, goal: ArrayLike) -> NDArray[np.float64]:
+        low, high = self._limits
+        try:
+            goals = np.atleast_2d(np.asarray(goal, dtype=np.float64))
+        except (TypeError, ValueError):
+            goals = np.zeros((0, 0))
+        right = goals.ndim == 2 and len(goals) and goals.shape[1] == len(low)
+        if not right or not (np.isfinite(goals).all() and (goals >= low - 1e-9).all() and (goals <= high + 1e-9).all()):
+            raise ConfigError("goal", goal, f"angles of {len(low)} joints from {np.round(low, 3).tolist()} to "
+                                            f"{np.round(high, 3).tolist()} rad")
+        return np.clip(goals, low, high)
+
+    def _search(self, state: RoomState, names: tuple[str, ...], box: tuple[NDArray[np.float64], NDArray[np.float64]],
+                start: NDArray[np.float64], goals: NDArray[np.float64], is_free: _Test, planner: str, seed: int,
+                budget: int, time_limit: float | None) -> MotionPath:
+        """Search with the largest margin that start and goal allow, in coordinates scaled to metres of motion.
+
+        Points of the robot move by at most the sum of the scaled coordinates' changes, which is at most half the margin
+        between two tested places. So no point is ever farther than a quarter of the margin from where it was tested,
+        two links come nearer to each other by at most half of it, and the path may still be left by a quarter.
+        """
+        if planner not in SINGLE_QUERY_PLANNERS:
+            raise UnknownNameError("path planner", planner, SINGLE_QUERY_PLANNERS)
+        began, clock = read_clock(), Clock(time_limit)
+        place = (state.x, state.y, self.rules.get_heading(state))
+
+        def fail(reason: PlanningReason) -> PlanningFailed:
+            return PlanningFailed(reason, "configuration", place, read_clock() - began, (planner,))
+
+        if not is_free(start, 0.0):
+            raise fail(PlanningReason.START_INVALID)
+        goals = np.array([goal for goal in goals if is_free(goal, 0.0)])
+        if not len(goals):
+            raise fail(PlanningReason.GOAL_INVALID)
+        tests = 0
+        for margin in KEPT_MARGINS:
+            ends = np.array([goal for goal in goals if is_free(goal, margin)])
+            if not (is_free(start, margin) and len(ends)):
+                continue
+            *joints, turn = self._get_collisions(margin).compute_sweeps().tolist()
+            scale = np.array(joints if len(joints) == len(start) else (1.0, 1.0, max(turn, 0.1), *joints))
+            scale = np.maximum(scale, 1e-3)
+            low, high = (np.array(side) * scale for side in box)
+            spacing = margin / 2.0 / math.sqrt(len(scale))
+            try:
+                path, calls = find_joint_path(np.minimum(low, start * scale), np.maximum(high, start * scale),
+                                              start * scale, ends * scale,
+                                              lambda at, m=margin, s=scale: is_free(at / s, m),
+                                              spacing, planner=planner, seed=seed, budget=budget - tests, clock=clock)
+            except OutOfTime:
+                raise fail(clock.reason) from None
+            tests += calls
+            if path is not None:
+                return MotionPath(names, path / scale, scale, margin / 4.0, planner, tests, read_clock() - began)
+            if tests >= budget:
+                break
+        raise fail(PlanningReason.BUDGET_EXHAUSTED if tests >= budget else PlanningReason.UNREACHABLE_AT_RESOLUTION)
+
+
+CONFIGURATIONS = 200_000
+"""Configurations whose hand positions are looked at: points of a Halton sequence between the joint limits."""
+
+_PRIMES = (2, 3, 5, 7, 11, 13, 17)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class ReachMap:
+    """Share of the base's headings from which the hand reaches a point, by place of the base.
+
+    Attributes:
+        instance: the room.
+        point: the point, (x, y, z), m.
+        low: corner of the grid, shape (2,), m.
+        cell: side of its square cells, m.
+        share: of the headings, shape (columns, rows), columns along x; 0 where the base does not fit.
+    """
+
+    instance: RoomInstance
+    point: tuple[float, float, float]
+    low: NDArray[np.float64]
+    cell: float
+    share: NDArray[np.float64]
+
+    def get_best(self) -> tuple[float, float]:
+        """Place with the largest share, m."""
+        i, j = np.unravel_index(int(self.share.argmax()), self.share.shape)
+        x, y = (self.low + (np.array([i, j]) + 0.5) * self.cell).tolist()
+        return x, y
+
+    def draw(self, path: str | Path | None = None) -> Any:
+        """Draw the map over the room's; PNG, SVG or PDF if a path is given. Returns the matplotlib figure."""
+        from hrl_escape.env.drawing.maps import make_map, save_figure  # loads matplotlib
+
+        figure = make_map(self.instance)
+        axes = figure.axes[0]
+        (x, y), (columns, rows) = self.low.tolist(), self.share.shape
+        shown = np.ma.masked_equal(self.share.T, 0.0)
+        image = axes.imshow(shown, extent=(x, x + columns * self.cell, y, y + rows * self.cell), origin="lower",
+                            cmap="viridis", vmin=0.0, vmax=max(float(self.share.max()), 1e-9), alpha=0.75,
+                            zorder=1.5, interpolation="nearest")
+        axes.plot(self.point[0], self.point[1], "x", color="black", markersize=9, markeredgewidth=2, zorder=5)
+        bar = figure.colorbar(image, cax=axes.inset_axes((0.3, 0.965, 0.4, 0.012)), orientation="horizontal")
+        bar.set_label(f"share of headings from which the hand gets to the cross, {self.point[2]:.2g} m up", fontsize=7)
+        bar.ax.tick_params(labelsize=6)
+        if path is not None:
+            save_figure(path, figure)
+        return figure
+
+
+def map_reach(instance: RoomInstance, rules: Rules, point: tuple[float, float, float], floor: CollisionMap,
+              cell: float, tolerance: float) -> ReachMap:
+    """Map from where the hand reaches a point; see `ArmPlanner.map_reach`."""
+    low_angles, high_angles = np.array(rules.robot.limits).T
+    samples = make_halton(CONFIGURATIONS, len(low_angles))
+    hands = rules.robot.compute_hand(low_angles + (high_angles - low_angles) * samples)
+    hands = hands[np.abs(hands[:, 2] - point[2]) <= tolerance, :2]
+    low = np.array([-instance.reach_x, -instance.reach_y])
+    shape = tuple(np.ceil(2 * np.array([instance.reach_x, instance.reach_y]) / cell).astype(int).tolist())
+    counts = np.zeros(shape)
+    for heading in range(rules.headings):
+        cos, sin = rules.get_rotation(heading, 0.0)
+        places = np.array(point[:2]) - hands @ np.array([[cos, sin], [-sin, cos]])
+        cells = np.floor((places - low) / cell).astype(int)
+        cells = cells[((cells >= 0) & (cells < shape)).all(axis=1)]
+        reached = np.zeros(shape, dtype=bool)
+        reached[cells[:, 0], cells[:, 1]] = True
+        counts += reached
+    grid = list_cells((0, 0), shape)
+    centres = np.add(low, (grid + 0.5) * cell, dtype=np.float64)
+    free = floor.are_free(centres).reshape(shape)
+    return ReachMap(instance, point, low, cell, np.where(free, counts / rules.headings, 0.0))
+
+
+def make_halton(count: int, dimensions: int) -> NDArray[np.float64]:
+    """First points of the Halton sequence in the unit cube, shape (count, dimensions); up to 7 dimensions."""
+    points = np.zeros((count, dimensions))
+    for k, prime in zip(range(dimensions), _PRIMES, strict=False):
+        number, share = np.arange(1, count + 1), 1.0 / prime
+        while number.any():
+            points[:, k] += share * (number % prime)
+            number, share = number // prime, share / prime
+    return points

@@ -1,0 +1,394 @@
+"""`RoomPlanner`: the programmatic API of all planning in one room.
+
+It composes routes (`routes.py`) into plans: to one goal, or to all goals of the puzzle in the
+cheapest order and then out (`operator_order.py`). Every plan is checked by the room's own kinematics.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+import threading
+from collections import OrderedDict
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+from hrl_escape.clock import Clock, OutOfTime
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import PlanningFailed, PlanningReason, UnsupportedError
+from hrl_escape.kernels import read_clock
+from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, PushGoal, describe_goal, make_goal, parse_goal
+from hrl_escape.planning.lower_bounds import bound_escape
+from hrl_escape.planning.orders import REAL_LEGS, TaskPlanner
+from hrl_escape.planning.plan import Plan, PlanPart, join_parts
+from hrl_escape.planning.requests import PlanningRequest, PlanningResult, bound_cost, compute_plan_cost, iterate_routes
+from hrl_escape.planning.route import Route, SearchSettings
+from hrl_escape.planning.routes import check_method
+from hrl_escape.planning.search.escapes import JointSearch
+from hrl_escape.planning.symbolic.operator_order import TaskSearch
+
+__all__ = ["RoomPlanner", "get_planner"]
+
+MOST_JOINTS = 4
+"""Joints of a hand that presses up to which whole escapes are searched: its tables take a millisecond."""
+MOST_FLOOR = 1_000.0
+"""Floor up to which they are, m^2: each posture has a field of its own, which takes 0.1 s there."""
+ESCAPES = 8
+"""Orders of the puzzle's operators that are planned in detail for a request that asks for better plans."""
+
+
+class RoomPlanner(TaskPlanner):
+    """Planner of one room; make it once and use it for every episode.
+
+    Thread-safe by a lock. Pickling drops the remembered routes.
+
+    Args:
+        instance: the room. Under noise, slip or physics, plans are for the kinematic room without these; in a random
+            puzzle they suppose its most likely outcomes.
+        method: `fields` (cost-to-go fields); a path planner round whose path to search, such as `RRTConnect`
+            (see `list_planners`), with `corridor` for the default one; or `auto`, which takes the corridor for places
+            on floors of more than 3,000 m^2, and fields for everything else.
+        budget: search nodes of a plan; the same budget finds the same plan anywhere.
+        time_limit: limit of one whole call of `plan`, `solve`, `order_goals` or `find_ancestors`, s. None, the default,
+            leaves the decision to the budget, so that plans do not depend on the machine.
+
+    Attributes:
+        instance: the room as given.
+        rules: its kinematics with nothing random, by which plans are checked.
+
+    Raises:
+        UnknownNameError: no such method.
+    """
+
+    def __init__(self, instance: RoomInstance, method: str = "auto", budget: int = 300_000,
+                 time_limit: float | None = None) -> None:
+        super().__init__(instance, method, budget, time_limit)
+
+    def _open(self) -> None:
+        super()._open()
+        self._joint: JointSearch | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {k: v for k, v in super().__getstate__().items() if k != "_joint"}
+
+    # --- plans -------------------------------------------------------------------------
+
+    def plan(self, state: RoomState, goal: Goal | str, method: str | None = None) -> Plan:
+        """Plan the fewest primitives from a state to a goal.
+
+        Args:
+            state: first state, such as `env.unwrapped.get_state()`.
+            goal: a goal, or its text: `button-2`, `exit`, `x,y` or `x,y,heading_deg`.
+            method: method of this plan; None for the planner's own.
+
+        Raises:
+            PlanningFailed: there is no plan; its reason says why.
+            StateError, GoalError: there is no such state or goal in this room.
+            UnknownNameError: the text names nothing in this room.
+        """
+        began = read_clock()
+        goal = self._read_goal(goal)
+        settings = self._choose_settings(method)
+        self.check_query(state, goal)
+        route = self.find_route(state, goal, settings=settings)
+        return self._make_leg(state, goal, route, read_clock() - began)
+
+    def answer(self, request: PlanningRequest, *, stop: threading.Event | None = None,
+               on_improvement: Callable[[PlanningResult], None] | None = None) -> PlanningResult:
+        """Answer a planning request; a failure is a result, too.
+
+        Args:
+            request: what to plan.
+            stop: event that cancels the call once another thread sets it; what is known then is the result.
+            on_improvement: called with the first plan and with every better one.
+
+        Raises:
+            StateError, GoalError, UnknownNameError: there is no such state, goal or method in this room.
+            UnsupportedError: the puzzle needs pushes, whose effect no plan predicts.
+        """
+        began = read_clock()
+        clock = Clock(self.time_limit if request.time_limit is None else request.time_limit, stop)
+        settings = self._choose_settings(request.method, request.budget, request.seed)
+        given = request.goal if isinstance(request.goal, tuple) else () if request.goal is None else (request.goal,)
+        goals = tuple(map(self._read_goal, given))
+        self.check_query(request.state, *goals)
+        bound = float(self._bounds.bound_goals(request.state, goals) if goals
+                      else bound_escape(self.instance, request.state))
+        bound = bound_cost(self.instance, request.state, goals or (ExitGoal(),), request, bound)
+        result = PlanningResult(request, PlanningReason.BUDGET_EXHAUSTED, None, math.inf, bound, "", 0, 0.0)
+        spent = 0
+        try:
+            for plan in self._iterate_plans(request, goals, settings, clock):
+                cost, spent = compute_plan_cost(plan, request), spent + plan.expansions
+                if cost < result.cost - 1e-9:
+                    result = PlanningResult(request, "reached", plan, cost, min(bound, cost), plan.planner, spent,
+                                            read_clock() - began, clock.has_stopped)
+                    if on_improvement is not None:
+                        on_improvement(result)
+                if result.cost <= bound or spent >= settings.budget or clock.is_up():
+                    break
+        except PlanningFailed as failure:
+            spent += failure.expansions
+            if result.plan is None:
+                result = dataclasses.replace(result, status=failure.reason, failure=failure)
+        return dataclasses.replace(result, spent=spent, seconds=read_clock() - began, cut_short=clock.has_stopped)
+
+    def _iterate_plans(self, request: PlanningRequest, goals: Sequence[Goal], settings: SearchSettings, clock: Clock
+                       ) -> Iterator[Plan]:
+        """Plans for a request: the first by the planner's usual way, then others while nodes are left."""
+        state, is_thorough = request.state, request.improve or request.objective != "primitives"
+        if not goals:
+            left = settings.budget
+            for effort in (0, 1, 2) if is_thorough else (0,):
+                plan = self._solve(state, settings._replace(effort=effort, budget=left), clock, left)
+                left -= plan.expansions
+                yield plan
+                if left <= 0:
+                    return
+            if is_thorough:
+                yield from self.list_escapes(state, ESCAPES, clock, settings, left)
+            return
+        if len(goals) > 1:
+            yield self.follow_goals(state, goals, clock, settings)
+            return
+        first = self.find_route(state, goals[0], None, clock, settings)
+        yield self._make_leg(state, goals[0], first)
+        if is_thorough:
+            rest = settings._replace(budget=settings.budget - first.expansions)
+            for route in iterate_routes(self, state, goals[0], request, rest, clock):
+                yield self._make_leg(state, goals[0], route)
+
+    def _read_goal(self, goal: Goal | str) -> Goal:
+        return parse_goal(goal, self.instance) if isinstance(goal, str) else goal
+
+    def _choose_settings(self, method: str | None, budget: int | None = None, seed: int = 0) -> SearchSettings:
+        check_method(self.method if method is None else method)
+        return SearchSettings(method or self.method, budget or self.budget, seed)
+
+    def solve(self, state: RoomState, method: str | None = None) -> Plan:
+        """Plan the whole escape: the puzzle's operators, then the exit, with few primitives in all.
+
+        Legs are first planned one by one, in the cheapest order. One search over all orders then looks for a shorter
+        escape, whose legs end where the rest is short; not where a hand with five joints or more presses, or under
+        physics.
+
+        Args:
+            state: first state.
+            method: method of this plan; None for the planner's own.
+
+        Raises:
+            PlanningFailed: there is no plan; its reason says why.
+            UnsupportedError: the puzzle needs pushes, whose effect no plan predicts; use `pursue`.
+        """
+        settings = self._choose_settings(method)
+        self.check_query(state)
+        return self._solve(state, settings, Clock(self.time_limit))
+
+    def _solve(self, state: RoomState, settings: SearchSettings, clock: Clock, most_nodes: int | None = None) -> Plan:
+        """Escape leg by leg in the cheapest order, or a shorter one by a search over all legs and orders at once.
+
+        The budget of `settings` is that of each leg; both searches together end at `most_nodes`.
+        """
+        began = read_clock()
+        plan = self._solve_by_legs(state, settings, clock)
+        if settings.method in ("auto", "fields"):
+            most_nodes = settings.budget if most_nodes is None else most_nodes
+            plan = self._shorten_escape(state, plan, settings, clock, most_nodes - plan.expansions)
+        return dataclasses.replace(plan, seconds=read_clock() - began, timed_out=clock.has_stopped)
+
+    def _solve_by_legs(self, state: RoomState, settings: SearchSettings, clock: Clock) -> Plan:
+        return self.follow_goals(state, self._order_goals(state, clock, settings), clock, settings)
+
+    def _shorten_escape(self, state: RoomState, plan: Plan, settings: SearchSettings, clock: Clock, most_nodes: int
+                        ) -> Plan:
+        """The escape, or a shorter one found jointly; props, and headings and joints off their lattices, stay out."""
+        order = [part.goal for part in plan.parts]
+        if state.heading_offset or any(state.joint_offsets) or not order or not self._can_join(order):
+            return plan
+        with self._lock:
+            joint = self._get_joint_search()
+            try:
+                found, spent = joint.find_escape(state, order, plan.cost, clock=clock, effort=settings.effort,
+                                                 budget=most_nodes)
+            except OutOfTime:
+                return plan
+            if found is None:
+                return dataclasses.replace(plan, expansions=plan.expansions + spent)
+            goals = joint.list_goals(state, found)
+        return dataclasses.replace(self.make_plan(state, found, goals, "joint search"),
+                                   expansions=plan.expansions + spent)
+
+    def _can_join(self, order: Sequence[Goal]) -> bool:
+        """Return whether legs to these goals can be planned jointly: nothing but primitives to presses counts."""
+        room = self.instance
+        is_plain = not (room.props or room.inner_doors or room.puzzle.has_reward)
+        if self._presses_by_hand:  # arms that collide, or with many joints, take long
+            is_plain &= room.dynamics.kind == "kinematic" and room.robot.joints <= MOST_JOINTS
+            is_plain &= 4 * room.reach_x * room.reach_y <= MOST_FLOOR
+        return is_plain and all(isinstance(goal, (PressGoal, ExitGoal)) for goal in order)
+
+    @property
+    def _presses_by_hand(self) -> bool:
+        return self.instance.dynamics.press_with == "hand"
+
+    def _get_joint_search(self) -> JointSearch:
+        """Fields of the puzzle's states, made on first use; to be held under the lock."""
+        if self._joint is None and self._presses_by_hand:
+            from hrl_escape.planning.search.hand_escapes import HandSearch  # loads Pinocchio
+
+            self._joint = HandSearch(self._search)
+        elif self._joint is None:
+            self._joint = JointSearch(self.rules, self.get_field_maker(True), self.get_field_maker(False))
+        return self._joint
+
+    def plan_onward(self, state: RoomState, order: Sequence[Goal]) -> Plan:
+        """Plan the next leg of an escape that noise has led astray, within milliseconds.
+
+        Where the body presses, the leg ends where the way on is short, and may lead to another goal first if that
+        order has become shorter. Elsewhere it leads to the first goal.
+
+        Args:
+            state: present state.
+            order: goals that are left, in order, such as those of `order_goals`.
+
+        Raises:
+            PlanningFailed: the first goal cannot be reached.
+        """
+        began = read_clock()
+        self.check_query(state, *order)
+        is_joint = self.method in ("auto", "fields") and self._can_join(order) and not self._presses_by_hand
+        if is_joint and not self.has_escaped(state):
+            with self._lock:
+                joint = self._get_joint_search()
+                found = joint.find_leg(state, order)
+                goals = joint.list_goals(state, found or ())[:1]
+            if found is not None:
+                plan = self.make_plan(state, found, goals, "joint search")
+                return dataclasses.replace(plan, seconds=read_clock() - began)
+        return self.plan(state, order[0])
+
+    def follow_goals(self, state: RoomState, goals: Sequence[Goal], clock: Clock, settings: SearchSettings) -> Plan:
+        """Plan to goals in order, to each from the true end of the one before.
+
+        Args:
+            state: first state.
+            goals: the goals.
+            clock: time limit.
+            settings: of each search.
+
+        Raises:
+            PlanningFailed: a goal cannot be reached.
+            UnsupportedError: one of the goals is a push.
+        """
+        legs: list[Plan] = []
+        here = state
+        for goal in goals:
+            if isinstance(goal, PushGoal):
+                raise UnsupportedError(f"{describe_goal(goal, self.instance)} cannot be planned ahead: pushing takes "
+                                       "physics. Use pursue(env), which runs in closed loop")
+            is_exit = isinstance(goal, ExitGoal)
+            route = self._find_exit(here, bool(legs), clock, settings) if is_exit else self.find_route(
+                here, goal, None, clock, settings)
+            if route.primitives:
+                legs.append(self._make_leg(here, goal, route))
+                here = legs[-1].states[-1]
+        return self._join_legs(state, legs, ", ".join(dict.fromkeys(leg.planner for leg in legs)), 0.0)
+
+    def list_escapes(self, state: RoomState, count: int, clock: Clock | None = None,
+                     settings: SearchSettings | None = None, most_nodes: float = math.inf) -> list[Plan]:
+        """List escapes leg by leg, as options make them, in several of the cheapest orders; the shortest first.
+
+        Args:
+            state: first state.
+            count: escapes to list, at most.
+            clock: time limit of a call that this one is part of; None for the planner's own.
+            settings: of each search; None for the planner's own.
+            most_nodes: search nodes after which no other leg is looked at.
+
+        Raises:
+            PlanningFailed: there is no escape; its reason says why.
+            UnsupportedError: the puzzle needs pushes.
+        """
+        clock, settings = clock or Clock(self.time_limit), settings or self.settings
+        first = self._solve_by_legs(state, settings, clock)
+        facts = self.instance.puzzle.get_facts(state.puzzle)
+        search = TaskSearch(self._model, lower_bound=self._bounds.bound_leg, relevant_only=False)
+        extend = self._make_extend(state, clock, settings, None, None, most_nodes)
+        tasks = search.find_orders(facts, state, extend, count, REAL_LEGS * count)
+        orders = ([make_goal(op, self.instance) for op in task.operators] for task in tasks)
+        ancestors = (self.find_ancestors(state, make_goal(op, self.instance))  # as one meta-action does it
+                     for op in search.operators if op.add & self._model.goal)
+        plans = {first.primitives: first}
+        for goals in itertools.chain(orders, ancestors):
+            if most_nodes <= 0:
+                break
+            try:
+                plan = self.follow_goals(state, [*goals, ExitGoal()], clock, settings)
+            except PlanningFailed as failure:
+                most_nodes -= failure.expansions
+                continue
+            most_nodes -= plan.expansions
+            if self.has_escaped(plan.states[-1]):
+                plans.setdefault(plan.primitives, plan)
+        return sorted(plans.values(), key=lambda plan: plan.cost)[:count]
+
+    def make_plan(self, state: RoomState, primitives: Sequence[int], goals: Sequence[Goal], planner: str) -> Plan:
+        """Make a plan of primitives that reach goals one after another; the last primitive may reach several.
+
+        Raises:
+            PlanningFailed: the primitives do not reach the goals.
+        """
+        self.check_query(state, *goals)
+        legs: list[Plan] = []
+        here, rest = state, self.check_primitives(primitives)
+        for goal in goals:
+            if isinstance(goal, ExitGoal) and not rest and self.has_escaped(here):
+                break  # by the primitive of the last press
+            route = self.replay(here, rest, goal)
+            if route is None:
+                raise self.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, here, goal, planners=(planner,))
+            legs.append(self._make_leg(here, goal, route))
+            here, rest = legs[-1].states[-1], rest[legs[-1].cost :]
+        return self._join_legs(state, legs, planner, 0.0)
+
+    def _join_legs(self, state: RoomState, legs: Sequence[Plan], planner: str, seconds: float) -> Plan:
+        """Plan made of consecutive legs."""
+        primitives = tuple(action for leg in legs for action in leg.primitives)
+        states = (state, *(s for leg in legs for s in leg.states[1:]))
+        escapes = bool(legs) and isinstance(legs[-1].parts[-1].goal, ExitGoal)
+        name = "escape" if escapes else ", ".join(leg.name for leg in legs)
+        return Plan(self.instance, name, primitives, states, join_parts(legs), planner,
+                    sum(leg.expansions for leg in legs), seconds)
+
+    def _make_leg(self, state: RoomState, goal: Goal, route: Route, seconds: float = 0.0) -> Plan:
+        states = [state]
+        for primitive in route.primitives:
+            states.append(self.rules.step(states[-1], primitive).state)
+        name = describe_goal(goal, self.instance)
+        name = f"press-{name}" if isinstance(goal, PressGoal) else name
+        others = tuple(self.instance.targets[i].name for i in route.also_pressed)
+        part = PlanPart(name, goal, 0, len(route.primitives), others)
+        return Plan(self.instance, name, route.primitives, tuple(states), (part,), route.method, route.expansions,
+                    seconds, route.timed_out)
+
+
+_PLANNERS: OrderedDict[tuple[str, str], RoomPlanner] = OrderedDict()
+_PLANNERS_LOCK = threading.Lock()
+KEPT_PLANNERS = 32
+"""Planners that stay, at some 4 MB each for a room of 20 m."""
+
+
+def get_planner(instance: RoomInstance, method: str = "auto") -> RoomPlanner:
+    """Return the planner that this process shares for a room and a method; it keeps the last `KEPT_PLANNERS`."""
+    check_method(method)
+    key = (instance.id, method)
+    with _PLANNERS_LOCK:
+        planner = _PLANNERS.get(key)
+        if planner is None:
+            planner = _PLANNERS[key] = RoomPlanner(instance, method)
+            if len(_PLANNERS) > KEPT_PLANNERS:
+                _PLANNERS.popitem(last=False)
+        _PLANNERS.move_to_end(key)
+        return planner

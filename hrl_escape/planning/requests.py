@@ -1,0 +1,232 @@
+"""`PlanningRequest` and `PlanningResult`: a planning call and its outcome as values, with costs and better plans.
+
+`RoomPlanner.answer` turns one into the other. A result is a function of room and request alone,
+on any machine, unless the request sets a time limit or another thread cancels the call. After the first plan an
+anytime call compares more, in a fixed order: fewer primitives come from searches whose heuristic is lowered further
+and further; other objectives also look at ways that keep away from solids by growing margins, and at ways round the
+paths of path planners that shorten theirs.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import numbers
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Literal, get_args
+
+import numpy as np
+
+from hrl_escape.clock import Clock
+from hrl_escape.env.geometry import compute_distance, compute_distance_many, stack_footprints
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason
+from hrl_escape.planning.areas import grow_solids
+from hrl_escape.planning.goals import Goal
+from hrl_escape.planning.lower_bounds import LegBounds
+from hrl_escape.planning.motion.limits import MotionLimits, compute_duration, compute_rest_to_rest
+from hrl_escape.planning.plan import Plan
+from hrl_escape.planning.props import list_obstacles
+from hrl_escape.planning.route import EFFORTS, PlanningReport, Route, SearchSettings, check_budget
+
+if TYPE_CHECKING:
+    from hrl_escape.planning.routes import RouteFinder
+
+__all__ = ["Objective", "PlanningRequest", "PlanningResult", "bound_cost", "compute_lacking_clearance",
+           "compute_plan_cost", "iterate_routes"]
+
+Objective = Literal["primitives", "length", "clearance", "time"]
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanningRequest:
+    """A planning call.
+
+    Attributes:
+        state: first state.
+        goal: a goal or its text; several, to be reached in this order; or None for the whole escape.
+        method: as in `RoomPlanner`; None for the planner's own.
+        budget: search nodes that may be expanded; None for the planner's own.
+        time_limit: limit of the call, s; None for none. With one, the result may depend on the machine.
+        objective: cost to keep low. `primitives`: their number. `length`: metres that the base travels. `clearance`:
+            these metres, each weighted by how much of one metre of clearance it lacks. `time`: seconds under `limits`.
+        limits: speeds and accelerations, for the objective `time`.
+        improve: go on after the first plan until the budget is spent or the lower bound is met. Objectives other than
+            `primitives` always compare several plans.
+        seed: of randomised path planners.
+    """
+
+    state: RoomState
+    goal: Goal | str | tuple[Goal | str, ...] | None = None
+    method: str | None = None
+    budget: int | None = None
+    time_limit: float | None = None
+    objective: Objective = "primitives"
+    limits: MotionLimits = MotionLimits()
+    improve: bool = False
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.objective not in get_args(Objective):
+            raise ConfigError("request.objective", self.objective, f"one of {', '.join(get_args(Objective))}")
+        if isinstance(self.seed, bool) or not isinstance(self.seed, numbers.Integral) or not 0 <= self.seed < 2**32:
+            raise ConfigError("request.seed", self.seed, f"a whole number from 0 to {2**32 - 1}")
+        if self.budget is not None:
+            check_budget(self.budget)
+        Clock(self.time_limit)  # refuses what is no limit
+        if isinstance(self.goal, Sequence) and not isinstance(self.goal, str) and not self.goal:
+            raise ConfigError("request.goal", self.goal, "at least one goal, or None for the escape")
+
+
+@dataclasses.dataclass(frozen=True)
+class PlanningResult:
+    """Outcome of a planning call.
+
+    Attributes:
+        request: what was asked.
+        status: `"reached"`, or the reason for which there is no plan.
+        plan: the best plan found; None without one.
+        cost: its cost by the request's objective; infinity without a plan.
+        lower_bound: no plan costs less.
+        method: search that found the plan, such as `fields` or `RRTConnect`; empty without a plan.
+        spent: search nodes expanded; those of remembered routes count again.
+        seconds: wall time, without compilation.
+        cut_short: the time limit, or a cancellation, ended the call; without it the plan may be better.
+        failure: the error that says why there is no plan; None with a plan.
+    """
+
+    request: PlanningRequest
+    status: Literal["reached"] | PlanningReason
+    plan: Plan | None
+    cost: float
+    lower_bound: float
+    method: str
+    spent: int
+    seconds: float
+    cut_short: bool = False
+    failure: PlanningFailed | None = None
+
+    @property
+    def seed(self) -> int:
+        """The request's seed."""
+        return self.request.seed
+
+    @property
+    def gap(self) -> float:
+        """Largest share by which the plan may cost more than the best one; infinity without a plan or a bound."""
+        if self.cost <= self.lower_bound:
+            return 0.0
+        return self.cost / self.lower_bound - 1.0 if self.lower_bound > 0.0 else math.inf
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON; numbers that are infinite become None."""
+        return {
+            "status": self.status if isinstance(self.status, str) and self.status == "reached" else str(
+                PlanningReason(self.status).value),
+            "objective": self.request.objective, "cost": self.cost if math.isfinite(self.cost) else None,
+            "lower_bound": self.lower_bound, "method": self.method, "spent": self.spent, "seconds": self.seconds,
+            "seed": self.seed, "cut_short": self.cut_short, "plan": self.plan and self.plan.to_dict(),
+            "failure": None if self.failure is None else str(self.failure),
+        }
+
+
+WANTED = 1.0
+"""Clearance beyond which more is worth nothing, m."""
+MEASURED_EVERY = 0.05
+"""Distance of the places at which a plan's clearance is measured, m."""
+
+
+def compute_plan_cost(plan: Plan, request: PlanningRequest) -> float:
+    """Cost of a plan by a request's objective."""
+    if request.objective == "primitives":
+        return float(plan.cost)
+    if request.objective == "length":
+        return float(np.hypot(*np.diff(plan.path, axis=0).T).sum())
+    if request.objective == "clearance":
+        return compute_lacking_clearance(plan)
+    robot = plan.instance.robot
+    return compute_duration(plan.states, request.limits, math.radians(robot.turn_step_deg),
+                            math.radians(robot.joint_step_deg))
+
+
+def compute_lacking_clearance(plan: Plan) -> float:
+    """Metres of the base's way, each weighted by the share of one metre of clearance that the body lacks there."""
+    solids = stack_footprints([solid.footprint for solid in plan.instance.solids])
+    total = 0.0
+    for (x, y), (to_x, to_y) in zip(plan.path, plan.path[1:], strict=False):
+        length = math.hypot(to_x - x, to_y - y)
+        if length == 0.0:
+            continue
+        count = math.ceil(length / MEASURED_EVERY)
+        shares = (np.arange(count) + 0.5) / count
+        places = np.stack([x + shares * (to_x - x), y + shares * (to_y - y)], axis=1)
+        clearance = compute_distance_many(places, solids) - plan.instance.robot.outer_radius
+        total += length * float(np.clip(1.0 - clearance / WANTED, 0.0, 1.0).mean())
+    return total
+
+
+def bound_cost(instance: RoomInstance, state: RoomState, goals: tuple[Goal, ...], request: PlanningRequest,
+               primitives: float) -> float:
+    """Bound of the cost of every plan that reaches goals in order.
+
+    Args:
+        instance: the room.
+        state: first state.
+        goals: in order.
+        request: says by which objective.
+        primitives: bound of the number of primitives.
+    """
+    if request.objective == "primitives":
+        return primitives
+    if request.objective == "clearance":
+        return 0.0
+    bounds = LegBounds(instance)
+    metres = 0.0
+    for goal in goals:
+        shape, reach = bounds.get_area(goal)
+        metres = max(metres, compute_distance(state.x, state.y, shape) - reach)
+    if request.objective == "length" or metres == 0.0:
+        return metres
+    return compute_rest_to_rest(metres, request.limits.speed, request.limits.acceleration)
+
+
+WAY_MARGINS = (0.1, 0.2, 0.35, 0.5, 0.75, 1.0)
+"""Distances that ways keep from solids, m."""
+PATH_PLANNERS = ("BITstar", "InformedRRTstar")
+"""Path planners whose paths are short or become so."""
+
+
+def iterate_routes(finder: RouteFinder, state: RoomState, goal: Goal, request: PlanningRequest,
+                   settings: SearchSettings, clock: Clock) -> Iterator[Route]:
+    """Routes to one goal after the first one, until the nodes of `settings.budget` are spent; failures are skipped."""
+    left = settings.budget
+    for number in range(_count_ways(request)):
+        try:
+            route = _find_way(finder, state, goal, number, settings._replace(budget=left), clock)
+        except PlanningFailed as failure:
+            left -= failure.expansions
+        else:
+            left -= route.expansions
+            yield route
+        if left <= 0 or clock.is_up():
+            return
+
+
+def _count_ways(request: PlanningRequest) -> int:
+    return len(EFFORTS) + (len(WAY_MARGINS) + len(PATH_PLANNERS) if request.objective != "primitives" else 0)
+
+
+def _find_way(finder: RouteFinder, state: RoomState, goal: Goal, number: int, settings: SearchSettings, clock: Clock
+              ) -> Route:
+    """Route number `number`: lower and lower heuristics, then growing margins, then path planners."""
+    if number < len(EFFORTS):
+        return finder.find_route(state, goal, None, clock, settings._replace(effort=number + 1))
+    number -= len(EFFORTS)
+    if number < len(WAY_MARGINS):
+        keep_out = (*list_obstacles(state, finder.instance)[-1],
+                    *grow_solids(finder.instance, state, goal, WAY_MARGINS[number]))
+        return finder.find_route_around(state, goal, keep_out, settings.budget, PlanningReport(), refine=False,
+                                        clock=clock)
+    planner = PATH_PLANNERS[number - len(WAY_MARGINS)]
+    return finder.find_route(state, goal, None, clock, settings._replace(method=planner))

@@ -1,1 +1,0 @@
-"""The contract of a planning call: request and result, objectives, and the search for better plans."""

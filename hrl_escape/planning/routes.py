@@ -1,0 +1,399 @@
+"""Routes: primitives from a state to one goal, found once, remembered, and checked by replay.
+
+Options follow routes, and plans are made of them. A route is a function of state and goal alone,
+so remembering it saves time and changes nothing. `primitive_search.py` finds a single route,
+`planner.py` puts several goals in order.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import numbers
+import threading
+from collections import OrderedDict
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from typing_extensions import Self
+
+from hrl_escape.clock import Clock
+from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.geometry import Footprint
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.state_checks import check_fields
+from hrl_escape.errors import ActionError, ConfigError, EscapeError, PlanningFailed, PlanningReason, UnknownNameError
+from hrl_escape.floor.cost_to_go import FieldMaker
+from hrl_escape.kernels import read_clock
+from hrl_escape.planning.goals import (
+    ExitGoal,
+    Goal,
+    GripGoal,
+    PressGoal,
+    check_goal,
+    describe_goal,
+    find_grips,
+    is_reached,
+)
+from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
+from hrl_escape.planning.props import get_prop_poses, list_obstacles, meets
+from hrl_escape.planning.route import PlanningReport, Pose, Route, SearchSettings, check_budget, get_pose
+from hrl_escape.planning.search.inner_doors import DoorKey, DoorSearches, find_move, is_way_open, list_places
+from hrl_escape.planning.search.primitive_search import METHODS, PrimitiveSearch
+
+if TYPE_CHECKING:
+    from hrl_escape.planning.arm.reacher import Reacher
+
+__all__ = ["RouteFinder", "check_method"]
+
+MOST_ROUTES = 10_000
+"""Routes that are kept; the least recently used are dropped first."""
+
+CAREFUL = 20_000
+"""Search nodes of a route that keeps away from all blocks, before one that may move some."""
+
+RouteKey: TypeAlias = tuple[Goal, SearchSettings, tuple[bool, DoorKey], Pose]  # is the exit open?
+
+
+class RouteFinder:
+    """Routes of one room; thread-safe by a lock, and picklable.
+
+    Attributes:
+        instance: the room as given.
+        rules: its kinematics with nothing random, by which routes are checked.
+    """
+
+    def __init__(self, instance: RoomInstance, method: str = "auto", budget: int = 300_000,
+                 time_limit: float | None = None) -> None:
+        if not isinstance(instance, RoomInstance):
+            raise ConfigError("instance", instance, "a RoomInstance, as generate() and env.unwrapped.instance give")
+        check_budget(budget)
+        check_method(method)
+        Clock(time_limit)  # refuses what is no limit
+        self.instance = instance
+        self.method, self.budget, self.time_limit = method, budget, time_limit
+        # pressing under physics takes force: being within the margin is not enough
+        margin = 0.0 if instance.dynamics.kind == "physics" else instance.dynamics.press_margin
+        self._quiet = dataclasses.replace(
+            instance, dynamics=dataclasses.replace(instance.dynamics, press_margin=margin))
+        self.rules = Kinematics(self._quiet, is_still=True)
+        self._radius = instance.robot.outer_radius + CONTACT_SKIN
+        self._open()
+
+    def _open(self) -> None:
+        self._search = PrimitiveSearch(self._quiet, self.rules)
+        self._doors = DoorSearches(self._search)
+        self._routes: OrderedDict[RouteKey, Route | PlanningFailed] = OrderedDict()
+        self._reasons: dict[int, str] = {}
+        self._lock = threading.RLock()
+
+    def __getstate__(self) -> dict[str, Any]:
+        left_out = ("_search", "_doors", "_routes", "_reasons", "_lock")
+        return {k: v for k, v in self.__dict__.items() if k not in left_out}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._open()
+
+    def adapt(self, instance: RoomInstance) -> Self:
+        """Make the planner of an edited room; it plans as a new one would, and takes over what the edit leaves valid.
+
+        Args:
+            instance: the edited room, such as `Scene.instance`.
+        """
+        new = type(self)(instance, self.method, self.budget, self.time_limit)
+        with self._lock:
+            new._search = self._search.adapt(new._quiet, new.rules)
+            new._doors = DoorSearches(new._search)
+        return new
+
+    def prepare(self) -> None:
+        """Compute now the fields that routes share, so that the first routes are as quick as later ones."""
+        with self._lock:
+            self._search.prepare()
+
+    def get_field_maker(self, door_shut: bool) -> FieldMaker:
+        """Grid of the cost-to-go fields, with the exit door shut or open."""
+        with self._lock:
+            return self._search.get_maker(door_shut)
+
+    def get_reacher(self) -> Reacher:
+        """Arm of this room's robot, which finds its postures."""
+        with self._lock:
+            return self._search.reacher
+
+    @property
+    def settings(self) -> SearchSettings:
+        """Settings of searches for which no others are given."""
+        return SearchSettings(self.method, self.budget)
+
+    def check_query(self, state: RoomState, *goals: Goal) -> None:
+        """Check a state, wherever the body stands in it, and goals.
+
+        Raises:
+            StateError: a field of the state is impossible in this room.
+            GoalError: the goal is none of this room's.
+        """
+        check_fields(self.rules, state)
+        for goal in goals:
+            check_goal(goal, self.instance)
+
+    def check_primitives(self, primitives: Sequence[int]) -> tuple[int, ...]:
+        """Check primitives of a plan and return them.
+
+        Raises:
+            ActionError: one of them is no index of the room's actions, or they are no sequence.
+        """
+        count = len(self.rules.actions)
+        if not isinstance(primitives, Sequence) or isinstance(primitives, (str, bytes)):
+            raise ActionError(primitives, count)
+        for primitive in primitives:
+            is_whole = isinstance(primitive, numbers.Integral) and not isinstance(primitive, bool)
+            if not (is_whole and 0 <= primitive < count):
+                raise ActionError(primitive, count)
+        return tuple(int(primitive) for primitive in primitives)
+
+    @contextmanager
+    def _explaining(self, state: RoomState, goal: Goal) -> Iterator[None]:
+        """Say what is wrong with a query that raised; one that is right pays nothing."""
+        try:
+            yield
+        except EscapeError:
+            raise
+        except Exception:
+            self.check_query(state, goal)
+            raise
+
+    def can_start(self, state: RoomState, goal: Goal) -> bool:
+        """Return cheaply whether planning to a goal makes sense: it is not reached yet, and no shut door blocks it."""
+        with self._explaining(state, goal):
+            if isinstance(goal, ExitGoal) and self.instance.door and not self.is_solved(state):
+                return False
+            if not is_way_open(self.rules, state, goal):
+                return False
+            if isinstance(goal, GripGoal):
+                facts, ways = self.instance.puzzle.get_facts(state.puzzle), find_grips(goal, self.instance)
+                return any(op.is_applicable(facts) for op in ways) and self._doors.can_walk(state, goal)
+            return isinstance(goal, PressGoal) or not is_reached(goal, state, state, self.rules)
+
+    def find_route(self, state: RoomState, goal: Goal, report: PlanningReport | None = None,
+                   clock: Clock | None = None, settings: SearchSettings | None = None) -> Route:
+        """Find the route from a state to a goal, or recall it.
+
+        Args:
+            state: first state.
+            goal: the goal.
+            report: counts calls, cache hits and seconds.
+            clock: time limit of a call that this one is part of; None for the planner's own.
+            settings: of the search; None for the planner's own.
+
+        Raises:
+            PlanningFailed: no route; a failure is remembered like a route.
+            StateError, GoalError: what no route can begin at or lead to.
+        """
+        began = read_clock()
+        clock = clock or Clock(self.time_limit)
+        settings = self.settings if settings is None else settings
+        with self._lock:
+            if clock.is_cancelled:  # while another call was under way
+                raise self.make_failure(clock.reason, state, goal)
+            with self._explaining(state, goal):
+                key = self._make_key(state, goal, settings)
+                found = self._routes.get(key)
+            if found is None:
+                self.check_query(state, goal)
+            if report is not None:
+                report.planner_calls += 1
+                report.cache_hits += found is not None
+            if found is None:
+                found = self._search_round_props(state, goal, clock, settings)
+                if not clock.has_stopped:  # what a clock cut short depends on the machine, not on the room alone
+                    self._keep(key, found)
+            else:
+                self._routes.move_to_end(key)
+        if report is not None:
+            report.planner_seconds += read_clock() - began
+        if isinstance(found, PlanningFailed):
+            raise found.with_traceback(None)
+        return found
+
+    def find_route_around(self, state: RoomState, goal: Goal, keep_out: Sequence[Footprint], budget: int,
+                          report: PlanningReport, *, refine: bool = True, clock: Clock | None = None) -> Route:
+        """Find the route to a goal round movable things such as blocks; it is not remembered.
+
+        Args:
+            state: first state.
+            goal: the goal.
+            keep_out: footprints that the body must not meet.
+            budget: search nodes that may be expanded.
+            report: counts calls and seconds.
+            refine: search finer grids, too, before giving up.
+            clock: time limit of a call that this one is part of; None for the planner's own.
+
+        Raises:
+            PlanningFailed: no route within the budget.
+        """
+        began = read_clock()
+        report.planner_calls += 1
+        with self._lock:
+            settings = self.settings._replace(budget=budget)
+            found = self._search_route(state, goal, clock or Clock(self.time_limit), settings, keep_out, refine)
+        report.planner_seconds += read_clock() - began
+        if isinstance(found, PlanningFailed):
+            raise found
+        return found
+
+    def remember(self, state: RoomState, goal: Goal, primitives: Sequence[int]) -> bool:
+        """Make given primitives the route to a goal from here; False if they do not reach it or press a target."""
+        self.check_query(state, goal)
+        primitives = self.check_primitives(primitives)
+        route = self.replay(state, primitives, goal)
+        if route is None or len(route.primitives) < len(primitives) or route.also_pressed:
+            return False
+        with self._lock:
+            self._keep(self._make_key(state, goal, self.settings), route)
+        return True
+
+    def _keep(self, key: RouteKey, found: Route | PlanningFailed) -> None:
+        """Remember what was found, and forget what was not asked for the longest time."""
+        self._routes.setdefault(key, found)
+        if len(self._routes) > MOST_ROUTES:
+            self._routes.popitem(last=False)
+
+    def _make_key(self, state: RoomState, goal: Goal, settings: SearchSettings) -> RouteKey:
+        """All that a route depends on."""
+        props = tuple(get_prop_poses(state, self.instance)) if self.instance.props else ()
+        return goal, settings, (self.is_solved(state), self._doors.make_key(state, goal)), (*get_pose(state), props)
+
+    def replay(self, state: RoomState, primitives: Sequence[int], goal: Goal,
+               keep_out: Sequence[Footprint] | None = None) -> Route | None:
+        """Route of given primitives from here, cut where the goal is reached; None if it never is.
+
+        Args:
+            state: first state.
+            primitives: the primitives.
+            goal: the goal.
+            keep_out: footprints that the body must not meet; None for blocks that it must not move.
+        """
+        poses, pressed = [get_pose(state)], 0
+        here = state
+        if keep_out is None:
+            keep_out = list_obstacles(state, self.instance)[-1]
+        for count, primitive in enumerate(primitives, 1):
+            after = self.rules.step(here, primitive).state
+            if keep_out and meets(here.x, here.y, after.x, after.y, keep_out, self._radius):
+                return None
+            poses.append(get_pose(after))
+            pressed |= after.touching & ~here.touching
+            if is_reached(goal, here, after, self.rules):
+                others = pressed & ~(1 << goal.target) if isinstance(goal, PressGoal) else pressed
+                also = tuple(i for i in range(others.bit_length()) if others >> i & 1)
+                return Route(tuple(primitives[:count]), tuple(poses), also, 0)
+            here = after
+        return None
+
+    def make_failure(self, reason: PlanningReason, state: RoomState, goal: Goal | None, **details: Any
+                     ) -> PlanningFailed:
+        """Build the error for a goal (None: the escape) that could not be planned from a state."""
+        pose = (state.x, state.y, self.rules.get_heading(state))
+        name = "escape" if goal is None else describe_goal(goal, self.instance)
+        return PlanningFailed(reason, name, pose, **details)
+
+    def _search_round_props(self, state: RoomState, goal: Goal, clock: Clock, settings: SearchSettings
+                            ) -> Route | PlanningFailed:
+        """Route that keeps away from all blocks if it can, and in any case from those that must not be moved."""
+        if isinstance(goal, GripGoal):
+            return self._search_grip(state, goal, clock, settings)
+        *careful, least = list_obstacles(state, self.instance)
+        for keep_out in careful:
+            found = self._search_route(state, goal, clock, settings._replace(budget=CAREFUL), keep_out, False)
+            if isinstance(found, Route):
+                return found
+        return self._search_route(state, goal, clock, settings, least)
+
+    def _search_grip(self, state: RoomState, goal: GripGoal, clock: Clock, settings: SearchSettings
+                     ) -> Route | PlanningFailed:
+        """Route to the target, unless it is touched already, and a primitive whose effect the puzzle decides."""
+        route: Route | PlanningFailed = Route((), (get_pose(state),), (), 0)
+        if self.instance.puzzle.target_cells:
+            route = self._search_place(state, goal, clock, settings)
+        elif not state.touching >> goal.target & 1:
+            route = self._search_round_props(state, PressGoal(goal.target), clock, settings)
+        if isinstance(route, PlanningFailed):
+            return route
+        end = self.follow(state, route)
+        if (move := find_move(goal, end, self.rules)) is None:
+            return self.make_failure(PlanningReason.PRECONDITION_UNMET, state, goal)
+        poses = (*route.poses, get_pose(self.rules.step(end, move).state))
+        return route._replace(primitives=(*route.primitives, move), poses=poses)
+
+    def _search_place(self, state: RoomState, goal: GripGoal, clock: Clock, settings: SearchSettings
+                      ) -> Route | PlanningFailed:
+        """Shortest route to a place that faces a cell in which the goal can be reached."""
+        for places in list_places(goal, state, self.rules):
+            found = (self._search_route(state, place, clock, settings) for place in places)
+            if routes := [route for route in found if isinstance(route, Route)]:
+                return min(routes, key=lambda route: len(route.primitives))
+        return self.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, goal)
+
+    def _search_route(self, state: RoomState, goal: Goal, clock: Clock, settings: SearchSettings,
+                      keep_out: Sequence[Footprint] = (), refine: bool = True) -> Route | PlanningFailed:
+        begin = state._replace(primitives=0, noise_key=0, z=0.0, pitch=0.0, roll=0.0, physics=None)
+        began, method = read_clock(), settings.method
+        way, planner = (method, DEFAULT_PLANNER) if method in METHODS else ("corridor", method)
+        way = self._search.choose_method(goal, keep_out) if way == "auto" else way
+        result = self._doors.choose(state).search(
+            begin, goal, method=way, planner=planner, avoid=not self.instance.puzzle.target_cells, refine=refine,
+            keep_out=keep_out, budget_expansions=settings.budget, clock=clock, seed=settings.seed,
+            effort=settings.effort)
+        if not result.is_reached:
+            return self.make_failure(
+                PlanningReason(result.status), state, goal, seconds=read_clock() - began, expansions=result.expansions,
+                planners=(planner, "fields") if way == "corridor" else (way,),
+                nearest="" if result.nearest is None else "({:.2f}, {:.2f})".format(*result.nearest),
+                advice="" if clock.has_stopped else self._explain(goal),
+            )
+        if not result.primitives:  # already at the goal
+            return Route((), (get_pose(begin),), (), 0, result.method)
+        assert not keep_out or self.replay(begin, result.primitives, goal, keep_out), "a search keeps out of these"
+        return Route(result.primitives, tuple(map(get_pose, result.states)), result.also_pressed, result.expansions,
+                     result.method, result.timed_out)
+
+    def _explain(self, goal: Goal) -> str:
+        """Reason why the hand never touches a target, empty if it can; computed once a target, for it takes seconds."""
+        if not isinstance(goal, PressGoal) or self.instance.dynamics.press_with != "hand":
+            return ""
+        if goal.target not in self._reasons:
+            from hrl_escape.planning.arm.unreachable import explain_unreachable  # loads Pinocchio
+
+            self._reasons[goal.target] = explain_unreachable(self._search.reacher, goal.target) or ""
+        return self._reasons[goal.target]
+
+    def follow(self, state: RoomState, route: Route) -> RoomState:
+        """State at the end of a route from here."""
+        for primitive in route.primitives:
+            state = self.rules.step(state, primitive).state
+        return state
+
+    def has_undone(self, before: RoomState, now: RoomState) -> bool:
+        """A prop has been moved away from where it opened the exit."""
+        return bool(self.instance.props) and self.is_solved(before) and not self.is_solved(now)
+
+    def is_solved(self, state: RoomState) -> bool:
+        """The exit is open."""
+        return self.instance.puzzle.is_solved(state.puzzle)
+
+    def has_escaped(self, state: RoomState) -> bool:
+        """The exit is open and the robot stands in it."""
+        return self.rules.has_escaped(state)
+
+
+def check_method(method: str) -> None:
+    """Check that a method is known. Raises `UnknownNameError`."""
+    if isinstance(method, str) and method in METHODS:
+        return
+    from hrl_escape.planning.paths.registry import list_planners  # loads OMPL, which fields do without
+
+    if not isinstance(method, str) or method not in list_planners():
+        raise UnknownNameError("planner", method, (*METHODS, *list_planners()))

@@ -1,1 +1,0 @@
-"""Scenes: rooms that are edited piece by piece, and the objects that a hand holds in them."""

@@ -1,0 +1,359 @@
+"""A* over primitives on exact poses, compiled.
+
+The frontier keeps nodes in buckets by estimated cost (Dial 1969) and one node for each bin of
+poses. It proposes goal nodes, cheapest first; `search_run.py` states the query and verifies the
+proposals. Kernels are compiled on first use and kept on disk.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.primitives import TURNS
+from hrl_escape.floor.sweeps import (
+    can_turn_body,
+    first_contact,
+    get_shape,
+    is_touched,
+    measure_distance,
+    sweep_body,
+)
+from hrl_escape.kernels import kernel_in_place, kernel_part
+
+__all__ = ["BUDGET", "EXHAUSTED", "GROW", "Frontier", "FrontierPool", "SearchQuery", "expand_until_goal",
+           "put_back"]
+
+EXHAUSTED, BUDGET, GROW = -1, -2, -3
+MOST_PRIMITIVES = 32_768
+MOST_KEPT_NODES = 1 << 15
+"""Nodes of the largest frontier that is kept for the next search."""
+_OPEN, _GOAL, _BEATEN = 0, 1, 2
+_TURNS = tuple(primitive.turn for primitive in TURNS)
+
+
+class SearchQuery(NamedTuple):
+    """Start, goal, heuristic and constraints of a search, as arrays.
+
+    Attributes:
+        x: x of the start, m.
+        y: y of the start, m.
+        heading: heading of the start, in turn steps.
+        touched: bits of the targets touched at the start.
+        turns: cosine and sine of each heading, shape (headings, 2).
+        turn_step: angle between two headings, rad.
+        moves: displacement of each translation at each heading, shape (headings, translations, 2), m.
+        length: length of a translation, m.
+        stays: a blocked move is not made at all.
+        presser: position of the presser relative to the body's axis, shape (headings, 2), m.
+        targets: footprints of the targets, shape (n, 7).
+        reaches: floor distance at which the presser touches each target, or -1, shape (n,), m.
+        pressers: half sizes of a rectangular base that presses each target, else 0 and 0, shape (n, 2), m.
+        forbidden: bits of the targets that must not be touched anew.
+        keep_out: footprints that the body must not meet, shape (n, 7).
+        closed: rectangle (x_min, x_max, y_min, y_max) that must not be entered; empty if x_min > x_max.
+        target: index of the target to press, or -1.
+        goal: footprint of the goal (of the target, if one is to be pressed), shape (7,).
+        goal_reach: largest distance from `goal` that reaches it, m; negative if none does.
+        goal_headings: headings at which it is reached, shape (headings,), bool.
+        field: cost-to-go of (cell, layer), shape (cells * layers,), int16; poses where it is -1 are pruned.
+        layers: headings that the field distinguishes.
+        shift: whole turn steps by which the field's headings lag behind the query's.
+        low: corner of the field's grid, shape (2,), m.
+        size: side of its cells, m.
+        rows: its cells along y.
+        offset: primitives subtracted from the cost-to-go; negative to add.
+        weight: factor of the cost-to-go, as in weighted A*.
+        table: lower bound of the joint steps that complete the press from a pose, or -1, int16, shape
+            (columns, rows, headings).
+        table_low: corner of that table in the room frame, shape (2,), m.
+        table_size: side of its cells, m.
+        bin_size: poses closer than this count as one, m.
+        bin_headings: headings that bins distinguish.
+    """
+
+    x: float
+    y: float
+    heading: int
+    touched: np.uint64
+    turns: NDArray[np.float64]
+    turn_step: float
+    moves: NDArray[np.float64]
+    length: float
+    stays: bool
+    presser: NDArray[np.float64]
+    targets: NDArray[np.float64]
+    reaches: NDArray[np.float64]
+    pressers: NDArray[np.float64]
+    forbidden: np.uint64
+    keep_out: NDArray[np.float64]
+    closed: NDArray[np.float64]
+    target: int
+    goal: NDArray[np.float64]
+    goal_reach: float
+    goal_headings: NDArray[np.bool_]
+    field: NDArray[np.int16]
+    layers: int
+    shift: int
+    low: NDArray[np.float64]
+    size: float
+    rows: int
+    offset: int
+    weight: float
+    table: NDArray[np.int16]
+    table_low: NDArray[np.float64]
+    table_size: float
+    bin_size: float
+    bin_headings: int
+
+
+class Frontier(NamedTuple):
+    """The nodes of a search, its open buckets by estimated cost, and its hash table of poses.
+
+    Attributes:
+        places: position of each node, shape (nodes, 2), m.
+        facts: heading, primitives so far, parent, action, kind; shape (nodes, 5), int32.
+        touching: bits of the targets touched, shape (nodes,), uint64.
+        links: next node in the same bucket, shape (nodes,), int32.
+        heads: first node of each bucket, shape (estimates,), int32.
+        keys: pose key in each slot of the hash table, shape (slots,), int64; -1 if empty.
+        owners: node that holds the pose, shape (slots,), int32.
+        counts: nodes used, current bucket, expansions; shape (3,), int64.
+    """
+
+    places: NDArray[np.float64]
+    facts: NDArray[np.int32]
+    touching: NDArray[np.uint64]
+    links: NDArray[np.int32]
+    heads: NDArray[np.int32]
+    keys: NDArray[np.int64]
+    owners: NDArray[np.int32]
+    counts: NDArray[np.int64]
+
+
+@kernel_part
+def _find_touched(query, x, y, heading):
+    px, py = x + query.presser[heading, 0], y + query.presser[heading, 1]
+    touching = np.uint64(0)
+    for k in range(query.targets.shape[0]):
+        reach = query.reaches[k]
+        if reach >= 0.0:
+            around = reach + query.targets[k, 5] + query.targets[k, 6]
+            if abs(px - query.targets[k, 1]) <= around and abs(py - query.targets[k, 2]) <= around:
+                if is_touched(px, py, query.turns[heading], query.pressers[k], get_shape(query.targets[k]), reach):
+                    touching |= np.uint64(1) << np.uint64(k)
+    return touching
+
+
+@kernel_part
+def _estimate_cost_to_go(query, x, y, layer):
+    """Weighted cost-to-go of a pose, with the layer of its heading; -1 for one to prune."""
+    i, j = int(math.floor((x - query.low[0]) / query.size)), int(math.floor((y - query.low[1]) / query.size))
+    columns = query.field.shape[0] // (query.rows * query.layers)
+    cost = -1
+    if 0 <= i < columns and 0 <= j < query.rows:
+        cost = query.field[(i * query.rows + j) * query.layers + layer]
+    return int(query.weight * max(cost - query.offset, 0)) if cost >= 0 else -1
+
+
+@kernel_part
+def _find_slot(frontier, key):
+    mask = frontier.keys.shape[0] - 1
+    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
+    slot = np.int64(mixed >> np.uint64(32)) & mask
+    while frontier.keys[slot] != -1 and frontier.keys[slot] != key:
+        slot = (slot + 1) & mask
+    return slot
+
+
+@kernel_part
+def _push(frontier, node, estimate):
+    if estimate < frontier.heads.shape[0]:
+        frontier.links[node] = frontier.heads[estimate]
+        frontier.heads[estimate] = node
+        if estimate < frontier.counts[1]:
+            frontier.counts[1] = estimate
+
+
+@kernel_part
+def _add(query, frontier, x, y, heading, sector, layer, touching, spent, parent, action, is_goal):
+    """Put a pose into the frontier unless its bin holds one that is as cheap.
+
+    The sector of its heading tells bins apart, the layer states of the field; modulo is dear, and moves keep both.
+    """
+    node = frontier.counts[0]
+    estimate, slot, key = spent, np.int64(-1), np.int64(-1)
+    if not is_goal:
+        i = np.int64(math.floor(x / query.bin_size)) + (1 << 22)
+        j = np.int64(math.floor(y / query.bin_size)) + (1 << 22)
+        key = (((i << 23) + j) << 10) + (sector << 1) + (touching != 0)
+        slot = _find_slot(frontier, key)
+        known = frontier.keys[slot] == key
+        if known and frontier.facts[frontier.owners[slot], 1] <= spent:
+            return
+        more = _estimate_cost_to_go(query, x, y, layer)
+        if more < 0:
+            return
+        estimate += more
+        if known:
+            frontier.facts[frontier.owners[slot], 4] = _BEATEN
+        frontier.keys[slot], frontier.owners[slot] = key, node
+    frontier.places[node, 0], frontier.places[node, 1] = x, y
+    facts = frontier.facts[node]
+    facts[0], facts[1], facts[2], facts[3] = heading, spent, parent, action
+    facts[4] = _GOAL if is_goal else _OPEN
+    frontier.touching[node] = touching
+    frontier.counts[0] += 1
+    _push(frontier, node, estimate)
+    if not is_goal and query.table.shape[0] > 0:
+        i = int(math.floor((x - query.table_low[0]) / query.table_size))
+        j = int(math.floor((y - query.table_low[1]) / query.table_size))
+        if 0 <= i < query.table.shape[0] and 0 <= j < query.table.shape[1]:
+            rest = query.table[i, j, heading]
+            if rest >= 0:
+                last = frontier.counts[0]
+                frontier.places[last, 0], frontier.places[last, 1] = x, y
+                facts = frontier.facts[last]
+                facts[0], facts[1], facts[2], facts[3], facts[4] = heading, spent + rest, node, -1, _GOAL
+                frontier.touching[last] = touching
+                frontier.counts[0] += 1
+                _push(frontier, last, spent + rest)
+
+
+@kernel_part
+def _expand(scene, query, frontier, node):
+    x, y = frontier.places[node, 0], frontier.places[node, 1]
+    heading, spent = np.int64(frontier.facts[node, 0]), np.int64(frontier.facts[node, 1]) + 1
+    touching, headings, translations = frontier.touching[node], query.moves.shape[0], query.moves.shape[1]
+    sector, layer = heading % query.bin_headings, (heading + query.shift) % query.layers
+    for action in range(translations + len(_TURNS)):
+        to_x, to_y, to_heading, to_sector, to_layer = x, y, heading, sector, layer
+        if action < translations:
+            dx, dy = query.moves[heading, action, 0], query.moves[heading, action, 1]
+            fraction = sweep_body(scene, x, y, query.turns[heading], dx, dy, query.length)
+            if fraction < 1.0:
+                dx, dy = fraction * dx, fraction * dy
+            if fraction <= 1e-9 or (query.stays and fraction < 1.0):
+                continue
+            to_x, to_y = x + dx, y + dy
+            blocked = False
+            for k in range(query.keep_out.shape[0]):
+                blocked = blocked or first_contact(x, y, dx, dy, scene.radius, get_shape(query.keep_out[k])) < 1.0
+            if blocked:
+                continue
+            closed = query.closed
+            if closed[0] <= to_x <= closed[1] and closed[2] <= to_y <= closed[3]:
+                continue
+        else:
+            turn = _TURNS[action - translations]
+            to_heading = (heading + headings + turn) % headings
+            to_sector, to_layer = to_heading % query.bin_headings, (to_heading + query.shift) % query.layers
+            if not can_turn_body(scene, x, y, query.turns[heading], query.turns[to_heading], turn * query.turn_step):
+                continue
+        now = _find_touched(query, to_x, to_y, to_heading)
+        begun = now & ~touching
+        is_goal = False
+        if query.target >= 0:
+            is_goal = (begun >> np.uint64(query.target)) & np.uint64(1) == np.uint64(1)
+        elif query.goal_headings[to_heading]:
+            is_goal = measure_distance(to_x, to_y, get_shape(query.goal)) <= query.goal_reach
+        if begun & query.forbidden:
+            continue
+        _add(query, frontier, to_x, to_y, to_heading, to_sector, to_layer, now, spent, node, action, is_goal)
+
+
+@kernel_in_place
+def expand_until_goal(scene, query, frontier, expansions):
+    """Expand nodes until a goal node is cheapest.
+
+    Args:
+        scene: the room.
+        query: the query.
+        frontier: nodes so far (none at first); changed in place.
+        expansions: total number of expanded nodes at which to stop.
+
+    Returns:
+        The goal node, which is taken out of the frontier; or `EXHAUSTED`, `BUDGET` or `GROW`.
+    """
+    counts = frontier.counts
+    if counts[0] == 0:
+        none = np.int64(-1)  # with literals numba would compile `_add` again
+        sector, layer = query.heading % query.bin_headings, (query.heading + query.shift) % query.layers
+        _add(query, frontier, query.x, query.y, query.heading, sector, layer, query.touched, np.int64(0), none, none,
+             np.bool_(False))
+    while counts[1] < frontier.heads.shape[0]:
+        node = np.int64(frontier.heads[counts[1]])
+        if node < 0:
+            counts[1] += 1
+            continue
+        if counts[0] + 16 > frontier.links.shape[0]:
+            return GROW
+        if counts[2] >= expansions:
+            return BUDGET
+        frontier.heads[counts[1]] = frontier.links[node]
+        if frontier.facts[node, 4] == _GOAL:
+            return node
+        if frontier.facts[node, 4] == _OPEN:
+            counts[2] += 1
+            _expand(scene, query, frontier, node)
+    return EXHAUSTED
+
+
+class FrontierPool:
+    """Frontiers that one search after another uses: clearing one is quicker than memory that is touched anew."""
+
+    def __init__(self) -> None:
+        self._kept: dict[int, Frontier] = {}
+
+    def take(self, nodes: int, most: int = MOST_PRIMITIVES) -> Frontier:
+        """Return an empty frontier for a number of nodes (a power of two), with estimates below `most`."""
+        frontier = self._kept.pop(nodes, None)
+        if frontier is None:
+            frontier = Frontier(
+                np.empty((nodes, 2)), np.empty((nodes, 5), dtype=np.int32), np.empty(nodes, dtype=np.uint64),
+                np.empty(nodes, dtype=np.int32), np.empty(MOST_PRIMITIVES, dtype=np.int32),
+                np.empty(4 * nodes, dtype=np.int64), np.empty(4 * nodes, dtype=np.int32), np.empty(3, dtype=np.int64),
+            )
+        frontier = frontier._replace(heads=frontier.heads[:most])
+        frontier.heads.fill(-1)
+        frontier.keys.fill(-1)
+        frontier.counts.fill(0)
+        return frontier
+
+    def give_back(self, frontier: Frontier) -> None:
+        """Keep a frontier that nobody reads any more, unless it is large."""
+        if len(frontier.links) <= MOST_KEPT_NODES:
+            heads = frontier.heads if frontier.heads.base is None else frontier.heads.base
+            self._kept[len(frontier.links)] = frontier._replace(heads=heads)
+
+    def enlarge(self, old: Frontier) -> Frontier:
+        """Move a frontier into one for four times as many nodes."""
+        used = len(old.links)
+        new = self.take(4 * used, len(old.heads))
+        for name in ("places", "facts", "touching", "links"):
+            getattr(new, name)[:used] = getattr(old, name)
+        new.heads[:], new.counts[:] = old.heads, old.counts
+        copy_owners(old, new)
+        self.give_back(old)
+        return new
+
+
+def put_back(frontier: Frontier, node: int, spent: int) -> None:
+    """Return a goal node to the frontier at a higher cost."""
+    frontier.facts[node, 1] = spent
+    if spent >= len(frontier.heads):
+        return
+    frontier.links[node] = frontier.heads[spent]
+    frontier.heads[spent] = node
+
+
+@kernel_in_place
+def copy_owners(old, new):
+    """Copy the poses of one hash table into another."""
+    for slot in range(old.keys.shape[0]):
+        if old.keys[slot] != -1:
+            to = _find_slot(new, old.keys[slot])
+            new.keys[to], new.owners[to] = old.keys[slot], old.owners[slot]

@@ -1,0 +1,225 @@
+"""Whole escapes at once where the hand presses: a beam search over presses, each planned with what comes after.
+
+After a press by hand the arm's posture counts as well as the base's pose, so no field over poses
+tells exactly what the rest costs. Fields of the puzzle's states tell it with an arm that reaches at once. A leg
+is searched by base and arm together, and ends where its primitives and such a field are least; several of its ends
+are kept. From each, the next leg's own field, with the joint steps from its posture, says which to go on from.
+Kinematic arms pass through everything, so base and arm meet only in the presses.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Hashable, Iterator, Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.clock import NO_LIMIT, Clock, OutOfTime
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.floor.cost_to_go import Seeds
+from hrl_escape.planning.arm.reacher import ReachTable
+from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
+from hrl_escape.planning.search import a_star
+from hrl_escape.planning.search.escapes import NODES_A_SEARCH, Fields, JointSearch, Presses
+from hrl_escape.planning.search.primitive_search import PrimitiveSearch
+from hrl_escape.planning.search.search_run import SearchProblem, SearchResult, SearchRun
+
+__all__ = ["HandSearch"]
+
+LIKELY = 2
+"""Ends whose rest is looked up in the next leg's own field, for each that is gone on with."""
+ENDS_TRIED = 3
+"""Ends that are looked at for each that is kept; some are as good as the same."""
+NODES_A_PRESS = 20_000
+"""Search nodes of a leg to a press."""
+SLACK = 1
+"""Primitives by which a field may overestimate a rest: ends are dropped only beyond."""
+
+
+class Beam(NamedTuple):
+    """Effort of a beam search.
+
+    Attributes:
+        width: escapes begun that are gone on with, after each press.
+        ends: ends of a leg that are kept.
+        place: ends in one square of this side, with the same posture, count as one, m.
+        sector: if their headings are in one sector of this size, too, rad.
+        offset: primitives subtracted from the cost-to-go of legs, whose fields overestimate by about one.
+    """
+
+    width: int
+    ends: int
+    place: float = 0.5
+    sector: float = 0.5
+    offset: int = 1
+
+
+BEAMS = Beam(6, 12), Beam(16, 24), Beam(32, 48, place=0.25, sector=1e-6, offset=2)
+"""By effort; the first takes a tenth of a second for two buttons."""
+
+
+_Search: TypeAlias = tuple[SearchProblem, NDArray[np.int16]]
+"""Problem of a leg and its field."""
+
+
+class _Leg(NamedTuple):
+    """A leg that may come next: its goal, about how many primitives the rest takes with it, and a press's search."""
+
+    goal: Goal
+    rest: int
+    search: _Search | None
+
+
+class _Begun(NamedTuple):
+    """An escape begun: its primitives, where they lead, and about how many it will have."""
+
+    primitives: tuple[int, ...]
+    state: RoomState
+    estimate: int
+    legs: tuple[_Leg, ...] = ()
+
+
+class HandSearch(JointSearch):
+    """Fields of one room's puzzle states for presses by hand, and a beam search through them."""
+
+    def __init__(self, search: PrimitiveSearch) -> None:
+        """Prepare nothing yet.
+
+        Args:
+            search: searches of the room's legs.
+        """
+        super().__init__(search.kinematics, search.get_maker(True), search.get_maker(False))
+        self._legs, self._layers = search, self._shut.headings
+        self._problems: dict[Hashable, _Search] = {}
+
+    def find_presses(self, state: RoomState, target: int) -> Presses:
+        """Poses from which the arm reaches a target at all; joint steps are not counted."""
+        if target not in self._presses:
+            problem = self._legs.make_problem(state._replace(joint_steps=(0,) * len(state.joint_steps)),
+                                              PressGoal(target))
+            states, _ = self._legs.find_postures(problem, self._shut)
+            self._presses[target] = Presses(states, states, np.zeros(len(states), dtype=np.int64))
+        return self._presses[target]
+
+    def find_escape(self, state: RoomState, order: Sequence[Goal], most: int, *, clock: Clock = NO_LIMIT,
+                    effort: int = 0, budget: int = NODES_A_SEARCH) -> tuple[tuple[int, ...] | None, int]:
+        """Search for the fewest primitives that escape; see `JointSearch`."""
+        rests = self.get_fields(state, order, clock)
+        found, spent = self._search_beam(state, rests, most, BEAMS[effort], budget, clock)
+        self._problems.clear()
+        return found, spent
+
+    def _search_beam(self, state: RoomState, rests: Fields, most: int, beam: Beam, budget: int, clock: Clock
+                     ) -> tuple[tuple[int, ...] | None, int]:
+        """Search press after press, with the most promising escapes begun."""
+        best: tuple[int, ...] | None = None
+        spent, begun = 0, [self._open_legs(_Begun((), state, 0), rests, clock)]
+        while begun and spent < budget:
+            ends: dict[Hashable, _Begun] = {}
+            for before, leg in ((escape, leg) for escape in begun for leg in escape.legs):
+                if clock.is_up() or spent >= budget:
+                    return best, spent
+                for result in self._list_ends(before, leg, most + SLACK, beam, clock):
+                    spent += result.expansions
+                    end = _Begun((*before.primitives, *result.primitives), result.states[-1], 0)
+                    if self.rules.has_escaped(end.state):
+                        if len(end.primitives) < most:
+                            best, most = end.primitives, len(end.primitives)
+                        continue
+                    rest = self._look_up(rests, end.state)
+                    end = end._replace(estimate=len(end.primitives) + rest)
+                    key = self._describe(end.state, beam)
+                    if rest >= 0 and (key not in ends or end.estimate < ends[key].estimate):
+                        ends[key] = end
+            self._problems.clear()
+            likely = sorted(ends.values(), key=_get_estimate)[: LIKELY * beam.width]
+            try:
+                known = sorted((self._open_legs(end, rests, clock) for end in likely), key=_get_estimate)
+            except OutOfTime:
+                return best, spent
+            begun = [end for end in known[: beam.width] if end.estimate < most + SLACK]
+        return best, spent
+
+    def _open_legs(self, begun: _Begun, rests: Fields, clock: Clock) -> _Begun:
+        """List the legs that may come next, and estimate the rest by them. Raises `OutOfTime`."""
+        state, puzzle = begun.state, self.rules.instance.puzzle
+        legs = []
+        if puzzle.is_solved(state.puzzle):
+            legs = [_Leg(ExitGoal(), self._look_up(rests, state), None)]
+        else:
+            for target in range(len(self.rules.instance.targets)):
+                then = self.press(state.puzzle, target)
+                if then == state.puzzle or then not in rests or state.touching >> target & 1:
+                    continue
+                problem, field = self._make_leg(state, target, then, rests[then], clock)
+                rest = self._shut.get_cost(field, state)
+                if rest >= 0:
+                    legs.append(_Leg(problem.goal, rest, (problem._replace(state=state), field)))
+        least = min((leg.rest for leg in legs), default=a_star.MOST_PRIMITIVES)
+        return begun._replace(estimate=len(begun.primitives) + least, legs=tuple(legs))
+
+    def _make_leg(self, state: RoomState, target: int, then: Hashable, onward: NDArray[np.int16], clock: Clock
+                  ) -> _Search:
+        """Problem and field of a leg to a press; they depend on the arm's posture, not on the base's pose."""
+        key = state.joint_steps, target, then
+        if key not in self._problems:
+            problem = self._legs.make_problem(state, PressGoal(target), clock=clock)
+            assert problem.table is not None
+            problem = problem._replace(table=self._add_onward(problem.table, onward), onward=onward)
+            maker = self._shut
+            field = maker.make_field(Seeds(*self._legs.find_postures(problem, maker), maker.headings), clock=clock)
+            self._problems[key] = problem, field
+        return self._problems[key]
+
+    def _add_onward(self, table: ReachTable, onward: NDArray[np.int16]) -> ReachTable:
+        """The joint steps of a press, and what comes after it."""
+        maker = self._shut
+        i, j = np.moveaxis(np.floor((table.get_centres() - maker.low) / maker.size).astype(int), 2, 0)
+        inside = (i >= 0) & (i < maker.shape[0]) & (j >= 0) & (j < maker.shape[1])
+        cells = np.where(inside, i * maker.shape[1] + j, 0)
+        after = np.where(inside[..., None], onward.reshape(-1, maker.headings)[cells], -1)
+        costs = np.where((table.costs < 0) | (after < 0), -1, table.costs + after).astype(np.int16)
+        return dataclasses.replace(table, costs=costs)
+
+    def _list_ends(self, begun: _Begun, leg: _Leg, most: int, beam: Beam, clock: Clock) -> Iterator[SearchResult]:
+        """Ways to carry out a leg, the most promising first."""
+        if leg.search is None:
+            result = self._legs.search(begun.state, leg.goal, method="fields", clock=clock)
+            if result.is_reached:
+                yield result
+            return
+        problem, field = leg.search
+        run = SearchRun(problem, self.rules, self._shut, field, headings=self._legs.headings, avoiding=True,
+                        reacher=self._legs.reacher, frontiers=self._legs.frontiers)
+        run.restart(offset=beam.offset)
+        seen: set[Hashable] = set()
+        spent = 0
+        for _ in range(ENDS_TRIED * beam.ends):
+            result = run.advance(NODES_A_PRESS)
+            if not isinstance(result, SearchResult) or len(begun.primitives) + len(result.primitives) >= most:
+                return
+            key = self._describe(result.states[-1], beam)
+            if key not in seen:
+                seen.add(key)
+                yield dataclasses.replace(result, expansions=run.expansions - spent)
+                spent = run.expansions
+            if len(seen) >= beam.ends or clock.is_up():
+                return
+
+    def _describe(self, state: RoomState, beam: Beam) -> Hashable:
+        """All that tells an end of a leg from others."""
+        sector = int(state.heading_steps * self.rules.turn_step / beam.sector)
+        column, row = math.floor(state.x / beam.place), math.floor(state.y / beam.place)
+        return state.puzzle, column, row, sector, state.joint_steps
+
+    def _look_up(self, rests: Fields, state: RoomState) -> int:
+        """About how many primitives are left by the fields; -1 if there is no way out."""
+        field = rests.get(state.puzzle)
+        return -1 if field is None else self._shut.get_cost(field, state)
+
+
+def _get_estimate(begun: _Begun) -> int:
+    return begun.estimate

@@ -1,0 +1,399 @@
+"""Fewest primitives to a goal: A* over primitives on exact poses, with a cost-to-go field as heuristic.
+
+Poses are exactly those of the room's kinematics. Blocked moves end at the wall, which is how a
+body comes within a press margin. Poses within a bin count as one. Every plan is replayed through
+`Kinematics`, without noise and slip, before it is returned. The method `corridor` restricts the
+field to a corridor round an OMPL path. The arm's part of a press by hand comes from `reacher.py`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from functools import cached_property, partial
+from typing import TYPE_CHECKING, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.clock import NO_LIMIT, Clock, OutOfTime
+from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.geometry import Footprint, Solid, compute_distance_many, stack_footprints
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.errors import PlanningReason, UnknownNameError
+from hrl_escape.floor.clearance import CollisionMap
+from hrl_escape.floor.cost_to_go import FieldMaker, Seeds, make_collision
+from hrl_escape.kernels import read_clock
+from hrl_escape.planning.areas import Area, compute_goal_area, find_headings, get_presser
+from hrl_escape.planning.arm.joint_lattice import NEVER, UNLIMITED
+from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, RegionGoal, is_reached
+from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
+from hrl_escape.planning.route import EFFORTS
+from hrl_escape.planning.search.a_star import FrontierPool
+from hrl_escape.planning.search.search_run import HeadingTable, SearchProblem, SearchResult, SearchRun
+
+if TYPE_CHECKING:
+    from hrl_escape.planning.arm.reacher import Reacher
+    from hrl_escape.planning.paths.navigator import Navigator
+
+__all__ = ["METHODS", "PrimitiveSearch", "SearchResult"]
+
+METHODS = ("auto", "fields", "corridor")
+LARGE = 3_000.0
+"""Floor area beyond which the grid of a room's fields is dearer than the first few places asked for by corridors, m^2.
+
+On 20 x 20 m a first query in a corridor takes 0.6 to 1.1 of the time along fields, later ones 1.8 times the time or
+more; for places on 60 x 60 m the first one takes 0.7, on 200 x 200 m 0.6 of it (`python -m benchmarks.planners`)."""
+EXPANSIONS = 300_000
+SCHEDULE = ((0, 1.0, 3_000), (-1, 1.05, 6_000), (-2, 1.1, 20_000), (-4, 1.5, EXPANSIONS))
+"""Weighted-A* schedule: (heuristic offset, weight, node budget), from the fewest primitives to any plan at all."""
+IMPROVEMENT = 2_000
+"""Node budget of another search with a lower heuristic, after a plan found at the first weight."""
+SHORT = 8
+"""Longest plan that is searched again without the field, whose error may be as large as the plan."""
+CORRIDORS = (3.0, 6.0)
+"""Half widths of corridors, in moves."""
+MOST_REFINED_STATES = 6_000_000
+_PENETRATION = 0.02 + CONTACT_SKIN  # beyond it, m, a body that contacts pushed into a wall cannot drive off again
+
+Field: TypeAlias = NDArray[np.int16]
+
+
+class _Variant(NamedTuple):
+    """Variant of the search for one problem."""
+
+    maker: FieldMaker
+    field: Field
+    avoiding: bool
+    method: str
+
+
+class PrimitiveSearch:
+    """Search for the fewest primitives to any goal in one room; fields of goals are kept for later searches.
+
+    Not thread-safe. Pickling keeps the room and drops the fields.
+
+    Attributes:
+        instance: the room.
+        kinematics: its exact kinematics without noise and slip, by which plans are replayed.
+    """
+
+    def __init__(self, instance: RoomInstance, kinematics: Kinematics | None = None) -> None:
+        """Prepare nothing yet; everything is computed on first use.
+
+        Args:
+            instance: the room. Noise and slip are ignored; physics is planned as if kinematic.
+            kinematics: its kinematics with nothing random, if they exist already.
+        """
+        self.instance = instance
+        self.kinematics = kinematics or Kinematics(instance, is_still=True)
+        operators = instance.symbolic_model.operators
+        names = {operator.target for operator in operators if operator.action == "press"}
+        self._pressed = {i for i, target in enumerate(instance.targets) if target.name in names}
+        self._makers: dict[tuple[bool, int], FieldMaker] = {}
+        self._maps: dict[bool, CollisionMap] = {}
+        self.frontiers = FrontierPool()
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (self.instance,)
+
+    @cached_property
+    def navigator(self) -> Navigator:
+        """Path planner for corridors."""
+        from hrl_escape.planning.paths.navigator import Navigator  # loads OMPL, which fields do not need
+
+        return Navigator(self.instance, self.get_collision)
+
+    @cached_property
+    def reacher(self) -> Reacher:
+        """Arm of a room whose targets are pressed by hand."""
+        from hrl_escape.planning.arm.arm_paths import ArmPaths
+        from hrl_escape.planning.arm.reacher import Reacher  # loads Pinocchio, which body presses do not need
+        return Reacher(self.instance, paths=ArmPaths(self.instance))
+
+    def get_collision(self, door_shut: bool) -> CollisionMap:
+        """Clearances of the room with the exit door shut or open, computed on first use."""
+        shut = door_shut and self.instance.door is not None
+        if shut not in self._maps:
+            self._maps[shut] = make_collision(self.instance, shut)
+        return self._maps[shut]
+
+    def get_maker(self, door_shut: bool, refinement: int = 0, clock: Clock = NO_LIMIT) -> FieldMaker:
+        """Grid of the fields with the exit door shut or open, made on first use."""
+        key = (door_shut and self.instance.door is not None, refinement)
+        if key not in self._makers:
+            self._makers[key] = FieldMaker(self.instance, self.kinematics, door_shut=key[0], refinement=refinement,
+                                           collision=self.get_collision(key[0]), clock=clock)
+        return self._makers[key]
+
+    def adapt(self, instance: RoomInstance, kinematics: Kinematics) -> PrimitiveSearch:
+        """Make the search of an edited room; it takes over the grids and fields that the edit leaves as they are.
+
+        Refined grids, which few goals need, are left behind.
+
+        Args:
+            instance: the edited room.
+            kinematics: its kinematics without noise and slip.
+        """
+        new, old = PrimitiveSearch(instance, kinematics), self.instance
+        if _get_floor(instance) != _get_floor(old) or instance.robot.footprint == "rectangle":
+            return new
+        changed = [solid.footprint for solid in _list_differences(old.solids, instance.solids)]
+        same_arm = (instance.robot, instance.dynamics.press_with) == (old.robot, old.dynamics.press_with)
+
+        def keeps(key: object) -> bool:
+            goal = key[0]  # type: ignore[index]  # of `_get_field`
+            if not isinstance(goal, PressGoal):
+                return not isinstance(goal, ExitGoal) or instance.exit == old.exit
+            return same_arm and instance.targets[goal.target : goal.target + 1] == old.targets[
+                goal.target : goal.target + 1]
+
+        new._maps = {shut: held.adapt(instance, shut, changed) for shut, held in self._maps.items()}
+        new._makers = {(shut, 0): maker.adapt(instance, new._maps[shut], changed, keeps)
+                       for (shut, refinement), maker in self._makers.items() if not refinement}
+        return new
+
+    def prepare(self) -> None:
+        """Compute the fields of all targets and the exit now, so that the first searches are as quick as later ones."""
+        state = self.kinematics.make_state(self.instance.starts[0])
+        for goal in (*(PressGoal(i) for i in range(len(self.instance.targets))), ExitGoal()):
+            self._get_field(self.make_problem(state, goal), self.get_maker(not isinstance(goal, ExitGoal)))
+
+    # --- one search ----------------------------------------------------------------------
+
+    def search(self, state: RoomState, goal: Goal, *, method: str = "auto", planner: str = DEFAULT_PLANNER,
+               avoid: bool = True, refine: bool = True, keep_out: Sequence[Footprint] = (),
+               budget_expansions: int = EXPANSIONS, time_limit: float | None = None,
+               clock: Clock | None = None, seed: int = 0, effort: int = 0) -> SearchResult:
+        """Find the fewest primitives from a state to a goal.
+
+        Args:
+            state: first state.
+            goal: the goal; not a push.
+            method: `fields`, `corridor` to search round the path of a path planner first, or `auto` to choose
+                between the two by room and goal.
+            planner: path planner for corridors, one of `list_planners()`.
+            avoid: touch no other target on the way, and do not leave by an open exit, unless two resolutions
+                show no other way; `also_pressed` lists the targets touched then.
+            refine: search finer grids, too, before giving up.
+            keep_out: footprints that the body must not meet on its way, such as blocks.
+            budget_expansions: nodes that may be expanded; the same budget gives the same result anywhere.
+            time_limit: limit of the whole call, s; by default only the budget decides.
+            clock: time limit of a call that this one is part of, instead of `time_limit`.
+            seed: of the path planner.
+            effort: further searches for a shorter plan, at most `len(EFFORTS)`; -1 for the first plan found.
+
+        Raises:
+            UnknownNameError: no such method or path planner.
+            GoalError: there is no such target.
+            UnsupportedError: the goal is a push.
+        """
+        if method not in METHODS:
+            raise UnknownNameError("search method", method, METHODS)
+        began, clock = read_clock(), clock or Clock(time_limit)
+        if method == "auto":
+            method = self.choose_method(goal, keep_out)
+        result = SearchResult(PlanningReason.TIMEOUT, (), (state,), nearest=(state.x, state.y))
+        try:
+            for thorough in (False, True):
+                problem = self.make_problem(state, goal, tuple(keep_out), clock, thorough)
+                problem = problem._replace(seed=seed, effort=effort)
+                result = self._solve(problem, method, planner, avoid, refine, budget_expansions)
+                if result.is_reached or problem.table is None or problem.table.complete_to == NEVER:
+                    break  # else the first table of an arm with many joints was not complete
+                clock.check()
+        except OutOfTime:
+            result = dataclasses.replace(result, status=clock.reason)
+        return dataclasses.replace(result, seconds=read_clock() - began, timed_out=clock.has_stopped)
+
+    def choose_method(self, goal: Goal, keep_out: Sequence[Footprint]) -> str:
+        """Method by what a query costs: a function of room and goal, never of earlier queries.
+
+        Targets and the exit are gone to again and again, so their fields pay on any floor. A place is asked for
+        once; on a large floor its field, and the grid under it, take longer than a path and its corridor.
+        """
+        is_once = isinstance(goal, (PoseGoal, RegionGoal)) and not keep_out
+        is_large = 4.0 * self.instance.reach_x * self.instance.reach_y > LARGE
+        return "corridor" if is_once and is_large else "fields"
+
+    def _solve(self, problem: SearchProblem, method: str, planner: str, avoid: bool, refine: bool, budget: int
+                ) -> SearchResult:
+        variants = self._iterate_variants(problem, method, planner, avoid, refine)
+        return self._check_trivial(problem) or self._search_variants(problem, variants, budget)
+
+    def make_problem(self, state: RoomState, goal: Goal, keep_out: tuple[Footprint, ...] = (),
+                     clock: Clock = NO_LIMIT, thorough: bool = False) -> SearchProblem:
+        """State the problem of a search; `thorough` tables every posture of an arm with many joints."""
+        area = compute_goal_area(goal, self.instance)
+        table = None
+        if isinstance(goal, PressGoal) and self.instance.dynamics.press_with == "hand":
+            limits = {"budget": UNLIMITED} if thorough else {}
+            table = self.reacher.make_table(goal.target, state.joint_steps, joint_offsets=state.joint_offsets,
+                                            heading_offset=state.heading_offset, **limits)
+            area = Area(area.footprint, math.hypot(*table.costs.shape[:2]) * table.cell / 2)
+        return SearchProblem(state, goal, area, find_headings(goal, state, self.kinematics), table, keep_out, clock)
+
+    def _check_trivial(self, problem: SearchProblem) -> SearchResult | None:
+        """Result of a problem that needs no search: start in a solid, goal reached already, or no posture at all."""
+        state, goal = problem.state, problem.goal
+        x, y, rotation = state.x, state.y, self.kinematics.get_rotation(state.heading_steps, state.heading_offset)
+        if not any(self.get_collision(shut).does_fit(x, y, rotation, -_PENETRATION) for shut in (True, False)):
+            return SearchResult(PlanningReason.START_INVALID, (), (state,), nearest=(x, y))
+        if problem.table is not None and (problem.table.costs < 0).all():
+            return SearchResult(PlanningReason.NO_POSTURE, (), (state,), nearest=(x, y))
+        escapes = isinstance(goal, ExitGoal) and self.instance.puzzle.is_solved(state.puzzle)  # takes a primitive
+        if not escapes and is_reached(goal, state, state, self.kinematics):
+            return SearchResult("reached", (), (state,))
+        return None
+
+    # --- variants of the search ----------------------------------------------------------
+
+    def _search_variants(self, problem: SearchProblem, variants: Iterator[_Variant], budget: int) -> SearchResult:
+        """Search one variant after the other until one reaches the goal or the budget is spent."""
+        spent, begin, offset = 0, (problem.state.x, problem.state.y), problem.state.heading_offset
+        reason, has_sought_proof, nearest = PlanningReason.UNREACHABLE_AT_RESOLUTION, False, begin
+        for maker, field, avoiding, method in variants:
+            if problem.clock.is_up():
+                reason = problem.clock.reason
+                break
+            if maker.get_cost(field, problem.state) < 0:
+                proof = None if has_sought_proof else maker.collision.find_proof(*begin, *problem.area)
+                has_sought_proof = True
+                if proof is not None:
+                    reason = (PlanningReason.GOAL_INVALID if proof == "solid" and problem.table is None
+                              else PlanningReason.UNREACHABLE_PROVEN)
+                    break
+                continue
+            run = SearchRun(problem, self.kinematics, maker, field, avoiding=avoiding,
+                            headings=self.headings if offset == 0.0 else HeadingTable.make(self.kinematics, offset),
+                            reacher=None if problem.table is None else self.reacher, frontiers=self.frontiers)
+            limit = (budget - spent) // 2 if avoiding else budget - spent  # leave some for a search without avoiding
+            ended, nodes = self._run_schedule(run, limit)
+            spent += nodes
+            if isinstance(ended, SearchResult):
+                run.end()
+                return dataclasses.replace(ended, method=method, expansions=spent)
+            nearest = run.find_nearest()
+            run.end()
+            if problem.clock.has_stopped or (ended is PlanningReason.BUDGET_EXHAUSTED and not avoiding):
+                reason = ended
+                break
+        return SearchResult(reason, (), (problem.state,), expansions=spent, nearest=nearest)
+
+    @cached_property
+    def headings(self) -> HeadingTable:
+        """Directions and moves at the headings of the lattice."""
+        return HeadingTable.make(self.kinematics, 0.0)
+
+    def _run_schedule(self, run: SearchRun, budget: int) -> tuple[SearchResult | PlanningReason, int]:
+        """Search by the schedule until a plan is found, then once more for a shorter one."""
+        spent, ended = 0, PlanningReason.BUDGET_EXHAUSTED
+        for offset, weight, nodes in SCHEDULE:
+            run.restart(offset=offset, weight=weight)
+            ended = run.advance(min(nodes, budget - spent))
+            spent += run.expansions
+            if ended is not PlanningReason.BUDGET_EXHAUSTED:
+                break
+        if not isinstance(ended, SearchResult) or run.problem.effort < 0:
+            return ended, spent
+        is_quick, is_short = spent < SCHEDULE[0][2] and run.problem.table is None, len(ended.primitives) <= SHORT
+        rounds = [(1, IMPROVEMENT), *([(SHORT, IMPROVEMENT)] if is_short else [])] if is_quick else []
+        for offset, nodes in (*rounds, *((offset, budget) for offset in EFFORTS[: run.problem.effort])):
+            run.restart(offset=offset, most=len(ended.primitives))
+            better = run.advance(min(nodes, budget - spent))
+            spent += run.expansions
+            ended = better if isinstance(better, SearchResult) else ended
+        return ended, spent
+
+    def _iterate_variants(self, problem: SearchProblem, method: str, planner: str, avoid: bool, refine: bool
+                       ) -> Iterator[_Variant]:
+        """Variants of the search, in order."""
+        is_open = self.instance.puzzle.is_solved(problem.state.puzzle)
+        others = self._pressed - {getattr(problem.goal, "target", -1)}
+        avoid = avoid and bool(others or (is_open and not isinstance(problem.goal, ExitGoal)))
+        door_shut, state = not is_open, problem.state
+        pose = state.x, state.y, self.kinematics.get_rotation(state.heading_steps, state.heading_offset)
+        if door_shut and not self.get_collision(True).does_fit(*pose):  # in the doorway a shut door does not block it
+            door_shut = not self.get_collision(False).does_fit(*pose)
+        if method == "corridor":
+            for maker in self._iterate_corridors(problem, door_shut, planner):
+                yield _Variant(maker, self._make_field(problem, maker, None), avoid, planner)
+        for refinement, avoiding in ((0, True), (1, True), (0, False), (1, False), (2, False), (3, False)):
+            states = self.get_maker(door_shut, 0, problem.clock).states * 4**refinement
+            is_coarse = refinement == 0 or (refine and states <= MOST_REFINED_STATES)
+            if (avoid or not avoiding) and is_coarse:
+                maker = self.get_maker(door_shut, refinement, problem.clock)
+                yield _Variant(maker, self._find_field(problem, maker), avoiding, "fields")
+
+    def _iterate_corridors(self, problem: SearchProblem, door_shut: bool, planner: str) -> Iterator[FieldMaker]:
+        """Grids of corridors round the path of a path planner, from narrow to wide."""
+        goal = problem.goal
+        if problem.table is not None:
+            maker = self.get_maker(door_shut, 0, problem.clock)
+            states, costs = self.find_postures(problem, maker)
+            goal = maker.points[states[np.argsort(costs, kind="stable")[:64]] // maker.headings]
+        found = self.navigator.plan((problem.state.x, problem.state.y), goal, planner, door_shut=door_shut,
+                                    seed=problem.seed, clock=problem.clock,
+                                    heading=self.kinematics.get_heading(problem.state))
+        if found.status == "exact":
+            for width in CORRIDORS:
+                yield FieldMaker(self.instance, self.kinematics, door_shut=door_shut, path=found.path, width=width,
+                                 collision=self.get_collision(door_shut), clock=problem.clock)
+
+    # --- fields --------------------------------------------------------------------------
+
+    def _find_field(self, problem: SearchProblem, maker: FieldMaker) -> Field:
+        """Field of a problem: that of its goal, or one of its own round the footprints to keep out of."""
+        if not problem.keep_out:
+            return self._get_field(problem, maker)
+        away = compute_distance_many(maker.points, stack_footprints(problem.keep_out))
+        return self._make_field(problem, maker, away > maker.collision.radius - maker.size)
+
+    def _get_field(self, problem: SearchProblem, maker: FieldMaker) -> Field:
+        state = problem.state
+        posture = None
+        if problem.table is not None:
+            posture = state.joint_steps, state.joint_offsets, state.heading_offset, problem.table.complete_to
+        facing = None if problem.facing is None else problem.facing.tobytes()
+        return maker.get_field((problem.goal, posture, facing), partial(self._find_seeds, problem), problem.clock)
+
+    def _make_field(self, problem: SearchProblem, maker: FieldMaker, allowed: NDArray[np.bool_] | None) -> Field:
+        return maker.make_field(self._find_seeds(problem, maker), allowed, problem.clock)
+
+    def _find_seeds(self, problem: SearchProblem, maker: FieldMaker) -> Seeds:
+        if problem.table is None:
+            return maker.find_seeds(*problem.area, problem.facing, get_presser(problem.goal, self.instance))
+        return Seeds(*self.find_postures(problem, maker), maker.headings)
+
+    def find_postures(self, problem: SearchProblem, maker: FieldMaker) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """States (cell * headings + heading) from which the arm completes the press, and its joint steps."""
+        assert problem.table is not None
+        table, far = problem.table, np.iinfo(np.int16).max
+        costs = np.where(table.costs < 0, far, table.costs)
+        near = np.flatnonzero(maker.standing & (compute_distance_many(
+            maker.points, stack_footprints([problem.area.footprint])) <= problem.area.reach))
+        least = np.full((len(near), costs.shape[2]), far, dtype=np.int16)
+        for i, j in itertools.product((-0.5, 0.0, 0.5), repeat=2):
+            shift = (i * maker.size, j * maker.size)
+            at = np.floor((maker.points[near] + shift - table.low) / table.cell).astype(int)
+            inside = ((at >= 0) & (at < costs.shape[:2])).all(axis=1)
+            columns, rows = at[inside].T
+            least[inside] = np.minimum(least[inside], costs[columns, rows])
+        which, heading = np.nonzero((least < far) & maker.get_fits(near, costs.shape[2]))
+        return near[which] * maker.headings + heading, least[which, heading].astype(np.int64)
+
+
+def _get_floor(instance: RoomInstance) -> tuple:
+    """All that the grids of a room depend on, but for its solids."""
+    robot = instance.robot
+    return (instance.reach_x, instance.reach_y, instance.door, robot.outer_radius, robot.body_height, robot.move_step,
+            robot.turn_step_deg, robot.drive, instance.dynamics.press_margin, instance.dynamics.press_with)
+
+
+def _list_differences(before: Sequence[Solid], after: Sequence[Solid]) -> list[Solid]:
+    """Solids that only one of two rooms has."""
+    return [*(Counter(before) - Counter(after)), *(Counter(after) - Counter(before))]

@@ -1,1 +1,0 @@
-"""Motion in continuous time: limits of speed and acceleration, smooth paths, and trajectories sampled at any rate."""

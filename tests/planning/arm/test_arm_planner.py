@@ -1,0 +1,137 @@
+"""IK beside other solvers and beside the closed form; motions that Bullet, at ten times the resolution, finds free."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks.arm_motion import BulletCheck, check_motions, compare_solvers, make_planner, place_base
+from hrl_escape.env.geometry import Solid
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
+from hrl_escape.planning.arm.arm_planner import ArmPlanner
+from hrl_escape.planning.scene import Scene
+
+# --- inverse kinematics ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["franka-panda", "kuka-iiwa"])
+def test_poses_are_solved_at_least_as_often_as_by_other_solvers(kind):
+    ours, example, _, scipys = compare_solvers(kind, 20, 10)
+    assert ours >= 0.9 and ours >= example and ours >= scipys - 0.1
+
+
+def test_all_branches_are_those_of_the_closed_form():
+    """Yaw, then two pitching links: for a reachable point the elbow is up or down."""
+    planner, state = make_planner("arm", 3)
+    rng, base = np.random.default_rng(0), place_base(planner, state)
+    low, high = planner._limits
+    length, counts = planner.instance.robot.link_length, []
+    for _ in range(25):
+        angles = rng.uniform(low, high)
+        point = planner.kinematics.compute_placement(angles.tolist())[:3, 3]
+        yaw = math.atan2(point[1], point[0])
+        out, up = math.hypot(point[0], point[1]) - length, point[2] - planner.instance.robot.body_height
+        bend = math.acos(np.clip((out**2 + up**2 - 2 * length**2) / (2 * length**2), -1, 1))
+        expected = []
+        for elbow in (bend, -bend):  # positive pitch lifts
+            shoulder = math.atan2(up, out) - math.atan2(length * math.sin(elbow), length * (1 + math.cos(elbow)))
+            branch = np.array([yaw, shoulder, elbow])
+            if (branch >= low).all() and (branch <= high).all():
+                expected.append(branch)
+        found = planner.solve_ik(base[:3, :3] @ point + base[:3, 3], state, seeds=24, only_free=False)
+        if abs(bend) < 0.06:
+            continue  # the two are one
+        assert len(found) == len(expected)
+        for branch in expected:
+            assert min(np.abs(p.angles - branch).max() for p in found) < 2e-3
+        counts.append(len(found))
+    assert set(counts) == {1, 2}
+
+
+def test_manipulability_is_the_volume_by_finite_differences():
+    planner, state = make_planner("arm", 4)
+    target = place_base(planner, state) @ planner.kinematics.compute_placement((0.1, 0.3, -0.4, 0.2))
+    posture = planner.solve_ik(target[:3, 3], state)[0]
+    columns = [(np.array(planner.rules.robot.compute_hand(posture.angles + h)) -
+                np.array(planner.rules.robot.compute_hand(posture.angles - h))) / 2e-6 for h in 1e-6 * np.eye(4)]
+    jacobian = np.array(columns).T
+    assert posture.manipulability == pytest.approx(math.sqrt(np.linalg.det(jacobian @ jacobian.T)), rel=1e-4)
+
+
+def test_what_is_out_of_reach_or_no_target_is_said():
+    planner, state = make_planner()
+    assert planner.solve_ik((50.0, 0.0, 1.0), state) == []
+    for wrong in ((1.0, 2.0), "hand", np.zeros((4, 4)), (math.nan, 0, 0)):
+        with pytest.raises(ConfigError, match="target"):
+            planner.solve_ik(wrong, state)
+    with pytest.raises(UnsupportedError, match="no arm"):
+        ArmPlanner(generate(get_preset("clutter"), 0))
+
+
+def test_a_reachability_map_agrees_with_inverse_kinematics(tmp_path):
+    planner, state = make_planner("arm", 3)
+    point = (0.5, -0.5, 0.8)
+    reach = planner.map_reach(point)
+    assert 0.0 < reach.share.max() <= 1.0
+    best = reach.get_best()
+    rng = np.random.default_rng(0)
+    places = [best, *(np.array(point[:2]) + rng.uniform(-1.4, 1.4, size=(5, 2)))]
+    for x, y in places:
+        (x, y), number = (reach.low + (np.floor((np.array([x, y]) - reach.low) / 0.1) + 0.5) * 0.1).tolist(), 0
+        for heading in range(0, 36, 3):
+            there = state._replace(x=x, y=y, heading_steps=heading)
+            number += bool(planner.solve_ik(point, there, seeds=2, only_free=False, tolerance=0.05))
+        share = reach.share[int((x - reach.low[0]) / 0.1), int((y - reach.low[1]) / 0.1)]
+        assert abs(number / 12 - share) <= 0.17 or (share == 0.0 and not planner._floor.is_free(x, y))
+    reach.draw(tmp_path / "reach.png")
+
+
+# --- motion ----------------------------------------------------------------------------------------
+
+
+def test_motions_in_clutter_are_free_by_bullet_at_ten_times_the_resolution():
+    planned, bent = check_motions("arm", 3, 4)
+    assert planned >= 3 and bent >= 1
+
+
+def test_base_and_arm_move_together_where_neither_could_alone():
+    """A low bar across the room's middle stops an arm held out, and a wall with a gap the straight way."""
+    planner, state = make_planner("arm", 3)
+    state = state._replace(x=-2.0, y=0.0, heading_steps=0)
+    scene = Scene.of(planner.instance, state).add("left", Solid("box", 0.0, 2.3, 0.1, 1.6, height=1.5))
+    scene = scene.add("right", Solid("box", 0.0, -2.3, 0.1, 1.6, height=1.5))
+    planner = ArmPlanner(scene.instance)
+    home = planner.rules.robot.home
+    path = planner.plan_whole_body(state, (2.0, 1.5, math.pi / 2), (0.5, 0.2, 0.0))
+    assert path.names[:3] == ("x", "y", "heading") and np.allclose(path.points[0][3:], home)
+    assert np.allclose(path.points[-1], (2.0, 1.5, math.pi / 2, 0.5, 0.2, 0.0))
+    check = BulletCheck(planner)
+    for x, y, heading, *angles in path.interpolate(0.01).tolist():
+        assert planner._floor.is_free(x, y)
+        check.place(x, y, heading, angles)
+        assert check.compute_clearance() > 0.0
+    check.close()
+
+
+def test_motions_are_the_same_again_and_failures_have_reasons():
+    planner, state = make_planner("arm", 3)
+    one, two = (planner.plan(state, (0.9, 0.5, -0.8), seed=3).points for _ in range(2))
+    assert np.array_equal(one, two)
+    with pytest.raises(ConfigError, match="3 joints"):
+        planner.plan(state, (0.1, 0.2))
+    with pytest.raises(UnknownNameError):
+        planner.plan(state, (0.1, 0.2, 0.3), planner="nobody")
+    heading = planner.rules.get_heading(state)
+    hand = planner.rules.get_hand(state)
+    wall = Solid("box", hand[0] - 0.3 * math.cos(heading), hand[1] - 0.3 * math.sin(heading), 0.05, 0.05, height=2.0)
+    stuck = ArmPlanner(Scene.of(planner.instance, state).add("post", wall).instance)
+    with pytest.raises(PlanningFailed) as failed:
+        stuck.plan(state, (0.9, 0.0, 0.0))
+    assert failed.value.reason is PlanningReason.START_INVALID
+    with pytest.raises(PlanningFailed) as failed:
+        stuck.plan(state._replace(joint_steps=(5, 0, 0)), (0.0, 0.0, 0.0))
+    assert failed.value.reason is PlanningReason.GOAL_INVALID
