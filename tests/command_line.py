@@ -1,4 +1,4 @@
-"""Commands as a user runs them: in this process, as the installed program, and as a Python script."""
+"""Commands as a user runs them: in this process, in another, and as the installed program."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from typing import Any
 import pytest
 
 from hrl_escape.cli import main, run_script
+from tests.forks import run_fork
 
 PROGRAM = Path(sys.executable).with_name("hrl-escape")
 
@@ -47,12 +48,9 @@ def assert_is_refusal(done: tuple[int, str, str], program: str, words: str) -> N
     assert err.startswith(f"{program}: ") and err.count("\n") == 1 and words in err
 
 
-def run_program(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([PROGRAM, *arguments], cwd=cwd, capture_output=True, text=True)
-
-
-def run_python(script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True)
+def run_program(*arguments: object, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """A command in a process of its own, which has the libraries already."""
+    return run_fork("import sys; from hrl_escape.cli import main; sys.exit(main())", *arguments, cwd=cwd)
 
 
 def run_here(script: str) -> str:

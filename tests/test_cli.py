@@ -10,7 +10,8 @@ import time
 import pytest
 
 import hrl_escape
-from tests.command_line import PROGRAM, assert_refused, call, run_program, run_python
+from tests.command_line import PROGRAM, assert_refused, call, run_program
+from tests.forks import run_fork
 
 
 def test_help_lists_every_command_with_one_line_each():
@@ -42,14 +43,15 @@ def test_help_imports_nothing_that_takes_time():
     script = ("import sys; from hrl_escape.cli import main; main(['--help'])\n"
               "print('HEAVY', *({'torch', 'tyro', 'rich', 'matplotlib', 'pybullet', 'ompl', 'pinocchio', 'scipy'}"
               " & set(sys.modules)))")
-    assert run_python(script).stdout.splitlines()[-1] == "HEAVY"
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "HEAVY"
 
 
 @pytest.mark.parametrize("missing", ["matplotlib", "ompl", "pinocchio", "imageio_ffmpeg", "viser"])
 def test_a_missing_package_stops_only_the_commands_that_need_it(missing):
     script = ("import sys; sys.modules[sys.argv[1]] = None; from hrl_escape.cli import main\n"
               "sys.exit(main(['--help']) or main(['list', 'presets', '--json']))")
-    done = run_python(script, missing)
+    done = run_fork(script, missing)
     assert done.returncode == 0, done.stderr
     assert "clutter" in done.stdout
 
@@ -89,7 +91,7 @@ def test_an_unknown_option_is_explained(capsys):
 
 
 def test_mistakes_show_no_traceback_in_the_real_program(tmp_path):
-    done = run_program("room", "--preset", "cluter", cwd=tmp_path)
+    done = subprocess.run([PROGRAM, "room", "--preset", "cluter"], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 2 and done.stdout == ""
     assert done.stderr.count("\n") == 1 and "Traceback" not in done.stderr
 
@@ -158,7 +160,7 @@ def test_a_name_that_no_file_can_have_and_what_is_no_file_are_one_line(capsys, t
 def test_an_animation_needs_no_viewer(tmp_path):
     script = ("import sys; sys.modules['viser'] = sys.modules['trimesh'] = None; from hrl_escape.cli import main\n"
               "sys.exit(main(['record', '--out', sys.argv[1]]))")
-    done = run_python(script, str(tmp_path / "x.gif"))
+    done = run_fork(script, str(tmp_path / "x.gif"))
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "x.gif").read_bytes()[:3] == b"GIF"
 
@@ -171,6 +173,6 @@ def test_last_words_of_a_library_that_aborts_reach_the_user(tmp_path):
         'os.write(2, b"double free or corruption\\n")\nos.abort()\n\ndef run(args): ...\n')
     script = ("import sys, pathlib; sys.path.insert(0, sys.argv[1]); from hrl_escape import cli\n"
               "cli._FOLDER, cli._COMMANDS = pathlib.Path(sys.argv[1], 'planted'), 'planted'; cli.main(['crash'])")
-    done = run_python(script, str(tmp_path))
+    done = run_fork(script, str(tmp_path))
     assert done.returncode == -6
     assert done.stderr == "double free or corruption\n"

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+
+from tests.forks import run_file
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -40,7 +40,7 @@ LESSONS = [
 
 @pytest.mark.parametrize(("script", "arguments", "shows"), LESSONS, ids=[lesson[0] for lesson in LESSONS])
 def test_example(script: str, arguments: list[str], shows: list[str], tmp_path: Path):
-    done = subprocess.run([sys.executable, EXAMPLES / script, *arguments], cwd=tmp_path, capture_output=True, text=True)
+    done = run_file(EXAMPLES / script, *arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     for pattern in shows:
         assert re.search(pattern, done.stdout), f"{pattern!r} is not in\n{done.stdout}"

@@ -28,6 +28,7 @@ from hrl_escape.files import (
     write_json,
     write_text,
 )
+from tests.forks import run_fork
 
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -237,7 +238,7 @@ except FileWriteError as error:
 
 
 def test_a_full_disk_of_temporary_files_is_named():
-    done = subprocess.run([sys.executable, "-c", FULL_TEMPORARY], capture_output=True, text=True)
+    done = run_fork(FULL_TEMPORARY)
     assert done.stdout.startswith("cannot write the folder of temporary files (TMPDIR): No usable temp"), done.stderr
 
 

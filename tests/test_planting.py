@@ -7,12 +7,12 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+
+from tests.forks import run_fork
 
 ROOT = Path(__file__).parents[1]
 
@@ -28,8 +28,7 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     with (house / "hrl_escape/env/observations.py").open("a") as file:
         file.write(OBSERVATION)
     environment = os.environ | {"PYTHONPATH": str(house), "NUMBA_CACHE_DIR": str(house / "numba")}
-    runs = [subprocess.run([sys.executable, "-c", script], cwd=house, env=environment, capture_output=True, text=True)
-            for script in (TIMED + ACTS, TIMED)]
+    runs = [run_fork(script, cwd=house, environment=environment) for script in (TIMED + ACTS, TIMED)]
     assert [done.returncode for done in runs] == [0, 0], runs[0].stdout + runs[0].stderr
     return {**json.loads(runs[0].stdout), "stderr": [done.stderr for done in runs]}
 

@@ -15,6 +15,7 @@ from hrl_escape.errors import AgentSettingsError, UnknownNameError, UnsupportedS
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid
 from tests.agents.training.test_resuming import SMALL
+from tests.forks import run_fork
 
 ROOT = Path(__file__).parents[2]
 
@@ -167,7 +168,7 @@ def test_a_strangers_agent_arrives_through_its_entry_point(tmp_path):
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: stranger\nVersion: 1.0\n")
     (info / "entry_points.txt").write_text("[hrl_escape.agents]\nalways = stranger:Always\n")
     code = f"import sys; sys.path.insert(0, {str(tmp_path)!r})\n" + USE_STRANGER
-    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    done = run_fork(code, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("{'gamma': 0.99, 'action': 4}")
 

@@ -10,7 +10,8 @@ from PIL import Image
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from tests.command_line import assert_refused, call, run_program, run_python
+from tests.command_line import assert_refused, call, run_program
+from tests.forks import run_fork
 
 
 def test_room_generates_checks_draws_and_saves(tmp_path):
@@ -144,7 +145,7 @@ def test_a_killed_drawing_leaves_the_old_file(tmp_path):
     script = ("import os, sys, hrl_escape.files as files\n"
               "files.os.replace = lambda *_: os.kill(os.getpid(), 9)\n"
               "from hrl_escape.cli import main; main(['room', '--draw', sys.argv[1]])")
-    assert run_python(script, str(path)).returncode != 0
+    assert run_fork(script, str(path)).returncode != 0
     assert path.read_text() == "old"
 
 

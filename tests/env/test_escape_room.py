@@ -3,8 +3,6 @@
 import dataclasses
 import json
 import pickle
-import subprocess
-import sys
 import warnings
 
 import gymnasium
@@ -29,6 +27,7 @@ from hrl_escape.errors import (
     UnknownNameError,
 )
 from tests.env.rooms import EXTREMES
+from tests.forks import run_fork
 
 IDS = ["hrl_escape/EscapeRoom-v1", *(f"hrl_escape/{make_env_name(name)}-v1" for name in PRESETS)]
 KINDS = sorted(observation.name for observation in list_observations())
@@ -143,8 +142,7 @@ print(digest.hexdigest())
     ],
 )
 def test_ten_resets_of_a_once_seeded_environment_repeat_in_another_process(name, arguments):
-    command = [sys.executable, "-c", TRAJECTORY, name, json.dumps(arguments)]
-    first, second = (subprocess.run(command, capture_output=True, text=True) for _ in range(2))
+    first, second = (run_fork(TRAJECTORY, name, json.dumps(arguments)) for _ in range(2))
     assert first.returncode == 0, first.stderr
     assert first.stdout == second.stdout
 

@@ -22,6 +22,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.torchrl_env import EscapeRoomTorchRLEnv
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
+from tests.forks import run_fork
 
 COMPASS = """
 import numpy as np
@@ -92,8 +93,7 @@ def test_one_entry_is_offered_by_the_command_line_and_accepted_by_grids(tmp_path
         "print(dataclasses.replace(GRIDS['quickstart'], observation='compass').observation, 'in a grid')\n"
         "main(['train', '--help'])\n"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True,
-                          env=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])})
+    done = run_fork(script, environment=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])})
     assert "sine and cosine of the heading" in done.stdout and "compass in a grid" in done.stdout, done.stderr
     assert ",compass}" in done.stdout.replace("\n", "").replace(" ", "").replace("\u2502", "")
 

@@ -6,8 +6,6 @@ import dataclasses
 import itertools
 import math
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +16,7 @@ import pytest
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.robot import BASE_LINK, LARGEST_MESHES, Robot, load_urdf, make_robot, sample_hand_positions
 from hrl_escape.errors import ConfigError, FileReadError, RobotError
+from tests.forks import run_fork
 
 # every trap at once: turned and shifted fixed joints, an axis that is not of unit length, a continuous and a
 # prismatic joint, a joint that no primitive moves, a branch beside the chain, limits that leave out zero
@@ -195,8 +194,7 @@ def test_sampled_hand_positions_are_the_same_in_every_process():
     code = ("from hrl_escape.env.config import RobotConfig;"
             "from hrl_escape.env.robot import make_robot, sample_hand_positions;"
             "print(sample_hand_positions(make_robot(RobotConfig(joints=7)), 500).tobytes().hex())")
-    runs = {subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-            for _ in range(2)}
+    runs = {run_fork(code, check=True).stdout for _ in range(2)}
     assert len(runs) == 1
 
 

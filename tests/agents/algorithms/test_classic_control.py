@@ -1,7 +1,5 @@
 """DQN and PPO on CartPole-v1: solved, and with DQN still solved later; `benchmarks/classic_control.py` has more."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import gymnasium
@@ -10,6 +8,7 @@ import pytest
 
 from benchmarks.classic_control import Peer, compare, measure
 from hrl_escape.agents import train
+from tests.forks import run_module
 
 ROOT = Path(__file__).parents[3]
 
@@ -31,10 +30,8 @@ def test_the_benchmark_runs_and_goes_on_where_it_was_stopped(tmp_path):
     out = tmp_path / "runs.jsonl"
 
     def run(*contenders):
-        command = [sys.executable, "-m", "benchmarks.classic_control", "--quick", "--tasks", "CartPole-v1",
-                   "--out", out]
-        return subprocess.run([*command, "--contenders", *contenders], capture_output=True, text=True, check=True,
-                              cwd=ROOT).stdout
+        return run_module("benchmarks.classic_control", "--quick", "--tasks", "CartPole-v1", "--out", out,
+                          "--contenders", *contenders, cwd=ROOT, check=True).stdout
 
     first = run("dqn")
     assert "| CartPole-v1 | dqn | 1 |" in first and "| ppo |" not in first

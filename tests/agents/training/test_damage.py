@@ -7,8 +7,6 @@ import json
 import random
 import shutil
 import struct
-import subprocess
-import sys
 import zipfile
 from pathlib import Path
 
@@ -21,6 +19,7 @@ from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoi
 from hrl_escape.agents.training.train import load_env
 from hrl_escape.errors import CheckpointError, EscapeError, FileReadError, FileWriteError, RunMismatchError
 from tests.agents.small_envs import ButtonGrid
+from tests.forks import run_fork
 
 FILES = ("run.json", "log.jsonl", "checkpoint.npz", "result.json")
 STRANGE = (None, True, -1, 0.5, 10**400, "text", "", [], {}, [[1]], {"a": 1}, float("1e999"))
@@ -266,8 +265,7 @@ except FileWriteError as error:
 
 def test_a_full_disk_is_told_at_once_with_its_reason(tmp_path):
     """The limit on a file's size stands for a disk that fills up."""
-    done = subprocess.run([sys.executable, "-c", FULL, tmp_path / "run"], cwd=Path(__file__).parents[3],
-                          capture_output=True, text=True, timeout=120)
+    done = run_fork(FULL, tmp_path / "run", cwd=Path(__file__).parents[3])
     assert "log.jsonl: File too large. Free some space" in done.stdout and not done.stderr, done.stderr
     with pytest.raises(FileReadError):
         load_result(tmp_path / "run")

@@ -1,7 +1,5 @@
 """The benchmark of learning curves: equal marks for all, and sentences that follow whatever the runs show."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import gymnasium
@@ -21,6 +19,7 @@ from benchmarks.learning_curves import (
     summarise,
 )
 from hrl_escape.agents import make_agent
+from tests.forks import run_module
 
 ROOT = Path(__file__).parents[3]
 
@@ -120,9 +119,8 @@ def test_the_benchmark_runs_and_goes_on_where_it_was_stopped(tmp_path):
     out = tmp_path / "runs.jsonl"
 
     def run():
-        command = [sys.executable, "-m", "benchmarks.learning_curves", "--quick", "--tasks", "CartPole-v1",
-                   "--out", out]
-        return subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT).stdout
+        return run_module("benchmarks.learning_curves", "--quick", "--tasks", "CartPole-v1", "--out", out, cwd=ROOT,
+                          check=True).stdout
 
     first = run()
     assert "| defaults | 512 | 1 |" in first and "| sb3-zoo | 8 | 1 |" in first

@@ -32,6 +32,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.settings import read_record
 from tests.agents.small_envs import ButtonGrid, Outcome, SmdpEnv
 from tests.agents.training.test_resuming import SMALL, flatten
+from tests.forks import run_fork
 
 ROOT = Path(__file__).parents[3]
 LEARNERS = ["random", "q-learning", "intra-option-q", "dqn", "sarsa", "ddpg", "ppo", "option-critic", "a2oc", "dac",
@@ -430,8 +431,7 @@ except FileWriteError as error:
 
 @pytest.mark.parametrize(("limit", "file"), [(3_000, "log.jsonl"), (1_200, "checkpoint.npz")])
 def test_a_full_disk_is_one_clear_error_and_spoils_nothing(tmp_path, limit, file):
-    command = [sys.executable, "-c", FULL_DISK, tmp_path / "run", str(limit)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True)
+    done = run_fork(FULL_DISK, tmp_path / "run", limit, cwd=ROOT)
     assert f"cannot write {tmp_path}/run/" in done.stdout and "Free some space" in done.stdout, done.stderr
     assert not list((tmp_path / "run").glob(".writing*")), "no half files"
     assert run("q-learning", out=tmp_path / "run") == run("q-learning"), "and the run goes on where there is room"

@@ -4,7 +4,6 @@ import dataclasses
 import gc
 import math
 import os
-import subprocess
 import sys
 
 import numpy as np
@@ -22,6 +21,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import ClosedError, StateError, UnsupportedError
 from tests.env.rooms import all_schematics
+from tests.forks import run_fork
 
 KINEMATIC = sorted(set(all_schematics()) - {"largest", "push-block"})
 SKIN = 1e-3
@@ -296,5 +296,5 @@ def test_bullet_says_nothing_on_standard_output():
         "    room.step(0)\n"
         "    room.close()\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    done = run_fork(code, check=True)
     assert done.stdout == ""

@@ -4,8 +4,6 @@ import dataclasses
 import json
 import math
 import pickle
-import subprocess
-import sys
 
 import numpy as np
 import pybullet
@@ -31,6 +29,7 @@ from hrl_escape.env.puzzles.push_block import PushBlockConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import StateError
 from tests.env.pushing import solve
+from tests.forks import run_fork
 
 FORWARD, BACK, LEFT, RIGHT, TURN_LEFT, TURN_RIGHT = range(6)
 
@@ -357,7 +356,7 @@ def test_another_process_runs_the_same_trajectory_bit_for_bit(make_room, name):
     room = make_room(ROOMS[name])
     play(room, choose_actions(room, 10))  # this process has a history
     room.reset(room.instance.starts[0], 11)
-    done = subprocess.run([sys.executable, "-c", PROGRAM, name], capture_output=True, text=True, check=True)
+    done = run_fork(PROGRAM, name, check=True)
     assert json.loads(done.stdout) == [repr(t) for t in play(room, choose_actions(room, 25))]
 
 

@@ -2,7 +2,6 @@
 
 import json
 import os
-import subprocess
 import sys
 import textwrap
 
@@ -12,6 +11,7 @@ from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles, register_
 from hrl_escape.env.puzzles.bit_flip import BitFlipConfig, BitFlipPuzzle
 from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
 from hrl_escape.errors import ConfigError, UnknownNameError
+from tests.forks import run_fork
 
 
 def test_the_puzzles_that_ship_are_listed():
@@ -141,8 +141,7 @@ def install(folder, entry_point):
 
 def run_with(folder, program):
     path = os.pathsep.join([str(folder), *sys.path])
-    return subprocess.run([sys.executable, "-c", program], capture_output=True, text=True,
-                          env=os.environ | {"PYTHONPATH": path})
+    return run_fork(program, environment=os.environ | {"PYTHONPATH": path})
 
 
 def test_a_strangers_puzzle_is_found_played_and_saved_like_ours(tmp_path):

@@ -3,8 +3,6 @@
 import dataclasses
 import hashlib
 import json
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -22,6 +20,7 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import ConfigError, EscapeError, GenerationError, InstanceFileError, UnknownNameError
 from tests.env.rooms import EXTREMES, all_schematics
+from tests.forks import run_fork
 
 NAMES = sorted(all_schematics())
 QUICK = [name for name in NAMES if name not in ("largest", "four-rooms")]
@@ -116,7 +115,7 @@ def test_another_process_generates_the_same_instances():
         "from hrl_escape.env.sampling.generation import generate; from hrl_escape.env.presets import *\n"
         "print(*[generate(get_preset(n), 5).id for n in sorted(PRESETS)])"
     )
-    printed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
+    printed = run_fork(code, check=True).stdout.split()
     assert printed == [generate(get_preset(name), 5).id for name in sorted(PRESETS)]
 
 

@@ -2,8 +2,6 @@
 
 import hashlib
 import pickle
-import subprocess
-import sys
 import threading
 import time
 from pathlib import Path
@@ -25,6 +23,7 @@ from hrl_escape.planning.paths.problem import DEFAULT_PLANNER, PathProblem
 from hrl_escape.planning.paths.registry import list_planners, register_planner
 from hrl_escape.planning.paths.single_query import ANYTIME
 from tests.floor.test_clearance import make_room
+from tests.forks import run_fork
 
 PLANNERS = list_planners()
 HIDDEN = PressGoal(3)  # out of sight from the start of `clutter`
@@ -201,8 +200,7 @@ for planner in sys.argv[1:]:
 
 def test_the_same_seed_gives_the_same_path_in_any_process(clutter):
     planners = [DEFAULT_PLANNER, "PRM", "BITstar", "RRTstar", "KPIECE1", "FMT"]
-    there = [subprocess.run([sys.executable, "-c", SCRIPT, *planners], capture_output=True, text=True, check=True)
-             .stdout.split() for _ in range(2)]
+    there = [run_fork(SCRIPT, *planners, check=True).stdout.split() for _ in range(2)]
     here = [hashlib.sha256(clutter.plan(get_start(clutter), HIDDEN, planner, seed=7)
                            .path.tobytes()).hexdigest() for planner in planners]
     assert there[0] == there[1] == here

@@ -4,8 +4,6 @@ import dataclasses
 import hashlib
 import math
 import pickle
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -24,6 +22,7 @@ from hrl_escape.errors import GoalError, PlanningReason, UnknownNameError, Unsup
 from hrl_escape.planning.goals import ExitGoal, PoseGoal, PressGoal, PushGoal, RegionGoal, is_reached
 from hrl_escape.planning.search.primitive_search import PrimitiveSearch
 from tests.command_line import run_here
+from tests.forks import run_fork
 
 
 def make_room(*solids, targets=((0, 4.95, 1.0),), exit_area=(3, 4.5, -4.5, -3), start=(0, 0), radius=0.5, **robot):
@@ -406,8 +405,7 @@ for name in ("clutter", "arm-two-button"):
 
 
 def test_plans_are_the_same_in_every_process_and_in_any_order():
-    outputs = {subprocess.run([sys.executable, "-c", SCRIPT], capture_output=True, text=True, check=True).stdout,
-               run_here(SCRIPT)}
+    outputs = {run_fork(SCRIPT, check=True).stdout, run_here(SCRIPT)}
     assert len(outputs) == 1
     search = PrimitiveSearch(generate(get_preset("clutter"), 3))
     result = search.search(begin(search), PressGoal(0))
