@@ -53,6 +53,11 @@ def run_program(*arguments: object, cwd: Path | None = None) -> subprocess.Compl
     return run_fork("import sys; from hrl_escape.cli import main; sys.exit(main())", *arguments, cwd=cwd)
 
 
+def run_python(script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """A script in an interpreter that is started anew, where a fork would have loaded too much."""
+    return subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True)
+
+
 def run_here(script: str) -> str:
     """What a script prints in this process, to hold against what it prints in another."""
     with contextlib.redirect_stdout(io.StringIO()) as out:

@@ -10,7 +10,7 @@ import time
 import pytest
 
 import hrl_escape
-from tests.command_line import PROGRAM, assert_refused, call, run_program
+from tests.command_line import PROGRAM, assert_refused, call, run_program, run_python
 from tests.forks import run_fork
 
 
@@ -43,8 +43,7 @@ def test_help_imports_nothing_that_takes_time():
     script = ("import sys; from hrl_escape.cli import main; main(['--help'])\n"
               "print('HEAVY', *({'torch', 'tyro', 'rich', 'matplotlib', 'pybullet', 'ompl', 'pinocchio', 'scipy'}"
               " & set(sys.modules)))")
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
-    assert done.stdout.splitlines()[-1] == "HEAVY"
+    assert run_python(script).stdout.splitlines()[-1] == "HEAVY"
 
 
 @pytest.mark.parametrize("missing", ["matplotlib", "ompl", "pinocchio", "imageio_ffmpeg", "viser"])
