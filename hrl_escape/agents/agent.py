@@ -143,6 +143,12 @@ class Agent(Stateful, ABC):
         evaluating twice gives the same numbers and evaluating at all does not disturb learning.
         """
 
+    def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:  # noqa: B027
+        """Told in evaluation what the latest `act_greedy` with this generator came to; by default nothing matters.
+
+        For agents that count primitives within an episode: a decision may last several.
+        """
+
     @abstractmethod
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Learn from one decision; returns numbers to log, such as the loss, or nothing.

@@ -238,3 +238,59 @@ class ButtonGrid(gymnasium.Env):
         second = int(self.state[3] or (first and (x, y) == self.PLACES[1]))
         self.state = (x, y, first, second)
         return bool(second) and (x, y) == self.PLACES[2]
+
+
+def spread_options(smdp: Smdp, seed: int) -> Smdp:
+    """The same deterministic SMDP with a state after each primitive inside an option, whose one action is the rest.
+
+    So a cut inside an option has an exact value: `CutEnv` stops there. States keep their numbers, new ones follow.
+    """
+    rng = np.random.default_rng(seed)
+    actions = len(smdp[0])
+    rows = [list(row) for row in smdp]
+    for state, action in [(s, a) for s in range(len(smdp)) for a in range(actions) if smdp[s][a]]:
+        (outcome,) = rows[state][action]
+        for done in range(1, len(outcome.rewards)):
+            row: list[tuple[Outcome, ...]] = [()] * actions
+            row[int(rng.integers(actions))] = (Outcome(1.0, outcome.next_state, outcome.rewards[done:],
+                                                       outcome.terminated),)
+            rows.append(row)
+    return tuple(map(tuple, rows))
+
+
+class CutEnv(SmdpEnv):
+    """Runs the result of `spread_options` from anywhere, each episode with a time limit of its own, often inside one.
+
+    Args:
+        smdp: before it is spread.
+        seed: of the actions by which options go on.
+        longest: largest time limit, primitives.
+    """
+
+    def __init__(self, smdp: Smdp, seed: int, longest: int = 12) -> None:
+        super().__init__(spread_options(smdp, seed), start=None)
+        self.longest = longest
+        self._inside: dict[tuple[int, int], int] = {}
+        """(state, action) -> the state after its first primitive; those after it are numbered on."""
+        for state, row in enumerate(smdp):
+            for action, outcomes in enumerate(row):
+                if outcomes:
+                    self._inside[state, action] = len(smdp) + sum(self._count(key, smdp) for key in self._inside)
+
+    @staticmethod
+    def _count(key: tuple[int, int], smdp: Smdp) -> int:
+        return len(smdp[key[0]][key[1]][0].rewards) - 1
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        found = super().reset(seed=seed, options=options)
+        self.horizon = int(self.np_random.integers(1, self.longest + 1))
+        return found
+
+    def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        state, before = self.state, self.elapsed
+        observation, reward, terminated, truncated, info = super().step(action)
+        if info["duration"] < len(self.smdp[state][action][0].rewards):
+            done = self.elapsed - before
+            self.state = self._inside[state, action] + done - 1 if (state, action) in self._inside else state + done
+            observation, info["action_mask"] = self.observe(self.state), self.compute_mask(self.state)
+        return observation, reward, terminated, truncated, info

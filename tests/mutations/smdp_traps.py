@@ -104,8 +104,8 @@ MUTATIONS = [
     Mutation(
         "11 ddpg's argmax ignores the mask",
         "agents/components/exploration.py",
-        "return int(np.where(mask, values, -np.inf).argmax())",
-        "return int(values.argmax())",
+        "legal = mask_values(values, mask)\n    best",
+        "legal = values\n    best",
         "agents/test_registry.py::test_trap_11_no_agent_ever_takes_an_illegal_action[ddpg]",
     ),
     Mutation(

@@ -72,6 +72,16 @@ HIERARCHICAL = {
 }
 
 
+class FirstAmongEquals(np.random.Generator):
+    """Draws the first of equals, so that one and the same policy runs in two episodes."""
+
+    def __init__(self):
+        super().__init__(np.random.PCG64(0))
+
+    def integers(self, *_, **__):
+        return 0
+
+
 def replay(agent, env, seed):
     """A greedy episode of a hierarchical agent, as (call of the root, its primitives), by its stack."""
     rng, mask = np.random.default_rng(seed), np.ones(env.action_space.n, np.bool_)
@@ -95,6 +105,8 @@ def test_the_calls_of_a_hierarchy_are_options_that_run_as_they_ran_inside_it(nam
     env = make_env()
     agent = make_hierarchical(env)
     learn(agent, env, 1_500)
+    draw, first = agent.choose_greedy, FirstAmongEquals()
+    agent.choose_greedy = lambda stack, view, legal, seen, rng: draw(stack, view, legal, seen, first)
     before = json.dumps(agent.state_dict(), default=repr)
     wrapped = OptionsEnv(make_env(), make_learned_options(agent, 4), trace=True)
     assert len(wrapped.options) == sum(len(task.list_calls()) for task in agent.hierarchy.below)
@@ -210,7 +222,7 @@ def test_a_program_run_in_parts_is_the_program(driver):
     agent, env = driver, Taxi(horizon=200)
     wrapped = OptionsEnv(Taxi(horizon=200), make_learned_options(agent, 6), trace=True)
     for seed in range(5):
-        rng, actions = np.random.default_rng(0), []
+        rng, actions = FirstAmongEquals(), []
         observation, _ = env.reset(seed=seed)
         over = False
         while not over:

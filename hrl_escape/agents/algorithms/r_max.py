@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
-from hrl_escape.agents.components.exploration import make_rng, sample_legal
+from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
 from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.settings import AgentSettings
@@ -132,8 +132,7 @@ class RMax(Agent):
         known = mask & (self._counts[number] >= self.settings.visits)
         if not known.any():
             return sample_legal(mask, rng)
-        q = np.where(known, self._compute_row(number, values), -np.inf)
-        return int(q.argmax())
+        return choose_best(self._compute_row(number, values), known, rng)
 
     def _compute_row(self, number: int, values: NDArray[np.float64]) -> NDArray[np.float64]:
         """Q(s, .) of the empirical model at given state values, (actions,)."""

@@ -71,9 +71,17 @@ def mask_values(values: NDArray, mask: NDArray[np.bool_]) -> NDArray:
     return np.where(mask, values, -np.inf)
 
 
-def choose_best(values: NDArray, mask: NDArray[np.bool_]) -> int:
-    """The legal action of highest value, the first among equals. Shapes (actions,)."""
-    return int(np.where(mask, values, -np.inf).argmax())
+def choose_best(values: NDArray, mask: NDArray[np.bool_], rng: np.random.Generator | None = None) -> int:
+    """The legal action of highest value; among equals one drawn from `rng`, without it the first. Shapes (actions,).
+
+    Tables hold exact ties, as long as nothing is learned, and to favour the lowest number would be a policy of its own.
+    Networks hold none, so that their greedy policy stays a function of the state.
+    """
+    legal = mask_values(values, mask)
+    best = int(legal.argmax())
+    if rng is not None and np.count_nonzero(equal := legal == legal[best]) > 1:
+        return sample_legal(equal, rng)
+    return best
 
 
 def compute_epsilon(settings: EpsilonSettings, steps: int) -> float:
@@ -152,7 +160,7 @@ def sample_action(
         return sample_index(compute_policy(values, mask, settings, steps), rng)
     if rng.random() < compute_epsilon(settings, steps):
         return sample_legal(mask, rng)
-    return choose_best(values, mask)
+    return choose_best(values, mask, rng)
 
 
 def sample_legal(mask: NDArray[np.bool_], rng: np.random.Generator) -> int:

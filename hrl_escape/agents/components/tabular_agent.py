@@ -1,4 +1,8 @@
-"""Agents with a table of action values: acting on it, and the SMDP backup of one decision."""
+"""Agents with a table of action values: acting on it, and the SMDP backup of one decision.
+
+Ties are drawn: in learning by the agent's own generator, in evaluation by that of the episode, so that evaluating
+frozen tables twice gives the same numbers.
+"""
 
 from __future__ import annotations
 
@@ -38,7 +42,6 @@ class TabularAgent(Agent):
     """
 
     name: ClassVar[str]
-    is_markov: bool = True
 
     def __init__(
         self,
@@ -63,8 +66,8 @@ class TabularAgent(Agent):
         return sample_action(values, action_mask, self.settings, self._steps, self._rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """The legal action of highest value."""
-        return choose_best(self.compute_values(observation), action_mask)
+        """The legal action of highest value, drawn among equals."""
+        return choose_best(self.compute_values(observation), action_mask, rng)
 
     def back_up(self, transition: SMDPTransition, bonus: float = 0.0) -> float:
         """Q(s, o) <- Q(s, o) + alpha [R + bonus + b max over legal o' of Q(s', o') - Q(s, o)]; returns the error."""

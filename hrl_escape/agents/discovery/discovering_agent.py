@@ -74,8 +74,6 @@ class DiscoveringAgent(TabularAgent):
         skills: by slot, None where nothing was found yet.
     """
 
-    is_markov: bool = False
-
     def __init__(
         self,
         observation_space: gymnasium.Space,
@@ -172,14 +170,14 @@ class DiscoveringAgent(TabularAgent):
             if available.any() and self._rng.random() < self.settings.option_share:
                 return self.actions + sample_legal(available, self._rng)
             return sample_legal(mask, self._rng)
-        return choose_best(*self._compute_choices(observation, mask))
+        return choose_best(*self._compute_choices(observation, mask), self._rng)
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The best choice; an option runs to its end in the evaluation that belongs to `rng`."""
         running = self._evaluation[1] if self._evaluation is not None and self._evaluation[0] is rng else NOTHING
         action = self.go_on(running, observation, action_mask)
         if action == NOTHING:
-            choice = choose_best(*self._compute_choices(observation, action_mask))
+            choice = choose_best(*self._compute_choices(observation, action_mask), rng)
             running = choice - self.actions if choice >= self.actions else NOTHING
             action = choice if running == NOTHING else self.get_skill_action(running, observation)
         self._evaluation = rng, running

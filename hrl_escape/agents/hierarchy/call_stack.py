@@ -140,7 +140,7 @@ def arrive(
 def _pay(frame: Frame, step: Step, gamma: float, paid: bool) -> Frame:
     decision = frame.decision
     assert decision is not None
-    pay = frame.task.pay(step, frame) if paid else 0.0
+    pay = frame.task.pay(step._replace(arrival=gamma ** (step.duration - 1)), frame) if paid else 0.0
     several = paid and step.duration > 1
     summed = frame.task.pay(step._replace(reward=step.summed), frame) if several else pay
     decision = decision._replace(

@@ -116,12 +116,12 @@ class FeudalTask(BaseTask):
         if frame.context is None:
             return step.reward
         if self._has_found(frame, step.next_seen):
-            return 1.0
+            return step.arrival
         way = self.find_exit(frame, step.next_seen)
         if way is not None:
             was_ordered = frame.context < SEARCH and way == DIRECTIONS[frame.context]
-            return 1.0 if was_ordered else -self._penalty
-        return float(frame.context == SEARCH and step.terminated)
+            return step.arrival * (1.0 if was_ordered else -self._penalty)
+        return step.arrival * (frame.context == SEARCH and step.terminated)
 
 
 def make_feudal_hierarchy(tree: Quadtree, primitives: int, penalty: float, patience: int) -> Hierarchy:

@@ -122,7 +122,7 @@ class Manager(BaseTask):
 
 
 class Worker(BaseTask):
-    """Walks to the goal it is told: paid 1 for reaching it, nothing else.
+    """Walks to the goal it is told, paid for reaching it alone.
 
     Args:
         goals: which there are.
@@ -169,8 +169,8 @@ class Worker(BaseTask):
         return float(given_up or self.is_reached(frame, seen))
 
     def pay(self, step: Step, frame: Frame) -> float:
-        """1 on reaching the goal."""
-        return float(self.is_reached(frame, step.next_seen))
+        """1 on reaching the goal, by the last primitive of a choice that lasts several."""
+        return step.arrival * self.is_reached(frame, step.next_seen)
 
 
 def make_goal_hierarchy(goals: GoalSet, primitives: int, patience: int = 0) -> Hierarchy:

@@ -126,7 +126,7 @@ class MaxqRunner(CallRunner):
     def choose_greedy(
         self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
     ) -> int:
-        """The best choice, the first among equals."""
+        """The best choice, the first among equals: callers are told what that one earns."""
         if _get_task(stack).policy is not None:
             return int(legal.argmax())
         return choose_best(self.compute_choice_values(_get_task(stack), seen), legal)

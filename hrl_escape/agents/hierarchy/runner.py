@@ -62,7 +62,8 @@ class CallRunner(Agent):
         """Calls that run at the next choice; the last of them is to choose."""
         self._chosen: tuple[Stack, Seen, int] | None = None
         """After `act`: the stack down to the primitive, and the moment. Asking again chooses anew."""
-        self._evaluation: tuple[np.random.Generator, Stack, Seen, int] | None = None
+        self._evaluation: tuple[np.random.Generator, Stack, Step] | None = None
+        """Generator, running calls, and what the latest decision is held to have done before it is noted."""
         self._latest: tuple[Stack, Seen] | None = None
         """Of the latest choice, in learning or evaluation."""
 
@@ -115,16 +116,28 @@ class CallRunner(Agent):
         seen = self.hierarchy.see(observation, action_mask)
         stack: Stack = ()
         if self._evaluation is not None and self._evaluation[0] is rng and self.settings.polled == "never":
-            _, running, before, action = self._evaluation
-            step = Step(before, action, 0.0, 0.0, 1, seen, False, False)
-            stack, _ = arrive(running, step, self.get_gamma, lambda p: rng.random() < p, paid=False)
+            _, running, step = self._evaluation
+            stack, returns = arrive(running, step._replace(next_seen=seen), self.get_gamma,
+                                    lambda p: rng.random() < p, paid=False)
+            self.note_returns(returns, rng)
 
         def choose(running: Stack, view: Any, legal: NDArray[np.bool_], moment: Seen) -> int:
             return self.choose_greedy(running, view, legal, moment, rng)
 
         stack, action = descend(stack or self._begin(seen), seen, choose)
-        self._evaluation, self._latest = (rng, stack, seen, action), (stack, seen)
+        self._evaluation = rng, stack, Step(seen, action, 0.0, 0.0, 1, seen, False, False)
+        self._latest = stack, seen
         return action
+
+    def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:
+        """Keep how many primitives a decision of evaluation took, for calls that end after so many."""
+        if self._evaluation is not None and self._evaluation[0] is rng:
+            _, stack, step = self._evaluation
+            is_over = transition.terminated or transition.truncated
+            self._evaluation = None if is_over else (rng, stack, step._replace(duration=transition.duration))
+
+    def note_returns(self, returns: list[Return], rng: np.random.Generator) -> None:  # noqa: B027
+        """Told in evaluation of the decisions that came back, without pay."""
 
     def list_calls(self) -> tuple[RunningCall, ...]:
         """Calls behind the latest choice, the root first."""

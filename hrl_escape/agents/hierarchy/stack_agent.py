@@ -99,6 +99,12 @@ class StackAgent(CallRunner):
             metrics |= {f"{task.name}/{name}": value for name, value in told.items()}
         return metrics
 
+    def note_returns(self, returns: list[Return], rng: np.random.Generator) -> None:
+        """Learners hear of the decisions that they made."""
+        for returned in returns:
+            if (learner := self.learners.get(returned.frame.task.name)) is not None:
+                learner.note_outcome(make_task_transition(returned), rng)
+
     def state_dict(self) -> StateTree:
         """Learners, generator, running calls."""
         return {**super().state_dict(), "learners": {name: each.state_dict() for name, each in self._owned.items()}}

@@ -123,6 +123,7 @@ class Step(NamedTuple):
         next_seen: the moment reached.
         terminated: the episode ended in the task's sense.
         truncated: the episode was cut off.
+        arrival: discount of what is paid at `next_seen`, gamma^(duration - 1); 1 where a sum without discount is asked.
     """
 
     seen: Seen
@@ -133,6 +134,7 @@ class Step(NamedTuple):
     next_seen: Seen
     terminated: bool
     truncated: bool
+    arrival: float = 1.0
 
 
 class Task(Protocol):
@@ -176,7 +178,7 @@ class Task(Protocol):
         ...
 
     def pay(self, step: Step, frame: Frame) -> float:
-        """Its reward for one primitive, the environment's by default."""
+        """Its reward for one primitive, the environment's by default; for what it reached, times `step.arrival`."""
         ...
 
     def final(self, frame: Frame, seen: Seen) -> float:

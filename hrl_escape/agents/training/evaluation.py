@@ -102,6 +102,7 @@ def play_episode(
         action = agent.act_greedy(observation, mask, rng)
         step = env.step(action)
         transition = make_transition(observation, action, mask, step, agent.gamma)
+        agent.note_outcome(transition, rng)
         primitives += transition.duration
         yield transition, step[4]
         if transition.terminated or transition.truncated:

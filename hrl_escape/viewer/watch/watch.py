@@ -254,6 +254,9 @@ class _WatchedAgent(Agent):
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         return self._record(observation, self._agent.act_greedy(observation, action_mask, rng), action_mask)
 
+    def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:
+        self._agent.note_outcome(transition, rng)
+
     def _record(self, observation: Any, action: int, mask: NDArray[np.bool_]) -> int:
         self._watch.note_choice(self._watch.read(observation, action, mask))
         return action

@@ -8,6 +8,7 @@ from hrl_escape.agents.agent import make_transition, read_action_mask
 from hrl_escape.agents.algorithms.intra_option_q import IntraOptionQ, IntraOptionQSettings
 from hrl_escape.agents.algorithms.q_learning import QLearning, QLearningSettings
 from hrl_escape.agents.components.exploration import choose_best
+from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.errors import StepContractError, UnsupportedSpaceError
 from tests.agents.running import learn
 from tests.agents.small_envs import ButtonGrid, Outcome, SmdpEnv, Step, make_random_smdp, solve
@@ -113,6 +114,17 @@ def test_trap_9_an_illegal_action_of_high_value_does_not_win_the_maximum():
     learn(agent, env, 100)
     assert agent.compute_values(0)[0] == pytest.approx(-1 + 0.9 * 5, abs=1e-12)
     assert agent.act_greedy(0, np.array([True, False]), np.random.default_rng(0)) == 0
+
+
+def test_ties_are_drawn_so_that_a_goal_is_found_where_steps_cost_nothing():
+    """FrozenLake without slip pays at the goal alone; the lowest number among equals would never leave the start."""
+    env = gymnasium.make("FrozenLake8x8-v1", is_slippery=False)
+    for seed in range(4):
+        agent = QLearning(env.observation_space, env.action_space, seed, QLearningSettings())
+        assert {agent.act_greedy(0, np.ones(4, np.bool_), np.random.default_rng(n)) for n in range(40)} == set(range(4))
+        learn(agent, env, 10_000, seed)
+        first, again = (evaluate(agent, env, 2, seed=3) for _ in range(2))
+        assert first.success_rate == 1.0 and first == again
 
 
 # --- intra-option learning ----------------------------------------------------------------

@@ -109,7 +109,7 @@ class FeudalRl(CallRunner):
         """The level's best choice."""
         if _get_task(stack).is_last and _get_task(stack).tree.policy is not None:
             return int(legal.argmax())
-        return choose_best(self.compute_choice_values(_get_task(stack), view, stack[-1].context), legal)
+        return choose_best(self.compute_choice_values(_get_task(stack), view, stack[-1].context), legal, rng)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Learn at every level whose choice came back."""

@@ -102,9 +102,9 @@ class _Values(Protocol):
 class HDqn(CallRunner):
     """Q-learning at two levels of time.
 
-    The worker, told goal g, is paid f = 1 on reaching g, which ends its call:
+    The worker, told goal g, is paid f = gamma^(k-1) on reaching g by an action of k primitives, which ends its call:
 
-        Q1(s, a; g) <- f + gamma (1 - reached or terminated) max over a' of Q1(s', a'; g)
+        Q1(s, a; g) <- f + gamma^k (1 - reached or terminated) max over a' of Q1(s', a'; g)
 
     The manager named g at s; s', k primitives later, is where that call ended, and F = sum of gamma^i r_i on the way:
 
@@ -164,7 +164,7 @@ class HDqn(CallRunner):
             epsilon = 1.0 if learning < 0 else compute_epsilon(self.settings, learning)
         if self._action_rng.random() < epsilon:
             return sample_legal(legal, self._action_rng)
-        return choose_best(self._compute(view, goal), legal)
+        return choose_best(self._compute(view, goal), legal, self._action_rng)
 
     def choose_greedy(
         self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
@@ -172,7 +172,7 @@ class HDqn(CallRunner):
         """The best goal, the best primitive towards it."""
         if stack[-1].context is not None and self._is_planned:
             return int(legal.argmax())
-        return choose_best(self._compute(view, stack[-1].context), legal)
+        return choose_best(self._compute(view, stack[-1].context), legal, rng)
 
     def _compute(self, observation: Any, goal: int | None) -> NDArray:
         return (self.manager if goal is None else self.worker).compute(observation, goal)

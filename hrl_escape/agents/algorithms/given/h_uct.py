@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
-from hrl_escape.agents.components.exploration import make_rng, sample_legal
+from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
 from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
@@ -153,7 +153,7 @@ class HUct(CallRunner):
         assert isinstance(task, GraphTask)
         if legal.sum() == 1:
             return int(legal.argmax())
-        return int(np.where(legal, self.plan(task, seen, rng), -np.inf).argmax())
+        return choose_best(self.plan(task, seen, rng), legal, rng)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Without a simulator, keep the outcome."""
@@ -262,7 +262,7 @@ class _Search:
         low, high = self.ranges[task.name]
         bonus = self.agent.settings.exploration * (self.agent.settings.return_range or (high - low) or 1.0)
         values = node.compute_values(self, task, seen) + bonus * np.sqrt(math.log(node.visits) / node.counts.clip(1))
-        return int(np.where(legal, values, -np.inf).argmax())
+        return choose_best(values, legal, self.rng)
 
     def simulate(self, task: GraphTask, seen: Seen, budget: int, inside: bool = False) -> _Run:
         """Run a task to its end, or to the end of the budget, and learn from each of its choices."""

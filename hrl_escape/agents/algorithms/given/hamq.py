@@ -175,10 +175,11 @@ class Hamq(Agent):
             raise StepContractError(f"primitive {run.request.primitive} is illegal here: {run.read_state()}")
         return passed
 
-    def advance_greedily(self, run: MachineRun, observation: Any, mask: NDArray[np.bool_]) -> None:
-        """Tell a run the moment, and make its choices by value."""
+    def advance_greedily(self, run: MachineRun, observation: Any, mask: NDArray[np.bool_],
+                         rng: np.random.Generator | None) -> None:
+        """Tell a run the moment, and make its choices by value, drawn among equals; without `rng` the first."""
         self._advance(run, self._look(observation, mask),
-                      lambda values: choose_best(values, np.ones(len(values), np.bool_)))  # fmt: skip
+                      lambda values: choose_best(values, np.ones(len(values), np.bool_), rng))
 
     def _look(self, observation: Any, mask: NDArray[np.bool_]) -> Seen:
         return Seen(observation, mask, None if self._read is None else self._read(observation))
@@ -202,7 +203,7 @@ class Hamq(Agent):
         if self._evaluation is None or self._evaluation[0] is not rng:
             self._evaluation = rng, MachineRun(self._program)
         run = self._latest = self._evaluation[1]
-        self.advance_greedily(run, observation, action_mask)
+        self.advance_greedily(run, observation, action_mask, rng)
         assert isinstance(run.request, Do)
         return run.request.primitive
 
@@ -325,7 +326,7 @@ class _CallRun:
 
     def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
         if not self._is_told:
-            self._agent.advance_greedily(self._run, observation, action_mask)
+            self._agent.advance_greedily(self._run, observation, action_mask, None)
             self._is_told = True
         return float(self._run.request is None)
 

@@ -16,7 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
-from hrl_escape.agents.components.exploration import EpsilonSettings, compute_epsilon, make_rng, sample_legal
+from hrl_escape.agents.components.exploration import (
+    EpsilonSettings,
+    choose_best,
+    compute_epsilon,
+    make_rng,
+    sample_legal,
+)
 from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.regions import Landmarks
 from hrl_escape.agents.hierarchy.task_graph import freeze
@@ -39,6 +45,8 @@ class HdgSettings(EpsilonSettings):
     neighbours: bool = True
     """Aim straight at a goal in a neighbouring region too, not in the own region alone. Without it, walks whose best
     way crosses a border turn back at it for ever."""
+    dead_end: Annotated[float, Range(0)] = 1_000.0
+    """Primitives that the end of an episode counts as on the way to another state."""
     most_states: Annotated[int, Range(1)] = 4_000
     """Bound on states met; memory grows with its square."""
     bins: Annotated[int, Range(2)] = 11
@@ -56,8 +64,10 @@ class Hdg(Agent):
         d(s', g)    = min over a' of D(s', a', g)              where s' keeps g
                       d(s', l) + d(l, g), l the landmark of g  else
 
-    It acts by D(s, ., g) where the goal's region is its own or a neighbouring one, else by D(s, ., l') for the next
-    landmark l' on the shortest way over landmarks (Floyd and Warshall, over edges between neighbouring regions).
+    Minima are over the actions that were ever legal in a state, over all where it was never left. Where the episode
+    ended in another state than g, `dead_end` stands for d(s', g). It acts by D(s, ., g), drawn among equals, where the
+    goal's region is its own or a neighbouring one, else by D(s, ., l') for the next landmark l' on the shortest way
+    over landmarks (Floyd and Warshall, over edges between neighbouring regions).
     Everything begins at 0, which is optimistic, so that what was never tried is tried.
 
     Args:
@@ -98,6 +108,8 @@ class Hdg(Agent):
         self._regions = np.zeros(0, np.int64)
         self.distances = np.zeros((0, 0, self._actions))
         """(states, goals, actions), by number of the state met."""
+        self._legal = np.zeros((0, self._actions), np.bool_)
+        """(states, actions), what was ever legal; nothing in a state that was never left."""
         self._terminal: list[int] = []
         count = 1 if self._landmarks is None else len(self._landmarks.states)
         self._borders = np.eye(count, dtype=np.bool_)
@@ -119,12 +131,9 @@ class Hdg(Agent):
                 raise UnsupportedError(f"hdg met more than {number} states; raise `most_states` or give landmarks a "
                                        "coarser `state`")  # fmt: skip
             if number == len(self.distances):
-                size = max(64, 2 * number)
-                grown = np.zeros((size, size, self._actions))
-                grown[:number, :number] = self.distances
-                regions = np.zeros(size, np.int64)
-                regions[:number] = self._regions
-                self.distances, self._regions = grown, regions
+                more = max(64, 2 * number) - number
+                self.distances = np.pad(self.distances, ((0, more), (0, more), (0, 0)))
+                self._regions, self._legal = np.pad(self._regions, (0, more)), np.pad(self._legal, ((0, more), (0, 0)))
             self._numbers[state] = number
             self._regions[number] = 0 if self._landmarks is None else self._landmarks.region(state)
         return self._numbers[state]
@@ -136,23 +145,28 @@ class Hdg(Agent):
         kept[: 0 if self._landmarks is None else len(self._landmarks.states)] = True
         return kept
 
+    def _minimise(self, states: Any, ends: Any) -> NDArray[np.float64]:
+        """Minimum of D over the legal actions, of states and goals whose numbers broadcast."""
+        legal = self._legal[states]
+        return np.where(legal | ~legal.any(axis=-1, keepdims=True), self.distances[states, ends], np.inf).min(axis=-1)
+
     def _estimate(self, state: int) -> NDArray[np.float64]:
         """d(s, g) of every state met, (states met,); over the goal's landmark where it is not kept."""
-        met = len(self._numbers)
-        estimate = self.distances[state, :met].min(axis=1)
+        goals = np.arange(len(self._numbers))
+        estimate = self._minimise(state, goals)
         if self._landmarks is not None:
-            landmark = self._regions[:met]
-            far = estimate[landmark] + self.distances[landmark, np.arange(met)].min(axis=1)
+            landmark = self._regions[goals]
+            far = estimate[landmark] + self._minimise(landmark, goals)
             estimate = np.where(self._keeps(state), estimate, far)
         estimate[state] = 0.0
         return estimate
 
     def compute_ways(self) -> NDArray[np.float64]:
         """Shortest lengths over landmarks, (regions, regions)."""
-        count = len(self._borders)
-        ways = np.where(self._borders, self.distances[:count, :count].min(axis=2), np.inf)
+        regions = np.arange(len(self._borders))
+        ways = np.where(self._borders, self._minimise(regions[:, None], regions), np.inf)
         np.fill_diagonal(ways, 0.0)
-        for middle in range(count):
+        for middle in regions:
             ways = np.minimum(ways, ways[:, middle, None] + ways[None, middle, :])
         return ways
 
@@ -162,7 +176,7 @@ class Hdg(Agent):
         if here == there or (self.settings.neighbours and self._borders[here, there]) or self._landmarks is None:
             return goal
         ways = self.compute_ways()
-        ways_on = np.where(self._borders[here], self.distances[state, : len(ways)].min(axis=1) + ways[:, there], np.inf)
+        ways_on = np.where(self._borders[here], self._minimise(state, np.arange(len(ways))) + ways[:, there], np.inf)
         ways_on[here] = np.inf
         return int(ways_on.argmin()) if np.isfinite(ways_on).any() else goal
 
@@ -171,15 +185,14 @@ class Hdg(Agent):
             return self._numbers.get(freeze(self._goal(observation)))
         if not self._terminal:
             return None
-        lengths = self.distances[state, self._terminal].min(axis=1)
-        return self._terminal[int(lengths.argmin())]
+        return self._terminal[int(self._minimise(state, self._terminal).argmin())]
 
     def _choose(self, observation: Any, mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         state = self.find_number(observation)
         goal = None if state is None else self._find_goal(observation, state)
         if state is None or goal is None:
             return sample_legal(mask, rng)
-        return self.choose_towards(state, goal, mask)
+        return self.choose_towards(state, goal, mask, rng)
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Epsilon-greedy; at random before a goal is known."""
@@ -206,22 +219,26 @@ class Hdg(Agent):
         """Number of an observation's state; None where it was never met."""
         return self._numbers.get(freeze(self._find_state(observation)))
 
-    def choose_towards(self, state: int, goal: int, mask: NDArray[np.bool_]) -> int:
-        """The primitive that is held for the first of the shortest way to a goal."""
-        lengths = np.where(mask, self.distances[state, self.choose_target(state, goal)], np.inf)
-        return int(lengths.argmin())
+    def choose_towards(self, state: int, goal: int, mask: NDArray[np.bool_],
+                       rng: np.random.Generator | None = None) -> int:
+        """The primitive that is held for the shortest way to a goal, drawn among equals; without `rng` the first."""
+        return choose_best(-self.distances[state, self.choose_target(state, goal)], mask, rng)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """One backup for every goal kept."""
         before = self.number(self._find_state(transition.observation))
         after = self.number(self._find_state(transition.next_observation))
+        self._legal[before] |= transition.action_mask
         self._borders[self._regions[before], self._regions[after]] = True
         self._borders[self._regions[after], self._regions[before]] = True
         if transition.terminated and self._goal is None and after not in self._terminal:
             self._terminal.append(after)
-        target = transition.duration + self._estimate(after)
-        # An episode's end is no way to anywhere but to the state it ended in.
-        updated = self._keeps(before) if not transition.terminated else np.arange(len(self._numbers)) == after
+        estimate = self._estimate(after)
+        if transition.terminated:
+            estimate = np.where(np.arange(len(estimate)) == after, 0.0, self.settings.dead_end)
+        target = transition.duration + estimate
+        updated = self._keeps(before)
+        updated[after] |= transition.terminated
         updated[before] = False
         row = self.distances[before, : len(updated), transition.action]
         error = np.where(updated, target - row, 0.0)
@@ -235,6 +252,7 @@ class Hdg(Agent):
         return {
             "states": [repr(state) for state in self._numbers],
             "distances": self.distances[:met, :met],
+            "legal": self._legal[:met],
             "borders": self._borders,
             "terminal": self._terminal,
             "steps": self._steps,
@@ -247,7 +265,7 @@ class Hdg(Agent):
         for each in state["states"]:
             self.number(ast.literal_eval(each))
         met = len(self._numbers)
-        self.distances[:met, :met] = state["distances"]
+        self.distances[:met, :met], self._legal[:met] = state["distances"], state["legal"]
         self._borders = np.array(state["borders"], np.bool_)
         self._terminal = [int(each) for each in state["terminal"]]
         self._steps = int(state["steps"])

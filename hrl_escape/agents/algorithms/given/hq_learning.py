@@ -22,7 +22,6 @@ from hrl_escape.agents.components.exploration import (
     compute_epsilon,
     make_rng,
     sample_index,
-    sample_legal,
 )
 from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.value_table import ValueTable
@@ -61,13 +60,14 @@ class HqLearningSettings(EpsilonSettings):
 
 
 class _Acted(NamedTuple):
-    """One decision of the running trial."""
+    """One decision of the running trial, and V of the agent there, over what was legal; tables rest until its end."""
 
     agent: int
     key: bytes
     action: int
     reward: float
     discount: float
+    value: float
 
 
 class _Turn(NamedTuple):
@@ -85,7 +85,8 @@ class HqLearning(Agent):
 
         T_t = r_t + gamma [(1 - lambda) V_j(o_{t+1}) + lambda T_{t+1}],   Q_i(o_t, a_t) <- Q_i + alpha [T_t - Q_i]
 
-    With R_i what i earned in its turn of n_i primitives, and W_i the largest HQ_i:
+    where V is the largest value of what was legal. With R_i what i earned in its turn of n_i primitives, W_i the
+    largest HQ_i:
 
         H_i = R_i + gamma^n_i [(1 - lambda) W_{i+1} + lambda H_{i+1}],    HQ_i(g_i) <- HQ_i + beta [H_i - HQ_i]
 
@@ -139,13 +140,14 @@ class HqLearning(Agent):
         """HQ of an agent, (observations met,)."""
         return np.array([self.subgoals.get((agent, key)) for key in self._met])
 
-    def _take_over(self, agent: int, rng: np.random.Generator | None) -> _Turn:
-        """Begin an agent's turn; with a generator, explore."""
+    def _take_over(self, agent: int, rng: np.random.Generator, explores: bool = True) -> _Turn:
+        """Begin an agent's turn, with the best subgoal, drawn among equals, or in exploration sometimes any."""
         if agent == self.last or not self._met:
             return _Turn(agent, None)
-        if rng is not None and rng.random() < compute_epsilon(self.settings, self._steps):
+        if explores and rng.random() < compute_epsilon(self.settings, self._steps):
             return _Turn(agent, self._met[int(rng.integers(len(self._met)))])
-        return _Turn(agent, self._met[int(self.compute_subgoal_values(agent).argmax())])
+        every = np.ones(len(self._met), np.bool_)
+        return _Turn(agent, self._met[choose_best(self.compute_subgoal_values(agent), every, rng)])
 
     # --- the agent --------------------------------------------------------------------
 
@@ -158,8 +160,7 @@ class HqLearning(Agent):
             self._turns = [(self._turn, 0)]
         values = self.tables[self._turn.agent].get_values(key)
         if self._rng.random() >= compute_epsilon(self.settings, self._steps):
-            legal = np.where(action_mask, values, -np.inf)
-            return sample_legal(legal == legal.max(), self._rng)
+            return choose_best(values, action_mask, self._rng)
         scaled = np.where(action_mask, values, -np.inf) / self.settings.temperature
         return sample_index(np.exp(scaled - scaled.max()), self._rng)
 
@@ -167,20 +168,21 @@ class HqLearning(Agent):
         """The best primitive of the agent whose turn it is in the evaluation that belongs to `rng`."""
         key = self._discretise(observation)
         if self._evaluation is None or self._evaluation[0] is not rng:
-            turn = self._take_over(0, None)
+            turn = self._take_over(0, rng, explores=False)
         else:
             turn = self._evaluation[1]
             if key == turn.subgoal:
-                turn = self._take_over(turn.agent + 1, None)
+                turn = self._take_over(turn.agent + 1, rng, explores=False)
         self._evaluation = rng, turn
-        return choose_best(self.tables[turn.agent].get_values(key), action_mask)
+        return choose_best(self.tables[turn.agent].get_values(key), action_mask, rng)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Note a decision, hand over at the subgoal, and learn at the end of the trial."""
         assert self._turn is not None
         key, after = self._discretise(transition.observation), self._discretise(transition.next_observation)
+        value = float(self.tables[self._turn.agent].get_values(key)[transition.action_mask].max())
         self._trial.append(
-            _Acted(self._turn.agent, key, transition.action, transition.reward, transition.discount)
+            _Acted(self._turn.agent, key, transition.action, transition.reward, transition.discount, value)
         )
         self._steps += transition.duration
         self._meet(after)
@@ -207,7 +209,7 @@ class HqLearning(Agent):
             mixed = (1 - self.settings.trace) * value + self.settings.trace * followed
             followed = acted.reward + acted.discount * mixed
             targets.append(followed)
-            value = float(self.tables[acted.agent].get_values(acted.key).max())
+            value = acted.value
         self._learn_subgoals()
         return max(
             abs(self.tables[acted.agent].update(acted.key, acted.action, target))

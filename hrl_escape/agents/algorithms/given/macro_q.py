@@ -88,7 +88,7 @@ class MacroQ(CallRunner):
         self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
     ) -> int:
         """The best choice at the root."""
-        return int(legal.argmax()) if len(stack) > 1 else choose_best(self.compute_choice_values(view), legal)
+        return int(legal.argmax()) if len(stack) > 1 else choose_best(self.compute_choice_values(view), legal, rng)
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Learn the value of a primitive or macro that is over."""

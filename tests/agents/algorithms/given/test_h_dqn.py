@@ -9,8 +9,10 @@ from hrl_escape.agents.agent import make_transition
 from hrl_escape.agents.algorithms.given.h_dqn import HDqn
 from hrl_escape.agents.algorithms.q_learning import QLearning
 from hrl_escape.agents.hierarchy.goals import GoalSet
+from hrl_escape.agents.training.evaluation import play_episode
 from hrl_escape.checks import check_agent
-from tests.agents.running import learn
+from tests.agents.running import interact, learn
+from tests.agents.small_envs import Outcome, SmdpEnv
 from tests.classic.chain import LENGTH, Chain
 from tests.classic.exact import evaluate, find_values, make_model
 
@@ -97,7 +99,7 @@ def compute_value(env, agent, gamma=1.0):
 def train_on_chain(seed, primitives=30_000):
     env = Chain()
     agent = make(env, seed=seed, gamma=1.0, table_learning_rate=1.0, table_learning_rate_power=0.7,
-                 epsilon_end=0.3, epsilon_steps=10_000, worker_epsilon_end=0.2)  # fmt: skip
+                 epsilon_end=0.3, epsilon_steps=20_000, worker_epsilon_end=0.2)  # fmt: skip
     learn(agent, env, primitives, seed)
     return compute_value(env, agent)
 
@@ -123,6 +125,16 @@ def test_tuned_q_learning_solves_the_chain_too_if_it_sees_the_visit():
     learn(agent, env, 30_000)
     policy = np.eye(2)[[int(agent.compute_values(state).argmax()) for state in range(env.states)]]
     assert evaluate(make_model(env.make_tables(), 1.0), policy)[1] == pytest.approx(0.208, abs=1e-9)
+
+
+def test_patience_is_counted_in_primitives_in_evaluation_as_in_training():
+    """Every action takes two primitives, so that a goal is given up after two decisions of four primitives."""
+    smdp = tuple(((Outcome(1.0, (state + 1) % 9, (-1.0, -1.0)),),) for state in range(9))
+    env = SmdpEnv(smdp, horizon=18)
+    agent = make(env, patience=4)
+    trained = {agent.list_calls()[1].primitives for _ in interact(agent, env, 90)}
+    played = {agent.list_calls()[1].primitives for seed in range(10) for _ in play_episode(agent, env, seed)}
+    assert played == trained == {0, 2}
 
 
 @pytest.mark.parametrize("values", ["table", "network"])

@@ -93,6 +93,17 @@ def test_a_trial_teaches_values_of_primitives_and_of_the_subgoal_by_hand(monkeyp
     assert agent.subgoals.get((0, key(2))) == pytest.approx(1 + 0.9 * 2 + 0.81 * earned_after)
 
 
+def test_the_value_mixed_in_is_that_of_legal_primitives():
+    agent = make(WindingMaze(), agents=1, gamma=0.9, learning_rate=1.0, trace=0.5)
+    agent.tables[0].update(agent._discretise(2), 3, 1000.0)
+    forbidden = np.array([True, True, True, False])
+    for observed, mask, after, terminated in ((1, ALL, 2, False), (2, forbidden, 0, True)):
+        action = agent.act(observed, mask)
+        step = (after, 4.0, terminated, False, {"action_mask": forbidden})
+        agent.observe(make_transition(observed, action, mask, step, agent.gamma))
+    assert agent.tables[0].get_values(agent._discretise(1)).max() == pytest.approx(4 + 0.9 * 0.5 * 4)
+
+
 def test_between_agents_with_subgoals_the_best_one_is_mixed_in(monkeypatch):
     agent = make(WindingMaze(), agents=3, **BY_HAND)
     key = agent._discretise
