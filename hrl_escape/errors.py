@@ -226,6 +226,24 @@ class DivergenceError(EscapeError, ArithmeticError):
         return type(self), (self.agent, self.updates, self.run, self.primitives, self.loss, self.gradient_norm)
 
 
+class TrustError(EscapeError, ValueError):
+    """A run's folder names code that is neither this package's nor registered; nothing was imported.
+
+    Attributes:
+        names: what would be imported, each as `module:name`.
+    """
+
+    def __init__(self, names: Iterable[object]) -> None:
+        self.names = tuple(names)
+        shown = ", ".join(map(show_value, self.names[:8]))
+        more = f" and {len(self.names) - 8} more" if len(self.names) > 8 else ""
+        super().__init__(f"this run would import and call {shown}{more}, which may do anything on this machine. If you "
+                         "trust where the run comes from, allow it by trust=True (--trust)")
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), (self.names,)
+
+
 class CheckpointError(FileReadError):
     """A checkpoint or log of a run is damaged, or was written by something else."""
 

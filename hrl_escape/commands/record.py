@@ -43,6 +43,8 @@ class RecordArgs(RoomChoice):
     """Camera of animations; `hrl-escape list cameras` names them."""
     episode_seed: int = 0
     """Episode seed: fixes the start and the noise."""
+    trust: bool = False
+    """Let a run's folder import whatever code it names; only for folders that you trust."""
 
 
 def run(args: RecordArgs) -> None:
@@ -71,7 +73,7 @@ def _record(args: RecordArgs) -> Recording:
         return record_saved(load_episode(args.driver), Path(args.driver).stem)
     text = find_driver(args.driver)
     instance = (None if args.load else find_run_room(text)) or args.make_instance()
-    driver = open_driver(text, instance)
+    driver = open_driver(text, instance, trust=args.trust)
     try:
         return record_driver(driver, args.episode_seed)
     finally:

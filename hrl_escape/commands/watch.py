@@ -50,6 +50,8 @@ class WatchArgs(PageAddress, RoomChoice):
     """Recipe of an agent to train: corrected or paper."""
     episode_seed: int = 0
     """Seed of the episodes, and of an agent to train."""
+    trust: bool = False
+    """Let a run's folder import whatever code it names; only for folders that you trust."""
 
 
 def run(args: WatchArgs) -> None:
@@ -59,7 +61,7 @@ def run(args: WatchArgs) -> None:
     instance = (None if args.load else find_run_room(text)) or args.make_instance()
     driver = open_driver(text, instance, observation=args.observation, flavour=args.flavour,
                          include_primitives=not args.options_only, recipe=args.recipe, seed=args.episode_seed,
-                         leaves=args.leaves)
+                         leaves=args.leaves, trust=args.trust)
     gate = Gate(args.pace or None, args.paused)
     server = args.open_server()
     page = WatchPage(server, Watch(driver, gate, args.episode_seed))

@@ -248,9 +248,9 @@ def test_a_run_over_other_options_is_refused_and_over_named_ones_made_again(tmp_
     with pytest.raises(RunMismatchError, match="environment.wrappers"):
         train_on_lake(tmp_path / "run", OptionsEnv(make_lake(), make_lake_options(None)[:2]), primitives=200,
                       eval_episodes=0)
-    env = load_env(tmp_path / "run")
+    env = load_env(tmp_path / "run", trust=True)
     assert env.action_names[4:] == ("down", "two-right", "round-the-hole")
-    assert load_agent(tmp_path / "run")
+    assert load_agent(tmp_path / "run", trust=True)
 
 
 def test_the_domain_is_part_of_a_run():

@@ -3,7 +3,8 @@
 A description names the innermost environment and the wrappers around it, each by its class and its arguments. An
 environment with a `describe` method gives its arguments itself; others are described by their Gymnasium spec, and
 wrappers by Gymnasium's `RecordConstructorArgs`. Without these, arguments are read from the attributes that bear their
-names, as in `self.size = size`. An argument that is an object, such as an option, is described by its class, its name
+names, as in `self.size = size`. Making an environment runs only code that `known_parts` lists, unless its description
+is trusted. An argument that is an object, such as an option, is described by its class, its name
 and a hash of what it holds: what its own `describe` gives, or its `state_dict` (an agent, a network), or its public
 values. What it gives as `origin` is kept in clear: of a learned option, the run in which it was learned.
 """
@@ -12,10 +13,9 @@ from __future__ import annotations
 
 import functools
 import hashlib
-import importlib
 import inspect
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 import gymnasium
@@ -25,11 +25,12 @@ from gymnasium.vector import VectorWrapper
 from gymnasium.wrappers import OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo
 
 from hrl_escape.agents.training.checkpoint import compute_state_digest
-from hrl_escape.errors import CheckpointError, describe_damage
+from hrl_escape.agents.training.known_parts import find_part, import_part, name_part
+from hrl_escape.errors import CheckpointError, TrustError, describe_damage
 from hrl_escape.settings import Settings
 
 __all__ = ["DescribedEnv", "TrainedPart", "compute_digest", "describe_env", "describe_many",
-           "make_described_env", "hash_large_parts"]
+           "hash_large_parts", "list_foreign", "make_described_env"]
 
 PASSIVE_WRAPPERS = (OrderEnforcing, PassiveEnvChecker, RecordEpisodeStatistics, RecordVideo)
 """Wrappers that change no number; others say so by the attribute `is_passive`."""
@@ -65,7 +66,7 @@ def describe_env(env: gymnasium.Env) -> dict[str, Any]:
     while isinstance(env, gymnasium.Wrapper):
         if not isinstance(env, PASSIVE_WRAPPERS) and not getattr(env, "is_passive", False):
             saved = env._saved_kwargs if isinstance(env, RecordConstructorArgs) else _read_arguments(env)
-            wrappers.append({"class": _name(type(env)), "arguments": _make_plain(saved)})
+            wrappers.append({"class": name_part(type(env)), "arguments": _make_plain(saved)})
         env = env.env
     if isinstance(env, DescribedEnv):
         arguments = env.describe()
@@ -73,43 +74,56 @@ def describe_env(env: gymnasium.Env) -> dict[str, Any]:
         arguments = {name: value for name, value in env.spec.kwargs.items() if name != "render_mode"}
     else:
         arguments = _read_arguments(env)
-    return {"class": _name(type(env)), "arguments": _make_plain(arguments), "wrappers": wrappers[::-1]}
+    return {"class": name_part(type(env)), "arguments": _make_plain(arguments), "wrappers": wrappers[::-1]}
 
 
 def describe_many(env: Any) -> dict[str, Any]:
     """Description of a vector environment, or of streams, a JSON value; it is compared, and made by nobody."""
     wrappers = []
     while isinstance(env, VectorWrapper):
-        wrappers.append(_name(type(env)))
+        wrappers.append(name_part(type(env)))
         env = env.env
     arguments = None
     if isinstance(env, DescribedEnv):
         arguments = env.describe()
     elif getattr(env, "spec", None) is not None:
         arguments = env.spec.kwargs
-    return {"class": _name(type(env)), "arguments": _make_plain(arguments), "wrappers": wrappers[::-1]}
+    return {"class": name_part(type(env)), "arguments": _make_plain(arguments), "wrappers": wrappers[::-1]}
 
 
 def make_described_env(
-    description: Mapping[str, Any], wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env
+    description: Mapping[str, Any], wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env,
+    *, trust: bool = False,
 ) -> gymnasium.Env:
     """Make an environment from its description.
 
     Args:
         description: from `describe_env`.
         wrap: applied to the innermost environment, below its wrappers.
+        trust: also import and call what `known_parts` does not list; the description then runs any code it names.
 
     Raises:
+        TrustError: it names other code, and is not trusted; nothing was imported.
         CheckpointError: the description is damaged, or does not suffice to make the environment.
     """
     try:
-        env = wrap(_make_part(description, gymnasium.Env))
-        for wrapper in description["wrappers"]:
-            env = _make_part(wrapper, gymnasium.Wrapper, env)
-        return env
+        if not trust and (foreign := list_foreign(description)):
+            raise TrustError(foreign)
+        return _make_env(description, trust, wrap)
+    except TrustError:
+        raise
     except Exception as error:  # a damaged description makes constructors raise almost anything
         raise CheckpointError(f"this environment cannot be made from its description: {describe_damage(error)}. Make "
                               "it and give env=") from error
+
+
+def list_foreign(description: Any) -> list[Any]:
+    """Names in a description, each `module:name`, of code that is run only for who trusts it."""
+    foreign: list[Any] = []
+    for name in _list_names(description):
+        if name not in foreign and find_part(name) is None:
+            foreign.append(name)
+    return foreign
 
 
 def hash_large_parts(value: Any) -> Any:
@@ -127,15 +141,48 @@ def compute_digest(value: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:8]
 
 
-def _make_part(description: Mapping[str, Any], kind: type, *inner: gymnasium.Env) -> Any:
-    part = _find(description["class"])
+def _list_names(value: Any) -> Iterator[Any]:
+    """Names of the code by which a described value is made; `_revive` makes it."""
+    if isinstance(value, list):
+        for part in value:
+            yield from _list_names(part)
+    elif isinstance(value, Mapping) and value.keys() != {"id", "content"}:
+        if value.keys() == {"settings", "fields"} or value.keys() == {"function"}:
+            yield value.get("settings", value.get("function"))
+        else:
+            if "class" in value and "arguments" in value:
+                yield value["class"]
+            for part in value.values():
+                yield from _list_names(part)
+
+
+def _load(name: Any, trust: bool) -> Any:
+    load = find_part(name)
+    if load is not None:
+        return load()
+    if not trust:
+        raise TrustError([name])
+    return import_part(name)
+
+
+def _make_env(
+    description: Mapping[str, Any], trust: bool, wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env
+) -> gymnasium.Env:
+    env = wrap(_make_part(description, gymnasium.Env, trust))
+    for wrapper in description["wrappers"]:
+        env = _make_part(wrapper, gymnasium.Wrapper, trust, env)
+    return env
+
+
+def _make_part(description: Mapping[str, Any], kind: type, trust: bool, *inner: gymnasium.Env) -> Any:
+    part = _load(description["class"], trust)
     if not (isinstance(part, type) and issubclass(part, kind)):
         raise TypeError(f"{description['class']} is no {kind.__name__}")
     arguments = description["arguments"]
     unknown = [name for name, value in arguments.items() if value == UNKNOWN]
     if unknown:
         raise TypeError(f"{', '.join(unknown)} of {description['class']} is not kept with a run")
-    return part(*inner, **{name: _revive(value) for name, value in arguments.items()})
+    return part(*inner, **{name: _revive(value, trust) for name, value in arguments.items()})
 
 
 def _read_arguments(part: Any) -> dict[str, Any]:
@@ -159,11 +206,12 @@ def _make_plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_make_plain(part) for part in value]
     if isinstance(value, Settings):
-        return {"settings": _name(type(value)), "fields": value.to_dict()}
+        return {"settings": name_part(type(value)), "fields": value.to_dict()}
     if inspect.ismethod(value) and not isinstance(value.__self__, type):
-        return _describe_object(value, {"name": _name(value), "of": _make_plain(value.__self__)})
+        return _describe_object(value, {"name": name_part(value), "of": _make_plain(value.__self__)})
     if inspect.isroutine(value) or isinstance(value, type):
-        return {"function": _name(value)} if "<" not in _name(value) else _describe_object(value, _list_code(value))
+        name = name_part(value)
+        return {"function": name} if "<" not in name else _describe_object(value, _list_code(value))
     if isinstance(value, functools.partial):
         return _describe_object(value, {"call": _make_plain([value.func, value.args, value.keywords])})
     if isinstance(value, TrainedPart):
@@ -179,17 +227,17 @@ def _make_plain(value: Any) -> Any:
 
 
 def _describe_object(value: Any, fields: Mapping[str, Any]) -> dict[str, Any]:
-    return {"object": _name(type(value)), "name": str(fields.get("name", "")), "digest": compute_digest(fields)}
+    return {"object": name_part(type(value)), "name": str(fields.get("name", "")), "digest": compute_digest(fields)}
 
 
 def _list_code(function: Any) -> dict[str, Any]:
     """Code and bound values of a function that no module holds by name, such as a lambda."""
     code = getattr(function, "__code__", None)
     if code is None:
-        return {"name": _name(function)}
+        return {"name": name_part(function)}
     bound = [cell.cell_contents for cell in function.__closure__ or ()]
     constants = [constant for constant in code.co_consts if not inspect.iscode(constant)]
-    return {"name": _name(function), "code": code.co_code.hex(), "names": list(code.co_names),
+    return {"name": name_part(function), "code": code.co_code.hex(), "names": list(code.co_names),
             "values": _make_plain([constants, list(function.__defaults__ or ()), bound])}
 
 
@@ -200,29 +248,23 @@ def _is_value(name: str, value: Any) -> bool:
     return not name.startswith("_") and (value is None or isinstance(value, kinds))
 
 
-def _revive(value: Any) -> Any:
+def _revive(value: Any, trust: bool) -> Any:
+    """Argument of an environment or a wrapper from its JSON value."""
     if isinstance(value, list):
-        return [_revive(part) for part in value]
+        return [_revive(part, trust) for part in value]
     if not isinstance(value, Mapping):
         return value
     if value.keys() == {"id", "content"}:
         return value["content"]
+    if value.keys() == {"class", "arguments", "wrappers"}:
+        return _make_env(value, trust)
     if value.keys() == {"settings", "fields"}:
-        return _find(value["settings"]).from_dict(value["fields"])
+        settings = _load(value["settings"], trust)
+        if not (isinstance(settings, type) and issubclass(settings, Settings)):
+            raise TypeError(f"{value['settings']} is no Settings")
+        return settings.from_dict(value["fields"])
     if value.keys() == {"function"}:
-        return _find(value["function"])
+        return _load(value["function"], trust)
     if value.keys() - {"origin"} == {"object", "name", "digest"}:
         raise TypeError(f"an object of {value['object']} is not kept with a run")
-    return {name: _revive(part) for name, part in value.items()}
-
-
-def _name(thing: Any) -> str:
-    return f"{thing.__module__}:{thing.__qualname__}"
-
-
-def _find(name: str) -> Any:
-    module, _, path = name.partition(":")
-    found: Any = importlib.import_module(module)
-    for part in path.split("."):
-        found = getattr(found, part)
-    return found
+    return {name: _revive(part, trust) for name, part in value.items()}

@@ -42,7 +42,7 @@ from hrl_escape.files import (
 )
 from hrl_escape.processes import take_lock
 
-__all__ = ["BEST", "FORMAT", "LAST", "RunFolder", "read_run"]
+__all__ = ["BEST", "FORMAT", "LAST", "RunFolder", "check_run", "read_run"]
 
 FORMAT = 2
 """Version of `run.json`."""
@@ -223,7 +223,11 @@ def read_run(folder: str | os.PathLike[str]) -> dict[str, Any]:
         CheckpointError: it is damaged, or of another format.
     """
     path = Path(folder) / "run.json"
-    described = read_json(path, "description of a run")
+    return check_run(read_json(path, "description of a run"), path)
+
+
+def check_run(described: Any, path: Path) -> dict[str, Any]:
+    """The value itself, where it is the description of a run; `path` is for the message of the `CheckpointError`."""
     if not isinstance(described, dict) or described.get("format") != FORMAT:
         raise CheckpointError(f"{path}: this is not the description of a run in format {FORMAT}. Train the run anew "
                               "with this version of hrl-escape")

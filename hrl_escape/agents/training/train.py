@@ -169,23 +169,26 @@ def make_single_env(env: VectorEnv | Streams) -> gymnasium.Env:
     return gymnasium.make(spec.id, **{name: value for name, value in spec.kwargs.items() if name not in made_by_vector})
 
 
-def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None, *, best: bool = False) -> Agent:
+def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None, *, best: bool = False,
+               trust: bool = False) -> Agent:
     """Load the agent of a run as of its last checkpoint; in a finished run, the trained one.
 
     Args:
         folder: folder of a run of a named agent.
         env: environment with the spaces of the training; None makes the run's own, see `load_env`.
         best: load the agent of the evaluation with the highest mean return so far, the first of equals.
+        trust: let the run's environment import whatever code the folder names; give it only to folders of your own.
 
     Raises:
         FileReadError: no checkpoint or description there.
+        TrustError: the run's environment needs code from elsewhere; the message names it.
         CheckpointError: the description or the checkpoint is damaged or does not fit.
     """
     described = read_run(folder)
     state = load_checkpoint(Path(folder) / (BEST if best else LAST))
     if state.get("key") != compute_digest(hash_large_parts(described)):
         raise CheckpointError(f"{folder}: the checkpoint belongs to another run than the run.json beside it")
-    own = load_env(folder) if env is None else None
+    own = load_env(folder, trust=trust) if env is None else None
     spaces = env or own
     assert spaces is not None
     try:
@@ -202,16 +205,19 @@ def load_agent(folder: str | os.PathLike[str], env: gymnasium.Env | None = None,
 
 
 def load_env(
-    folder: str | os.PathLike[str], wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env
+    folder: str | os.PathLike[str], wrap: Callable[[gymnasium.Env], gymnasium.Env] = lambda env: env,
+    *, trust: bool = False,
 ) -> gymnasium.Env:
     """Make the environment of a run again: room, observation, options and wrappers.
 
     Args:
         folder: folder of the run.
         wrap: applied to the innermost environment, below the run's wrappers.
+        trust: import whatever code the folder names; give it only to folders of your own.
 
     Raises:
         FileReadError: no description there.
+        TrustError: it names code from elsewhere; the message names it.
         CheckpointError: it is damaged, or the environment has arguments that no file keeps.
     """
-    return make_described_env(read_run(folder).get("environment", {}), wrap)
+    return make_described_env(read_run(folder).get("environment", {}), wrap, trust=trust)

@@ -15,6 +15,7 @@ import gymnasium
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, make_agent, read_structure
 from hrl_escape.agents.training.env_description import make_described_env
+from hrl_escape.agents.training.run import refusing_damage
 from hrl_escape.agents.training.run_folder import read_run
 from hrl_escape.agents.training.train import load_agent
 from hrl_escape.env.escape_room import EscapeRoomEnv
@@ -66,7 +67,7 @@ class Driver:
 
 def open_driver(text: str, instance: RoomInstance, *, observation: str = "features", flavour: str = "press",
                 include_primitives: bool = True, recipe: str = "corrected", seed: int = 0,
-                settings: Mapping[str, Any] | None = None, leaves: str | None = None) -> Driver:
+                settings: Mapping[str, Any] | None = None, leaves: str | None = None, trust: bool = False) -> Driver:
     """Open the driver that a user names.
 
     Args:
@@ -79,11 +80,13 @@ def open_driver(text: str, instance: RoomInstance, *, observation: str = "featur
         seed: seed of an agent to train.
         settings: settings to change of an agent to train.
         leaves: leaves of the hierarchy that is synthesised for an agent to train; None for none.
+        trust: let a run's environment import whatever code its folder names.
 
     Raises:
         UnknownNameError: neither a folder nor an agent has this name.
         FileReadError: the folder holds no run.
         CheckpointError: the run is damaged.
+        TrustError: the run needs code from elsewhere, and `trust` is false.
         RunMismatchError: the run was made in a room with other spaces.
         UnsupportedError: no hierarchy is synthesised for this agent.
     """
@@ -93,7 +96,7 @@ def open_driver(text: str, instance: RoomInstance, *, observation: str = "featur
         return _make_driver("the planner", agent, env, hooks, flavour)
     folder = Path(text)
     if folder.exists() or "/" in text:
-        return _open_run(folder, instance)
+        return _open_run(folder, instance, trust)
     agent_class = get_agent_class(text)
     over_options = text.startswith(SMDP_PREFIX)
     trace = over_options and agent_class.needs_trace
@@ -119,25 +122,29 @@ def find_run_room(text: str) -> RoomInstance | None:
     """
     if text == PLANNER_NAME or not (Path(text) / "run.json").is_file():
         return None
-    room = (read_run(text)["environment"]["arguments"] or {}).get("instance")
-    return RoomInstance.from_dict(room["content"]) if room else None
+    described = read_run(text)
+    with refusing_damage(f"{text}: the description of this run"):
+        room = (described["environment"]["arguments"] or {}).get("instance")
+        return RoomInstance.from_dict(room["content"]) if room else None
 
 
-def _open_run(folder: Path, instance: RoomInstance) -> Driver:
+def _open_run(folder: Path, instance: RoomInstance, trust: bool) -> Driver:
     if not folder.is_dir():
         raise FileReadError(f"{folder}: no such run; hrl-escape train leaves one in runs/")
     described = read_run(folder)
-    name, spaces = described["name"], (described["observation_space"], described["action_space"])
-    kept = described["environment"]
-    room = EscapeRoomEnv(instance=instance, observation=(kept["arguments"] or {}).get("observation", "features"))
-    env = make_described_env({**kept, "arguments": room.describe()}, StepHooks)
-    room.close()
+    with refusing_damage(f"{folder}: the description of this run"):
+        name, spaces = described["name"], (described["observation_space"], described["action_space"])
+        kept = described["environment"]
+        flavour = next((part["arguments"]["flavour"] for part in kept["wrappers"] if "flavour" in part["arguments"]),
+                       "press")
+        room = EscapeRoomEnv(instance=instance, observation=(kept["arguments"] or {}).get("observation", "features"))
+        arguments = room.describe()
+        room.close()
+    env = make_described_env({**kept, "arguments": arguments}, StepHooks, trust=trust)
     if (repr(env.observation_space), repr(env.action_space)) != spaces:
         env.close()
         raise RunMismatchError(f"{folder} was trained with the spaces {spaces[0]} and {spaces[1]}, which room "
                                f"{instance.id} does not have: leave out --load to use the run's own room")
-    arguments = [part["arguments"] for part in kept["wrappers"]]
-    flavour = next((given["flavour"] for given in arguments if "flavour" in given), "press")
     return _make_driver(f"{name}, as trained", load_agent(folder, env), env, _find_hooks(env), flavour)
 
 

@@ -171,7 +171,7 @@ def test_a_stopped_run_goes_on_to_the_same_bits_and_its_agent_loads(tmp_path):
     resumed = train("dqn", Stopping(4), **ask, out=tmp_path / "stopped")
     assert resumed.evaluations == whole.evaluations
     assert flatten(resumed.agent.state_dict()) == flatten(whole.agent.state_dict())
-    assert flatten(load_agent(tmp_path / "stopped").state_dict()) == flatten(whole.agent.state_dict())
+    assert flatten(load_agent(tmp_path / "stopped", trust=True).state_dict()) == flatten(whole.agent.state_dict())
 
 
 def test_an_unfinished_episode_is_part_of_the_state(tmp_path):

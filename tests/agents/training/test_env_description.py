@@ -4,18 +4,22 @@ from __future__ import annotations
 
 import functools
 import json
+import pickle
+from importlib import import_module
+from pkgutil import walk_packages
 
 import gymnasium
 import numpy as np
 import pytest
 
-import hrl_escape  # noqa: F401  # registers the rooms
+import hrl_escape
 from hrl_escape.agents import load_agent, train
 from hrl_escape.agents.training.env_description import describe_env, hash_large_parts, make_described_env
+from hrl_escape.agents.training.known_parts import OWN, import_part, name_part
 from hrl_escape.agents.training.train import load_env
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import CheckpointError, RunMismatchError
+from hrl_escape.errors import CheckpointError, RunMismatchError, TrustError
 from hrl_escape.options.meta_actions import make_meta_options
 from hrl_escape.options.options_env import OptionsEnv
 from tests.agents.small_envs import ButtonGrid
@@ -144,8 +148,34 @@ class Doubled(gymnasium.RewardWrapper):
 def test_an_environment_whose_arguments_are_not_kept_must_be_given(tmp_path):
     train("q-learning", Forgetful(90), primitives=100, eval_episodes=0, out=tmp_path / "run")
     with pytest.raises(CheckpointError, match=r"most of .*Forgetful is not kept with a run. Make it and give env="):
-        load_agent(tmp_path / "run")
+        load_agent(tmp_path / "run", trust=True)
     assert load_agent(tmp_path / "run", Forgetful(90))
+
+
+def test_a_run_over_an_environment_of_ones_own_asks_for_trust(tmp_path):
+    train("q-learning", Doubled(ButtonGrid(horizon=90)), primitives=100, eval_episodes=0, out=tmp_path / "run")
+    with pytest.raises(TrustError, match=r"small_envs:ButtonGrid', '.*:Doubled', which may do anything") as raised:
+        load_agent(tmp_path / "run")
+    assert pickle.loads(pickle.dumps(raised.value)).names == raised.value.names  # our own bytes, made here
+    assert load_agent(tmp_path / "run", trust=True)
+    gymnasium.register("Test/Grid-v0", ButtonGrid)
+    try:
+        with pytest.raises(TrustError) as raised:
+            load_env(tmp_path / "run")
+    finally:
+        del gymnasium.registry["Test/Grid-v0"]
+    assert raised.value.names == (f"{__name__}:Doubled",), "who registers an environment allows it"
+
+
+def test_parts_that_an_installed_package_lists_need_no_trust(tmp_path, monkeypatch):
+    package = tmp_path / "extra.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: extra\nVersion: 1\n")
+    (package / "entry_points.txt").write_text(
+        f"[hrl_escape.parts]\ngrid = tests.agents.small_envs:ButtonGrid\ndoubled = {__name__}:Doubled\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    description = describe_env(Doubled(ButtonGrid(horizon=90)))
+    assert describe_env(make_described_env(description)) == description
 
 
 @pytest.mark.parametrize(("env", "other", "field"), [
@@ -157,7 +187,7 @@ def test_arguments_are_read_from_the_attributes_that_bear_their_names(tmp_path, 
     with pytest.raises(RunMismatchError, match=field):
         train("q-learning", other, primitives=100, eval_episodes=0, out=tmp_path / "run")
     train("q-learning", env, primitives=100, eval_episodes=0, out=tmp_path / "run")
-    again = load_env(tmp_path / "run")
+    again = load_env(tmp_path / "run", trust=True)
     assert describe_env(again) == describe_env(env) != describe_env(other)
 
 
@@ -169,5 +199,30 @@ def test_the_description_of_no_run_is_refused(tmp_path, content):
 
 
 def test_a_description_cannot_call_what_is_no_environment():
+    described = {"class": "os:getcwd", "arguments": {}, "wrappers": []}
+    with pytest.raises(TrustError, match="this run would import and call 'os:getcwd'"):
+        make_described_env(described)
     with pytest.raises(CheckpointError, match="os:getcwd is no Env"):
-        make_described_env({"class": "os:getcwd", "arguments": {}, "wrappers": []})
+        make_described_env(described, trust=True)
+
+
+@pytest.mark.parametrize("wrapper", ["RecordVideo", "HumanRendering"])
+def test_wrappers_that_write_files_or_open_windows_ask_for_trust(wrapper):
+    described = describe_env(make_room())
+    described["wrappers"] = [{"class": f"gymnasium.wrappers.rendering:{wrapper}", "arguments": {}}]
+    with pytest.raises(TrustError, match=wrapper):
+        make_described_env(described)
+
+
+def test_every_environment_and_wrapper_of_the_package_is_a_known_part():
+    """Those of pages and private ones stand in no description: they are passive, or never described."""
+    found = set()
+    for module in walk_packages(hrl_escape.__path__, "hrl_escape."):
+        if not module.name.startswith(("hrl_escape.viewer", "hrl_escape.commands", "hrl_escape.checks")):
+            for kind in vars(import_module(module.name)).values():
+                is_own = isinstance(kind, type) and kind.__module__ == module.name and not kind.__name__.startswith("_")
+                if is_own and issubclass(kind, (gymnasium.Env, gymnasium.Wrapper)):
+                    found.add(name_part(kind))
+    parts = {name_part(import_part(name)) for name in OWN}
+    assert parts == OWN
+    assert found <= OWN | {"hrl_escape.comparison.episodes:StateRecorder"}, "the recorder changes no number"
