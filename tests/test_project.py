@@ -1,53 +1,35 @@
-"""What holds for the project as a whole: style, types, imports and their cost, randomness, versions."""
+"""What holds for the project as a whole: imports and their cost, names, words, randomness, versions.
+
+Style, types and the imports of the package itself are `make lint`; here each contract on imports finds what breaks it.
+"""
 
 from __future__ import annotations
 
 import ast
-import os
 import re
 import subprocess
-import sys
 from importlib.metadata import distributions
 from pathlib import Path
 
 import pytest
 from packaging.specifiers import SpecifierSet
 
+from tests.command_line import run_python
+from tests.forks import run_fork
 from tests.random_state import find_global_random_state
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "hrl_escape"
-
-
-def run(command: str, *arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess[str]:
-    """Runs a command of this Python's environment."""
-    program = Path(sys.executable).with_name(command)
-    environment = os.environ | {"PYRIGHT_PYTHON_IGNORE_WARNINGS": "1"}
-    return subprocess.run([program, *arguments], cwd=cwd, env=environment, capture_output=True, text=True)
-
-
-def assert_passes(command: str, *arguments: str, cwd: Path = ROOT) -> None:
-    done = run(command, *arguments, cwd=cwd)
-    assert done.returncode == 0, done.stdout + done.stderr
-
-
-# --- style and types -------------------------------------------------------------------
-
-
-def test_ruff_finds_nothing():
-    assert_passes("ruff", "check", ".")
-
-
-@pytest.mark.timeout(1200)  # a minute and a half on an idle core, ten times that beside other work
-def test_pyright_finds_nothing():
-    assert_passes("pyright", "--pythonpath", sys.executable)
+SOURCES = {path: path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))}
 
 
 # --- which way imports run -------------------------------------------------------------
 
-LINT_IMPORTS = ("lint-imports", "--no-cache", "--no-logo", "--config", str(ROOT / "pyproject.toml"))
+LINT_IMPORTS = ("--no-cache", "--no-logo", "--config", str(ROOT / "pyproject.toml"))
 
 HOUSE = """
+cli errors files settings checks.option commands.list
+comparison.grid comparison.reporting.report viewer.scene.room_scene
 agents.agent agents.registry agents.components.networks agents.training.train
 agents.algorithms.dqn agents.algorithms.sarsa agents.algorithms.given.hamq agents.algorithms.given.maxq_0
 agents.hierarchy.task agents.factored.search agents.larg2019.recipes
@@ -121,39 +103,35 @@ def write_house(folder: Path, imports: dict[str, str]) -> Path:
     return folder
 
 
-def test_imports_run_one_way():
-    assert_passes(*LINT_IMPORTS)
+def lint_imports(house: Path) -> subprocess.CompletedProcess[str]:
+    """What `lint-imports` says of a package in a folder."""
+    return run_fork("from importlinter.cli import lint_imports_command as run; run()", *LINT_IMPORTS, cwd=house)
 
 
 def test_import_contracts_allow_what_the_house_plan_allows(tmp_path: Path):
-    assert_passes(*LINT_IMPORTS, cwd=write_house(tmp_path, ALLOWED_IMPORTS))
+    done = lint_imports(write_house(tmp_path, ALLOWED_IMPORTS))
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def test_import_contracts_find_a_cycle(tmp_path: Path):
     imports = {"env.robot": "hrl_escape.env.primitives", "env.primitives": "hrl_escape.env.robot"}
-    assert "no cycles BROKEN" in run(*LINT_IMPORTS, cwd=write_house(tmp_path, imports)).stdout
+    assert "no cycles BROKEN" in lint_imports(write_house(tmp_path, imports)).stdout
 
 
 def test_import_contracts_find_a_cycle_of_types(tmp_path: Path):
     house = write_house(tmp_path, {"planning.goals": "hrl_escape.planning.planner"})
     (house / "hrl_escape/planning/planner.py").write_text(
         "from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import hrl_escape.planning.goals\n")
-    assert "no cycles BROKEN" in run(*LINT_IMPORTS, cwd=house).stdout
+    assert "no cycles BROKEN" in lint_imports(house).stdout
 
 
 @pytest.mark.parametrize(("importer", "imported", "contract"), FORBIDDEN_IMPORTS)
 def test_import_contracts_find_a_planted_violation(
     tmp_path: Path, importer: str, imported: str, contract: str
 ):
-    report = run(*LINT_IMPORTS, cwd=write_house(tmp_path, {importer: imported})).stdout
+    report = lint_imports(write_house(tmp_path, {importer: imported})).stdout
     broken = [line for line in report.splitlines() if line.endswith(" BROKEN")]
     assert len(broken) == 1 and broken[0].startswith(contract), report
-
-
-# --- shelves and words -----------------------------------------------------------------
-
-MODULES = sorted(path.relative_to(PACKAGE) for path in PACKAGE.rglob("*.py"))
-QUESTION = re.compile(r"(What|Who|Where|How|Whether|Whose|Which|When|Why)\b")
 
 
 # --- names -----------------------------------------------------------------------------
@@ -185,7 +163,7 @@ def find_homonyms(modules: dict[Path, str]) -> dict[str, list[Path]]:
 
 
 def test_a_name_has_one_meaning():
-    assert not find_homonyms({path: path.read_text() for path in PACKAGE.rglob("*.py")})
+    assert not find_homonyms(SOURCES)
 
 
 def test_a_name_of_two_meanings_is_found():
@@ -198,6 +176,8 @@ def test_a_name_of_two_meanings_is_found():
 
 # --- words -----------------------------------------------------------------------------
 
+QUESTION = re.compile(r"(What|Who|Where|How|Whether|Whose|Which|When|Why)\b")
+
 
 def list_docstrings(source: str) -> list[str]:
     """First lines of all docstrings of a module, those under attributes and constants included."""
@@ -206,17 +186,16 @@ def list_docstrings(source: str) -> list[str]:
     return [text.strip().splitlines()[0] for text in texts if isinstance(text, str)]
 
 
-@pytest.mark.parametrize("module", MODULES, ids=str)
-def test_no_docstring_opens_with_a_question_word(module: Path):
-    assert [line for line in list_docstrings((PACKAGE / module).read_text()) if QUESTION.match(line)] == []
+def test_no_docstring_opens_with_a_question_word():
+    assert [(module, line) for module, source in SOURCES.items() for line in list_docstrings(source)
+            if QUESTION.match(line)] == []
 
 
 # --- randomness ------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("path", sorted(PACKAGE.rglob("*.py")), ids=lambda path: str(path.relative_to(ROOT)))
-def test_module_uses_no_global_random_state(path: Path):
-    assert find_global_random_state(path.read_text()) == []
+def test_no_module_uses_global_random_state():
+    assert {module: found for module, source in SOURCES.items() if (found := find_global_random_state(source))} == {}
 
 
 @pytest.mark.parametrize(
@@ -277,7 +256,7 @@ print(*{"torch", "ompl", "pinocchio", "numba", "matplotlib", "scipy", "pybullet"
 
 
 def test_import_is_quick_and_loads_nothing_heavy():
-    runs = [run("python", "-c", IMPORT_COST) for _ in range(5)]
+    runs = [run_python(IMPORT_COST) for _ in range(5)]
     assert all(done.returncode == 0 for done in runs), runs[0].stderr
     costs, heavy = zip(*(done.stdout.split("\n")[:2] for done in runs), strict=True)
     assert set(heavy) == {""}

@@ -115,7 +115,7 @@ class Stateful:
 
 
 def list_kept(kind: type[Stateful]) -> Iterator[Kept]:
-    """What a class keeps: the declarations of its bases in the order of construction, then its own.
+    """State that a class declares: the declarations of its bases in the order of construction, then its own.
 
     Raises:
         TypeError: none of them declares a state.
