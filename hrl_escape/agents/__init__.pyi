@@ -9,6 +9,7 @@ from .settings import AgentSettings, LearningSettings
 from .state import Kept, Stateful
 from .training.evaluation import Evaluation, evaluate, play_episode
 from .training.results import TrainResult, load_result
+from .training.run_archive import pack_run, read_summary, unpack_run
 from .training.train import load_agent, load_env, train
 
 __all__ = [
@@ -38,6 +39,9 @@ __all__ = [
     "make_agent",
     "make_transition",
     "maxq",
+    "pack_run",
     "play_episode",
+    "read_summary",
     "train",
+    "unpack_run",
 ]

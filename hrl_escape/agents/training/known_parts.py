@@ -23,6 +23,7 @@ PARTS_GROUP = "hrl_escape.parts"
 """Entry points of other packages: environments, wrappers, settings and functions that run folders may name."""
 
 OWN = frozenset({
+    "hrl_escape.comparison.places:RoomSchedule",
     "hrl_escape.env.config:DynamicsConfig",
     "hrl_escape.env.config:ExitConfig",
     "hrl_escape.env.config:ObstaclesConfig",
@@ -33,7 +34,6 @@ OWN = frozenset({
     "hrl_escape.env.config:StartConfig",
     "hrl_escape.env.escape_room:EscapeRoomEnv",
     "hrl_escape.env.instance:RoomInstance",
-    "hrl_escape.comparison.places:RoomSchedule",
     "hrl_escape.ladder.common_spaces:CommonSpacesEnv",
     "hrl_escape.ladder.goals:GoalsEnv",
     "hrl_escape.ladder.instance_set:InstanceSetEnv",

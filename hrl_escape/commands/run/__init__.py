@@ -1,0 +1,1 @@
+"""Folders of training runs as archives: pack, unpack and show them."""
