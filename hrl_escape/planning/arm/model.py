@@ -25,6 +25,7 @@ from hrl_escape.env.robot import BASE_LINK, Robot
 __all__ = ["ArmCollisions", "ArmKinematics"]
 
 _SLACK = 1e-9  # of a joint limit, as in `Kinematics`
+_FLOOR_SIDE = 1000.0  # m; rooms are at most 200 m wide
 
 
 class ArmKinematics:
@@ -168,11 +169,11 @@ class ArmKinematics:
 
 
 class ArmCollisions:
-    """Collision test of the arm against solids and the robot itself, by coal.
+    """Collision test of the arm against solids, the floor and the robot itself, by coal.
 
     The base against solids is left to `CollisionMap`. Links joined to each other, and pairs that meet with
-    all joints at home (the arm's foot and the base), never count. The hand is the sphere that presses, added
-    to the shape of its link.
+    all joints at home (the arm's foot and the base, a link that rests on the floor), never count. The hand is the
+    sphere that presses, added to the shape of its link.
 
     Attributes:
         robot: the robot.
@@ -203,6 +204,8 @@ class ArmCollisions:
             for other in range(own, len(geometry.geometryObjects)):
                 geometry.addCollisionPair(pinocchio.CollisionPair(i, other))
         apart = [(i, j) for i in range(own) for j in range(i + 1, own) if not self._is_joined(geometry, i, j)]
+        floor = geometry.addGeometryObject(_make_floor())
+        apart += [(i, floor) for i in range(own) if geometry.geometryObjects[i].parentFrame != base]
         self._keep_clear(geometry, apart)
         self._geometry = geometry  # the manager refers to it
         data = geometry.createData()
@@ -241,7 +244,7 @@ class ArmCollisions:
         return a == b or self._model.parents[a] == b or self._model.parents[b] == a
 
     def _keep_clear(self, geometry: Any, pairs: list[tuple[int, int]]) -> None:
-        """Test those pairs of the robot's own links that are apart at home."""
+        """Test those pairs that are apart at home."""
         data = geometry.createData()
         home = self._make_q(0.0, 0.0, 0.0, self.robot.home)
         pinocchio.updateGeometryPlacements(self._model, self._data, geometry, data, home)
@@ -260,7 +263,7 @@ class ArmCollisions:
         return q
 
     def is_free(self, x: float, y: float, heading: float, angles: Sequence[float]) -> bool:
-        """Return whether no link meets a solid or another link.
+        """Return whether no link meets a solid, the floor or another link.
 
         Args:
             x: the base's axis in the room, m.
@@ -282,6 +285,12 @@ def _make_rest(model: Any, robot: Robot) -> NDArray[np.float64]:
 def _set_joint(model: Any, q: NDArray[np.float64], joint: int, angle: float) -> None:
     kind = model.joints[joint]
     q[kind.idx_q : kind.idx_q + kind.nq] = angle if kind.nq == 1 else (math.cos(angle), math.sin(angle))
+
+
+def _make_floor() -> Any:
+    """The floor: a slab whose top is z = 0, since the bounding box of a half-space is infinite."""
+    slab = coal.Box(_FLOOR_SIDE, _FLOOR_SIDE, 1.0)
+    return pinocchio.GeometryObject("floor", 0, pinocchio.SE3(np.eye(3), np.array([0.0, 0.0, -0.5])), slab)
 
 
 def _make_collision_object(name: str, solid: Solid) -> Any:

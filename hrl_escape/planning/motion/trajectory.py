@@ -30,6 +30,7 @@ from hrl_escape.files import write_json, write_text
 from hrl_escape.planning.areas import grow_solids
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.path import MotionPath, round_corners
+from hrl_escape.planning.motion.presses import check_presses
 from hrl_escape.planning.plan import Plan
 
 __all__ = ["TimedTrajectory", "make_trajectory", "smooth_plan"]
@@ -40,6 +41,8 @@ GRID_DISTANCE = 0.02
 """Largest distance of toppra's grid points along a path, in metres of motion."""
 LEAST_POINTS = 12
 """Fewest grid points on each line and each rounded corner."""
+END = 1e-4
+"""Share of a line or corner before its end at which the limits are held once more."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -147,6 +150,7 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
     Raises:
         MissingExtraError: toppra is not installed.
         ConfigError: no such method, or nothing moves.
+        UnsupportedError: the trajectory of a plan would not press what the plan presses, in the plan's order.
     """
     limits = limits or MotionLimits()
     if method not in ("trapezoid", "toppra"):
@@ -163,8 +167,21 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
         knots.append(positions[1:])
         speeds.append(velocities[1:])
         begin += float(part_times[-1])
-    return TimedTrajectory(paths[0].names, np.concatenate(times), _unwind(paths, knots), np.concatenate(speeds),
-                           method, limits)
+    trajectory = TimedTrajectory(paths[0].names, np.concatenate(times), _unwind(paths, knots), np.concatenate(speeds),
+                                 method, limits)
+    if isinstance(motion, Plan):
+        check_presses(motion, trajectory.evaluate(_list_looks(trajectory)))
+    return trajectory
+
+
+def _list_looks(trajectory: TimedTrajectory) -> NDArray[np.float64]:
+    """Times so close that the base moves by at most `LOOK` and turns and joints move by as many radians between two."""
+    spans = np.diff(trajectory.times)
+    moved = np.abs(np.diff(trajectory.positions, axis=0)).max(axis=1)
+    counts = 1 + np.ceil(2.0 * moved / LOOK).astype(int)  # cubics may move up to twice as fast as in the mean
+    parts = [start + span * np.arange(count) / count
+             for start, span, count in zip(trajectory.times, spans, counts, strict=False)]
+    return np.append(np.concatenate(parts), trajectory.duration)
 
 
 def _unwind(paths: Sequence[MotionPath], knots: list[NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -255,8 +272,9 @@ def _time_by_toppra(path: MotionPath, limits: MotionLimits) -> _Timed:
     wanted = [constraint.JointVelocityConstraint(sides[:, 0]), constraint.JointAccelerationConstraint(
         sides[:, 1], discretization_scheme=constraint.DiscretizationType.Interpolation)]
     ends = zip(curve.x, curve.x[1:], strict=False)
-    grid = np.unique(np.concatenate([
-        np.linspace(a, b, max(LEAST_POINTS, 2 + math.ceil((b - a) / GRID_DISTANCE))) for a, b in ends]))
+    grid = np.unique(np.concatenate([  # a piece's own curvature must hold up to its end, where the next one's begins
+        np.append(np.linspace(a, b, max(LEAST_POINTS, 2 + math.ceil((b - a) / GRID_DISTANCE))), b - END * (b - a))
+        for a, b in ends]))
     search = algorithm.TOPPRA(wanted, Curve(), gridpoints=grid, parametrizer="ParametrizeConstAccel")
     rates_squared = search.compute_parameterization(0.0, 0.0)
     if rates_squared is None or rates_squared[1] is None:
@@ -264,7 +282,33 @@ def _time_by_toppra(path: MotionPath, limits: MotionLimits) -> _Timed:
     rate = np.maximum(np.asarray(rates_squared[1]).ravel(), 0.0)  # of the path's length, at the grid points
     steps = 2.0 * np.diff(grid) / np.maximum(rate[1:] + rate[:-1], 1e-9)
     times = np.concatenate([[0.0], np.cumsum(steps)])
-    return times, curve(grid), curve(grid, 1) * rate[:, None]
+    return _slow_down(times, curve(grid), curve(grid, 1) * rate[:, None], mix, rates)
+
+
+def _slow_down(times: NDArray[np.float64], positions: NDArray[np.float64], velocities: NDArray[np.float64],
+               mix: NDArray[np.float64], rates: NDArray[np.float64]) -> _Timed:
+    """The same way, slower by the factor at which the cubics between the knots keep every limit.
+
+    Between two knots the acceleration is linear, so it is largest at one of them; the speed is a parabola, largest at
+    one of them or at its apex.
+
+    Args:
+        times: of the knots, s.
+        positions: at the knots.
+        velocities: at the knots.
+        mix: directions that are limited, shape (directions, coordinates).
+        rates: largest speed and acceleration in each of them, shape (directions, 2).
+    """
+    spline = CubicHermiteSpline(times, positions @ mix.T, velocities @ mix.T)
+    cubic, square, speed, _ = spline.c  # (intervals, directions) each
+    spans = np.diff(times)[:, None]
+    begin, end = 2.0 * square, 2.0 * square + 6.0 * cubic * spans
+    with np.errstate(divide="ignore", invalid="ignore"):
+        apex = np.clip(np.nan_to_num(-square / (3.0 * cubic)), 0.0, spans)
+    fastest = np.maximum(np.abs(speed + 2.0 * square * apex + 3.0 * cubic * apex**2), np.abs(velocities @ mix.T)[1:])
+    strongest = np.maximum(np.abs(begin), np.abs(end))
+    factor = max(1.0, float((fastest / rates[:, 0]).max()), math.sqrt(float((strongest / rates[:, 1]).max())))
+    return times * factor, positions, velocities / factor
 
 
 ROUNDINGS = (0.3, 0.1, 0.03)

@@ -16,7 +16,7 @@ from typing import Any
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
-from hrl_escape.errors import MissingExtraError, PlanningFailed, PlanningReason
+from hrl_escape.errors import MissingExtraError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
 from hrl_escape.files import write_text
 
 __all__ = ["clean_name", "export_pddl", "make_domain", "make_problem", "read_problem", "run_engine", "save_pddl",
@@ -132,6 +132,8 @@ def solve_pddl(instance: RoomInstance, state: RoomState | None = None, engine: s
 
     Raises:
         MissingExtraError: unified-planning is not installed.
+        UnknownNameError: no such planner is installed.
+        UnsupportedError: it does not take problems of this kind.
         PlanningFailed: the planner found none.
     """
     model = instance.symbolic_model
@@ -166,9 +168,22 @@ def read_problem(domain: str, problem: str) -> Any:
 
 
 def run_engine(problem: Any, engine: str, time_limit: float) -> tuple[Any, str]:
-    """Solve a problem with a planner of unified-planning; returns its plan, or None, and the name of its status."""
-    from unified_planning.shortcuts import OneshotPlanner
+    """Solve a problem with a planner of unified-planning; returns its plan, or None, and the name of its status.
 
-    with OneshotPlanner(name=engine) as planner:
-        result = planner.solve(problem, timeout=time_limit)  # type: ignore[attr-defined]  # mixed in
+    Raises:
+        UnknownNameError: no such planner is installed.
+        UnsupportedError: it does not take problems of this kind.
+    """
+    from unified_planning.exceptions import UPUsageError
+    from unified_planning.shortcuts import OneshotPlanner, get_environment
+
+    factory = get_environment().factory
+    planners = [name for name in factory.engines if factory.engine(name).is_oneshot_planner()]
+    if engine not in planners:
+        raise UnknownNameError("planner of unified-planning", engine, planners)
+    try:
+        with OneshotPlanner(name=engine) as planner:
+            result = planner.solve(problem, timeout=time_limit)  # type: ignore[attr-defined]  # mixed in
+    except UPUsageError as error:
+        raise UnsupportedError(f"{engine} does not solve this problem: {error}") from None
     return result.plan, result.status.name

@@ -93,6 +93,33 @@ def test_a_reachability_map_agrees_with_inverse_kinematics(tmp_path):
 # --- motion ----------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("kind", ["arm", "franka-panda"])
+def test_a_posture_is_free_only_if_the_hand_is_above_the_floor(kind):
+    """By the closed form: the lowest point of the hand is its centre less its radius."""
+    planner, state = make_planner(kind, 3 if kind == "arm" else 7)
+    low, high = planner._limits
+    radius, rng, sunk = planner.instance.robot.hand_radius, np.random.default_rng(2), 0
+    for angles in rng.uniform(low, high, size=(2_000, len(low))).tolist():
+        height = planner.kinematics.compute_placement(angles)[2, 3]
+        if height < radius - 1e-6:
+            sunk += 1
+            assert not planner.is_free(state, angles), f"the hand is {radius - height:.3f} m in the floor"
+    assert sunk >= 20
+
+
+def test_a_motion_goes_over_the_floor_and_not_through_it():
+    planner, state = make_planner("arm", 4)
+    low, high = planner._limits
+    radius, rng = planner.instance.robot.hand_radius, np.random.default_rng(5)
+    free = [angles for angles in rng.uniform(low, high, size=(400, len(low))) if planner.is_free(state, angles)]
+    free.sort(key=lambda angles: planner.kinematics.compute_placement(angles.tolist())[2, 3])
+    for begin, goal in zip(free[:4], free[4:8], strict=True):
+        offsets = tuple((begin - np.array(planner.rules.robot.home)).tolist())
+        path = planner.plan(state._replace(joint_offsets=offsets), goal)
+        heights = [planner.kinematics.compute_placement(angles)[2, 3] for angles in path.interpolate(0.02).tolist()]
+        assert min(heights) > radius
+
+
 def test_motions_in_clutter_are_free_by_bullet_at_ten_times_the_resolution():
     planned, bent = check_motions("arm", 3, 4)
     assert planned >= 3 and bent >= 1

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
+from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ConfigError, MissingExtraError
+from hrl_escape.errors import ConfigError, MissingExtraError, UnsupportedError
 from hrl_escape.planning.arm.arm_planner import ArmPlanner
 from hrl_escape.planning.motion.limits import MotionLimits, compute_duration, compute_rest_to_rest
 from hrl_escape.planning.motion.path import MotionPath, round_corners
@@ -89,6 +91,44 @@ def test_rounded_corners_stay_within_the_margin_and_are_smooth():
     assert 0.04 < max(away) <= 0.1 + 1e-3
     assert np.abs(np.diff(curve(at, 1), axis=0)).max() < 0.02, "its direction never jumps"
     assert np.allclose(places[[0, -1]], path.points[[0, -1]])
+
+
+@pytest.mark.parametrize("names", [("x", "y", "heading"), ("joint-1", "joint-2", "joint-3")])
+def test_time_optimal_motion_keeps_every_limit_at_every_moment(names):
+    rng, limits = np.random.default_rng(0), MotionLimits()
+    speed, acceleration = np.array([(1.0, 1.0), (1.5, 3.0)] if "x" in names else [(1.0, 2.0)] * 3).T
+    for _ in range(40):
+        points = rng.uniform(-1, 1, size=(rng.integers(3, 7), 3))
+        trajectory = make_trajectory(make_path(points, names, rng.choice([0.005, 0.02, 0.1])), limits, method="toppra")
+        edges = np.concatenate([trajectory.times[1:] - 1e-9, trajectory.times[:-1] + 1e-9])
+        times = np.concatenate([np.linspace(0, trajectory.duration, 5_000), edges])
+        for order, largest in ((1, speed), (2, acceleration)):
+            rates = trajectory.evaluate(times, order)
+            sizes = np.column_stack([np.hypot(*rates[:, :2].T), np.abs(rates[:, 2])]) if "x" in names else np.abs(rates)
+            assert (sizes.max(axis=0) <= largest * (1 + 1e-6)).all()
+
+
+@pytest.mark.parametrize("preset", ["deep-sea", "recipes", "factored"])
+def test_a_trajectory_that_would_lose_presses_of_its_plan_is_refused(preset):
+    """The plan leaves a target and touches it again; the straight way in between stays on it."""
+    for seed in (0, 1):
+        with pytest.raises(UnsupportedError, match="would press .* where the plan presses"):
+            make_trajectory(make_plan(preset, seed))
+
+
+def test_a_trajectory_may_press_what_is_lit_already():
+    for seed in (0, 1):
+        plan = make_plan("ten-button", seed)
+        trajectory = make_trajectory(plan)
+        puzzle, rules, touched = plan.instance.puzzle, Kinematics(plan.instance), plan.states[0].touching
+        state, number = plan.states[0].puzzle, 0
+        for x, y, heading in trajectory.evaluate(np.linspace(0, trajectory.duration, 40_000)).tolist():
+            touching = rules.compute_touching(x, y, 0, heading, (), ())
+            if begun := touching & ~touched:
+                number += 1
+                state = puzzle.update(state, Contacts(tuple(i for i in range(10) if begun >> i & 1)))
+            touched = touching
+        assert number >= 10 and state == plan.states[-1].puzzle
 
 
 def test_time_optimal_motion_is_faster_and_arms_can_have_it():

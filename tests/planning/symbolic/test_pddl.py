@@ -12,7 +12,7 @@ from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import MissingExtraError
+from hrl_escape.errors import MissingExtraError, UnknownNameError
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.symbolic.pddl import export_pddl, make_domain, make_problem, save_pddl, solve_pddl
 from tests.env.rooms import make_ordered_chain
@@ -105,3 +105,9 @@ def test_a_missing_extra_is_named(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", refuse)
     with pytest.raises(MissingExtraError, match=r"hrl-escape\[pddl\]"):
         solve_pddl(generate(get_preset("paper-two-button"), 0))
+
+
+@pytest.mark.parametrize("engine", ["no-such-planner", "up_grounder", "sequential_simulator"])
+def test_an_engine_that_is_no_planner_is_refused_by_name(engine):
+    with pytest.raises(UnknownNameError, match="fast-downward"):
+        solve_pddl(generate(get_preset("hanoi"), 0), engine=engine)

@@ -1,0 +1,65 @@
+"""Presses of a continuous motion, held against those of the plan that it was made of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.kinematics import Rules
+from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.planning.plan import Plan
+
+__all__ = ["check_presses"]
+
+
+def check_presses(plan: Plan, places: NDArray[np.float64]) -> None:
+    """Check that a motion leaves the puzzle as its plan does.
+
+    A press is the first moment of touching a target. A motion may press more than its plan where the puzzle does not
+    mind, such as a button that is lit already. Where the puzzle's state follows from more than presses (things carried
+    or pushed, chance), the presses must be the plan's, one by one.
+
+    Args:
+        plan: the plan.
+        places: x, y (m), heading and joint angles (rad) along the motion, shape (n, 3 + joints).
+
+    Raises:
+        UnsupportedError: it does not.
+    """
+    rules, puzzle, first = Rules(plan.instance), plan.instance.puzzle, plan.states[0]
+    home = np.array(rules.robot.home)
+    still = (0,) * len(home)
+    wanted = _list_begun(state.touching for state in plan.states)
+    found = _list_begun((first.touching, *(
+        rules.compute_touching(x, y, 0, heading, still, tuple(angles - home))
+        for (x, y, heading), angles in zip(places[:, :3].tolist(), places[:, 3:], strict=True))))
+    if [target for together in wanted for target in together] == [target for one in found for target in one]:
+        return
+    grips = any(plan.instance.robot.actions.primitives[action].grip for action in plan.primitives)
+    if not (grips or puzzle.is_watching or puzzle.is_random or puzzle.can_push):
+        state = first.puzzle
+        for together in found:
+            state = puzzle.update(state, Contacts(together))
+        if state == plan.states[-1].puzzle:
+            return
+
+    def write(begun: list[tuple[int, ...]]) -> str:
+        """Names of the targets pressed, in order."""
+        return ", ".join(plan.instance.targets[target].name for one in begun for target in one) or "nothing"
+
+    raise UnsupportedError(f"the trajectory of {plan.name!r} would press {write(found)}, where the plan presses "
+                           f"{write(wanted)}: follow its primitives instead")
+
+
+def _list_begun(touching: Iterable[int]) -> list[tuple[int, ...]]:
+    """Targets whose touch begins, wherever one does; the bits of those touched come one after another."""
+    begun, before = [], -1
+    for now in touching:
+        new = now & ~before
+        if new:
+            begun.append(tuple(target for target in range(new.bit_length()) if new >> target & 1))
+        before = now
+    return begun
