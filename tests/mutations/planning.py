@@ -144,4 +144,32 @@ MUTATIONS = [
         "else before[literal] | led",
         "planning/symbolic/test_landmarks.py::test_they_are_those_without_which_the_goal_is_out_of_reach",
     ),
+    Mutation(
+        "the arm goes through the floor",
+        "planning/arm/model.py",
+        "apart += [(i, floor) for i in range(own) if geometry.geometryObjects[i].parentFrame != base]",
+        "pass",
+        "planning/arm/test_arm_planner.py::test_a_posture_is_free_only_if_the_hand_is_above_the_floor",
+    ),
+    Mutation(
+        "limits are held at the ends of pieces with the next piece's curvature only",
+        "planning/motion/trajectory.py",
+        "2 + math.ceil((b - a) / GRID_DISTANCE))), b - END * (b - a))",
+        "2 + math.ceil((b - a) / GRID_DISTANCE))), b)",
+        "planning/motion/test_trajectory.py::test_time_optimal_motion_is_nearly_as_fast_as_its_limits_allow",
+    ),
+    Mutation(
+        "a time-optimal motion goes a little beyond its limits",
+        "planning/motion/trajectory.py",
+        "factor = max(1.0, float((fastest / rates[:, 0]).max()), math.sqrt(float((strongest / rates[:, 1]).max())))",
+        "factor = 1.0",
+        "planning/motion/test_trajectory.py::test_time_optimal_motion_keeps_every_limit_at_every_moment",
+    ),
+    Mutation(
+        "trajectories that lose presses are made all the same",
+        "planning/motion/presses.py",
+        "if state == plan.states[-1].puzzle:",
+        "if True:",
+        "planning/motion/test_trajectory.py::test_a_trajectory_that_would_lose_presses_of_its_plan_is_refused",
+    ),
 ]

