@@ -12,7 +12,7 @@ import dataclasses
 import math
 from typing import Annotated, Literal
 
-from hrl_escape.env.primitives import ActionTable, DriveKind, FootprintKind, SlipKind, make_action_table
+from hrl_escape.env.primitives import ActionTable, DriveKind, FootprintKind, Move, SlipKind, make_action_table
 from hrl_escape.env.puzzles.base import PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.errors import ConfigError
@@ -116,7 +116,7 @@ class RobotConfig(Settings):
     """A wheeled base (an upright cylinder or box) with an arm of 1-DoF joints."""
 
     _section = "robot"
-    _left_out = frozenset({"gripper", "use", "drive", "footprint", "body_length", "body_width"})
+    _left_out = frozenset({"gripper", "use", "drive", "moves", "footprint", "body_length", "body_width"})
     kind: Literal["arm", "kuka-iiwa", "franka-panda", "urdf"] = "arm"
     """Arm on the base: generated links, a named arm, or a URDF."""
     body_radius: Annotated[float, Range(0.05, 5, "m")] = 0.75
@@ -149,6 +149,8 @@ class RobotConfig(Settings):
     """One primitive more, use, for puzzles in which things ahead are opened and shut (with `gripper`)."""
     drive: DriveKind = "strafing"
     """The base moves along and across its heading, or (differential) along it only, and turns on the spot."""
+    moves: tuple[Move, ...] = ()
+    """Further primitives of the base, beside those of its drive."""
     footprint: FootprintKind = "disc"
     """Outline of the base on the floor, centred on its axis."""
     body_length: Annotated[float, Range(0.1, 10, "m")] = 1.2
@@ -179,13 +181,18 @@ class RobotConfig(Settings):
     @property
     def actions(self) -> ActionTable:
         """Primitives of this robot."""
-        return make_action_table(self.joints, self.gripper, self.drive, self.use)
+        return make_action_table(self.joints, self.gripper, self.drive, self.use, self.move_step, self.moves)
 
     def check(self) -> None:
         """Check what spans several fields."""
         turns = 360 / self.turn_step_deg
         if abs(turns - round(turns)) > 1e-9:
             raise ConfigError("robot.turn_step_deg", self.turn_step_deg, "a divisor of 360, such as 10, 15 or 30")
+        for move in self.moves:
+            if abs(move.turn) > turns / 2:
+                raise ConfigError("move.turn", move.turn, f"at most {turns // 2:g} turn steps, half a full turn")
+            if self.actions.names.count(move.name) > 1:
+                raise ConfigError("move.name", move.name, "a name that no other primitive of the robot has")
         if (self.kind == "urdf") != (self.urdf is not None):
             raise ConfigError("robot.urdf", self.urdf and "(text)", "the URDF text exactly when robot.kind is 'urdf'")
         if self.kind != "arm" and self.joints == 0:

@@ -236,15 +236,16 @@ class InnerDoors:
         footprints: outlines of all of them.
         get_shut: (state of the puzzle) -> bits of those that are shut.
         radius: of the body, clearance included, m.
-        step: length of a move, m.
+        step: distance from the body's axis to the door ahead of it, m.
+        longest: length of the longest move, m.
         push: (state of the puzzle, number of a door, number of the one beyond it or -1) -> the state after a move that
             pushes; None where nothing can be pushed.
     """
 
     def __init__(self, footprints: Sequence[Footprint], get_shut: Callable[[Any], int], radius: float, step: float,
-                 push: Callable[[Any, int, int], Hashable] | None = None) -> None:
+                 longest: float, push: Callable[[Any, int, int], Hashable] | None = None) -> None:
         self.footprints = tuple(footprints)
-        self._ask, self._radius, self._step, self._push = get_shut, radius, step, push
+        self._ask, self._radius, self._step, self._longest, self._push = get_shut, radius, step, longest, push
         self._shut: dict[Hashable, int] = {}
         self._cells: dict[tuple[int, int], tuple[tuple[int, Footprint], ...]] = {}
 
@@ -271,7 +272,7 @@ class InnerDoors:
         cell = math.floor(x), math.floor(y)
         near = self._cells.get(cell)
         if near is None:
-            limit = self._radius + 6.0 * self._step + 0.75  # noise lengthens steps
+            limit = self._radius + 6.0 * self._longest + 0.75  # noise lengthens steps
             near = self._cells[cell] = tuple(
                 (number, door) for number, door in enumerate(self.footprints)
                 if compute_distance(cell[0] + 0.5, cell[1] + 0.5, door) <= limit)
@@ -287,7 +288,7 @@ class InnerDoors:
         return self._push(puzzle, ahead, self.find_at(x + 2.0 * dx, y + 2.0 * dy))
 
     def find_ahead(self, x: float, y: float, cos: float, sin: float) -> int:
-        """Number of the door one move ahead of the body's axis, along a heading; -1 where there is none."""
+        """Number of the door one stride ahead of the body's axis, along a heading; -1 where there is none."""
         return self.find_at(x + self._step * cos, y + self._step * sin)
 
     def find_at(self, x: float, y: float) -> int:

@@ -212,6 +212,9 @@ class RoomInstance(Settings):
         if self.puzzle.can_push and (self.dynamics.blocked != "stay" or self.dynamics.noise):
             raise ConfigError("dynamics", (self.dynamics.blocked, self.dynamics.noise),
                               "blocked 'stay' and no noise where things are pushed from cell to cell")
+        if self.puzzle.can_push and self.robot.moves:
+            raise ConfigError("robot.moves", tuple(move.name for move in self.robot.moves),
+                              "none where things are pushed from cell to cell")
         if self.robot.footprint == "rectangle" and (self.inner_doors or self.props):
             raise ConfigError("robot.footprint", "rectangle", "'disc' for a puzzle with inner doors or props")
         if not self.starts:

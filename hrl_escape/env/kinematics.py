@@ -70,7 +70,7 @@ class Rules(RobotPoses):
         self._presser = None if self._by_hand else RectangularBase.make(instance.robot, 0.0)
         self.inner_doors = None if not instance.inner_doors else InnerDoors(
             [door.footprint for door in instance.inner_doors], self._puzzle.get_shut,
-            instance.robot.outer_radius + CONTACT_SKIN, instance.robot.move_step,
+            instance.robot.outer_radius + CONTACT_SKIN, self.actions.stride, self.actions.longest,
             self._puzzle.push if self._puzzle.can_push else None)
 
     # --- touching --------------------------------------------------------------------
@@ -179,14 +179,11 @@ class Kinematics(Rules):
         self._slips = tuple(list_slips(dynamics.slip_kind, self.actions, action) for action in range(len(self.actions)))
         self.footprints = tuple(solid.footprint for solid in instance.solids)
         self._door = instance.door and instance.door.footprint
-        self._span = robot.move_step * (2.0 if self._noise else 1.0)
+        self._span = self.actions.longest * (2.0 if self._noise else 1.0)
         self._solid_cells: dict[tuple[int, int], tuple[Footprint, ...]] = {}
         self._primitives = self.actions.primitives
         self._moves = tuple(
-            tuple((robot.move_step * dx, robot.move_step * dy)
-                  for dx, dy in (primitive.compute_move(cos, sin) for cos, sin in self._rotations))
-            for primitive in self._primitives
-        )
+            tuple(primitive.compute_move(cos, sin) for cos, sin in self._rotations) for primitive in self._primitives)
 
     def step(self, state: RoomState, action: int) -> Transition:
         """Apply one primitive. Pure: the same state and action give the same transition."""
@@ -228,9 +225,7 @@ class Kinematics(Rules):
         if offset == 0.0:
             dx, dy = self._moves[action][steps]
         else:
-            length = self.instance.robot.move_step
             dx, dy = self._primitives[action].compute_move(*self.get_rotation(steps, offset))
-            dx, dy = length * dx, length * dy
         return (scale * dx, scale * dy) if scale != 1.0 else (dx, dy)
 
     def _translate(self, state: RoomState, action: int, scale: float) -> RoomState:

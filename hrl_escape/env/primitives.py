@@ -1,19 +1,24 @@
 """The action table: the primitive that each action number stands for (paper, table 3).
 
 The one definition that engines, planners, options, drawings and the command line read. Nothing else knows how many
-primitives there are, in which order they stand or which of them are moves.
+primitives there are, in which order they stand, which of them are moves or how far these go. Lengths are metres, turns
+whole turn steps, in which headings are counted.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
-from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from functools import cached_property, lru_cache
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["TURNS", "ActionTable", "DriveKind", "FootprintKind", "JointActions", "Primitive", "SlipKind", "list_slips",
+from hrl_escape.errors import ConfigError
+from hrl_escape.settings import Range, Settings
+
+__all__ = ["ActionTable", "DriveKind", "FootprintKind", "JointActions", "Move", "Primitive", "SlipKind", "list_slips",
            "make_action_table"]
 
 
@@ -29,8 +34,8 @@ class Primitive(NamedTuple):
 
     Attributes:
         name: such as `strafe-left` or `joint-2-decrement`.
-        forward: displacement along the heading, in move steps.
-        left: displacement to the left of the heading, in move steps.
+        forward: displacement along the heading, m.
+        left: displacement to the left of the heading, m.
         turn: turn steps, counter-clockwise positive.
         joint: index of the joint that moves, or -1.
         joint_change: joint steps.
@@ -38,16 +43,44 @@ class Primitive(NamedTuple):
     """
 
     name: str
-    forward: int = 0
-    left: int = 0
+    forward: float = 0.0
+    left: float = 0.0
     turn: int = 0
     joint: int = -1
     joint_change: int = 0
     grip: int = 0
 
-    def compute_move(self, cos: Any, sin: Any) -> tuple[Any, Any]:
-        """Displacement along x and y at a heading, in move steps; takes numbers and arrays alike."""
-        return self.forward * cos - self.left * sin, self.forward * sin + self.left * cos
+    @property
+    def length(self) -> float:
+        """Length of its displacement, m."""
+        return math.hypot(self.forward, self.left)
+
+    def compute_move(self, cos: Any, sin: Any, scale: float = 1.0) -> tuple[Any, Any]:
+        """Displacement along x and y at a heading, `scale` times over, m; takes numbers and arrays alike."""
+        forward, left = scale * self.forward, scale * self.left
+        return forward * cos - left * sin, forward * sin + left * cos
+
+
+@dataclass(frozen=True)
+class Move(Settings):
+    """A primitive of the base beside those of its drive: one straight move, or one turn on the spot."""
+
+    _section = "move"
+    name: str = "leap"
+    """Name, unlike those of all other primitives."""
+    forward: Annotated[float, Range(-20, 20, "m")] = 0.0
+    """Displacement along the heading."""
+    left: Annotated[float, Range(-20, 20, "m")] = 0.0
+    """Displacement to the left of the heading."""
+    turn: Annotated[int, Range(-180, 180, "turn steps")] = 0
+    """Turn, counter-clockwise positive."""
+
+    def check(self) -> None:
+        """Check that it moves or turns, and does not do both."""
+        if not self.name:
+            raise ConfigError("move.name", self.name, "a name")
+        if bool(self.turn) == bool(self.forward or self.left):
+            raise ConfigError("move", (self.forward, self.left, self.turn), "either a displacement or a turn")
 
 
 class JointActions(NamedTuple):
@@ -66,8 +99,8 @@ class ActionTable:
     Attributes:
         primitives: all primitives; an action is an index.
         names: their names.
-        translations: moves of the base along or across its heading.
-        turns: turns of the base.
+        translations: moves of the base at its heading: those of the drive, `forward` first, then further ones.
+        turns: turns of the base: one turn step to the left, one to the right, then further ones.
         base: translations and turns.
         joints: the pair of each joint.
         gripper: grip, release, and use if there is that; empty without a gripper.
@@ -89,9 +122,31 @@ class ActionTable:
     def __len__(self) -> int:
         return len(self.primitives)
 
-    def compute_moves(self, cos: NDArray[np.float64], sin: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Displacements of all translations at headings, in move steps, shape (headings, translations, 2)."""
-        moves = [np.stack(self.primitives[action].compute_move(cos, sin), axis=-1) for action in self.translations]
+    @property
+    def stride(self) -> float:
+        """Length of `forward`, m: what planners lay their grids by, and how far ahead a robot grips and uses."""
+        return self.primitives[0].forward
+
+    @cached_property
+    def lengths(self) -> NDArray[np.float64]:
+        """Lengths of the translations, m, shape (translations,)."""
+        return np.array([self.primitives[action].length for action in self.translations])
+
+    @cached_property
+    def longest(self) -> float:
+        """Length of the longest translation, m: no primitive brings the base's axis farther."""
+        return float(self.lengths.max())
+
+    @cached_property
+    def turn_steps(self) -> NDArray[np.int64]:
+        """Turn steps of each turn, counter-clockwise positive, shape (turns,)."""
+        return np.array([self.primitives[action].turn for action in self.turns])
+
+    def compute_moves(self, cos: NDArray[np.float64], sin: NDArray[np.float64], scale: float = 1.0
+                      ) -> NDArray[np.float64]:
+        """Displacements of all translations at headings, `scale` times over, m, shape (headings, translations, 2)."""
+        moves = [np.stack(self.primitives[action].compute_move(cos, sin, scale), axis=-1)
+                 for action in self.translations]
         return np.stack(moves, axis=1)
 
     def find(self, name: str) -> int:
@@ -103,25 +158,30 @@ class ActionTable:
         return self.names.index(name)
 
 
-_TRANSLATIONS = (
-    Primitive("forward", forward=1),
-    Primitive("back", forward=-1),
-    Primitive("strafe-left", left=1),
-    Primitive("strafe-right", left=-1),
-)
-TURNS = (Primitive("turn-left", turn=1), Primitive("turn-right", turn=-1))
-"""Turns of every base."""
+_DIRECTIONS = (("forward", 1.0, 0.0), ("back", -1.0, 0.0), ("strafe-left", 0.0, 1.0), ("strafe-right", 0.0, -1.0))
+_TURNS = (Primitive("turn-left", turn=1), Primitive("turn-right", turn=-1))
 _GRIPPER = (Primitive("grip", grip=1), Primitive("release", grip=-1))
 _USE = (Primitive("use", grip=2),)
 _WAIT = "turn-left"
 
 
 @lru_cache
-def make_action_table(joints: int, gripper: bool = False, drive: DriveKind = "strafing", use: bool = False
-                      ) -> ActionTable:
-    """Make the action table of a robot; names number its joints from 1."""
-    translations = tuple(move for move in _TRANSLATIONS if drive == "strafing" or not move.left)
-    base = translations + TURNS
+def make_action_table(joints: int, gripper: bool = False, drive: DriveKind = "strafing", use: bool = False,
+                      move_step: float = 1.0, moves: tuple[Move, ...] = ()) -> ActionTable:
+    """Make the action table of a robot; names number its joints from 1.
+
+    Args:
+        joints: arm joints that can be moved.
+        gripper: it grips and releases.
+        drive: of the base.
+        use: it uses things.
+        move_step: length of the drive's moves, m.
+        moves: further primitives of the base.
+    """
+    further = tuple(Primitive(move.name, move.forward, move.left, move.turn) for move in moves)
+    translations = (*(Primitive(name, forward * move_step, left * move_step) for name, forward, left in _DIRECTIONS
+                      if drive == "strafing" or not left), *(move for move in further if not move.turn))
+    base = (*translations, *_TURNS, *(move for move in further if move.turn))
     arm = tuple(
         Primitive(f"joint-{joint + 1}-{word}", joint=joint, joint_change=change)
         for joint in range(joints)
@@ -141,8 +201,16 @@ def make_action_table(joints: int, gripper: bool = False, drive: DriveKind = "st
         joints=tuple(JointActions(*pair) for pair in pairs),
         gripper=range(len(base + arm), len(primitives)),
         wait=names.index(_WAIT),
-        symmetry=len(translations),
+        symmetry=_count_symmetry(translations),
     )
+
+
+def _count_symmetry(moves: tuple[Primitive, ...]) -> int:
+    """The `symmetry` of translations, of which quarter and half turns are known: 4, 2 or 1."""
+    ways = {(move.forward, move.left) for move in moves}
+    if ways == {(-left, forward) for forward, left in ways}:
+        return 4
+    return 2 if ways == {(-forward, -left) for forward, left in ways} else 1
 
 
 SlipKind = Literal["stay", "lateral", "lateral-if-free", "any", "neighbour"]
@@ -161,4 +229,5 @@ def list_slips(kind: SlipKind, actions: ActionTable, action: int) -> tuple[int, 
     if kind == "any":
         return others
     moves = actions.primitives
-    return tuple(n for n in others if bool(moves[n].forward) != bool(moves[action].forward))
+    way = moves[action]
+    return tuple(n for n in others if moves[n].forward * way.forward + moves[n].left * way.left == 0.0)

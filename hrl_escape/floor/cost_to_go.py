@@ -82,7 +82,7 @@ def lay_grid(instance: RoomInstance, rules: Rules, refinement: int = 0) -> Floor
     """Lay a grid over a room's floor; `FieldMaker` says how, and `refinement` halves its cells."""
     classes = rules.headings // math.gcd(rules.headings, rules.symmetry)
     area = 4 * instance.reach_x * instance.reach_y
-    step = instance.robot.move_step
+    step = rules.actions.stride
     size = max(min(step / 4, 0.25), math.sqrt(area * classes / MOST_STATES)) / 2**refinement
     return FloorGrid(classes, size, (math.ceil(2 * instance.reach_x / size), math.ceil(2 * instance.reach_y / size)))
 
@@ -101,8 +101,9 @@ class FieldMaker:
     A disc that strafes has the same moves at headings 90 degrees apart, one with a differential
     drive, and a rectangle, at opposite ones. So links distinguish only `classes` headings: the turn steps of a quarter
     or half a turn, or more of them where that is no whole number of turns. Cells are a quarter of a
-    move wide, at most 0.25 m, and wider where a room would have more than 1.5 million (cell, class)
-    states; a link then stands for several moves in a row, so that it still spans about four cells.
+    stride wide, at most 0.25 m, and wider where a room would have more than 1.5 million (cell, class)
+    states; a link then stands for several moves in a row, so that one of strides still
+    spans about four cells.
 
     Attributes:
         door_shut: True if there is a door and it is shut.
@@ -111,7 +112,7 @@ class FieldMaker:
         low: corner of the grid, shape (2,), m.
         size: side of a cell, m.
         macro: primitives of a link.
-        span: length of a link that nothing blocks, m.
+        span: length of the longest link, m.
         bin_size: resolution of poses for a search, m.
         shape: (columns, rows) of cells.
         classes: heading classes.
@@ -137,7 +138,7 @@ class FieldMaker:
             width: half width of the corridor, in moves.
             clock: time limit.
         """
-        step = instance.robot.move_step
+        step = rules.actions.stride
         self.door_shut = door_shut and instance.door is not None
         self.headings = rules.headings
         self.classes, self.size, self.shape = lay_grid(instance, rules, refinement)
@@ -145,14 +146,15 @@ class FieldMaker:
         self.bin_size = min(self.size / 2, step / 4)
         self._turn_step = rules.turn_step
         self.targets = stack_footprints([target.footprint for target in instance.targets])
-        self.span = self.macro * step
+        self.span = self.macro * rules.actions.longest
         self.collision = collision or make_collision(instance, door_shut)
         self.low = self.collision.low
         door = len(instance.solids) if self.door_shut else -1
         self.scene = make_sweep_scene(self.collision, door, self.span)
         angles = np.arange(self.classes) * rules.turn_step
         self.turns = np.array([rules.get_rotation(n % rules.headings, 0.0) for n in range(self.classes + 1)])
-        self._moves = self.span * rules.actions.compute_moves(np.cos(angles), np.sin(angles))
+        self._moves = rules.actions.compute_moves(np.cos(angles), np.sin(angles), self.macro)
+        self._turn_steps = rules.actions.turn_steps
         self._within = self._find_corridor(path, width * max(step, 2 * self.size))
         columns, rows = self.shape
         self.points, self.standing = np.empty((columns * rows, 2)), np.zeros(columns * rows, dtype=np.bool_)
@@ -280,8 +282,8 @@ class FieldMaker:
         field = old.costs.copy()
         starts, sources, costs = self._links
         states, values = dijkstra.forget_changed(
-            starts, sources, costs, self._landing, self._link_cost, self.classes, seeds.headings, old.changed,
-            self.standing, seeds.states, seeds.costs, field)
+            starts, sources, costs, self._landing, self._link_cost, self.classes, seeds.headings, self._turn_steps,
+            old.changed, self.standing, seeds.states, seeds.costs, field)
         return self._search(field, states, values, seeds.headings, self.everywhere, NO_LIMIT)
 
     @cached_property
@@ -356,9 +358,9 @@ class FieldMaker:
         counts = np.array([0, 0, 0, int(np.diff(starts).max(initial=0))])
         while counts[0] >= 0:
             clock.check()
-            buckets = dijkstra.run_dijkstra(starts, sources, costs_of_links, self.classes, headings,
-                                                    self._can_turn, allowed, seeds, seed_costs, field, buckets, filled,
-                                                    counts, SLICE)
+            buckets = dijkstra.run_dijkstra(starts, sources, costs_of_links, self.classes, headings, self._turn_steps,
+                                            self._can_turn, allowed, seeds, seed_costs, field, buckets, filled,
+                                            counts, SLICE)
         known = self.fits & np.repeat(allowed, len(self.fits) // len(allowed))
         return dijkstra.fill_gaps(field, known, headings, self.shape[1])
 

@@ -131,7 +131,6 @@ def find_landings(scene, points, fits, turns, cells_a_row, low, size, moves, ste
     classes, translations = moves.shape[0], moves.shape[1]
     columns = points.shape[0] // cells_a_row
     layers = fits.shape[0] // points.shape[0]
-    length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
     for cell in range(first, last):
         x, y = points[cell, 0], points[cell, 1]
         for c in range(classes):
@@ -140,7 +139,7 @@ def find_landings(scene, points, fits, turns, cells_a_row, low, size, moves, ste
                 continue
             for m in range(translations):
                 dx, dy = moves[c, m, 0], moves[c, m, 1]
-                fraction = sweep_body(scene, x, y, turns[c], dx, dy, length)
+                fraction = sweep_body(scene, x, y, turns[c], dx, dy, math.hypot(moves[0, m, 0], moves[0, m, 1]))
                 ex, ey = x + fraction * dx, y + fraction * dy
                 i, j = int(math.floor((ex - low[0]) / size)), int(math.floor((ey - low[1]) / size))
                 best = _find_cell(points, fits, layers, layer, columns, cells_a_row, i, j, ex, ey)
@@ -191,7 +190,6 @@ def find_last_moves(scene, points, fits, turns, candidates, moves, steps, goal, 
     """Cost of the displacement from each cell that ends in the goal, 0 if none does; shape (candidates, classes)."""
     classes, translations = moves.shape[0], moves.shape[1]
     link_cost = np.zeros((candidates.shape[0], classes), dtype=np.int32)
-    length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
     shape, layers = get_shape(goal), fits.shape[0] // points.shape[0]
     for n in range(candidates.shape[0]):
         x, y = points[candidates[n], 0], points[candidates[n], 1]
@@ -200,7 +198,7 @@ def find_last_moves(scene, points, fits, turns, candidates, moves, steps, goal, 
                 continue
             for m in range(translations):
                 dx, dy = moves[c, m, 0], moves[c, m, 1]
-                fraction = sweep_body(scene, x, y, turns[c], dx, dy, length)
+                fraction = sweep_body(scene, x, y, turns[c], dx, dy, math.hypot(moves[0, m, 0], moves[0, m, 1]))
                 if is_touched(x + fraction * dx, y + fraction * dy, turns[c], presser, shape, reach):
                     cost = max(1, int(math.ceil(fraction * steps - 1e-9)))
                     if link_cost[n, c] == 0 or cost < link_cost[n, c]:
@@ -224,8 +222,8 @@ def find_touching_cells(points, turns, candidates, goal, reach, presser):
 
 
 @kernel
-def run_dijkstra(starts, sources, costs, classes, headings, can_turn, allowed, seeds, seed_costs, best, buckets, filled,
-                 counts, most):
+def run_dijkstra(starts, sources, costs, classes, headings, turn_steps, can_turn, allowed, seeds, seed_costs, best,
+                 buckets, filled, counts, most):
     """Fewest primitives from every (cell, heading) to the nearest seed, by Dijkstra's search with buckets (Dial 1969).
 
     Each call continues the search; it is over when `counts[0]` is negative.
@@ -236,6 +234,7 @@ def run_dijkstra(starts, sources, costs, classes, headings, can_turn, allowed, s
         costs: from `link_cells`.
         classes: heading classes of the links.
         headings: headings of the field, a multiple of `classes` or equal to it.
+        turn_steps: headings that each turn goes on, shape (turns,).
         can_turn: True where the body can turn from a class to the next one, shape (cells * classes,); empty where it
             always can.
         allowed: cells that may be used, shape (cells,), bool.
@@ -282,7 +281,7 @@ def run_dijkstra(starts, sources, costs, classes, headings, can_turn, allowed, s
             continue
         at = 0
         while at < filled[slot]:
-            if fullest + 2 + most_links > buckets.shape[1]:
+            if fullest + turn_steps.shape[0] + most_links > buckets.shape[1]:
                 buckets = _widen(buckets, filled)
             state = buckets[slot, at]
             at += 1
@@ -294,14 +293,15 @@ def run_dijkstra(starts, sources, costs, classes, headings, can_turn, allowed, s
             cost = level + 1
             to = cost % wide
             first = filled[to]
-            for turn in range(2):
-                if turn == 0:
-                    before = state + 1 if heading + 1 < headings else state + 1 - headings
-                else:
-                    before = state - 1 if heading > 0 else state - 1 + headings
-                if can_turn.shape[0] > 0 and not can_turn[cell * classes + (heading - turn + classes) % classes]:
-                    continue
-                if cost < best[before]:
+            for k in range(turn_steps.shape[0]):
+                turn = turn_steps[k]
+                before = state - turn
+                if heading < turn:
+                    before += headings
+                elif heading - turn >= headings:
+                    before -= headings
+                if cost < best[before] and (
+                        can_turn.shape[0] == 0 or _is_turn_free(can_turn, cell * classes, classes, heading, turn)):
                     best[before] = cost
                     buckets[to, first] = before
                     first += 1
@@ -323,6 +323,16 @@ def run_dijkstra(starts, sources, costs, classes, headings, can_turn, allowed, s
             best[state] = -1
     counts[0] = -1
     return buckets
+
+
+@kernel_part
+def _is_turn_free(can_turn, first, classes, heading, turn):
+    """Return whether all steps of a turn to a heading are free, in the cell whose classes begin at `first`."""
+    low, high = (heading - turn, heading) if turn > 0 else (heading, heading - turn)
+    for step in range(low, high):
+        if not can_turn[first + (step + classes) % classes]:
+            return False
+    return True
 
 
 @kernel
@@ -364,11 +374,11 @@ def fill_gaps(field, known, headings, rows):
 
 
 @kernel_part
-def _find_least(field, gone, landing, link_cost, classes, headings, translations, cell, heading):
+def _find_least(field, gone, landing, link_cost, classes, headings, turn_steps, translations, cell, heading):
     """Least cost-to-go by way of a successor that is not gone."""
     least = UNREACHED
-    for turn in (1, headings - 1):
-        after = cell * headings + (heading + turn) % headings
+    for k in range(turn_steps.shape[0]):
+        after = cell * headings + (heading + turn_steps[k] + headings) % headings
         if not gone[after] and field[after] + 1 < least:
             least = field[after] + 1
     at = (cell * classes + heading % classes) * translations
@@ -381,8 +391,8 @@ def _find_least(field, gone, landing, link_cost, classes, headings, translations
 
 
 @kernel
-def forget_changed(starts, sources, costs, landing, link_cost, classes, headings, changed, standing, seeds, seed_costs,
-                   field):
+def forget_changed(starts, sources, costs, landing, link_cost, classes, headings, turn_steps, changed, standing,
+                   seeds, seed_costs, field):
     """Forget the cost-to-go of states in changed cells, and of all states that have no other support.
 
     Args:
@@ -393,6 +403,7 @@ def forget_changed(starts, sources, costs, landing, link_cost, classes, headings
         link_cost: moves of the new grid, from `find_landings`.
         classes: heading classes of the links.
         headings: headings of the field.
+        turn_steps: headings that each turn goes on, shape (turns,).
         changed: cells whose moves, or whose place, differ from the old grid, shape (n,).
         standing: True where the body fits, shape (cells,).
         seeds: states with a cost-to-go of their own, the same in both grids, shape (seeds,).
@@ -431,18 +442,17 @@ def forget_changed(starts, sources, costs, landing, link_cost, classes, headings
             cell = state // headings
             heading = state - cell * headings
             known = cell * classes + heading % classes
-            for k in range(starts[known] - 2, starts[known + 1]):
-                if k < starts[known]:  # the two turns that lead here
-                    turn = 1 if k == starts[known] - 1 else headings - 1
+            for k in range(starts[known] - turn_steps.shape[0], starts[known + 1]):
+                if k < starts[known]:  # the turns that lead here
                     source, cost = cell, 1
-                    before = cell * headings + (heading + turn) % headings
+                    before = cell * headings + (heading - turn_steps[starts[known] - 1 - k] + headings) % headings
                 else:
                     source, cost = sources[k], costs[k]
                     before = source * headings + heading
                 if gone[before] or field[before] != level + cost or own[before] == field[before]:
                     continue
-                least = _find_least(field, gone, landing, link_cost, classes, headings, translations, source,
-                                    before - source * headings)
+                least = _find_least(field, gone, landing, link_cost, classes, headings, turn_steps, translations,
+                                    source, before - source * headings)
                 if least > field[before]:
                     gone[before] = True
                     links[before], heads[field[before]] = heads[field[before]], before
@@ -451,8 +461,8 @@ def forget_changed(starts, sources, costs, landing, link_cost, classes, headings
     for state in range(field.shape[0]):
         cell = state // headings
         if gone[state] and standing[cell]:
-            least = min(own[state], _find_least(field, gone, landing, link_cost, classes, headings, translations, cell,
-                                                state - cell * headings))
+            least = min(own[state], _find_least(field, gone, landing, link_cost, classes, headings, turn_steps,
+                                                translations, cell, state - cell * headings))
             if least < UNREACHED:
                 states[count], values[count] = state, least
                 count += 1

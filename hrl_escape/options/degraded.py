@@ -121,7 +121,7 @@ class DegradedOption(Option):
         if self._wasted < self.degradation.detour:
             self._wasted += 1
             robot = RobotConfig() if self.instance is None else self.instance.robot
-            to, fro = robot.actions.turns
+            to, fro = robot.actions.turns[:2]
             return to if self._wasted % 2 else fro
         if not self._inner_runs and not self.is_markov:
             self._begin(state)

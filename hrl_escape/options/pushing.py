@@ -86,7 +86,7 @@ class PushField:
             layer = (side + 1) * cells
             sources += [layer + moves, np.flatnonzero(stands), layer + np.arange(cells)]
             sinks += [layer + ahead[moves], layer + np.flatnonzero(stands), np.arange(cells)]
-            costs += [np.full(len(moves), length / self._instance.robot.move_step),
+            costs += [np.full(len(moves), length / self._instance.robot.actions.stride),
                        np.full(int(stands.sum()), CHANGE), np.full(cells, 1e-6)]
         size = (len(SIDES) + 1) * cells
         graph = coo_array((np.concatenate(costs), (np.concatenate(sinks), np.concatenate(sources))), (size, size))
@@ -109,7 +109,7 @@ class PushField:
             headings: headings of the base in a full turn.
             others: footprints that neither block nor body may meet.
         """
-        step = self._instance.robot.move_step
+        step = self._instance.robot.actions.stride
         goal_x, goal_y = self.goal
         left = math.hypot(goal_x - x, goal_y - y)
         best, found = math.inf, None
@@ -194,12 +194,11 @@ class PushOption(Option):
 
     def _find_pusher(self, state: RoomState, push: _Push) -> int | None:
         """Translation that makes the push from the base's present place; None if none does."""
-        step = self._room.robot.move_step
         heading = self._planner.rules.get_heading(state)
         dx, dy = push.block[0] - state.x, push.block[1] - state.y
         actions = self._planner.rules.actions
         for primitive in actions.translations:
-            move = actions.primitives[primitive]
+            move, step = actions.primitives[primitive], actions.primitives[primitive].length
             angle = heading + math.atan2(move.left, move.forward)
             if abs((angle - push.direction + math.pi) % math.tau - math.pi) > ASKEW:
                 continue
@@ -227,7 +226,7 @@ class PushOption(Option):
 
     def _find_route(self, state: RoomState, push: _Push) -> Route:
         blocks = list_blocks(state, self._room, grown=-GRAZE)
-        step, turn = self._room.robot.move_step, math.pi / 2
+        step, turn = self._planner.rules.actions.stride, math.pi / 2
         heading = self._planner.rules.get_heading(state)
         facing = push.direction + turn * round((heading - push.direction) / turn)
         wanted = 1.0 - push.length / step

@@ -144,7 +144,7 @@ class PressOption(Option):
         rules, dynamics, robot = self._planner.rules, self._planner.instance.dynamics, self._planner.instance.robot
         for primitive in going:
             state = rules.step(state, primitive).state
-        away = max(ARRIVAL, ARRIVAL_NOISE * dynamics.noise * robot.move_step)
+        away = max(ARRIVAL, ARRIVAL_NOISE * dynamics.noise * rules.actions.longest)
         turned = math.radians(max(1.0, ARRIVAL_NOISE * dynamics.noise * robot.turn_step_deg))
         return PoseGoal(state.x, state.y, rules.get_heading(state), away, turned)
 

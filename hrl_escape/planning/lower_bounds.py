@@ -1,6 +1,7 @@
 """Lower bounds on the primitives of a leg, from geometry alone: straight lines, no obstacles.
 
-The bounds hold because a primitive moves the body's axis by at most one move step. Task planning
+The bounds hold because no primitive moves the body's axis farther than the longest
+of the action table. Task planning
 prunes by them, and they bound the distance of a plan from the optimum.
 """
 
@@ -45,7 +46,7 @@ class LegBounds:
 
     def __init__(self, instance: RoomInstance) -> None:
         self._instance = instance
-        self._step = instance.robot.move_step
+        self._step = instance.robot.actions.longest
         self._reach = self._compute_reach()
         area = instance.exit
         half_x, half_y = (area.x_max - area.x_min) / 2, (area.y_max - area.y_min) / 2
@@ -56,7 +57,7 @@ class LegBounds:
         """Largest distance between the body's axis and a target that it presses, m."""
         robot, margin = self._instance.robot, self._instance.dynamics.press_margin
         if self._instance.puzzle.target_cells:
-            return robot.move_step  # from the cell before it
+            return robot.actions.stride  # from the cell before it
         if self._instance.dynamics.press_with == "body":
             return robot.outer_radius + margin
         arm = sum(float(np.linalg.norm(joint.origin[:3, 3])) for joint in make_robot(robot).chain)

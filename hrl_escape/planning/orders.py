@@ -147,7 +147,7 @@ class TaskPlanner(RouteFinder):
         poses = get_prop_poses(here, self.instance)
         (x, y, _), (to_x, to_y, _) = poses[goal.prop], poses[goal.destination]
         way = math.hypot(x - here.x, y - here.y) + 2.0 * math.hypot(to_x - x, to_y - y)
-        return Leg(way / self.instance.robot.move_step, here._replace(x=to_x, y=to_y))
+        return Leg(way / self.rules.actions.stride, here._replace(x=to_x, y=to_y))
 
     @cached_property
     def solved_puzzle(self) -> Any:

@@ -35,7 +35,7 @@ def compute_depth(rooms: Situations, planned: bool) -> int:
     if planned:
         return 1
     widths = 2 * rooms.instance.reach_x, 2 * rooms.instance.reach_y
-    levels = int(math.log2(max(1.0, min(widths) / (2 * rooms.instance.robot.move_step))))
+    levels = int(math.log2(max(1.0, min(widths) / (2 * rooms.instance.robot.actions.stride))))
     return min(max(levels, 1), MOST_LEVELS)
 
 

@@ -79,7 +79,7 @@ class Situations:
             raise UnsupportedError(f"no hierarchy is synthesised for the puzzle {instance.puzzle.kind!r}: its "
                                    "operators have conditional effects, and tasks are made of preconditions")
         self._propositions, self._goal = model.propositions, model.goal
-        self._cell = cell or instance.robot.move_step
+        self._cell = cell or instance.robot.actions.stride
         self._joints = instance.robot.joints
         self.fact_count = len(model.propositions) + len(instance.targets)
         self.pose_count = 4 + self._joints + len(instance.targets)

@@ -84,10 +84,11 @@ def _slide(layout: Layout, tables: Tables, state: TensorState, action: Tensor, s
         chosen = free & (free.to(torch.int64).cumsum(0) == number + 1)
         taken = (chosen.to(torch.int64) * torch.arange(len(moves), device=action.device).unsqueeze(1)).sum(0)
         return torch.where(slips & (count > 0), taken, action)
-    slipped = [list_slips(dynamics.slip_kind, layout.actions, move) for move in moves]
-    others = torch.tensor(slipped, device=action.device)
-    number = (share * others.shape[1]).to(torch.int64).clamp(max=others.shape[1] - 1)
-    taken = others[action.clamp(0, len(moves) - 1), number]
+    slipped = [list_slips(dynamics.slip_kind, layout.actions, move) or (move,) for move in moves]
+    most, chosen = max(map(len, slipped)), action.clamp(0, len(moves) - 1)
+    others = torch.tensor([(*to, *to[:1] * (most - len(to))) for to in slipped], device=action.device)
+    count = torch.tensor([len(to) for to in slipped], device=action.device)[chosen]
+    taken = others[chosen, torch.minimum((share * count).to(torch.int64), count - 1)]
     if dynamics.slip_kind == "lateral-if-free":
         slips = slips & _is_free(layout, tables, state, action, scale)
     return torch.where(slips, taken, action)
@@ -145,8 +146,8 @@ def _push(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Te
 def _compute_displacement(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor | None
                           ) -> tuple[Tensor, Tensor]:
     """Displacements that nothing blocks, m, float64 (rooms,) each."""
-    length = layout.robot.move_step * (state.x.new_ones(()) if scale is None else scale)
-    forward, left = (_find_effects(layout, action, name, length) for name in ("forward", "left"))
+    unit = state.x.new_ones(()) if scale is None else scale
+    forward, left = (_find_effects(layout, action, name, unit) for name in ("forward", "left"))
     cos, sin = compute_rotation(layout, tables, state)
     return store(forward * cos - left * sin), store(forward * sin + left * cos)
 
@@ -295,7 +296,7 @@ def _find_ahead(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
     if not layout.inner_doors:
         return torch.full_like(state.touching, -1)
     cos, sin = compute_rotation(layout, tables, state)
-    step = layout.robot.move_step
+    step = layout.actions.stride
     return _find_at(layout, tables, state, state.x + step * cos, state.y + step * sin)
 
 

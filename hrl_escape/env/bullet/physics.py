@@ -265,9 +265,8 @@ class PhysicsDynamics:
 
     def _drive(self, state: RoomState, primitive: Primitive, scale: float) -> int:
         cos, sin = self._rules.get_rotation(state.heading_steps, state.heading_offset)
-        length, turn = scale * self._instance.robot.move_step, scale * primitive.turn * self._rules.turn_step
-        way = (length * (primitive.forward * cos - primitive.left * sin),
-               length * (primitive.forward * sin + primitive.left * cos), turn)
+        turn = scale * primitive.turn * self._rules.turn_step
+        way = (*primitive.compute_move(cos, sin, scale), turn)
         seconds = max(math.hypot(way[0], way[1]) / _SPEED, abs(turn) / _TURN_SPEED)
         return self._run(_make_profile(seconds), way)
 

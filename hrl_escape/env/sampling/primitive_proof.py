@@ -83,7 +83,7 @@ def meets_condition(instance: RoomInstance) -> bool:
     robot, puzzle = instance.robot, instance.puzzle
     radius = robot.outer_radius + CONTACT_SKIN
     free_x, free_y = instance.half_width - radius, instance.half_depth - radius
-    needed = _SHIFTS * 2 * robot.move_step * math.sin(math.radians(robot.turn_step_deg) / 2)
+    needed = _SHIFTS * 2 * robot.actions.stride * math.sin(math.radians(robot.turn_step_deg) / 2)
     area = instance.exit
     exit_x = min(area.x_max, free_x) - max(area.x_min, -free_x)
     exit_y = min(area.y_max, free_y) - max(area.y_min, -free_y)
@@ -93,7 +93,7 @@ def meets_condition(instance: RoomInstance) -> bool:
         and isinstance(puzzle, ButtonsPuzzle) and puzzle.on_violation == "ignore" and not puzzle.allow_off
         and not puzzle.has_dead_ends
         and (robot.drive == "strafing" or (360 / robot.turn_step_deg) % 4 == 0)
-        and robot.turn_step_deg <= _FINEST_TURN_DEG and robot.move_step <= min(free_x, free_y)
+        and robot.turn_step_deg <= _FINEST_TURN_DEG and robot.actions.stride <= min(free_x, free_y)
         and min(exit_x, exit_y) >= needed
         and all(_measure_stretch(instance, target, free_x, free_y) >= needed for target in instance.targets)
     )
@@ -145,7 +145,7 @@ class _Search:
         self._instance, self._floors = instance, floors
         self._work = floors.shut.work
         self._rules = Kinematics(instance, is_still=True)
-        self._step = instance.robot.move_step
+        self._step = self._rules.actions.stride
         headings, symmetry = self._rules.headings, self._rules.symmetry
         alike = headings // symmetry if headings % symmetry == 0 else headings
         self._alike = alike if instance.dynamics.press_with == "body" else self._rules.headings

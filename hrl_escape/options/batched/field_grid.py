@@ -42,7 +42,7 @@ class FieldGrid:
     """
 
     def __init__(self, instance: RoomInstance, rules: Kinematics, offset: float, door_shut: bool) -> None:
-        self._instance, exit_, step = instance, instance.exit, instance.robot.move_step
+        self._instance, exit_, step = instance, instance.exit, rules.actions.longest
         by_hand = instance.dynamics.press_with == "hand"
         coarse = lay_grid(instance, rules)
         headings = rules.headings if by_hand else coarse.classes  # a hand points one way
@@ -57,7 +57,8 @@ class FieldGrid:
         choose_points(scene, self.low, self.size, self.shape[1], 0, self.shape[0],
                       np.ones_like(self._standing), self._points, self._standing)
         self._angles = np.arange(headings) * rules.turn_step + offset
-        moves = step * rules.actions.compute_moves(np.cos(self._angles), np.sin(self._angles))
+        moves = rules.actions.compute_moves(np.cos(self._angles), np.sin(self._angles))
+        self._turn_steps = rules.actions.turn_steps
         pressed = () if by_hand else instance.targets
         reaches = np.array([instance.compute_press_reach(target) for target in pressed], dtype=np.float64)
         self._moves = trace_moves(scene, self._points, self._standing, self.shape[1], self.low, self.size, moves,
@@ -100,8 +101,8 @@ class FieldGrid:
                  ) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
         """Find fields, (headings, cells, fields), from those of their states that are goals; see `iterate_values`."""
         values = values.reshape(len(values), -1)
-        iterate_values(values, self._moves, own, np.array(leaving, dtype=np.float32), np.float32(OTHER_PRESS_COST),
-                       np.float32(_TOLERANCE), _SWEEPS)
+        iterate_values(values, self._moves, self._turn_steps, own, np.array(leaving, dtype=np.float32),
+                       np.float32(OTHER_PRESS_COST), np.float32(_TOLERANCE), _SWEEPS)
         return encode_values(values, len(own))
 
     def _find_touching(self, target: int, hand: Sequence[float], limit: float

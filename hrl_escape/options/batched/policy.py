@@ -129,7 +129,7 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
                                           touched, turn)
     after = torch.where(hit, 0.0, after) + OTHER_PRESS_COST * (begun & ~own != 0)
     after = after + UNREACHABLE * (arrived & solved & is_press)
-    is_blocked = (free * layout.robot.move_step < _BLOCKED) & (turn == 0) & ~hit
+    is_blocked = (free * make_column(layout, state, "length", free.dtype) < _BLOCKED) & (turn == 0) & ~hit
     return torch.where(is_blocked, 2 * UNREACHABLE, after)
 
 

@@ -120,7 +120,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     has_failed = is_option & (fails | (~is_wasting & (is_lost | (running.goal == NOT_ASKED))))
     primitive = torch.where(is_option, torch.where(running.plan_left > 0, planned, choice.primitive), running.action)
     if settings.degradation.detour:
-        to, fro = layout.actions.turns
+        to, fro = layout.actions.turns[:2]
         primitive = torch.where(is_wasting, torch.where(running.run % 2 == 0, to, fro), primitive)
     primitive = torch.where(has_failed, layout.actions.wait, primitive)
     running = _watch_progress(running, choice, is_wasting)

@@ -50,7 +50,7 @@ def rotate(layout: Layout, tables: Tables, state: TensorState, turn: Tensor) -> 
 
 
 def make_column(layout: Layout, state: TensorState, name: str, dtype: torch.dtype) -> Tensor:
-    """Column of one attribute (`forward`, `left`, `turn`) of the base primitives, shape (primitives, 1)."""
+    """Column of one attribute (`forward`, `left`, `length`, `turn`) of the base primitives, shape (primitives, 1)."""
     values = [getattr(primitive, name) for primitive in layout.actions.primitives[:len(layout.actions.base)]]
     return torch.tensor(values, dtype=dtype, device=state.x.device).unsqueeze(1)
 
@@ -59,8 +59,8 @@ def compute_moves(layout: Layout, tables: Tables, state: TensorState, is_open: T
                   ) -> tuple[Tensor, Tensor, Tensor]:
     """Free share of each base primitive's displacement, and x and y of its end, (primitives, rooms) each."""
     cos, sin = compute_rotation(layout, tables, state)
-    forward, left = (layout.robot.move_step * make_column(layout, state, name, torch.float64)[
-        layout.actions.translations] for name in ("forward", "left"))
+    forward, left = (make_column(layout, state, name, torch.float64)[layout.actions.translations]
+                     for name in ("forward", "left"))
     dx, dy = forward * cos - left * sin, forward * sin + left * cos
     motion = (state.x, state.y, dx.unsqueeze(1), dy.unsqueeze(1), layout.robot.body_radius + CONTACT_SKIN)
     solids: SplitShapes = pick(layout, tables.split_solids, state.instance)
@@ -73,7 +73,7 @@ def compute_moves(layout: Layout, tables: Tables, state: TensorState, is_open: T
         free = (free >= 1.0).to(free.dtype)
     x, y = state.x + free * dx, state.y + free * dy
     stays = len(layout.actions.turns)
-    return (torch.cat([free, torch.ones_like(free[:stays])]), torch.cat([x, state.x.expand(stays, -1)]),
+    return (torch.cat([free, free.new_ones((stays, *free.shape[1:]))]), torch.cat([x, state.x.expand(stays, -1)]),
             torch.cat([y, state.y.expand(stays, -1)]))
 
 

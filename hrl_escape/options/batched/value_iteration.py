@@ -95,7 +95,10 @@ def _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shar
     """`listed`, `corners`, `weights`, `special`, `begun` and `outside` of `Moves`."""
     cells, classes, translations = points.shape[0], moves.shape[0], moves.shape[1]
     columns = cells // rows
-    length = math.hypot(moves[0, 0, 0], moves[0, 0, 1])
+    lengths = np.empty(translations)
+    for m in range(translations):
+        lengths[m] = math.hypot(moves[0, m, 0], moves[0, m, 1])
+    length = lengths.max()
     edge = int(math.ceil(length / size)) + 1
     near, here = np.zeros(cells, dtype=np.uint64), np.zeros(cells, dtype=np.uint64)
     listed = np.full((classes, cells), _ABSENT, dtype=np.int32)
@@ -132,8 +135,8 @@ def _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shar
         corners[at] = _ABSENT
         for m in range(translations):
             dx, dy = moves[c, m, 0], moves[c, m, 1]
-            fraction = sweep(scene, x, y, dx, dy, length)
-            if fraction * length < _BLOCKED:
+            fraction = sweep(scene, x, y, dx, dy, lengths[m])
+            if fraction * lengths[m] < _BLOCKED:
                 continue
             ex, ey = x + fraction * dx, y + fraction * dy
             bits = _find_touched(ex, ey, targets, reaches, near[cell]) & ~here[cell]
@@ -189,11 +192,12 @@ def trace_moves(scene, points, standing, rows, low, size, moves, targets, reache
     """
     offsets, shares = _trace_free(size, rows, moves)
     tables = _trace_listed(scene, points, standing, rows, low, size, moves, offsets, shares, targets, reaches, way_out)
-    return Moves(rows, math.ceil(math.hypot(*moves[0, 0]) / size) + 1, offsets, shares, *tables)
+    longest = max(math.hypot(*move) for move in moves[0].tolist())
+    return Moves(rows, math.ceil(longest / size) + 1, offsets, shares, *tables)
 
 
 @kernel
-def iterate_values(values, moves, own, leaving, penalty, tolerance, most):
+def iterate_values(values, moves, turn_steps, own, leaving, penalty, tolerance, most):
     """Value iteration of several fields at once, in place, until no value changes.
 
     Sweeps go over the grid in turn from each of its corners, tile by tile. The states in a tile's column are backed up
@@ -203,6 +207,7 @@ def iterate_values(values, moves, own, leaving, penalty, tolerance, most):
         values: cost-to-go or more, shape (classes, cells * fields), float32: `UNREACHABLE`, and `AT_GOAL` where the
             goal is a set of states. Costs that are too low would take more sweeps to grow than those to fall.
         moves: from `trace_moves`.
+        turn_steps: heading classes that each turn goes on, shape (turns,); the first two are 1 and -1.
         own: bit of the target that a move of each field is to touch, 0 for the exit, uint64 (fields,).
         leaving: cost of entering the exit without the goal, float32 (fields,); `UNREACHABLE` where the episode ends.
         penalty: cost of touching another target, float32.
@@ -228,7 +233,8 @@ def iterate_values(values, moves, own, leaving, penalty, tolerance, most):
             if i >= columns or (number > 1 and not _is_stale(changed, i, tj, side, number - 1)):
                 continue
             first, last = tj * side, min(tj * side + side, rows)
-            if _back_up(values, moves, own, leaving, penalty, tolerance, i * rows + first, last - first, fresh):
+            if _back_up(values, moves, turn_steps, own, leaving, penalty, tolerance, i * rows + first, last - first,
+                        fresh):
                 changed[i, tj] = number
                 is_done = False
         if is_done:
@@ -247,7 +253,7 @@ def _is_stale(changed, i, tj, side, since):
 
 
 @kernel_part
-def _back_up(values, moves, own, leaving, penalty, tolerance, begin, count, fresh):
+def _back_up(values, moves, turn_steps, own, leaving, penalty, tolerance, begin, count, fresh):
     """Back up `count` cells in a row from cell `begin` on; returns True if a value has changed."""
     fields, classes, translations = own.shape[0], moves.listed.shape[0], moves.offsets.shape[1]
     for c in range(classes):
@@ -271,6 +277,13 @@ def _back_up(values, moves, own, leaving, penalty, tolerance, begin, count, fres
     length, around = count * fields, classes + classes // 2
     for c in range(classes):
         _keep_goal(values[c, begin * fields:begin * fields + length], fresh[c, :length])
+    for t in range(2, turn_steps.shape[0]):  # turns commute: each kind of them, over and over, before the next
+        turn = turn_steps[t] % classes
+        for k in range(classes):
+            c = k
+            for _ in range(around if turn else 0):
+                _take_less_after_turn(fresh[c, :length], fresh[(c - turn + classes) % classes, :length])
+                c = (c - turn + classes) % classes
     for k in range(around):  # turns to either side, as far round as pays
         _take_less_after_turn(fresh[k % classes, :length], fresh[(k + 1) % classes, :length])
     for k in range(around, 0, -1):

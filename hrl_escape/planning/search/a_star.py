@@ -13,7 +13,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.env.primitives import TURNS
 from hrl_escape.floor.sweeps import (
     can_turn_body,
     first_contact,
@@ -32,7 +31,6 @@ MOST_PRIMITIVES = 32_768
 MOST_KEPT_NODES = 1 << 15
 """Nodes of the largest frontier that is kept for the next search."""
 _OPEN, _GOAL, _BEATEN = 0, 1, 2
-_TURNS = tuple(primitive.turn for primitive in TURNS)
 
 
 class SearchQuery(NamedTuple):
@@ -46,7 +44,8 @@ class SearchQuery(NamedTuple):
         turns: cosine and sine of each heading, shape (headings, 2).
         turn_step: angle between two headings, rad.
         moves: displacement of each translation at each heading, shape (headings, translations, 2), m.
-        length: length of a translation, m.
+        lengths: length of each translation, shape (translations,), m.
+        turn_steps: turn steps of each turn, shape (turns,), int64.
         stays: a blocked move is not made at all.
         presser: position of the presser relative to the body's axis, shape (headings, 2), m.
         targets: footprints of the targets, shape (n, 7).
@@ -82,7 +81,8 @@ class SearchQuery(NamedTuple):
     turns: NDArray[np.float64]
     turn_step: float
     moves: NDArray[np.float64]
-    length: float
+    lengths: NDArray[np.float64]
+    turn_steps: NDArray[np.int64]
     stays: bool
     presser: NDArray[np.float64]
     targets: NDArray[np.float64]
@@ -229,11 +229,11 @@ def _expand(scene, query, frontier, node):
     heading, spent = np.int64(frontier.facts[node, 0]), np.int64(frontier.facts[node, 1]) + 1
     touching, headings, translations = frontier.touching[node], query.moves.shape[0], query.moves.shape[1]
     sector, layer = heading % query.bin_headings, (heading + query.shift) % query.layers
-    for action in range(translations + len(_TURNS)):
+    for action in range(translations + query.turn_steps.shape[0]):
         to_x, to_y, to_heading, to_sector, to_layer = x, y, heading, sector, layer
         if action < translations:
             dx, dy = query.moves[heading, action, 0], query.moves[heading, action, 1]
-            fraction = sweep_body(scene, x, y, query.turns[heading], dx, dy, query.length)
+            fraction = sweep_body(scene, x, y, query.turns[heading], dx, dy, query.lengths[action])
             if fraction < 1.0:
                 dx, dy = fraction * dx, fraction * dy
             if fraction <= 1e-9 or (query.stays and fraction < 1.0):
@@ -248,7 +248,7 @@ def _expand(scene, query, frontier, node):
             if closed[0] <= to_x <= closed[1] and closed[2] <= to_y <= closed[3]:
                 continue
         else:
-            turn = _TURNS[action - translations]
+            turn = query.turn_steps[action - translations]
             to_heading = (heading + headings + turn) % headings
             to_sector, to_layer = to_heading % query.bin_headings, (to_heading + query.shift) % query.layers
             if not can_turn_body(scene, x, y, query.turns[heading], query.turns[to_heading], turn * query.turn_step):
@@ -279,6 +279,7 @@ def expand_until_goal(scene, query, frontier, expansions):
         The goal node, which is taken out of the frontier; or `EXHAUSTED`, `BUDGET` or `GROW`.
     """
     counts = frontier.counts
+    most = max(16, 2 * (query.moves.shape[1] + query.turn_steps.shape[0]))  # nodes that one expansion may add
     if counts[0] == 0:
         none = np.int64(-1)  # with literals numba would compile `_add` again
         sector, layer = query.heading % query.bin_headings, (query.heading + query.shift) % query.layers
@@ -289,7 +290,7 @@ def expand_until_goal(scene, query, frontier, expansions):
         if node < 0:
             counts[1] += 1
             continue
-        if counts[0] + 16 > frontier.links.shape[0]:
+        if counts[0] + most > frontier.links.shape[0]:
             return GROW
         if counts[2] >= expansions:
             return BUDGET

@@ -209,7 +209,7 @@ class JointSearch:
             maker, rules = self._shut, self.rules
             area = compute_goal_area(PressGoal(target), rules.instance)
             away = compute_distance_many(maker.points, stack_footprints([area.footprint]))
-            step = rules.instance.robot.move_step
+            step = rules.actions.longest
             presser = get_presser(PressGoal(target), rules.instance)
             surely = area.reach - math.hypot(*presser) + min(presser)  # touches at any heading
             near = np.flatnonzero(maker.standing & (away > surely) & (away <= area.reach + step))

@@ -82,7 +82,7 @@ class DoorSearches:
     @cached_property
     def _beside(self) -> list[list[int]]:
         """Numbers of the inner doors one move to each side of each, -1 for none."""
-        doors, step = self._rules.inner_doors, self._room.robot.move_step
+        doors, step = self._rules.inner_doors, self._rules.actions.stride
         return [] if doors is None else [
             [doors.find_at(cell.x + step * x, cell.y + step * y) for x, y, _ in _SIDES.values()]
             for cell in self._room.inner_doors]
@@ -110,7 +110,7 @@ def list_places(goal: GripGoal, state: RoomState, rules: Kinematics) -> Iterator
     There are four, or one behind a thing that is pushed. What is held may be put down in several cells: the nearest
     ones come first.
     """
-    room, step = rules.instance, rules.instance.robot.move_step
+    room, step = rules.instance, rules.actions.stride
     cells = [room.inner_doors[number] for number in room.puzzle.list_cells(state.puzzle, goal.action, goal.target)]
     cells.sort(key=lambda cell: math.hypot(cell.x - state.x, cell.y - state.y))
     side = goal.action.partition("push-")[2]

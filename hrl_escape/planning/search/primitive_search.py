@@ -390,8 +390,8 @@ class PrimitiveSearch:
 def _get_floor(instance: RoomInstance) -> tuple:
     """All that the grids of a room depend on, but for its solids."""
     robot = instance.robot
-    return (instance.reach_x, instance.reach_y, instance.door, robot.outer_radius, robot.body_height, robot.move_step,
-            robot.turn_step_deg, robot.drive, instance.dynamics.press_margin, instance.dynamics.press_with)
+    return (instance.reach_x, instance.reach_y, instance.door, robot.outer_radius, robot.body_height, robot.actions,
+            robot.turn_step_deg, instance.dynamics.press_margin, instance.dynamics.press_with)
 
 
 def _list_differences(before: Sequence[Solid], after: Sequence[Solid]) -> list[Solid]:

@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.geometry import Footprint, stack_footprints
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.env.primitives import TURNS
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.floor.sweeps import compile_geometry
 from hrl_escape.kernels import kernel, kernel_part
@@ -24,7 +23,6 @@ __all__ = ["find_fewest_primitives"]
 
 _first_contact, _distance = compile_geometry()
 BIN_SIZE = 0.05
-_TURNS = tuple(primitive.turn for primitive in TURNS)
 
 
 def find_fewest_primitives(kinematics: Kinematics, state: RoomState, goal: Goal, area: Footprint, reach: float,
@@ -54,7 +52,7 @@ def find_fewest_primitives(kinematics: Kinematics, state: RoomState, goal: Goal,
         solids.append(instance.door.footprint)
     angles = kinematics.turn_step * np.arange(kinematics.headings)
     cos, sin = np.round([np.cos(angles), np.sin(angles)], 15)
-    moves = instance.robot.move_step * kinematics.actions.compute_moves(cos, sin)
+    moves = kinematics.actions.compute_moves(cos, sin)
     half = np.array([instance.reach_x, instance.reach_y])
     shut = [target.footprint for i, target in enumerate(instance.targets) if i != getattr(goal, "target", -1)]
     touch = instance.robot.body_radius + instance.dynamics.press_margin if isinstance(goal, PressGoal) else -1.0
@@ -63,7 +61,7 @@ def find_fewest_primitives(kinematics: Kinematics, state: RoomState, goal: Goal,
     chain = _search_compiled(
         stack_footprints(solids), instance.robot.body_radius + 1e-3, moves, half, bins, folds,
         stack_footprints([area])[0], reach + 1e-12, stack_footprints(shut), touch,
-        state.x, state.y, state.heading_steps, most,
+        state.x, state.y, state.heading_steps, most, kinematics.actions.turn_steps, kinematics.actions.longest,
     )
     if not len(chain):
         return None
@@ -82,8 +80,8 @@ def _shape(row):
 @kernel
 def _search_compiled(solids: NDArray, radius: float, moves: NDArray, half: NDArray, bins: float, folds: int,
                      area: NDArray, reach: float, shunned: NDArray, touch: float, x: float, y: float, heading: int,
-                     most: int) -> NDArray:
-    headings, translations, step = moves.shape[0], moves.shape[1], np.hypot(moves[0, 0, 0], moves[0, 0, 1])
+                     most: int, turns: NDArray, step: float) -> NDArray:
+    headings, translations = moves.shape[0], moves.shape[1]
     goal = _shape(area)
     columns, rows = int(2 * half[0] / bins) + 3, int(2 * half[1] / bins) + 3
     seen = np.full(columns * rows * folds, 30_000, dtype=np.int16)
@@ -108,7 +106,7 @@ def _search_compiled(solids: NDArray, radius: float, moves: NDArray, half: NDArr
                 node = fact[node, 1]
             return chain
         x, y, heading = place[node, 0], place[node, 1], fact[node, 0]
-        for action in range(translations + len(_TURNS)):
+        for action in range(translations + turns.shape[0]):
             to_x, to_y, to_heading = x, y, heading
             if action < translations:
                 dx, dy = moves[heading, action, 0], moves[heading, action, 1]
@@ -122,7 +120,7 @@ def _search_compiled(solids: NDArray, radius: float, moves: NDArray, half: NDArr
                     dx, dy = share * dx, share * dy
                 to_x, to_y = x + dx, y + dy
             else:
-                to_heading = (heading + headings + _TURNS[action - translations]) % headings
+                to_heading = (heading + headings + turns[action - translations]) % headings
             bad = False
             for k in range(shunned.shape[0]):
                 bad = bad or _distance(to_x, to_y, _shape(shunned[k])) <= touch

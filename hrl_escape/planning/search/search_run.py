@@ -120,7 +120,7 @@ class HeadingTable(NamedTuple):
         turns = np.array([rules.get_rotation(n, heading_offset) for n in range(rules.headings)])
         instance = rules.instance
         pressers = np.array([get_presser(PressGoal(i), instance) for i in range(len(instance.targets))]).reshape(-1, 2)
-        return cls(turns, instance.robot.move_step * rules.actions.compute_moves(*turns.T),
+        return cls(turns, rules.actions.compute_moves(*turns.T),
                    _compute_reaches(instance, 0.0), pressers)
 
 
@@ -241,8 +241,8 @@ class SearchRun:
         layers = len(field) // len(maker.points)
         return a_star.SearchQuery(
             x=state.x, y=state.y, heading=state.heading_steps, touched=np.uint64(state.touching),
-            turns=turns, turn_step=rules.turn_step, moves=headings.moves, length=instance.robot.move_step,
-            stays=instance.dynamics.blocked == "stay", presser=presser,
+            turns=turns, turn_step=rules.turn_step, moves=headings.moves, lengths=rules.actions.lengths,
+            turn_steps=rules.actions.turn_steps, stays=instance.dynamics.blocked == "stay", presser=presser,
             targets=maker.targets, reaches=reaches, pressers=headings.pressers,
             forbidden=np.uint64(others if self._avoiding else 0), keep_out=stack_footprints(problem.keep_out),
             closed=np.array(closed), target=target, goal=stack_footprints([problem.area.footprint])[0],
