@@ -88,6 +88,20 @@ MUTATIONS = [
         "planning/test_best_known.py::test_what_no_one_can_do_is_worth_the_horizon",
     ),
     Mutation(
+        "lower bounds suppose that no primitive goes farther than a stride",
+        "planning/lower_bounds.py",
+        "self._step = instance.robot.actions.longest",
+        "self._step = instance.robot.actions.stride",
+        "planning/test_action_tables.py::test_no_walk_is_shorter_than_the_bound_of_where_it_leads_nor_proven_impossible",
+    ),
+    Mutation(
+        "a search knows the turns of one turn step only",
+        "planning/lattice/search_run.py",
+        "turn_steps=rules.actions.turn_steps, stays",
+        "turn_steps=rules.actions.turn_steps[:2], stays",
+        "planning/test_action_tables.py::test_a_turn_of_the_table_replaces_many_turn_steps",
+    ),
+    Mutation(
         "a straight line is measured from centre to centre",
         "planning/lower_bounds.py",
         "return self._count(compute_distance(state.x, state.y, shape) - reach, then)",
