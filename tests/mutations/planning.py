@@ -96,7 +96,7 @@ MUTATIONS = [
     ),
     Mutation(
         "a search knows the turns of one turn step only",
-        "planning/lattice/search_run.py",
+        "planning/search/search_run.py",
         "turn_steps=rules.actions.turn_steps, stays",
         "turn_steps=rules.actions.turn_steps[:2], stays",
         "planning/test_action_tables.py::test_a_turn_of_the_table_replaces_many_turn_steps",
