@@ -17,7 +17,7 @@ import tyro
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.algorithms.given.hamq import Hamq
-from hrl_escape.agents.algorithms.given.maxq_0 import Maxq0
+from hrl_escape.agents.algorithms.given.maxq_q import MaxqQ
 from hrl_escape.agents.training.evaluation import evaluate
 from tests.agents.hierarchy.taxi_program import drive, read
 from tests.agents.hierarchy.taxi_tasks import make_taxi_tasks
@@ -39,7 +39,7 @@ PUBLIC = {
 
 def make_maxq(env: Taxi, seed: int) -> Agent:
     """MAXQ-0 with Dietterich's state abstraction."""
-    return Maxq0(env.observation_space, env.action_space, seed, Maxq0.Settings(**RATES), make_taxi_tasks())
+    return MaxqQ(env.observation_space, env.action_space, seed, MaxqQ.Settings(**RATES), make_taxi_tasks())
 
 
 def make_hamq(env: Taxi, seed: int, internal: bool = False) -> Agent:
@@ -49,7 +49,7 @@ def make_hamq(env: Taxi, seed: int, internal: bool = False) -> Agent:
 
 
 AGENTS: dict[str, Callable[[Taxi, int], Agent]] = {
-    "maxq-0": make_maxq,
+    "maxq-q": make_maxq,
     "hamq": make_hamq,
     "hamq, internal": lambda env, seed: make_hamq(env, seed, internal=True),
 }

@@ -31,7 +31,7 @@ HOUSE = """
 cli errors files settings checks.option commands.list
 comparison.grid comparison.reporting.report viewer.scene.room_scene
 agents.agent agents.registry agents.components.networks agents.training.train
-agents.algorithms.dqn agents.algorithms.sarsa agents.algorithms.given.hamq agents.algorithms.given.maxq_0
+agents.algorithms.dqn agents.algorithms.sarsa agents.algorithms.given.hamq agents.algorithms.given.maxq_q
 agents.hierarchy.task agents.factored.search agents.larg2019.recipes
 options.option options.options_env options.meta_actions
 planning.goals planning.planner planning.paths.navigator planning.arm.model planning.search.a_star floor.clearance

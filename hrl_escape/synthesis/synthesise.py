@@ -39,7 +39,7 @@ def synthesise(
 
     Args:
         instance: the room.
-        kind: `maxq`, a task graph for `maxq-0`, `maxq-q`, `r-maxq` and `h-uct`; `ham`, a program for `hamq`;
+        kind: `maxq`, a task graph for `maxq-q`, `r-maxq` and `h-uct`; `ham`, a program for `hamq`;
             `landmarks`, goals for `h-dqn`; `feudal`, cells of the floor for `feudal-rl`.
         leaves: `planned`, the planner walks to each target; `learned`, walking is learned over primitives.
         abstract: let each task see only what is relevant to it; without, all see pose and facts.

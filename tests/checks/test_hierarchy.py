@@ -57,7 +57,7 @@ GRAPHS = {
     "the doors of h-uct": lambda: (make_door_tasks(lambda seen: 10.0 * (seen.observation == 2)), TwoDoors()),
     "options as primitives": lambda: (flat(7), ButtonGrid()),
 }
-"""For `maxq-0`, `maxq-q`, `r-maxq` and `h-uct`, which run any graph. Those made of rooms are in tests/synthesis."""
+"""For `maxq-q`, `r-maxq` and `h-uct`, which run any graph. Those made of rooms are in tests/synthesis."""
 
 OWN = {
     "macro-q": lambda: _run(MacroQ, EmptyRoom(EDGE), make_wall_macros()),
@@ -74,7 +74,7 @@ def test_every_hierarchy_keeps_every_promise(name):
 
 def test_no_agent_that_runs_calls_is_left_out():
     runners = {name for name in list_given_agents() if issubclass(get_agent_class(name), CallRunner)}
-    assert runners == {"maxq-0", "maxq-q", "r-maxq", "h-uct", *OWN}
+    assert runners == {"maxq-q", "r-maxq", "h-uct", *OWN}
 
 
 class Told(StackAgent):

@@ -9,16 +9,17 @@ def _trap(bug: str, file: str, old: str, new: str, test: str) -> tuple[str, str,
     return bug, f"{folder}/{file}.py", old, new, f"{GIVEN}/{test}"
 
 
-HIERARCHY = ("feudal", "machine", "macros", "maxq_runner", "task_graph")
+HIERARCHY = ("feudal", "machine", "macros", "task_graph")
 
 MUTATIONS = [
     # terminal means: for that task
-    _trap("maxq-0 goes on after a task's own end", "maxq_0",
-          "is_over = returned.ended or returned.stuck or returned.terminated",
-          "is_over = returned.terminated",
+    _trap("maxq goes on after a task's own end", "maxq_q",
+          "        if returned.ended:\n            own_after",
+          "        if returned.ended and returned.terminated:\n            own_after",
           "test_maxq.py::test_one_child_of_three_primitives_teaches_the_completion_from_every_state_on_its_way"),
     _trap("maxq-q pays its pseudo-reward at the end of the episode alone", "maxq_q",
-          "if returned.ended:", "if returned.ended and returned.terminated:",
+          "if self.settings.pseudo_rewards else 0.0",
+          "if self.settings.pseudo_rewards and returned.terminated else 0.0",
           "test_maxq.py::test_every_task_is_worth_its_exact_value_with_pseudo_rewards_and_without"),
     _trap("the manager goes on after the end of the episode", "h_dqn",
           "0.0 if reached or returned.terminated else decision.discount",
@@ -30,15 +31,16 @@ MUTATIONS = [
           "test_feudal_rl.py::test_an_order_given_up_bootstraps"),
     # a* from the right table, pseudo-reward never in C
     _trap("a* is the best of what is reported", "maxq_q",
-          "choice = int(self.compute_choice_values(task, seen).argmax())\n        return",
+          "choice = int(self.compute_choice_values(task, seen).argmax())\n        told",
           "legal = task.legal(seen, None)\n"
           "        choice = int(np.array([\n"
-          "            self.compute_value(child, seen) + self.completion.get(self.make_key(task, number, seen))\n"
+          "            self.compute_value(child, seen)"
+          " + self.tables['completion'].get(self.make_key(task, number, seen))\n"
           "            if legal[number] else -np.inf for number, child in enumerate(task.children)]).argmax())\n"
-          "        return",
+          "        told",
           "test_maxq.py::test_every_task_is_worth_its_exact_value_with_pseudo_rewards_and_without"),
     _trap("pseudo-reward in C", "maxq_q",
-          "self.completion.update(key, discount * after)", "self.completion.update(key, discount * own_after)",
+          "[\"completion\"].update(key, discount * after)", "[\"completion\"].update(key, discount * own_after)",
           "test_maxq.py::test_every_task_is_worth_its_exact_value_with_pseudo_rewards_and_without"),
     _trap("pseudo-reward in what h-uct's callers are told", "h_uct",
           "node.record(choice, reward, passed * own, passed * told)",
@@ -69,8 +71,8 @@ MUTATIONS = [
           "self._discretise(step.seen.observation), decision.choice",
           "test_macro_q.py::test_every_primitive_and_macro_is_worth_its_exact_value"),
     # time
-    _trap("every state on the way is as far from the end as the last", "maxq_0",
-          "self.gamma**duration * after", "self.gamma * after",
+    _trap("every state on the way is as far from the end as the last", "maxq_q",
+          "self.gamma**duration\n", "self.gamma\n",
           "test_maxq.py::test_one_child_of_three_primitives_teaches_the_completion_from_every_state_on_its_way"),
     _trap("a macro's end is discounted by one primitive", "macro_q",
           "decision.discount * float(after)", "self.gamma * float(after)",
@@ -92,7 +94,7 @@ MUTATIONS = [
           "if after == self._turn.subgoal:", "if self._turn.subgoal in (after, key):",
           "test_hq_learning.py::test_a_subgoal_counts_after_a_primitive_only"),
     # truncation in nested calls
-    _trap("a caller learns from a call that was cut", "maxq_runner",
+    _trap("a caller learns from a call that was cut", "maxq_q",
           "if not cut_before_its_end:", "if True:",
           "test_maxq.py::test_a_caller_learns_nothing_from_a_call_that_was_cut"),
     _trap("a choice of a program ends where the episode was cut", "hamq",

@@ -149,7 +149,7 @@ def planned(model):
 def learn_tiny(abstract, leaves="planned", primitives=600):
     """The value of the start at alpha 1 and gamma 1, and what is greedily earned from there."""
     env = make_env(TINY, leaves=leaves, abstract=abstract, cell=0.01)
-    agent = make_agent("maxq-0", env.observation_space, env.action_space, 0, structure=env.structure, gamma=1.0,
+    agent = make_agent("maxq-q", env.observation_space, env.action_space, 0, structure=env.structure, gamma=1.0,
                        learning_rate=1.0, epsilon_start=0.3, epsilon_end=0.3)
     result = train(agent, env, primitives=primitives, eval_episodes=1, eval_every=primitives, progress=False)
     observation, _ = env.reset(seed=0)

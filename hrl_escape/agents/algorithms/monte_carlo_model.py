@@ -20,7 +20,6 @@ from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.exploration import sample_index
 from hrl_escape.agents.factored.planning_agent import PlanningAgent, PlanningSettings
 from hrl_escape.agents.factored.search import ModelPlan
-from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["MonteCarloModel", "MonteCarloModelSettings"]
@@ -46,6 +45,7 @@ class MonteCarloModel(PlanningAgent):
     name: ClassVar[str] = "monte-carlo-model"
     Settings: ClassVar[type] = MonteCarloModelSettings
     settings: MonteCarloModelSettings
+    STATE = ("_episode", "_redraws", "_seed")
 
     def __init__(
         self,
@@ -105,12 +105,3 @@ class MonteCarloModel(PlanningAgent):
             self._episode += 1
             self._drawn.forget()
         return metrics
-
-    def state_dict(self) -> StateTree:
-        """Seed and counters that draws follow from, beside history, plan and generator."""
-        return super().state_dict() | {"episode": self._episode, "redraws": self._redraws, "seed": self._seed}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self._episode, self._redraws, self._seed = (int(state[name]) for name in ("episode", "redraws", "seed"))
-        super().load_state_dict(state)

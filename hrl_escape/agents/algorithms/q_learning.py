@@ -15,7 +15,6 @@ import gymnasium
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
 from hrl_escape.agents.components.tabular_agent import TabularAgent, TabularAgentSettings
-from hrl_escape.agents.state import StateTree
 
 __all__ = ["QLearning", "QLearningSettings"]
 
@@ -31,6 +30,7 @@ class QLearning(TabularAgent):
     name: ClassVar[str] = "q-learning"
     Settings: ClassVar[type] = QLearningSettings
     settings: QLearningSettings
+    STATE = ("_bonus",)
 
     def __init__(
         self,
@@ -46,12 +46,3 @@ class QLearning(TabularAgent):
         """One backup."""
         error = self.back_up(transition, self._bonus.visit(transition.next_observation))
         return self.finish_decision(transition, error)
-
-    def state_dict(self) -> StateTree:
-        """Visit counts beside table, counter and generator."""
-        return super().state_dict() | {"bonus": self._bonus.state_dict()}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        super().load_state_dict(state)
-        self._bonus.load_state_dict(state["bonus"])

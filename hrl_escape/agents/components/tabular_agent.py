@@ -23,7 +23,6 @@ from hrl_escape.agents.components.exploration import (
 )
 from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
 from hrl_escape.agents.settings import LearningSettings
-from hrl_escape.agents.state import StateTree
 
 __all__ = ["TabularAgent", "TabularAgentSettings"]
 
@@ -42,6 +41,7 @@ class TabularAgent(Agent):
     """
 
     name: ClassVar[str]
+    STATE = ("table", "_steps", "_rng")
 
     def __init__(
         self,
@@ -83,17 +83,3 @@ class TabularAgent(Agent):
         self._steps += count_steps(transition, self.settings)
         epsilon = compute_epsilon(self.settings, self._steps)
         return {"td_error": abs(error), "epsilon": epsilon, "states": len(self.table)}
-
-    def state_dict(self) -> StateTree:
-        """Table, counter, generator."""
-        return {
-            "table": self.table.state_dict(),
-            "steps": self._steps,
-            "rng": self._rng.bit_generator.state,
-        }
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self.table.load_state_dict(state["table"])
-        self._steps = int(state["steps"])
-        self._rng.bit_generator.state = state["rng"]

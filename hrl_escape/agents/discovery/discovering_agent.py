@@ -7,7 +7,7 @@ takes the place of what was found before under the same number.
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Protocol
 
@@ -22,10 +22,10 @@ from hrl_escape.agents.components.tabular_agent import TabularAgent, TabularAgen
 from hrl_escape.agents.discovery.found_option import NOTHING, TableSkill
 from hrl_escape.agents.discovery.state_graph import StateGraph
 from hrl_escape.agents.option_policy import OptionPolicy
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.settings import Range
 
-__all__ = ["DiscoveringAgent", "Discovery", "DiscoverySettings"]
+__all__ = ["DiscoveringAgent", "Discovery", "DiscoverySettings", "load_skills", "save_skills"]
 
 
 class Discovery(Protocol):
@@ -62,6 +62,17 @@ class DiscoverySettings(TabularAgentSettings):
     """Share of exploratory choices that begin an option where one may begin; the rest are primitives."""
 
 
+def save_skills(skills: Sequence[TableSkill | None]) -> list[StateTree | None]:
+    """Options as state trees, for checkpoints."""
+    return [None if skill is None else dict(vars(skill)) for skill in skills]
+
+
+def load_skills(saved: Sequence[StateTree | None]) -> list[Any]:
+    """Options from what `save_skills` gave."""
+    return [None if skill is None else TableSkill(skill["name"], np.array(skill["actions"]), np.array(skill["starts"]))
+            for skill in saved]
+
+
 class DiscoveringAgent(TabularAgent):
     """Q-learning over primitives and the options that a discovery finds.
 
@@ -73,6 +84,8 @@ class DiscoveringAgent(TabularAgent):
         graph: the states met.
         skills: by slot, None where nothing was found yet.
     """
+
+    STATE = ("graph", Kept("skills", pack=save_skills, unpack=load_skills), "discovery", "_running", "_lasted")
 
     def __init__(
         self,
@@ -226,25 +239,8 @@ class DiscoveringAgent(TabularAgent):
             self.table.update(key, self.actions + slot, target)
         return self.table.update(key, transition.action, reward + bootstrap * best)
 
-    def state_dict(self) -> StateTree:
-        """Graph, options, discovery and the running option beside table, counter and generator."""
-        return super().state_dict() | {
-            "graph": self.graph.state_dict(),
-            "skills": [None if skill is None else {"name": skill.name, "actions": skill.actions,
-                                                   "starts": skill.starts} for skill in self.skills],
-            "discovery": self.discovery.state_dict(),
-            "running": self._running,
-            "lasted": self._lasted,
-        }  # fmt: skip
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        super().load_state_dict(state)
-        self.graph.load_state_dict(state["graph"])
-        self.skills = [None if skill is None else TableSkill(skill["name"], np.array(skill["actions"]),
-                                                             np.array(skill["starts"])) for skill in state["skills"]]
-        self.discovery.load_state_dict(state["discovery"])
-        self._running, self._lasted = int(state["running"]), int(state["lasted"])
+    def after_load(self) -> None:
+        """No evaluation runs."""
         self._evaluation = None
 
 

@@ -14,7 +14,7 @@ from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.discovery.discovering_agent import DiscoverySettings
 from hrl_escape.agents.discovery.found_option import StateModel, TableSkill
 from hrl_escape.agents.discovery.state_graph import StateGraph
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Stateful
 from hrl_escape.settings import Range
 
 __all__ = ["GraphDiscovery", "GraphDiscoverySettings"]
@@ -30,13 +30,15 @@ class GraphDiscoverySettings(DiscoverySettings):
     """States beyond which none are found anew: eigenvectors take time in their cube."""
 
 
-class GraphDiscovery(ABC):
+class GraphDiscovery(Stateful, ABC):
     """Base of discoveries that look at the graph now and then.
 
     Args:
         settings: say when.
         slots: most options at once.
     """
+
+    STATE = ("_decisions",)
 
     def __init__(self, settings: GraphDiscoverySettings, slots: int) -> None:
         self._every, self._most_states, self.slots = settings.discover_every, settings.most_states, slots
@@ -67,11 +69,3 @@ class GraphDiscovery(ABC):
             adjacency: of the largest connected part, (states, states).
             states: numbers of its states.
         """
-
-    def state_dict(self) -> StateTree:
-        """Decisions counted."""
-        return {"decisions": self._decisions}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self._decisions = int(state["decisions"])

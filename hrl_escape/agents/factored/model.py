@@ -28,7 +28,7 @@ from hrl_escape.agents.factored.durations import DurationHistory, DurationModel,
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.factored.search import MOST_ACTIONS, ModelPlan, find_plan, make_tables
 from hrl_escape.agents.factored.structure import LEVELS, StructureLearner
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.errors import UnsupportedSpaceError
 
 __all__ = ["Belief", "FactoredModel", "PendingPlan"]
@@ -75,8 +75,10 @@ class Belief:
         self.relevant_with_gaps = find_relevant(self._models, packing.wide, with_gaps=True)
 
 
-class PendingPlan:
+class PendingPlan(Stateful):
     """Rest of a plan, followed as long as it leads to the states it predicted."""
+
+    STATE = ("_states", "_actions")
 
     def __init__(self) -> None:
         self._states: list[int] = []
@@ -96,14 +98,6 @@ class PendingPlan:
             return None
         self._states.pop(0)
         return self._actions.pop(0)
-
-    def state_dict(self) -> StateTree:
-        """Remaining states and actions."""
-        return {"states": self._states, "actions": self._actions}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self._states, self._actions = list(state["states"]), list(state["actions"])
 
 
 class FactoredModel:

@@ -20,7 +20,7 @@ from hrl_escape.agents.factored.model import Belief, FactoredModel, PendingPlan
 from hrl_escape.agents.factored.search import ModelPlan
 from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.agents.settings import AgentSettings
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 __all__ = ["PlanningAgent", "PlanningSettings"]
@@ -50,6 +50,7 @@ class PlanningAgent(Agent):
     """
 
     name: ClassVar[str]
+    STATE = ("model", "_pending", Kept("_is_exploring", "exploring"), "_rng")
 
     def __init__(
         self,
@@ -107,19 +108,3 @@ class PlanningAgent(Agent):
         if transition.terminated or transition.truncated:
             self._pending.drop()
         return {"exploring": float(self._is_exploring)}
-
-    def state_dict(self) -> StateTree:
-        """History, plan, generator."""
-        return {
-            "model": self.model.state_dict(),
-            "pending": self._pending.state_dict(),
-            "exploring": self._is_exploring,
-            "rng": self._rng.bit_generator.state,
-        }
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self.model.load_state_dict(state["model"])
-        self._pending.load_state_dict(state["pending"])
-        self._is_exploring = bool(state["exploring"])
-        self._rng.bit_generator.state = state["rng"]

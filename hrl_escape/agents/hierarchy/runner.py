@@ -22,7 +22,7 @@ from hrl_escape.agents.hierarchy.call_stack import Return, arrive, descend, load
 from hrl_escape.agents.hierarchy.task import Frame, Hierarchy, Seen, Stack, Step, Task
 from hrl_escape.agents.option_policy import OptionPolicy
 from hrl_escape.agents.settings import AgentSettings
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.errors import StepContractError
 from hrl_escape.settings import Range
 
@@ -53,6 +53,8 @@ class CallRunner(Agent):
         settings: as given.
         stack: the running calls, the root first; what `watch` shows.
     """
+
+    STATE = (Kept("_rng", "calls_rng"), Kept("_running", "stack"))
 
     def __init__(self, hierarchy: Hierarchy, seed: int, settings: StackSettings) -> None:
         self.hierarchy = hierarchy
@@ -182,14 +184,13 @@ class CallRunner(Agent):
     def _begin(self, seen: Seen) -> Stack:
         return (Frame(self.hierarchy.root, None, seen),)
 
-    def state_dict(self) -> StateTree:
-        """Generator and running calls; subclasses add what they learned."""
-        return {"calls_rng": self._rng.bit_generator.state, "stack": save_stack(self._stack)}
+    @property
+    def _running(self) -> list[StateTree]:
+        return save_stack(self._stack)
 
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore what `state_dict` gave."""
-        self._rng.bit_generator.state = state["calls_rng"]
-        self._stack = load_stack(state["stack"], self.hierarchy)
+    @_running.setter
+    def _running(self, saved: list[StateTree]) -> None:
+        self._stack = load_stack(saved, self.hierarchy)
         self._chosen = self._evaluation = None
 
 

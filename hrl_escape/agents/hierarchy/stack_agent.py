@@ -17,7 +17,7 @@ from hrl_escape.agents.agent import Agent, SMDPTransition
 from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step, Task
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept
 from hrl_escape.errors import DiscountMismatchError
 
 __all__ = ["StackAgent", "make_task_transition"]
@@ -45,6 +45,7 @@ class StackAgent(CallRunner):
     """
 
     Settings: ClassVar[type] = StackSettings
+    STATE = (Kept("_owned", "learners"),)
 
     def __init__(
         self,
@@ -104,16 +105,6 @@ class StackAgent(CallRunner):
         for returned in returns:
             if (learner := self.learners.get(returned.frame.task.name)) is not None:
                 learner.note_outcome(make_task_transition(returned), rng)
-
-    def state_dict(self) -> StateTree:
-        """Learners, generator, running calls."""
-        return {**super().state_dict(), "learners": {name: each.state_dict() for name, each in self._owned.items()}}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore what `state_dict` gave."""
-        super().load_state_dict(state)
-        for name, learner in self._owned.items():
-            learner.load_state_dict(state["learners"][name])
 
 
 def make_task_transition(returned: Return) -> SMDPTransition:

@@ -28,7 +28,6 @@ from hrl_escape.agents.hierarchy.feudal import FeudalTask, make_feudal_hierarchy
 from hrl_escape.agents.hierarchy.regions import Quadtree
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Seen, Stack, Step
-from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["FeudalRl", "FeudalRlSettings"]
@@ -68,6 +67,7 @@ class FeudalRl(CallRunner):
     """
 
     Settings: ClassVar[type] = FeudalRlSettings
+    STATE = ("tables", "_steps", "_action_rng")
 
     def __init__(
         self,
@@ -130,23 +130,6 @@ class FeudalRl(CallRunner):
             error = max(error, abs(self.tables[task.name].update(key, decision.choice, target)))
         self._steps += step.duration
         return {"td_error": error, "epsilon": compute_epsilon(self.settings, self._steps)}
-
-    def state_dict(self) -> StateTree:
-        """Tables, counter, generators, running calls."""
-        return {
-            **super().state_dict(),
-            "tables": {name: table.state_dict() for name, table in self.tables.items()},
-            "steps": self._steps,
-            "action_rng": self._action_rng.bit_generator.state,
-        }
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore what `state_dict` gave."""
-        super().load_state_dict(state)
-        for name, table in self.tables.items():
-            table.load_state_dict(state["tables"][name])
-        self._steps = int(state["steps"])
-        self._action_rng.bit_generator.state = state["action_rng"]
 
 
 def _get_task(stack: Stack) -> FeudalTask:

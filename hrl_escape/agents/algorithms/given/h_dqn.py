@@ -39,7 +39,7 @@ from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.goals import GoalSet, Worker, make_goal_hierarchy, make_goals
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Seen, Stack, Step
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["HDqn", "HDqnSettings"]
@@ -122,6 +122,7 @@ class HDqn(CallRunner):
     """
 
     Settings: ClassVar[type] = HDqnSettings
+    STATE = ("manager", "worker", "successes", "_steps", "_action_rng")
     recipes: ClassVar[Mapping[str, Any]] = MappingProxyType({"table": HDqnSettings(values="table")})
 
     def __init__(
@@ -212,26 +213,6 @@ class HDqn(CallRunner):
         assert isinstance(task, Worker)
         return task
 
-    def state_dict(self) -> StateTree:
-        """Both levels, success rates, counter, generators, running calls."""
-        return {
-            **super().state_dict(),
-            "manager": self.manager.state_dict(),
-            "worker": self.worker.state_dict(),
-            "successes": self.successes,
-            "steps": self._steps,
-            "action_rng": self._action_rng.bit_generator.state,
-        }
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore what `state_dict` gave."""
-        super().load_state_dict(state)
-        self.manager.load_state_dict(state["manager"])
-        self.worker.load_state_dict(state["worker"])
-        self.successes = np.array(state["successes"])
-        self._steps = int(state["steps"])
-        self._action_rng.bit_generator.state = state["action_rng"]
-
 
 class _TableValues:
     """Q(s, .; g) in a table."""
@@ -268,8 +249,10 @@ class _TableValues:
         self.table.load_state_dict(state)
 
 
-class _NetworkValues:
+class _NetworkValues(Stateful):
     """Q(s, .; g) by a network with replay and a target network, double estimation."""
+
+    STATE = ("_learner", "_replay", "_due", "_rng")
 
     def __init__(
         self, space: gymnasium.Space, goals: int, actions: int, settings: HDqnSettings, rng: np.random.Generator
@@ -319,12 +302,3 @@ class _NetworkValues:
             targets = reward + bootstrap * self._target(next_observation).gather(1, best).squeeze(1)
         values = self.online(observation).gather(1, action.unsqueeze(1)).squeeze(1)
         return compute_td_loss(values, targets, "huber")
-
-    def state_dict(self) -> StateTree:
-        return {"learner": self._learner.state_dict(), "replay": self._replay.state_dict(), "due": self._due,
-                "rng": self._rng.bit_generator.state}  # fmt: skip
-
-    def load_state_dict(self, state: StateTree) -> None:
-        self._learner.load_state_dict(state["learner"])
-        self._replay.load_state_dict(state["replay"])
-        self._due, self._rng.bit_generator.state = float(state["due"]), state["rng"]

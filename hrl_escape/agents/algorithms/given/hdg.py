@@ -9,7 +9,7 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
@@ -45,6 +45,9 @@ class HdgSettings(EpsilonSettings):
     neighbours: bool = True
     """Aim straight at a goal in a neighbouring region too, not in the own region alone. Without it, walks whose best
     way crosses a border turn back at it for ever."""
+    next_landmark: Literal["from-state", "from-landmark"] = "from-state"
+    """The landmark to aim at on the way to a far region: the next on the shortest way from the state, or, as in the
+    paper, on that from the landmark of the state's region, whichever side of it the state lies."""
     dead_end: Annotated[float, Range(0)] = 1_000.0
     """Primitives that the end of an episode counts as on the way to another state."""
     most_states: Annotated[int, Range(1)] = 4_000
@@ -67,7 +70,7 @@ class Hdg(Agent):
     Minima are over the actions that were ever legal in a state, over all where it was never left. Where the episode
     ended in another state than g, `dead_end` stands for d(s', g). It acts by D(s, ., g), drawn among equals, where the
     goal's region is its own or a neighbouring one, else by D(s, ., l') for the next landmark l' on the shortest way
-    over landmarks (Floyd and Warshall, over edges between neighbouring regions).
+    over landmarks (Floyd and Warshall, over edges between neighbouring regions), see `next_landmark`.
     Everything begins at 0, which is optimistic, so that what was never tried is tried.
 
     Args:
@@ -176,7 +179,8 @@ class Hdg(Agent):
         if here == there or (self.settings.neighbours and self._borders[here, there]) or self._landmarks is None:
             return goal
         ways = self.compute_ways()
-        ways_on = np.where(self._borders[here], self._minimise(state, np.arange(len(ways))) + ways[:, there], np.inf)
+        begin = state if self.settings.next_landmark == "from-state" else here
+        ways_on = np.where(self._borders[here], self._minimise(begin, np.arange(len(ways))) + ways[:, there], np.inf)
         ways_on[here] = np.inf
         return int(ways_on.argmin()) if np.isfinite(ways_on).any() else goal
 

@@ -27,7 +27,6 @@ from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.macros import Macro, make_macro_hierarchy
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Seen, Stack, Step
-from hrl_escape.agents.state import StateTree
 
 __all__ = ["MacroQ", "MacroQSettings"]
 
@@ -56,6 +55,7 @@ class MacroQ(CallRunner):
     """
 
     Settings: ClassVar[type] = MacroQSettings
+    STATE = ("table", "_steps", "_action_rng")
 
     def __init__(
         self,
@@ -107,19 +107,3 @@ class MacroQ(CallRunner):
             error = abs(self.table.update(self._discretise(decision.view), decision.choice, target))
         self._steps += step.duration
         return {"td_error": error, "epsilon": compute_epsilon(self.settings, self._steps)}
-
-    def state_dict(self) -> StateTree:
-        """Table, counter, generators, running calls."""
-        return {
-            **super().state_dict(),
-            "table": self.table.state_dict(),
-            "steps": self._steps,
-            "action_rng": self._action_rng.bit_generator.state,
-        }
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore what `state_dict` gave."""
-        super().load_state_dict(state)
-        self.table.load_state_dict(state["table"])
-        self._steps = int(state["steps"])
-        self._action_rng.bit_generator.state = state["action_rng"]

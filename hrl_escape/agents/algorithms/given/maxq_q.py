@@ -1,35 +1,50 @@
-"""MAXQ-Q: MAXQ with pseudo-rewards, which shape what a task strives for and stay out of what it reports.
+"""MAXQ-Q: the value of a call is what the child earns, plus what is still earned to complete the parent.
 
-Dietterich (2000), section 5. Beside the completion C, which callers add up, each task keeps its own
-completion with the pseudo-reward of its end, and chooses by that.
+Dietterich (2000). Every task is told the truth about what it earns and is optimal for itself. Pseudo-rewards (section
+5) shape what a task strives for and stay out of what it reports: beside the completion C, which callers add up, each
+task keeps its own with the pseudo-reward of its end, and chooses by that. Without them it is MAXQ-0.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
+from hrl_escape.agents.components.exploration import (
+    ExplorationSettings,
+    choose_best,
+    compute_epsilon,
+    make_rng,
+    sample_action,
+)
+from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.call_stack import Return
-from hrl_escape.agents.hierarchy.maxq_runner import MaxqRunner, MaxqSettings
-from hrl_escape.agents.hierarchy.task import Hierarchy, Seen
-from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat
+from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
+from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task_graph import GraphTask, View, flat, freeze, get_graph
 from hrl_escape.agents.hierarchy.value_table import ValueTable
+from hrl_escape.agents.state import Kept
 
 __all__ = ["MaxqQ", "MaxqQSettings"]
 
 
 @dataclass(frozen=True)
-class MaxqQSettings(MaxqSettings):
+class MaxqQSettings(StackSettings, TabularSettings, ExplorationSettings):
     """Settings of `maxq-q`."""
 
+    pseudo_rewards: bool = True
+    """Choose by completions with the pseudo-rewards of the task graph; without them it is MAXQ-0."""
+    all_states: bool = True
+    """Learn the completion of a choice from every state on the child's way, not from the first alone."""
 
-class MaxqQ(MaxqRunner):
+
+class MaxqQ(CallRunner):
     """Two completions of each choice: what callers are told, and what the task chooses by.
 
     Primitive a, paid r:  V(a, s) <- V(a, s) + alpha [r - V(a, s)]
@@ -41,17 +56,29 @@ class MaxqQ(MaxqRunner):
         V(i, s')   =  V(a*, s') + C(i, s', a*)
 
     One a*, chosen by D, serves both: C is the value of the policy that is followed. No pseudo-reward reaches C, so
-    callers are told what the environment pays. Without pseudo-rewards D = C, which is `maxq-0`.
+    callers are told what the environment pays. With `all_states`, C and D are learned for every state on the child's
+    way, N counted from there. "Ended" means over for task i: a call that its caller cut short bootstraps, and one whose
+    child was cut learns nothing.
+
+    A task whose policy is given has nothing to choose, so it has no completions: like a primitive it is worth what
+    its calls earned, learned from every state on the way. A call that was cut bootstraps.
 
     Args:
         observation_space: for tasks that see the whole observation.
         action_space: Discrete.
         seed: fixes exploration.
         settings: rates, exploration, discount.
-        hierarchy: from `maxq(graph, until, pseudo=...)`; without one, a single task over all primitives.
+        hierarchy: from `maxq(graph, until, pseudo=...)`; without one, a single task over all primitives, which is
+            Q-learning.
+
+    Attributes:
+        tables: C (`completion`), D (`own_completion`), V of primitives (`primitive`) and of tasks whose policy is given
+            (`walk`).
     """
 
     Settings: ClassVar[type] = MaxqQSettings
+    settings: MaxqQSettings
+    STATE = ("tables", "_steps", "_action_rng", Kept("_told_way", "way"))
 
     def __init__(
         self,
@@ -61,15 +88,48 @@ class MaxqQ(MaxqRunner):
         settings: MaxqQSettings | None = None,
         hierarchy: Hierarchy | None = None,
     ) -> None:
-        actions = count_actions(action_space, "maxq-q")
-        super().__init__("maxq-q", observation_space, seed, settings or MaxqQSettings(), hierarchy or flat(actions))
-        self.completion, self.own_completion = self.make_table(), self.make_table()
+        settings = settings or MaxqQSettings()
+        super().__init__(hierarchy or flat(count_actions(action_space, "maxq-q")), seed, settings)
+        self._primitive_views = get_graph(self.hierarchy, "maxq-q").primitive_views
+        self.tables = {name: ValueTable(settings.learning_rate, settings.learning_rate_power, settings.initial_value)
+                       for name in ("completion", "own_completion", "primitive", "walk")}
+        self._discretise = _make_discretiser(observation_space, settings, self.hierarchy)
+        self._action_rng = make_rng(seed, "actions")
+        self._steps = 0
+        self._way: list[tuple[Seen, int, float]] = []
+        """Moments of the running root call; how long each one's primitive took, and what it earned."""
+
+    # --- values -----------------------------------------------------------------------
+
+    def make_key(self, task: GraphTask, choice: int, seen: Seen) -> Hashable:
+        """Key of (task, choice) at a moment, by the finest view that is given."""
+        return task.name, choice, self._show(task.views.get(choice) or task.views.get(None), seen)
+
+    def _make_primitive_key(self, primitive: int, seen: Seen) -> Hashable:
+        return primitive, self._show(self._primitive_views.get(primitive), seen)
+
+    def _make_walk_key(self, task: GraphTask, seen: Seen) -> Hashable:
+        return task.name, self._show(task.views.get(None), seen)
+
+    def _show(self, view: View | None, seen: Seen) -> Hashable:
+        if view is not None:
+            return freeze(view(seen))
+        assert self._discretise is not None
+        return self._discretise(seen.observation)
+
+    def compute_value(self, child: GraphTask | int, seen: Seen) -> float:
+        """V(c, s) of a child: a table for a primitive or a given policy, the graph below for a task that chooses."""
+        if isinstance(child, int):
+            return self.tables["primitive"].get(self._make_primitive_key(child, seen))
+        if child.policy is not None:
+            return self.tables["walk"].get(self._make_walk_key(child, seen))
+        return self.compute_task_value(child, seen)
 
     def compute_choice_values(self, task: GraphTask, seen: Seen) -> NDArray[np.float64]:
         """V(c, s) + D(i, s, c), (choices,); -inf where illegal."""
         legal = task.legal(seen, None)
         return np.array([
-            self.compute_value(child, seen) + self.own_completion.get(self.make_key(task, choice, seen))
+            self.compute_value(child, seen) + self.tables["own_completion"].get(self.make_key(task, choice, seen))
             if legal[choice] else -np.inf
             for choice, child in enumerate(task.children)
         ])  # fmt: skip
@@ -77,23 +137,110 @@ class MaxqQ(MaxqRunner):
     def compute_task_value(self, task: GraphTask, seen: Seen) -> float:
         """V(i, s): what the choice that D prefers earns from the environment."""
         choice = int(self.compute_choice_values(task, seen).argmax())
-        return self.compute_value(task.children[choice], seen) + self.completion.get(self.make_key(task, choice, seen))
+        told = self.tables["completion"].get(self.make_key(task, choice, seen))
+        return self.compute_value(task.children[choice], seen) + told
+
+    # --- the agent --------------------------------------------------------------------
+
+    def choose(self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen) -> int:
+        """Explore by what the task chooses by."""
+        if _get_task(stack).policy is not None:
+            return int(legal.argmax())
+        values = self.compute_choice_values(_get_task(stack), seen)
+        return sample_action(values, legal, self.settings, self._steps, self._action_rng)
+
+    def choose_greedy(
+        self, stack: Stack, view: Any, legal: NDArray[np.bool_], seen: Seen, rng: np.random.Generator
+    ) -> int:
+        """The best choice, the first among equals: callers are told what that one earns."""
+        if _get_task(stack).policy is not None:
+            return int(legal.argmax())
+        return choose_best(self.compute_choice_values(_get_task(stack), seen), legal)
+
+    def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
+        """Learn the primitive's value, then the completions of the choices that came back, the innermost first."""
+        self._way.append((step.seen, step.duration, step.reward))
+        error = abs(self.tables["primitive"].update(self._make_primitive_key(step.action, step.seen), step.reward))
+        for returned in returns:
+            task = _get_task(returned.stack)
+            cut_before_its_end = returned.cut and not (returned.ended or returned.terminated)
+            if task.policy is not None:
+                error = max(error, self._learn_walk(returned, task) if returned.is_over else 0.0)
+            elif not cut_before_its_end:
+                error = max(error, self.complete(returned, task, self._get_way(returned.decision.duration)))
+        if not self._stack:
+            self._way = []
+        self._steps += step.duration
+        return {"td_error": error, "epsilon": compute_epsilon(self.settings, self._steps)}
 
     def complete(self, returned: Return, task: GraphTask, way: list[tuple[Seen, int]]) -> float:
-        """Learn D and C of one choice from every moment on the child's way; returns the largest error of D."""
+        """Learn D and C of one choice from every moment on the child's way; returns the largest error of D.
+
+        Args:
+            returned: the decision.
+            task: whose it was.
+            way: (moment, primitives from it to the end).
+        """
         own_after = after = 0.0
         if returned.ended:
-            own_after = task.final(returned.frame, returned.seen)
+            own_after = task.final(returned.frame, returned.seen) if self.settings.pseudo_rewards else 0.0
         elif not (returned.stuck or returned.terminated):
             own_after = float(self.compute_choice_values(task, returned.seen).max())
             after = self.compute_task_value(task, returned.seen)
         choice, error = returned.decision.choice, 0.0
         for seen, duration in way:
             key, discount = self.make_key(task, choice, seen), self.gamma**duration
-            error = max(error, abs(self.own_completion.update(key, discount * own_after)))
-            self.completion.update(key, discount * after)
+            error = max(error, abs(self.tables["own_completion"].update(key, discount * own_after)))
+            self.tables["completion"].update(key, discount * after)
         return error
 
-    def list_completions(self) -> Mapping[str, ValueTable]:
-        """Both tables of completions."""
-        return {"completion": self.completion, "own_completion": self.own_completion}
+    def _get_way(self, duration: int) -> list[tuple[Seen, int]]:
+        """Moments of the last `duration` primitives, the latest first, each with the primitives to the end."""
+        way, length = [], 0
+        for seen, took, _ in reversed(self._way):
+            length += took
+            way.append((seen, length))
+            if length >= duration:
+                return way if self.settings.all_states else way[-1:]
+        return way
+
+    def _learn_walk(self, returned: Return, task: GraphTask) -> float:
+        """Learn a given policy's value from every moment of a call that is over; returns the largest error."""
+        is_complete = returned.ended or returned.stuck or returned.terminated
+        earned = 0.0 if is_complete else self.tables["walk"].get(self._make_walk_key(task, returned.seen))
+        length, error = 0, 0.0
+        for seen, took, reward in reversed(self._way):
+            length, earned = length + took, reward + self.gamma**took * earned
+            error = max(error, abs(self.tables["walk"].update(self._make_walk_key(task, seen), earned)))
+            if length >= returned.frame.primitives:
+                break
+        return error
+
+    @property
+    def _told_way(self) -> list[list[Any]]:
+        return [[seen.observation, seen.mask, duration, reward] for seen, duration, reward in self._way]
+
+    @_told_way.setter
+    def _told_way(self, saved: list[list[Any]]) -> None:
+        self._way = [(self.hierarchy.see(seen, np.asarray(mask, np.bool_)), int(duration), float(reward))
+                     for seen, mask, duration, reward in saved]
+
+
+def _make_discretiser(
+    space: gymnasium.Space, settings: MaxqQSettings, hierarchy: Hierarchy
+) -> Callable[[Any], bytes] | None:
+    """Keys of whole observations; None where every task and primitive has a view of its own."""
+    graph = [task for task in hierarchy.tasks.values() if isinstance(task, GraphTask)]
+    called = {(child, index, task) for task in graph for index, child in enumerate(task.children)}
+    is_covered = all(
+        (None in task.views or (task.policy is None and index in task.views))
+        and (not isinstance(child, int) or child in task.primitive_views)
+        for child, index, task in called
+    )
+    return None if is_covered else make_discretiser(space, settings, "maxq-q")
+
+
+def _get_task(stack: Stack) -> GraphTask:
+    task = stack[-1].task
+    assert isinstance(task, GraphTask)
+    return task

@@ -1,23 +1,23 @@
 """Skill chaining: options found backwards from the goal, each leading to where the next may begin.
 
-Konidaris and Barto (2009), in tables: the initiation set of an option holds the states from which its target was
-reached within some decisions, as far as a way there is known that stays within the set.
+Konidaris and Barto (2009), in tables: the initiation set of an option is learned. States from which its target was
+reached within some decisions, and a way there is known, are let in; those from which runs do not arrive leave again.
 """
 
 from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 
 from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent, DiscoverySettings
-from hrl_escape.agents.discovery.found_option import TableSkill, make_subgoal_option
+from hrl_escape.agents.discovery.discovering_agent import DiscoveringAgent, DiscoverySettings, load_skills, save_skills
+from hrl_escape.agents.discovery.found_option import NOTHING, TableSkill, make_subgoal_option
 from hrl_escape.agents.discovery.state_graph import StateGraph
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.settings import Range
 
 __all__ = ["SkillChain", "SkillChaining", "SkillChainingSettings"]
@@ -35,10 +35,12 @@ class SkillChainingSettings(DiscoverySettings):
     gestation: Annotated[int, Range(1)] = 5
     """Arrivals in a target before an option to it is made."""
     reach: Annotated[int, Range(1)] = 10
-    """Decisions before an arrival whose states belong to the initiation set."""
+    """Decisions before an arrival whose states may belong to the initiation set."""
+    start_rate: Annotated[float, Range(0, 1)] = 0.5
+    """An option may begin where at least this share of what went on from there arrived, (arrivals + 1) / (runs + 2)."""
 
 
-class SkillChain:
+class SkillChain(Stateful):
     """A chain of options, made from its end.
 
     Args:
@@ -48,12 +50,32 @@ class SkillChain:
         targets: state by number -> the level whose target it belongs to; level 0 is the end of the task.
     """
 
+    STATE = (
+        Kept("targets", pack=lambda targets: [list(item) for item in targets.items()], unpack=dict),
+        "_sets",
+        Kept("_made", pack=save_skills, unpack=load_skills),
+        Kept("_outcomes", pack=lambda counts: [[*key, *count] for key, count in counts.items()],
+             unpack=lambda rows: {(level, state): (arrived, runs) for level, state, arrived, runs in rows}),
+        "_arrivals",
+        Kept("_recent", pack=list),
+        "_has_begun",
+        "_begins_inside",
+    )
+
     def __init__(self, settings: SkillChainingSettings) -> None:
         self._settings = settings
         self.slots = settings.skills
         self.targets: dict[int, int] = {}
         self._sets: list[list[int]] = [[]]
         """By level, the states from which its target was reached; the last level has no option yet."""
+        self._made: list[TableSkill] = []
+        """By level, its option."""
+        self._runs: list[list[int]] = []
+        """By level, the states of a run of its option: its own, or of others that do the same."""
+        self._outcomes: dict[tuple[int, int], tuple[int, int]] = {}
+        """(level, state) -> arrivals in the level's target from there, and how often one was tried."""
+        self._relearned: set[int] = set()
+        """Levels whose initiation set may have changed."""
         self._arrivals = 0
         self._recent: deque[int] = deque(maxlen=settings.reach)
         self._has_begun, self._begins_inside = False, False
@@ -61,6 +83,7 @@ class SkillChain:
     def observe(self, transition: SMDPTransition, before: int, after: int) -> None:
         """Follow the episode; at an arrival in the present target, keep the states before it."""
         level = len(self._sets) - 1
+        self._judge_runs(transition, before, after)
         if not self._has_begun:
             self._has_begun, self._begins_inside = True, before in self.targets
         if before not in self.targets:
@@ -69,6 +92,8 @@ class SkillChain:
             self.targets.setdefault(after, 0)
         if self.targets.get(after) == level and before not in self.targets:
             self._arrivals += 1
+            for state in dict.fromkeys(self._recent):
+                self._count(level, state, arrived=True)
             self._sets[level] = list(dict.fromkeys([*self._sets[level], *self._recent]))
         if after in self.targets:
             self._recent.clear()
@@ -76,11 +101,48 @@ class SkillChain:
             self._recent.clear()
             self._has_begun = False
 
-    def propose(self, graph: StateGraph) -> Mapping[int, TableSkill]:
-        """The next option, once its target was reached often enough and episodes still begin outside the chain."""
-        level = len(self._sets) - 1
-        if self._arrivals < self._settings.gestation or level >= self.slots or self._begins_inside:
+    def _judge_runs(self, transition: SMDPTransition, before: int, after: int) -> None:
+        """Follow runs of options; one that arrived, or ended elsewhere, tells of all states that it went through."""
+        is_cut = transition.truncated and transition.duration > 1
+        for level, (option, run) in enumerate(zip(self._made, self._runs, strict=True)):
+            if is_cut or before >= len(option.actions) or option.actions[before] != transition.action:
+                run.clear()  # somebody else acted
+                continue
+            run.append(before)
+            arrived = self.targets.get(after, 0 if transition.terminated else NOTHING) == level
+            if arrived or transition.terminated or after >= len(option.actions) or option.actions[after] == NOTHING:
+                for state in run:
+                    self._count(level, state, arrived)
+            if arrived or transition.terminated or transition.truncated:
+                run.clear()
+
+    def _count(self, level: int, state: int, arrived: bool) -> None:
+        arrivals, runs = self._outcomes.get((level, state), (0, 0))
+        self._outcomes[level, state] = arrivals + arrived, runs + 1
+        self._relearned.add(level)
+
+    def _learn_starts(self, level: int) -> Mapping[int, TableSkill]:
+        """The option of a level with its present initiation set, if that has changed."""
+        option = self._made[level]
+        counts = np.array([self._outcomes.get((level, state), (0, 0)) for state in range(len(option.actions))])
+        rates = (counts[:, 0] + 1) / (counts[:, 1] + 2)
+        starts = (option.actions != NOTHING) & (rates >= self._settings.start_rate)
+        if (starts == option.starts).all():
             return {}
+        self._made[level] = replace(option, starts=starts)
+        return {level: self._made[level]}
+
+    def propose(self, graph: StateGraph) -> Mapping[int, TableSkill]:
+        """Options whose initiation set has changed, and the next one.
+
+        That is made once its target was reached often enough and episodes still begin outside the chain.
+        """
+        level = len(self._sets) - 1
+        changed = {number: option for each in sorted(self._relearned) if each < len(self._made)
+                   for number, option in self._learn_starts(each).items()}
+        self._relearned.clear()
+        if self._arrivals < self._settings.gestation or level >= self.slots or self._begins_inside:
+            return changed
         model = graph.make_model()
         inside, targets = (np.zeros(len(graph), np.bool_) for _ in range(2))
         inside[self._sets[level]] = True
@@ -89,27 +151,15 @@ class SkillChain:
         for state in np.flatnonzero(option.starts).tolist():
             self.targets.setdefault(state, level + 1)
         self._sets.append([])
+        self._made.append(option)
+        self._runs.append([])
         self._arrivals = 0
-        return {level: option}
+        return changed | {level: option}
 
-    def state_dict(self) -> StateTree:
-        """Targets, sets, arrivals and the states of the episode."""
-        return {
-            "targets": [list(item) for item in self.targets.items()],
-            "sets": [list(states) for states in self._sets],
-            "arrivals": self._arrivals,
-            "recent": list(self._recent),
-            "has_begun": self._has_begun,
-            "begins_inside": self._begins_inside,
-        }
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self.targets = {int(number): int(level) for number, level in state["targets"]}
-        self._sets = [[int(number) for number in states] for states in state["sets"]]
-        self._arrivals = int(state["arrivals"])
-        self._recent = deque((int(number) for number in state["recent"]), maxlen=self._settings.reach)
-        self._has_begun, self._begins_inside = bool(state["has_begun"]), bool(state["begins_inside"])
+    def after_load(self) -> None:
+        """Bound what is remembered; runs that were going on when the checkpoint was made are not judged."""
+        self._recent = deque(self._recent, maxlen=self._settings.reach)
+        self._runs = [[] for _ in self._made]
 
 
 class SkillChaining(DiscoveringAgent):
@@ -117,7 +167,8 @@ class SkillChaining(DiscoveringAgent):
 
     The target T_0 is the end of the task. After `gestation` arrivals in T_i, option i leads there from its initiation
     set: of the states at most `reach` decisions before an arrival, those with a known way to T_i that stays among them.
-    T_(i+1) is that set. The chain is complete when episodes begin inside it.
+    T_(i+1) is that set. From then on the set is learned from what runs of the option came to: it may begin where
+    (arrivals + 1) / (runs + 2) is `start_rate` at least. The chain is complete when episodes begin inside it.
     """
 
     name: ClassVar[str] = "skill-chaining"

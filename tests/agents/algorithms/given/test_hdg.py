@@ -90,8 +90,15 @@ def test_kept_distances_become_exact(taught):
 
 def test_with_the_neighbour_rule_every_walk_arrives_and_is_nearly_shortest(taught):
     ratio, failures = measure_walks(taught)
-    assert failures == 0
-    assert 1.0 < ratio < 1.1
+    assert failures == 0 and ratio == pytest.approx(1.0108, abs=1e-4)
+
+
+def test_the_next_landmark_of_the_paper_is_that_of_the_region_and_makes_detours(taught):
+    """It leads on from the landmark of the state's region, also where the state lies past it."""
+    agent = make(next_landmark="from-landmark")
+    agent.load_state_dict(taught.state_dict())
+    ratio, failures = measure_walks(agent)
+    assert failures == 0 and ratio == pytest.approx(1.0739, abs=1e-4)
 
 
 def test_without_the_neighbour_rule_walks_turn_back_for_ever(taught):

@@ -1,4 +1,4 @@
-"""MAXQ-0 and MAXQ-Q reach the exact values of nested tasks, and every trap on the way is seen."""
+"""MAXQ reaches the exact values of nested tasks, with pseudo-rewards and without; every trap on the way is seen."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents.agent import make_transition
-from hrl_escape.agents.algorithms.given.maxq_0 import Maxq0
 from hrl_escape.agents.algorithms.given.maxq_q import MaxqQ
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import maxq
@@ -25,13 +24,14 @@ EXACT = {"gamma": 0.9, "learning_rate": 1.0, "epsilon_start": 1.0, "epsilon_end"
 ALL = np.ones(4, np.bool_)
 
 
-def walk_everywhere(agent_class):
+def walk_everywhere(agent_class, **settings):
     """Random choices until the walks are known; then every walk once, greedily, from every cell, and home from there.
 
     A completion is the value of going on after the child *as it runs*, so it is exact only under exact children.
     """
     env = FourRooms(HOME, "none", horizon=60)
-    agent = agent_class(env.observation_space, env.action_space, 0, agent_class.Settings(**EXACT), make_walks())
+    agent = agent_class(env.observation_space, env.action_space, 0, agent_class.Settings(**EXACT | settings),
+                        make_walks())
     learn(agent, env, 45_000)
     agent = restart(agent, env, agent_class)
     rng = np.random.default_rng(0)
@@ -77,15 +77,15 @@ def measure_errors(agent, solution, graph):
     }
 
 
-@pytest.mark.parametrize("agent_class", [Maxq0, MaxqQ])
-def test_every_task_is_worth_its_exact_value_with_pseudo_rewards_and_without(agent_class):
+@pytest.mark.parametrize("pseudo_rewards", [False, True])
+def test_every_task_is_worth_its_exact_value_with_pseudo_rewards_and_without(pseudo_rewards):
     """Starts anywhere, alpha 1: after enough walks every table holds what solving task by task gives.
 
     It sees a bootstrap after a task's end (which adds the value of going on), a maximum over the wrong completion (the
     walk to a hallway would be valued as a walk home), and pseudo-reward in what callers add up.
     """
-    agent, env = walk_everywhere(agent_class)
-    graph = make_nested_walks() if agent_class is MaxqQ else drop_pseudo(make_nested_walks())
+    agent, env = walk_everywhere(MaxqQ, pseudo_rewards=pseudo_rewards)
+    graph = make_nested_walks() if pseudo_rewards else drop_pseudo(make_nested_walks())
     errors = measure_errors(agent, find_recursive_optimum(env.make_tables(), graph, 0.9), graph)
     assert max(errors.values()) < 1e-9, errors
 
@@ -98,7 +98,7 @@ class BootstrapsOverTheEnd(MaxqQ):
 class MaximisesWhatItReports(MaxqQ):
     def compute_task_value(self, task, seen):
         return max(
-            self.compute_value(child, seen) + self.completion.get(self.make_key(task, choice, seen))
+            self.compute_value(child, seen) + self.tables["completion"].get(self.make_key(task, choice, seen))
             for choice, child in enumerate(task.children)
             if task.legal(seen, None)[choice]
         )
@@ -127,43 +127,44 @@ def test_each_trap_moves_some_value_away_from_the_exact_one(broken):
 def test_one_child_of_three_primitives_teaches_the_completion_from_every_state_on_its_way():
     hierarchy = maxq({"root": ["walk", 1], "walk": [0]}, {"walk": lambda seen: seen.observation == 3})
     env = FourRooms(None, "none")
-    agent = Maxq0(env.observation_space, env.action_space, 0, Maxq0.Settings(**EXACT), hierarchy)
+    agent = MaxqQ(env.observation_space, env.action_space, 0, MaxqQ.Settings(**EXACT), hierarchy)
     root, walk = agent.hierarchy.root, agent.hierarchy.tasks["walk"]
-    agent.completion.update(agent.make_key(root, 1, Seen(3, ALL)), 10.0)
-    agent.primitive.update(agent._make_primitive_key(0, Seen(3, ALL)), -7.0)  # what others earn where `walk` is over
+    agent.tables["completion"].update(agent.make_key(root, 1, Seen(3, ALL)), 10.0)
+    # what others earn where `walk` is over
+    agent.tables["primitive"].update(agent._make_primitive_key(0, Seen(3, ALL)), -7.0)
     agent.choose = lambda stack, view, legal, seen: 0
     for cell in range(3):
         assert agent.act(cell, ALL) == 0
         agent.observe(make_transition(cell, 0, ALL, (cell + 1, -1.0, False, False, {}), 0.9))
-    after = [agent.completion.get(agent.make_key(root, 0, Seen(cell, ALL))) for cell in range(3)]
+    after = [agent.tables["completion"].get(agent.make_key(root, 0, Seen(cell, ALL))) for cell in range(3)]
     assert after == pytest.approx([0.9**3 * 10, 0.9**2 * 10, 0.9 * 10])
     assert agent.compute_task_value(walk, Seen(2, ALL)) == pytest.approx(-1.0), "nothing after its own end"
 
 
-@pytest.mark.parametrize(("agent_class", "learned"), [(Maxq0, False), (MaxqQ, False), (LearnsFromCutCalls, True)])
+@pytest.mark.parametrize(("agent_class", "learned"), [(MaxqQ, False), (LearnsFromCutCalls, True)])
 def test_a_caller_learns_nothing_from_a_call_that_was_cut(agent_class, learned):
     env = FourRooms(HOME, "none")
     agent = agent_class(env.observation_space, env.action_space, 0, agent_class.Settings(**EXACT), make_walks())
     root = agent.hierarchy.root
     agent.choose = lambda stack, view, legal, seen: 0
-    agent.completion.update(agent.make_key(root, 4, Seen(2, ALL)), 10.0)
+    agent.tables["completion"].update(agent.make_key(root, 4, Seen(2, ALL)), 10.0)
     assert agent.act(1, ALL) == 0
     agent.observe(make_transition(1, 0, ALL, (2, -1.0, False, True, {}), 0.9))
-    assert (agent.make_key(root, 0, Seen(1, ALL)) in agent.completion) == learned
+    assert (agent.make_key(root, 0, Seen(1, ALL)) in agent.tables["completion"]) == learned
     walk = agent.hierarchy.tasks["to 25"]
-    assert agent.make_key(walk, 0, Seen(1, ALL)) in agent.completion, "the primitive itself came to its end"
+    assert agent.make_key(walk, 0, Seen(1, ALL)) in agent.tables["completion"], "the primitive itself came to its end"
 
 
 # --- tasks whose policy is given --------------------------------------------------------
 
 
-def make_walker(agent_class, **settings):
+def make_walker(**settings):
     """A root that may call `walk`, whose policy is to go on with primitive 0 until position 3."""
     hierarchy = maxq({"root": ["walk", 1], "walk": [0, 1]}, {"walk": lambda seen: seen.observation >= 3},
                      {name: lambda seen: int(seen.observation) for name in ("root", "walk", 0, 1)},
                      policies={"walk": lambda seen: 0})  # fmt: skip
     env = FourRooms(None, "none")
-    agent = agent_class(env.observation_space, env.action_space, 0, agent_class.Settings(**EXACT | settings), hierarchy)
+    agent = MaxqQ(env.observation_space, env.action_space, 0, MaxqQ.Settings(**EXACT | settings), hierarchy)
     agent.choose = lambda stack, view, legal, seen: 0
     return agent
 
@@ -179,21 +180,19 @@ def walk_to(agent, last, terminated=False, truncated=False):
 
 
 @pytest.mark.parametrize("polled", ["never", "always"])
-@pytest.mark.parametrize("agent_class", [Maxq0, MaxqQ])
-def test_one_call_of_a_given_policy_teaches_its_value_from_every_state_on_the_way(agent_class, polled):
+def test_one_call_of_a_given_policy_teaches_its_value_from_every_state_on_the_way(polled):
     """Learned one step at a time instead, the end of a walk of 30 primitives would need 30 calls to be felt."""
-    agent = make_walker(agent_class, polled=polled)
+    agent = make_walker(polled=polled)
     for _ in range(3 if polled == "always" else 1):  # polled, each call is cut after one primitive, and bootstraps
         values = walk_to(agent, 3, terminated=True)
     assert values == pytest.approx([-1 - 0.9 + 0.81 * 8, -1 + 0.9 * 8, 8])
-    again = make_walker(agent_class, polled=polled)
+    again = make_walker(polled=polled)
     again.load_state_dict(agent.state_dict())
     assert walk_to(again, 0) == values
 
 
-@pytest.mark.parametrize("agent_class", [Maxq0, MaxqQ])
-def test_a_given_policy_that_was_cut_goes_on_with_what_is_known_of_the_rest(agent_class):
-    agent = make_walker(agent_class)
+def test_a_given_policy_that_was_cut_goes_on_with_what_is_known_of_the_rest():
+    agent = make_walker()
     assert walk_to(agent, 2, truncated=True) == pytest.approx([-1.9, -1, 0]), "nothing is known of the rest"
     walk_to(agent, 3)
     before = walk_to(agent, 0)
@@ -202,7 +201,7 @@ def test_a_given_policy_that_was_cut_goes_on_with_what_is_known_of_the_rest(agen
 
 def test_without_a_hierarchy_it_is_q_learning():
     env = FourRooms(HOME, "none", horizon=60)
-    agent = Maxq0(env.observation_space, env.action_space, 0, Maxq0.Settings(**EXACT))
+    agent = MaxqQ(env.observation_space, env.action_space, 0, MaxqQ.Settings(**EXACT))
     learn(agent, env, 20_000)
     exact = find_values(make_model(env.make_tables(), 0.9))
     root = agent.hierarchy.root
@@ -213,8 +212,8 @@ def test_without_a_hierarchy_it_is_q_learning():
 # --- Taxi ------------------------------------------------------------------------------
 
 def make_driver(env, seed, rates):
-    settings = Maxq0.Settings(epsilon_steps=50_000, **rates)
-    return Maxq0(env.observation_space, env.action_space, seed, settings, make_taxi_tasks())
+    settings = MaxqQ.Settings(epsilon_steps=50_000, **rates)
+    return MaxqQ(env.observation_space, env.action_space, seed, settings, make_taxi_tasks())
 
 
 def compute_taxi_optima(dynamics):
@@ -233,26 +232,11 @@ def test_taxi_is_solved_in_three_thousand_episodes():
     assert mean == pytest.approx(recursive, abs=4 * error)
 
 
-def test_without_pseudo_rewards_maxq_q_is_maxq_0_to_the_bit():
-    """What is measured of the one in Taxi holds of the other."""
-    states = []
-    for agent_class in (Maxq0, MaxqQ):
-        env, settings = Taxi(noisy=True, fickle=True, horizon=100), agent_class.Settings()
-        agent = agent_class(env.observation_space, env.action_space, 0, settings, make_taxi_tasks())
-        learn(agent, env, 2_000)
-        states.append(agent.state_dict())
-    zero, q = states
-    assert zero["action_rng"] == q["action_rng"]
-    learned = zero["tables"]["completion"]
-    for table in (q["tables"]["completion"], q["tables"]["own_completion"]):
-        assert all(np.array_equal(learned[part], table[part]) for part in learned)
-
-
 @pytest.mark.slow
 @pytest.mark.timeout(900)
 @pytest.mark.parametrize("dynamics", DYNAMICS)
 def test_taxi_is_solved_over_ten_seeds_in_all_dynamics(dynamics):
     """One or two minutes of one core each. 0.1 is left for what 3,000 episodes do not settle."""
     _, recursive = compute_taxi_optima(dynamics)
-    gain, error = compare_ten_seeds("maxq-0", make_driver, dynamics, 3_000, 500, recursive)
+    gain, error = compare_ten_seeds("maxq-q", make_driver, dynamics, 3_000, 500, recursive)
     assert -0.1 - 4 * error <= gain <= 4 * error

@@ -90,6 +90,31 @@ def test_gestation_and_reach_are_counted_in_arrivals_and_decisions():
     assert [bool(agent.compute_available(cell, ALL)[0]) for cell in range(5)] == [False, False, True, True, False]
 
 
+def test_the_initiation_set_is_learned_from_runs_that_do_not_arrive():
+    """From state 2 a slip now leads off the way as often as on; where it is never tried, the way is still believed."""
+    space = FourRooms(None, "none")
+    settings = SkillChaining.Settings(gestation=1, reach=3)
+    agent = SkillChaining(space.observation_space, space.action_space, 0, settings)
+
+    def see(state, after, over=False):
+        agent.observe(SMDPTransition(state, 3, ALL, 0.0, 0.0, 1, 0.99, after, ALL, over, False))
+
+    def list_starts():
+        return [bool(agent.compute_available(cell, ALL)[0]) for cell in range(5)]
+
+    for state in range(4):
+        see(state, state + 1, over=state == 3)
+    assert list_starts() == [False, True, True, True, False]
+    for _ in range(3):
+        see(1, 2)
+        see(2, 9)
+    assert list_starts() == [False, False, False, True, False], "states whose runs went through it do not arrive either"
+    for _ in range(3):
+        see(2, 3)
+        see(3, 4, over=True)
+    assert list_starts() == [False, False, True, True, False]
+
+
 def test_it_resumes_within_its_chain(agent):
     other = SkillChaining(FourRooms().observation_space, FourRooms().action_space, 0, agent.settings)
     other.load_state_dict(agent.state_dict())
