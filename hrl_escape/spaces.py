@@ -1,7 +1,7 @@
 """Spaces that say more than their numbers: observations in rows of objects, and actions that are about an object.
 
 An agent that knows neither rooms nor options reads here which action points at which row, so that its network can
-treat all objects alike (see `agents/components/object_network.py`). To everybody else they are a Box and a Discrete.
+treat all objects alike (see `agents/components/networks.py`). To everybody else they are a Box and a Discrete.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""An algorithm, a puzzle and an observation, added as docs/architecture.md says, arrive everywhere with nothing else
-touched: they are planted in a copy of the package and found by name, checked, listed and trained. The copy compiles its
-kernels anew, which is announced once and counts into no time."""
+"""An algorithm, a variant of one, a puzzle and an observation, added as docs/architecture.md says, arrive everywhere
+with nothing else touched: they are planted in a copy of the package and found by name, checked, listed and trained. The
+copy compiles its kernels anew, which is announced once and counts into no time."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ ROOT = Path(__file__).parents[1]
 
 @pytest.fixture(scope="module")
 def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What a copy of the package, in which all three are planted, prints in each act; one process, for its kernels
+    """What a copy of the package, in which all four are planted, prints in each act; one process, for its kernels
     are compiled anew. Beside it what that process, and a second one, say on stderr."""
     house = tmp_path_factory.mktemp("house")
     shutil.copytree(ROOT / "hrl_escape", house / "hrl_escape", ignore=shutil.ignore_patterns("__pycache__"))
     (house / "hrl_escape/agents/algorithms/first_legal.py").write_text(ALGORITHM)
+    (house / "hrl_escape/agents/algorithms/mellow_dqn.py").write_text(VARIANT)
     (house / "hrl_escape/env/puzzles/toggles.py").write_text(read_puzzle())
     with (house / "hrl_escape/env/observations.py").open("a") as file:
         file.write(OBSERVATION)
@@ -82,6 +83,39 @@ class FirstLegal(Agent):
 '''
 
 
+VARIANT = '''
+"""Deep Q-network with mellowmax in place of the maximum (Asadi and Littman 2017)."""
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import torch
+
+from hrl_escape.agents.algorithms.dqn import DQN, DQNSettings
+from hrl_escape.settings import Range
+
+
+@dataclass(frozen=True)
+class MellowDQNSettings(DQNSettings):
+    """Settings of `mellow-dqn`."""
+
+    omega: Annotated[float, Range(0, open_low=True)] = 5.0
+    """Sharpness of the mean over next actions, in scaled return."""
+
+
+class MellowDQN(DQN):
+    """R + b log(mean over legal o of exp(omega Q_target(s', o))) / omega."""
+
+    name, Settings = "mellow-dqn", MellowDQNSettings
+
+    def compute_targets(self, batch):
+        scores = self.settings.omega * self.values.target(batch.next_observation)
+        total = scores.masked_fill(~batch.next_mask, -torch.inf).logsumexp(dim=1)
+        mean = total - batch.next_mask.sum(dim=1).log()
+        return batch.reward + batch.bootstrap * mean / self.settings.omega
+'''
+
+
 OBSERVATION = '''
 
 class CompassObserver(Observer):
@@ -119,10 +153,12 @@ timed = [plan.seconds, time.perf_counter() - began, plan.timed_out]
 ACTS = '''
 import contextlib, io, json
 import gymnasium, numpy
-from hrl_escape.agents.registry import get_agent_class
+from hrl_escape.agents import train
+from hrl_escape.agents.registry import get_agent_class, list_recipes
 from hrl_escape.checks import check_agent, check_puzzle
 from hrl_escape.cli import main
 from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.env.puzzles.base import get_puzzle_kind
 
 said = {"timed": timed}
@@ -141,6 +177,12 @@ check_puzzle(get_puzzle_kind("toggles").config_type().make_puzzle(numpy.random.d
 budget = ["--preset", "paper-one-button", "--primitives", "40", "--eval-episodes", "1", "--json"]
 call("train", "smdp-first-legal", *budget, "--out", "algorithm")
 call("train", "q-learning", *budget, "--observation", "compass", "--out", "observation")
+small = {"warmup": 20, "hidden": (8,), "batch_size": 8}
+for name, many in (("one", EscapeRoomEnv("paper-one-button", observation="features")),
+                   ("many", EscapeRoomVectorEnv(4, "paper-one-button", observation="features"))):
+    done = train("mellow-dqn", many, primitives=120, settings=small, eval_episodes=1)
+    said[name] = [done.primitives, done.agent.settings.n_step, done.agent.values.learner.updates,
+                  len(list_recipes("smdp-mellow-dqn")["corrected"].to_dict())]
 call("solve", "--set", "puzzle.kind=toggles", "--seed", "1")
 env = EscapeRoomEnv("paper-one-button", observation="compass")
 said["first"] = [env.observation_space.shape, env.reset(seed=0)[0].tolist()]
@@ -151,6 +193,14 @@ print(json.dumps(said))
 def test_a_file_in_algorithms_is_an_agent(said):
     assert "first-legal" in said["list agents"]
     assert json.loads(said["train smdp-first-legal"])["primitives"] >= 40
+
+
+def test_a_variant_of_dqn_is_under_30_lines_and_keeps_its_streams_n_step_and_settings(said):
+    assert VARIANT.strip().count("\n") < 30
+    assert "mellow-dqn" in said["list agents"]
+    for where in "one", "many":
+        primitives, n_step, updates, settings = said[where]
+        assert primitives >= 120 and n_step == 3 and updates > 10 and settings > 30
 
 
 def test_a_file_in_puzzles_is_a_puzzle(said):

@@ -12,18 +12,19 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import gymnasium
+import numpy as np
 
 from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.settings import LearningSettings
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.errors import DiscountMismatchError
 
 if TYPE_CHECKING:
     import torch
     from torch import Tensor
 
-__all__ = ["EndedDecisions", "SavedEpisodes", "SingleEnvSource", "StreamAgent", "StreamSource", "StreamTransitions",
-           "Streams", "compute_backups", "gather_decisions"]
+__all__ = ["EndedDecisions", "OpenChoices", "SavedEpisodes", "SingleEnvSource", "StreamAgent", "StreamSource",
+           "StreamTransitions", "Streams", "compute_backups", "gather_decisions"]
 
 
 class EndedDecisions(Protocol):
@@ -225,6 +226,68 @@ class StreamAgent(Agent):
     @abstractmethod
     def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
         """Learn from decisions that ended together; returns numbers to log, or nothing."""
+
+
+class OpenChoices(Stateful):
+    """The masks and probabilities that streams' present decisions were chosen with, and their generator.
+
+    Args:
+        count: number of streams.
+        actions: number of actions.
+        device: device of all tensors.
+        rng: seeds the generator.
+        memory: numbers in a stream's recurrent memory.
+
+    Attributes:
+        generator: on the device, for the draws of all streams.
+        memory: (count, numbers), what each stream remembers now; 0 before an episode's first decision.
+    """
+
+    STATE = ("_mask", "_log_probability", "_place", "memory", "_before", "generator")
+
+    def __init__(self, count: int, actions: int, device: torch.device, rng: np.random.Generator,
+                 memory: int = 0) -> None:
+        import torch  # which no other part of this module needs
+
+        self.count = count
+        self.generator = torch.Generator(device).manual_seed(int(rng.integers(2**63)))
+        self._mask = torch.ones((count, actions), dtype=torch.bool, device=device)
+        self._log_probability = torch.zeros(count, device=device)
+        self._place = torch.zeros(count, dtype=torch.int64, device=device)
+        self.memory, self._before = (torch.zeros((count, memory), device=device) for _ in range(2))
+
+    def choose(self, stream: Tensor, mask: Tensor, log_probability: Tensor, memory: Tensor) -> None:
+        """Keep with what some streams, int64 (n,), have just chosen, and what they remember since."""
+        self._mask[stream], self._log_probability[stream] = mask, log_probability
+        self._before[stream] = self.memory[stream]
+        self.memory[stream] = memory
+
+    def end(self, stream: Tensor, over: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Choices of decisions that ended; where the episode is `over` too, bool (n,), the stream forgets.
+
+        Returns:
+            Mask (n, actions), log probability (n,), place in the rollout (n,), and memory before the choice.
+        """
+        place = self._place[stream]
+        self._place[stream] += 1
+        self.memory[stream] = self.memory[stream].masked_fill(over[:, None], 0.0)
+        return self._mask[stream], self._log_probability[stream], place, self._before[stream]
+
+    def has(self, count: int, device: torch.device) -> bool:
+        """True if these are the choices of so many streams on that device."""
+        return (self.count, self._place.device) == (count, device)
+
+    def find_last(self, stream: Tensor, place: Tensor) -> Tensor:
+        """True at each stream's last decision among those at some places of its rollout, bool (n,)."""
+        return place == self._place[stream] - 1
+
+    def begin_episodes(self) -> None:
+        """Let every stream forget what it remembers; its present decision is dropped."""
+        self.memory.zero_()
+
+    def begin_rollout(self) -> None:
+        """Count places from 0 again."""
+        self._place.zero_()
 
 
 def gather_decisions(ended: EndedDecisions, gamma: float, agent_gamma: float) -> StreamTransitions:

@@ -161,7 +161,7 @@ MUTATIONS = [
               "compute_advantages(rollout, high_values, high_next * ~rollout.over, settings)",
               "test_both_processes_have_advantages_of_their_own_and_the_probabilities_of_the_networks_that_chose"),
     _networks("terminations learn as fast as all else", "ppoc",
-              "learning_rate=self.settings.termination_rate or 1.0", "learning_rate=self.settings.learning_rate",
+              "self.settings.termination_rate or 1.0)", "self.settings.learning_rate)",
               "test_ppocs_terminations_move_at_their_own_rate"),
     _diayn("skills are told apart by the pose", "return observation * seen", "return observation",
            "test_the_pose_says_nothing_to_the_discriminator_and_bits_do"),

@@ -152,9 +152,9 @@ MUTATIONS = [
     ),
     Mutation(
         "a checkpoint forgets a generator",
-        "agents/components/replay_agent.py",
-        'self._replay_rng.bit_generator.state = state["replay_rng"]',
-        "pass",
+        "agents/algorithms/dqn.py",
+        '"_replay_rng", Kept("values.learner"',
+        'Kept("values.learner"',
         "agents/training/test_resuming.py::test_a_restored_agent_goes_on_to_the_same_bits[dqn-corrected]",
     ),
     Mutation(

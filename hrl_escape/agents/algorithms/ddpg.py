@@ -16,7 +16,7 @@ import torch
 from numpy.typing import NDArray
 from torch.nn import functional
 
-from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions, count_steps
 from hrl_escape.agents.components.exploration import (
     OrnsteinUhlenbeck,
     choose_best,
@@ -26,24 +26,26 @@ from hrl_escape.agents.components.exploration import (
     mask_values,
     sample_legal,
 )
-from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.networks import (
+    Learner,
+    NetworkSettings,
+    ObservationEncoder,
     compute_td_loss,
     make_forward,
     make_generator,
     make_network,
 )
-from hrl_escape.agents.components.replay import Experience
-from hrl_escape.agents.components.replay_agent import ReplayAgent, ReplaySettings
+from hrl_escape.agents.components.replay import Experience, ReplayBuffer, UpdateSchedule, make_experience
 from hrl_escape.agents.larg2019.linear_relaxation import LinearRelaxation
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 __all__ = ["DDPG", "DDPGSettings", "OneHotRelaxation"]
 
 
 @dataclass(frozen=True)
-class DDPGSettings(ReplaySettings):
+class DDPGSettings(NetworkSettings, LearningSettings):
     """Settings of `ddpg`."""
 
     relaxation: Literal["one-hot", "linear"] = "one-hot"
@@ -53,6 +55,21 @@ class DDPGSettings(ReplaySettings):
     exploration: Literal["epsilon-greedy", "ornstein-uhlenbeck"] = "epsilon-greedy"
     """`epsilon-greedy`: a random legal action with probability epsilon. `ornstein-uhlenbeck`: noise with memory on the
     actor's outputs."""
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
+    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
+    with zero bias, usual for PPO."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0)] = 10.0
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    loss: Literal["huber", "squared"] = "huber"
+    """Loss of action values: Huber with threshold 1 (in scaled rewards), or half the squared error."""
     target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.005
     """Share of the online networks blended into the target networks at each update."""
     average_actor: bool = True
@@ -60,10 +77,14 @@ class DDPGSettings(ReplaySettings):
     Juditsky 1992): the argmax of an actor that is still learning changes from one update to the next."""
     replay_capacity: Annotated[int, Range(1)] = 100_000
     """Decisions kept for replay."""
+    batch_size: Annotated[int, Range(1)] = 64
+    """Decisions in an update from replay."""
     warmup: Annotated[int, Range(0)] = 500
     """Steps of the clock before the critic's first update."""
     actor_warmup: Annotated[int, Range(0)] = 1_000
     """Steps of the clock before the actor's first update."""
+    updates_per_step: Annotated[float, Range(0)] = 0.25
+    """Updates for each step of the clock; an option of 16 primitives is followed by 16 times as many."""
     entropy_weight: Annotated[float, Range(0)] = 0.3
     """Weight of the actor's entropy in its loss, in scaled rewards; `one-hot` only. It keeps the softmax's gradient
     alive and leaves the argmax of the best policy where it is."""
@@ -112,7 +133,7 @@ class OneHotRelaxation:
         return -(policy * values).sum(dim=1).mean() - self._entropy_weight * entropy
 
 
-class DDPG(ReplayAgent):
+class DDPG(Agent):
     """Critic: minimise the mean of loss(R + b Q'(s', mu'(s')) - Q(s, a)). Actor: maximise the mean of Q(s, mu(s)).
 
     R = sum gamma^i r_i, b = gamma^k (1 - terminated), primes are target networks. The action that runs is the argmax of
@@ -123,6 +144,9 @@ class DDPG(ReplayAgent):
     Settings: ClassVar[type] = DDPGSettings
     settings: DDPGSettings
     is_markov: bool = True
+    STATE = ("replay", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"), "_action_rng",
+             "_replay_rng", Kept("_actor_learner", "actor"), Kept("_critic_learner", "critic"), "_vector",
+             Kept("_noise.state", "noise"))
 
     def __init__(
         self,
@@ -131,9 +155,13 @@ class DDPG(ReplayAgent):
         seed: int,
         settings: DDPGSettings | None = None,
     ) -> None:
-        super().__init__(observation_space, action_space, seed, settings, keeps_vectors=True)
-        settings = self.settings
-        encoder, actions, generator = self._encoder, self._actions, make_generator(make_rng(seed, "weights"))
+        self.settings = settings = settings or DDPGSettings()
+        self._encoder = encoder = ObservationEncoder(observation_space, settings.scale_observations)
+        actions = count_actions(action_space, self.name)
+        self.replay = ReplayBuffer(settings.replay_capacity, encoder.shape, encoder.dtype, actions, (actions,))
+        self._schedule = UpdateSchedule(min(settings.warmup, settings.actor_warmup), settings.updates_per_step)
+        self._action_rng, self._replay_rng = make_rng(seed, "actions"), make_rng(seed, "replay")
+        generator = make_generator(make_rng(seed, "weights"))
         self.actor = make_network(encoder, actions, settings, generator)
         self.critic = make_network(encoder, 1, settings, generator, extra_inputs=actions)
         self.target_actor = make_network(encoder, actions, settings, generator).requires_grad_(False)
@@ -161,7 +189,8 @@ class DDPG(ReplayAgent):
         preferences = outputs = self._explore(self._encoder.encode(observation))
         if self._noise is not None:
             outputs = preferences + self._noise.sample(self._action_rng).astype(np.float32)
-        is_random = self._noise is None and self._action_rng.random() < compute_epsilon(self.settings, self._steps)
+        epsilon = compute_epsilon(self.settings, self._schedule.steps)
+        is_random = self._noise is None and self._action_rng.random() < epsilon
         action = sample_legal(action_mask, self._action_rng) if is_random else choose_best(outputs, action_mask)
         self._vector = self.relaxation.encode(outputs, action)
         policy = np.exp(mask_values(preferences, action_mask) - preferences[action_mask].max())
@@ -173,26 +202,26 @@ class DDPG(ReplayAgent):
         """The argmax of `compute_preferences` over legal actions."""
         return choose_best(self.compute_preferences(observation), action_mask)
 
-    @property
-    def warmup(self) -> int:
-        """Steps of the clock before the first update, of the critic or of the actor."""
-        return min(self.settings.warmup, self.settings.actor_warmup)
-
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Store the decision, then make the updates that are due."""
-        self.replay.add(self.make_experience(transition)._replace(action=self._vector))
+        settings = self.settings
+        self.replay.add(make_experience(transition, self._encoder, settings)._replace(action=self._vector))
         if self._noise is not None and (transition.terminated or transition.truncated):
             self._noise.reset()
-        return self.learn_from_replay(transition) | self._conduct
+        due = self._schedule.advance(count_steps(transition, settings), len(self.replay))
+        metrics = {"epsilon": compute_epsilon(settings, self._schedule.steps)}
+        for _ in range(due):
+            metrics |= self.update(self.replay.sample(settings.batch_size, self._replay_rng))
+        return metrics | self._conduct
 
     def update(self, batch: Experience) -> dict[str, float]:
         """One gradient step of the critic and one of the actor, each once it is warm."""
         metrics: dict[str, float] = {}
-        if self._steps > self.settings.warmup:
+        if self._schedule.steps > self.settings.warmup:
             metrics["loss"] = self._critic_learner.minimise(self.compute_critic_loss(batch))
             metrics["gradient_norm"] = self._critic_learner.gradient_norm
             self.target_critic.blend(self.critic, self.settings.target_rate)
-        if self._steps > self.settings.actor_warmup:
+        if self._schedule.steps > self.settings.actor_warmup:
             metrics["actor_loss"] = self._actor_learner.minimise(self.compute_actor_loss(batch))
             self.target_actor.blend(self.actor, self.settings.target_rate)
         return metrics
@@ -211,21 +240,3 @@ class DDPG(ReplayAgent):
         """Minus the mean value, to the critic, of the actor's choices over a batch of numpy arrays."""
         observation, mask = torch.from_numpy(batch.observation), torch.from_numpy(batch.mask)
         return self.relaxation.compute_actor_loss(self.critic, observation, self.actor(observation), mask)
-
-    def state_dict(self) -> StateTree:
-        """Networks, optimisers and noise beside replay, counters and generators."""
-        return super().state_dict() | {
-            "actor": self._actor_learner.state_dict(),
-            "critic": self._critic_learner.state_dict(),
-            "vector": self._vector,
-            "noise": None if self._noise is None else self._noise.state,
-        }
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        super().load_state_dict(state)
-        self._actor_learner.load_state_dict(state["actor"])
-        self._critic_learner.load_state_dict(state["critic"])
-        self._vector = np.array(state["vector"])
-        if self._noise is not None:
-            self._noise.state = np.array(state["noise"])

@@ -4,41 +4,100 @@ Mnih et al. (2015) with double estimation (van Hasselt, Guez and Silver 2016) on
 1988; Hessel et al. 2018). A useless decision costs one reward and one discount, little beside the values' range, so
 the greedy policy hangs on small differences: it holds what it found better where the target stands still long enough
 to be fitted and n decisions carry values ahead of it (`benchmarks/README.md`).
+
+It is composed of `components/networks.py`, `components/replay.py` and `components/exploration.py`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
 import torch
-from torch import Tensor
+from numpy.typing import NDArray
+from torch import Tensor, nn
 
-from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.components.action_value_agent import ActionValueAgent, ActionValueSettings
-from hrl_escape.agents.components.distillation import DeepBonusSettings, make_bonus
-from hrl_escape.agents.components.exploration import compute_epsilon, make_rng
+from hrl_escape.agents.agent import SMDPTransition, count_actions, count_steps
+from hrl_escape.agents.components.distillation import make_bonus
+from hrl_escape.agents.components.exploration import (
+    choose_best,
+    compute_epsilon,
+    compute_exploration_entropy,
+    make_rng,
+    sample_action,
+)
 from hrl_escape.agents.components.hindsight import HindsightReplay
-from hrl_escape.agents.components.replay import Experience, NStep
-from hrl_escape.agents.components.streams.exploration import sample_actions
-from hrl_escape.agents.components.streams.open_choices import OpenChoices
-from hrl_escape.agents.components.streams.replay import StreamNStep, StreamReplay
+from hrl_escape.agents.components.networks import (
+    Learner,
+    NetworkSettings,
+    ObservationEncoder,
+    compute_td_loss,
+    copy_network,
+    make_action_network,
+    make_forward,
+    make_generator,
+)
+from hrl_escape.agents.components.replay import (
+    Experience,
+    NStep,
+    ReplayBuffer,
+    StreamNStep,
+    StreamReplay,
+    UpdateSchedule,
+    make_experience,
+)
 from hrl_escape.agents.goal_rule import GoalRule
-from hrl_escape.agents.state import StateTree
-from hrl_escape.agents.streams import StreamAgent, StreamTransitions, compute_backups
+from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.state import Kept, Stateful
+from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions, compute_backups
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
-__all__ = ["DQN", "DQNSettings"]
+__all__ = ["DQN", "ActionValues", "DQNSettings", "sample_actions"]
 
 
 @dataclass(frozen=True)
-class DQNSettings(DeepBonusSettings, ActionValueSettings):
+class DQNSettings(NetworkSettings, LearningSettings):
     """Settings of `dqn`."""
 
+    exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
+    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
+    proportional to exp(q / temperature)."""
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+    temperature: Annotated[float, Range(0, open_low=True)] = 1.0
+    """Temperature of `boltzmann`, in units of return."""
+    boltzmann_clip: Annotated[float, Range(0)] = 0.0
+    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
+    likely. 0 sets no bound."""
+    bonus_weight: Annotated[float, Range(0)] = 0.0
+    """A decision that leads to a cell for the n-th time costs this (1 - 1 / sqrt(n)), in units of return; 0 counts
+    nothing."""
+    bonus_bins: Annotated[int, Range(2)] = 5
+    """A component of the observation with bounds is rounded to the nearest of so many points for counting, both ends
+    included: 5 over a 20 m room is 5 m; a bit stays a bit."""
+    bonus: Literal["counts", "distillation"] = "counts"
+    """Measure of novelty behind `bonus_weight`. `counts`: visits of a cell. `distillation`: the error of a network that
+    predicts a random one (Burda et al. 2018); a decision costs the weight times 1 - error / mean error, at least 0."""
+    network: Literal["mlp", "objects"] = "mlp"
+    """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, equivariant under
+    permutation of the objects; for the observation `objects`."""
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
+    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
+    with zero bias, usual for PPO."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0)] = 10.0
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    loss: Literal["huber", "squared"] = "huber"
+    """Loss of action values: Huber with threshold 1 (in scaled rewards), or half the squared error."""
     double: bool = True
     """The online network chooses the next action, the target network values it."""
     n_step: Annotated[int, Range(1)] = 3
@@ -50,6 +109,14 @@ class DQNSettings(DeepBonusSettings, ActionValueSettings):
     average_rate: Annotated[float, Range(0, 1)] = 0.005
     """Share of the online network blended, at each update, into the averaged network that the greedy policy follows;
     0 keeps none."""
+    replay_capacity: Annotated[int, Range(1)] = 50_000
+    """Decisions kept for replay."""
+    batch_size: Annotated[int, Range(1)] = 64
+    """Decisions in an update from replay."""
+    warmup: Annotated[int, Range(0)] = 500
+    """Steps of the clock before the first update."""
+    updates_per_step: Annotated[float, Range(0)] = 0.25
+    """Updates for each step of the clock; an option of 16 primitives is followed by 16 times as many."""
     hindsight_goals: Annotated[int, Range(0)] = 0
     """Goals achieved later in its episode that are drawn for a decision; replay holds it once more under each
     (Andrychowicz et al. 2017, who take 4). 0 for none. For environments with goals, such as `GoalsEnv`."""
@@ -60,7 +127,86 @@ class DQNSettings(DeepBonusSettings, ActionValueSettings):
     """Decisions of each stream, on average, for which replay has room at least."""
 
 
-class DQN(ActionValueAgent, StreamAgent):
+class ActionValues(Stateful):
+    """Q_theta, its target and its average: choices by them, and steps of Q_theta towards given targets.
+
+    Args:
+        name: of the algorithm, for messages.
+        encoder: of the observations.
+        action_space: Discrete.
+        seed: fixes the weights.
+        settings: of networks, exploration and targets, as `DQNSettings` has them.
+        network: a module of the user's own; None makes what the settings say.
+
+    Attributes:
+        online: Q_theta, from encoded observations to scaled values of all actions.
+        target: Q_target, the same.
+        average: of the online network's weights, which the greedy policy follows (Polyak and Juditsky 1992). It begins
+            as a plain mean, so that it forgets the first weights. With `average_rate` 0 it is the online network.
+        learner: their optimiser.
+        conduct: entropy of the latest exploring choice, and whether it was greedy, to log.
+    """
+
+    STATE = ("learner",)
+
+    def __init__(self, name: str, encoder: ObservationEncoder, action_space: gymnasium.Space, seed: int, settings: Any,
+                 network: nn.Module | None = None) -> None:
+        self._settings, self._encoder = settings, encoder
+        generator = make_generator(make_rng(seed, "weights"))
+        networks = {
+            key: make_action_network(encoder, action_space, settings, generator) if network is None else
+            copy_network(network, encoder, action_space)
+            for key in ("online", "target", "average")[: 3 if settings.average_rate else 2]}
+        self.online, self.target, self.average = (networks.get(key, networks["online"])
+                                                  for key in ("online", "target", "average"))
+        for copy in (self.target, self.average):
+            if copy is not self.online:
+                copy.requires_grad_(False).blend(self.online, 1.0)
+        self.learner = Learner(name, networks, ["online"], settings)
+        self.conduct: dict[str, float] = {}
+        self._make_forwards()
+
+    def _make_forwards(self) -> None:
+        self._forward, self._exploit = make_forward(self.online), make_forward(self.average)
+
+    def move(self, device: torch.device) -> None:
+        """Move networks and optimiser to a device."""
+        self.learner.move(device)
+        self._make_forwards()
+
+    def compute(self, observation: Any) -> NDArray:
+        """Q(s, .) behind the greedy policy at an observation, in units of return, float32 (actions,)."""
+        return self._exploit(self._encoder.encode(observation)) / self._settings.reward_scale
+
+    def explore(self, encoded: NDArray, action_mask: NDArray[np.bool_], steps: int, rng: np.random.Generator) -> int:
+        """Draw from the exploring policy at an encoded observation, `steps` on the clock; notes how, in `conduct`."""
+        values = self._forward(encoded) / self._settings.reward_scale
+        action = sample_action(values, action_mask, self._settings, steps, rng)
+        self.conduct = {
+            "entropy": compute_exploration_entropy(values, action_mask, self._settings, steps),
+            "greedy": float(values[action] >= values[action_mask].max()),
+        }
+        return action
+
+    def compute_loss(self, batch: Experience, targets: Tensor) -> tuple[Tensor, Tensor]:
+        """The mean loss against targets (batch,), and Q_theta(s, o), (batch,), without gradient."""
+        values = self.online(batch.observation).gather(1, batch.action.unsqueeze(1)).squeeze(1)
+        return compute_td_loss(values, targets, self._settings.loss), values.detach()
+
+    def update(self, batch: Experience, targets: Tensor) -> dict[str, float]:
+        """One gradient step, then, if they are due, one of the target and of the average; returns numbers to log."""
+        settings, learner = self._settings, self.learner
+        loss, values = self.compute_loss(batch, targets)
+        value = learner.minimise(loss)
+        if learner.updates % settings.target_every == 0:
+            self.target.blend(self.online, settings.target_rate)
+        if settings.average_rate:
+            self.average.blend(self.online, max(settings.average_rate, 1 / learner.updates))
+        return {"loss": value, "gradient_norm": learner.gradient_norm,
+                "value": values.mean().item() / settings.reward_scale}
+
+
+class DQN(StreamAgent):
     """Minimise over theta the mean of loss(R + b Q_target(s', o*) - Q_theta(s, o)), o* = argmax of Q_theta(s', .).
 
     R = sum gamma^i r_i, b = gamma^k (1 - terminated), the argmax over actions legal at s'. With `n_step` n, R and b are
@@ -72,14 +218,24 @@ class DQN(ActionValueAgent, StreamAgent):
         seed: fixes weights, exploration, batches and goals.
         settings: of the agent.
         goal_rule: reward and termination as functions of goals, for `hindsight_goals`.
+        network: a torch module of your own in place of the settings' network, from encoded observations to one number
+            an action, with the weights to begin with; it is copied.
+
+    Attributes:
+        values: Q_theta, its target and its average.
+        replay: of the one environment.
 
     Raises:
-        AgentSettingsError: `hindsight_goals` in an environment without goals.
+        AgentSettingsError: `hindsight_goals` in an environment without goals, or the module does not fit.
     """
 
     name: ClassVar[str] = "dqn"
     Settings: ClassVar[type] = DQNSettings
     settings: DQNSettings
+    is_markov: bool = True
+    STATE = ("replay", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"), "_action_rng",
+             "_replay_rng", Kept("values.learner", "learner"), "_n_step", "_bonus", "_streams", "_stream_rng",
+             Kept("_hindsight", is_left_out=True))
 
     def __init__(
         self,
@@ -88,26 +244,70 @@ class DQN(ActionValueAgent, StreamAgent):
         seed: int,
         settings: DQNSettings | None = None,
         goal_rule: GoalRule | None = None,
+        network: nn.Module | None = None,
     ) -> None:
-        super().__init__(observation_space, action_space, seed, settings)
-        self._n_step = NStep(self.settings.n_step)
-        self._stream_rng = make_rng(seed, "streams")
-        self._streams: _DQNStreams | None = None
-        self._bonus = make_bonus(observation_space, seed, self.settings, self.settings, self.name)
+        self.settings = settings or self.Settings()
+        settings = self.settings
+        self._actions = count_actions(action_space, self.name)
+        self._encoder = encoder = ObservationEncoder(observation_space, settings.scale_observations)
+        self.values = ActionValues(self.name, encoder, action_space, seed, settings, network)
+        self.replay = ReplayBuffer(settings.replay_capacity, encoder.shape, encoder.dtype, self._actions)
+        self._n_step = NStep(settings.n_step)
+        self._schedule = UpdateSchedule(settings.warmup, settings.updates_per_step)
+        self._action_rng, self._replay_rng, self._stream_rng = (
+            make_rng(seed, purpose) for purpose in ("actions", "replay", "streams"))
+        self._bonus = make_bonus(observation_space, seed, settings, self.name)
         self._hindsight = HindsightReplay(
-            observation_space, goal_rule, self.settings.hindsight_goals, self.settings.n_step, self._encoder,
-            self.settings, make_rng(seed, "goals")) if self.settings.hindsight_goals else None
+            observation_space, goal_rule, settings.hindsight_goals, settings.n_step, encoder, settings,
+            make_rng(seed, "goals")) if settings.hindsight_goals else None
+        self._streams: _DQNStreams | None = None
+
+    # --- acting --------------------------------------------------------------------------
+
+    def compute_values(self, observation: Any) -> NDArray:
+        """Q(s, .) behind the greedy policy at an observation, in units of return, float32 (actions,)."""
+        return self.values.compute(observation)
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
+        """Explore as the settings say, by the online network."""
+        encoded = self._encoder.encode(observation)
+        return self.values.explore(encoded, action_mask, self._schedule.steps, self._action_rng)
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The legal action of highest value."""
+        return choose_best(self.compute_values(observation), action_mask)
+
+    # --- learning ------------------------------------------------------------------------
+
+    def compute_targets(self, batch: Experience) -> Tensor:
+        """R + b Q_target(s', o*), o* = argmax over legal o of Q_theta(s', o), (batch,); called without gradient."""
+        next_values = self.values.target(batch.next_observation)
+        next_choice = self.values.online(batch.next_observation) if self.settings.double else next_values
+        best = next_choice.masked_fill(~batch.next_mask, -torch.inf).argmax(dim=1, keepdim=True)
+        return batch.reward + batch.bootstrap * next_values.gather(1, best).squeeze(1)
+
+    def update(self, batch: Experience) -> dict[str, float]:
+        """One gradient step on a batch of arrays or tensors; returns numbers to log."""
+        tensors = Experience(*map(torch.as_tensor, batch))
+        with torch.no_grad():
+            targets = self.compute_targets(tensors)
+        return self.values.update(tensors, targets)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Store the decision, then make the updates that are due."""
+        settings = self.settings
         bonus = self._bonus.visit(transition.next_observation)
-        experience = self.make_experience(transition, bonus)
+        experience = make_experience(transition, self._encoder, settings, bonus)
         for joined in self._n_step.push(experience, transition.terminated or transition.truncated):
             self.replay.add(joined)
         if self._hindsight is not None:
             for relabelled in self._hindsight.push(transition, experience, bonus):
                 self.replay.add(relabelled)
-        return self.learn_from_replay(transition)
+        due = self._schedule.advance(count_steps(transition, settings), len(self.replay))
+        metrics = {"epsilon": compute_epsilon(settings, self._schedule.steps)}
+        for _ in range(due):
+            metrics |= self.update(self.replay.sample(settings.batch_size, self._replay_rng))
+        return metrics | self.values.conduct
 
     # --- streams -------------------------------------------------------------------------
 
@@ -122,8 +322,7 @@ class DQN(ActionValueAgent, StreamAgent):
         if self._streams is not None and self._streams.open.has(count, device):
             self._streams.n_step.forget()
             return
-        self._learner.move(device)
-        self.make_forwards()
+        self.values.move(device)
         example = torch.from_numpy(np.zeros((1, *self._encoder.shape), self._encoder.dtype)).to(device)
         capacity = max(self.settings.replay_capacity, self.settings.stream_replay * count)
         self._streams = _DQNStreams(
@@ -135,66 +334,33 @@ class DQN(ActionValueAgent, StreamAgent):
         """Explore as the settings say, by the online network, for each row."""
         assert self._streams is not None, "begin_streams comes first"
         with torch.no_grad():
-            values = self.online(self._encoder.encode_many(observation)) / self.settings.reward_scale
+            values = self.values.online(self._encoder.encode_many(observation)) / self.settings.reward_scale
         choices = self._streams.open
         choices.choose(stream, mask, torch.zeros_like(values[:, 0]), choices.memory[stream])
-        return sample_actions(values, mask, self.settings, self._steps, choices.generator)
+        return sample_actions(values, mask, self.settings, self._schedule.steps, choices.generator)
 
     def observe_streams(self, decisions: StreamTransitions) -> Mapping[str, float]:
         """Store the decisions, then make the updates that are due."""
         assert self._streams is not None, "begin_streams comes first"
         choices, replay, n_step = self._streams
-        reward, bootstrap = compute_backups(decisions, self.settings)
-        if self.settings.bonus_weight:
+        settings = self.settings
+        reward, bootstrap = compute_backups(decisions, settings)
+        if settings.bonus_weight:
             bonus = self._bonus.visit_many(decisions.next_observation.cpu().numpy())
             reward = reward + torch.from_numpy(bonus).to(reward.device)
         over = decisions.terminated | decisions.truncated
         mask, *_ = choices.end(decisions.stream, over)
         experience = Experience(
-            self._encoder.encode_many(decisions.observation), mask, decisions.action,
-            reward * self.settings.reward_scale, bootstrap, self._encoder.encode_many(decisions.next_observation),
-            decisions.next_action_mask)
+            self._encoder.encode_many(decisions.observation), mask, decisions.action, reward * settings.reward_scale,
+            bootstrap, self._encoder.encode_many(decisions.next_observation), decisions.next_action_mask)
         replay.add(n_step.push(decisions.stream, experience, over))
-        steps = int(decisions.duration.sum()) if self.settings.clock == "primitive" else len(over)
-        self._steps += steps
-        metrics = {"epsilon": compute_epsilon(self.settings, self._steps)}
-        if self._steps > self.warmup and len(replay):
-            self._updates_due += steps * self.settings.updates_per_step
-            whole = int(self._updates_due)
-            self._updates_due -= whole
-            count = min(whole, self.settings.stream_updates)
-            for _ in range(count):
-                metrics |= self.update(replay.sample(self.settings.batch_size * whole // count, choices.generator))
+        steps = int(decisions.duration.sum()) if settings.clock == "primitive" else len(over)
+        due = self._schedule.advance(steps, len(replay))
+        metrics = {"epsilon": compute_epsilon(settings, self._schedule.steps)}
+        count = min(due, settings.stream_updates)
+        for _ in range(count):
+            metrics |= self.update(replay.sample(settings.batch_size * due // count, choices.generator))
         return metrics
-
-    # --- learning ------------------------------------------------------------------------
-
-    def compute_targets(self, batch: Experience, next_action: int | None) -> torch.Tensor:
-        """R + b Q_target(s', o*), o* = argmax over legal o of Q_theta(s', o)."""
-        del next_action  # off policy
-        next_values = self.target(batch.next_observation)
-        next_choice = self.online(batch.next_observation) if self.settings.double else next_values
-        best = next_choice.masked_fill(~batch.next_mask, -torch.inf).argmax(dim=1, keepdim=True)
-        return batch.reward + batch.bootstrap * next_values.gather(1, best).squeeze(1)
-
-    def state_dict(self) -> StateTree:
-        """Unfinished backups, episode and streams, the bonus's memory, networks, replay, counters, generators."""
-        streams = self._streams and {name: part.state_dict() for name, part in self._streams._asdict().items()}
-        state = super().state_dict() | {"n_step": self._n_step.state_dict(), "bonus": self._bonus.state_dict(),
-                                        "streams": streams, "stream_rng": self._stream_rng.bit_generator.state}
-        return state if self._hindsight is None else state | {"hindsight": self._hindsight.state_dict()}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        super().load_state_dict(state)
-        self._n_step.load_state_dict(state["n_step"])
-        self._bonus.load_state_dict(state["bonus"])
-        self._stream_rng.bit_generator.state = state["stream_rng"]
-        if self._hindsight is not None:
-            self._hindsight.load_state_dict(state["hindsight"])
-        if self._streams is not None and state["streams"] is not None:
-            for name, part in self._streams._asdict().items():
-                part.load_state_dict(state["streams"][name])
 
 
 class _DQNStreams(NamedTuple):
@@ -203,3 +369,25 @@ class _DQNStreams(NamedTuple):
     open: OpenChoices
     replay: StreamReplay
     n_step: StreamNStep
+
+
+def sample_actions(values: Tensor, mask: Tensor, settings: Any, steps: int,
+                   generator: torch.Generator) -> Tensor:
+    """Draw an action for each row of values (n, actions) as `sample_action` does, int64 (n,).
+
+    Args:
+        values: in units of return.
+        mask: bool (n, actions), legal.
+        settings: of exploration, as `DQNSettings` has them.
+        steps: on the clock.
+        generator: on the device of the values.
+    """
+    waits = torch.empty_like(values).exponential_(generator=generator).clamp_(min=1e-30).log()
+    if settings.exploration == "boltzmann":
+        ratio = values / settings.temperature
+        if settings.boltzmann_clip:
+            ratio = ratio.clamp(-settings.boltzmann_clip, settings.boltzmann_clip)
+        return (ratio - waits).masked_fill(~mask, -torch.inf).argmax(dim=1)
+    best, any_legal = (scores.masked_fill(~mask, -torch.inf).argmax(dim=1) for scores in (values, -waits))
+    draws = torch.rand(len(values), generator=generator, device=values.device)
+    return torch.where(draws < compute_epsilon(settings, steps), any_legal, best)

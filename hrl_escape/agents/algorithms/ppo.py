@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
@@ -17,20 +17,21 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions
-from hrl_escape.agents.components.distillation import DeepBonusSettings, make_bonus
+from hrl_escape.agents.components.distillation import make_bonus
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
-from hrl_escape.agents.components.learner import Learner
-from hrl_escape.agents.components.memory import MemorySettings, cut_stretches, make_memory
-from hrl_escape.agents.components.networks import ObservationEncoder, make_forward, make_generator
-from hrl_escape.agents.components.object_network import (
-    ObjectNetworkSettings,
+from hrl_escape.agents.components.memory import cut_stretches, make_memory
+from hrl_escape.agents.components.networks import (
+    Learner,
+    ObservationEncoder,
     make_action_network,
+    make_forward,
+    make_generator,
     make_state_network,
 )
 from hrl_escape.agents.components.policy_gradient import (
     ClippedSettings,
     Rollout,
-    StreamRolloutSettings,
+    collect_decisions,
     compute_advantages,
     compute_clipped_parts,
     compute_log_policy,
@@ -39,16 +40,42 @@ from hrl_escape.agents.components.policy_gradient import (
     stack_decisions,
     take_column,
 )
-from hrl_escape.agents.components.streams.open_choices import OpenChoices
-from hrl_escape.agents.state import StateTree
-from hrl_escape.agents.streams import StreamAgent, StreamTransitions
+from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.state import Kept, StateTree
+from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions
+from hrl_escape.settings import Range
 
 __all__ = ["PPO", "PPOSettings"]
 
 
 @dataclass(frozen=True)
-class PPOSettings(StreamRolloutSettings, MemorySettings, ClippedSettings, DeepBonusSettings, ObjectNetworkSettings):
+class PPOSettings(ClippedSettings, LearningSettings):
     """Settings of `ppo`."""
+
+    network: Literal["mlp", "objects"] = "mlp"
+    """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, equivariant under
+    permutation of the objects; for the observation `objects`."""
+    bonus_weight: Annotated[float, Range(0)] = 0.0
+    """A decision that leads to a cell for the n-th time costs this (1 - 1 / sqrt(n)), in units of return; 0 counts
+    nothing."""
+    bonus_bins: Annotated[int, Range(2)] = 5
+    """A component of the observation with bounds is rounded to the nearest of so many points for counting, both ends
+    included: 5 over a 20 m room is 5 m; a bit stays a bit."""
+    bonus: Literal["counts", "distillation"] = "counts"
+    """Measure of novelty behind `bonus_weight`. `counts`: visits of a cell. `distillation`: the error of a network that
+    predicts a random one (Burda et al. 2018); a decision costs the weight times 1 - error / mean error, at least 0."""
+    entropy_weight: Annotated[float, Range(0)] = 0.01
+    """Weight of the policy's entropy in the loss."""
+    memory: Literal["none", "gru"] = "none"
+    """`gru`: a gated recurrent unit remembers the episode's observations, for tasks that the present one does not
+    decide. It begins every episode empty."""
+    memory_units: Annotated[int, Range(1)] = 32
+    """Size of its state; with `network=objects`, of each object's."""
+    memory_span: Annotated[int, Range(1)] = 32
+    """Most decisions through which a gradient goes back."""
+    stream_rollout: Annotated[int, Range(1)] = 32
+    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
+    `rollout` is cut into as many minibatches, so into larger ones."""
 
 
 class PPO(StreamAgent):
@@ -63,6 +90,8 @@ class PPO(StreamAgent):
     Settings: ClassVar[type] = PPOSettings
     settings: PPOSettings
     is_markov: bool = True
+    STATE = ("_learner", Kept("_collected_rollout", "rollout", unpack=dict), Kept("_open", "streams"), "_recollection",
+             "_bonus", "_action_rng", "_batch_rng", "_stream_rng")
 
     def __init__(
         self,
@@ -87,7 +116,7 @@ class PPO(StreamAgent):
         self._learner = Learner(self.name, networks, networks, settings)
         self._action_rng, self._batch_rng = make_rng(seed, "actions"), make_rng(seed, "batches")
         self._stream_rng = make_rng(seed, "streams")
-        self._bonus = make_bonus(observation_space, seed, settings, settings, self.name)
+        self._bonus = make_bonus(observation_space, seed, settings, self.name)
         self._open: OpenChoices | None = None  # of streams; None while one environment is played
         self._recollection = self._before = np.zeros(size, np.float32)  # of the one environment: now, and before
         self._evaluation: tuple[np.random.Generator, NDArray] | None = None  # an evaluation's, which belongs to its rng
@@ -171,7 +200,8 @@ class PPO(StreamAgent):
         if self._open is not None and self._open.has(count, device):
             if self._collected:
                 rollout = self._gather()
-                self._chunks = [rollout._replace(over=rollout.over | self._open.find_last(rollout))]
+                over = rollout.over | self._open.find_last(rollout.stream, rollout.place)
+                self._chunks = [rollout._replace(over=over)]
             self._open.begin_episodes()
             return
         self._learner.move(device)
@@ -200,7 +230,7 @@ class PPO(StreamAgent):
         if self.settings.bonus_weight:
             visited = self._bonus.visit_many(decisions.next_observation.cpu().numpy())
             bonus = torch.from_numpy(visited).to(decisions.reward.device)
-        self._chunks.append(self._open.collect(decisions, self._encoder, self.settings, bonus))
+        self._chunks.append(collect_decisions(self._open, decisions, self._encoder, self.settings, bonus))
         self._collected += len(decisions.stream)
         least = max(self.settings.rollout, self.settings.stream_rollout * self._open.count)
         return self._learn() if self._collected >= least else {}
@@ -274,32 +304,24 @@ class PPO(StreamAgent):
                                       old_log_probability, advantage, target, self.settings)
         return parts["loss"], torch.stack(tuple(parts.values())).detach()
 
-    def state_dict(self) -> StateTree:
-        """Networks, optimiser, the rollout so far, choices in progress, generators."""
-        return {
-            "learner": self._learner.state_dict(),
-            "rollout": self._gather()._asdict() if self._collected else None,
-            "streams": None if self._open is None else self._open.state_dict(),
-            "recollection": self._recollection,
-            "bonus": self._bonus.state_dict(),
-            "action_rng": self._action_rng.bit_generator.state,
-            "batch_rng": self._batch_rng.bit_generator.state,
-            "stream_rng": self._stream_rng.bit_generator.state,
-        }
+    @property
+    def _collected_rollout(self) -> dict[str, Tensor] | None:
+        """Fields of the rollout so far; None where it is empty."""
+        return self._gather()._asdict() if self._collected else None
+
+    @_collected_rollout.setter
+    def _collected_rollout(self, saved: Mapping[str, Any] | None) -> None:
+        self._forget()
+        if saved is not None:
+            device = self.policy.weights.device
+            self._chunks = [Rollout(**{name: torch.from_numpy(np.asarray(field)).to(device)
+                                       for name, field in saved.items()})]
+            self._collected = len(self._chunks[0].place)
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`; streams go on if there are as many, on any device."""
-        self._learner.load_state_dict(state["learner"])
-        self._bonus.load_state_dict(state["bonus"])
-        self._recollection = np.array(state["recollection"], np.float32)
-        self._forget()
-        if self._open is not None and state["streams"] is not None:
-            self._open.load_state_dict(state["streams"])
-        if state["rollout"] is not None and (self._open is None) == (state["streams"] is None):
-            device = self.policy.weights.device
-            chunk = Rollout(**{name: torch.from_numpy(np.asarray(field)).to(device)
-                               for name, field in state["rollout"].items()})
-            self._chunks, self._collected = [chunk], len(chunk.place)
-        for rng, name in ((self._action_rng, "action_rng"), (self._batch_rng, "batch_rng"),
-                          (self._stream_rng, "stream_rng")):
-            rng.bit_generator.state = state[name]
+        """Restore the result of `state_dict`; streams go on if there are as many, on any device.
+
+        A rollout of many streams is dropped where one environment is played, and the other way round.
+        """
+        is_other = (self._open is None) != (state["streams"] is None)
+        super().load_state_dict({**state, "rollout": None} if is_other else state)

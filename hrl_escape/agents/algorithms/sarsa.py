@@ -7,19 +7,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition
-from hrl_escape.agents.components.action_value_agent import ActionValueAgent, ActionValueSettings
-from hrl_escape.agents.components.exploration import compute_epsilon, compute_policy, sample_index
-from hrl_escape.agents.components.replay import Experience
+from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions, count_steps
+from hrl_escape.agents.algorithms.dqn import ActionValues
+from hrl_escape.agents.components.exploration import (
+    choose_best,
+    compute_epsilon,
+    compute_policy,
+    make_rng,
+    sample_index,
+)
+from hrl_escape.agents.components.networks import NetworkSettings, ObservationEncoder
+from hrl_escape.agents.components.replay import Experience, ReplayBuffer, UpdateSchedule, make_experience
 from hrl_escape.agents.larg2019.late_terminal import LateTerminal
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.settings import LearningSettings
+from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError
 from hrl_escape.settings import Range
 
@@ -27,9 +35,46 @@ __all__ = ["Sarsa", "SarsaSettings"]
 
 
 @dataclass(frozen=True)
-class SarsaSettings(ActionValueSettings):
+class SarsaSettings(NetworkSettings, LearningSettings):
     """Settings of `sarsa`."""
 
+    exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
+    """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
+    proportional to exp(q / temperature)."""
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Steps of the clock over which epsilon falls linearly."""
+    temperature: Annotated[float, Range(0, open_low=True)] = 1.0
+    """Temperature of `boltzmann`, in units of return."""
+    boltzmann_clip: Annotated[float, Range(0)] = 0.0
+    """Bound on the size of q / temperature in `boltzmann`, as keras-rl 0.4.2 has it: values beyond it are equally
+    likely. 0 sets no bound."""
+    network: Literal["mlp", "objects"] = "mlp"
+    """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, equivariant under
+    permutation of the objects; for the observation `objects`."""
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
+    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
+    with zero bias, usual for PPO."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 3e-4
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0)] = 10.0
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    loss: Literal["huber", "squared"] = "huber"
+    """Loss of action values: Huber with threshold 1 (in scaled rewards), or half the squared error."""
+    target_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01
+    """Share of the online network blended into the target network at each of its updates; 1 copies it."""
+    target_every: Annotated[int, Range(1)] = 1
+    """Updates of the online network to one of the target network."""
+    average_rate: Annotated[float, Range(0, 1)] = 0.0
+    """Share of the online network blended, at each update, into an averaged network that the greedy policy follows;
+    0 keeps none."""
+    batch_size: Annotated[int, Range(1)] = 64
+    """Decisions in an update from replay."""
+    warmup: Annotated[int, Range(0)] = 500
+    """Steps of the clock before the first update."""
     expected: bool = True
     """Value s' by its expectation over the policy; otherwise by one action drawn from the policy, the very one
     taken next where there is no replay."""
@@ -48,7 +93,7 @@ class SarsaSettings(ActionValueSettings):
             raise AgentSettingsError("SarsaSettings.late_terminal", True, "False, or replay_capacity = 0")
 
 
-class Sarsa(ActionValueAgent):
+class Sarsa(Agent):
     """Minimise the mean of loss(R + b V(s') - Q_theta(s, o)), V(s') = sum over o' of pi(o' | s') Q_target(s', o').
 
     pi is the exploring policy of the online network at s', over legal actions. With `expected` off, V(s') is
@@ -58,6 +103,9 @@ class Sarsa(ActionValueAgent):
     name: ClassVar[str] = "sarsa"
     Settings: ClassVar[type] = SarsaSettings
     settings: SarsaSettings
+    is_markov: bool = True
+    STATE = ("replay", Kept("_schedule.steps", "steps"), Kept("_schedule._due", "updates_due"), "_action_rng",
+             "_replay_rng", Kept("values.learner", "learner"), "_next_action", "_late_terminal")
 
     def __init__(
         self,
@@ -66,47 +114,76 @@ class Sarsa(ActionValueAgent):
         seed: int,
         settings: SarsaSettings | None = None,
     ) -> None:
-        super().__init__(observation_space, action_space, seed, settings)
+        self.settings = settings = settings or SarsaSettings()
+        self._encoder = encoder = ObservationEncoder(observation_space, settings.scale_observations)
+        self.values = ActionValues(self.name, encoder, action_space, seed, settings)
+        self.replay = ReplayBuffer(settings.replay_capacity, encoder.shape, encoder.dtype,
+                                   count_actions(action_space, self.name))
+        self._schedule = UpdateSchedule(settings.warmup, settings.updates_per_step)
+        self._action_rng, self._replay_rng = make_rng(seed, "actions"), make_rng(seed, "replay")
         self._next_action: int | None = None  # bootstrapped from, to be taken next
         self._late_terminal = LateTerminal()
+
+    def compute_values(self, observation: Any) -> NDArray:
+        """Q(s, .) behind the greedy policy at an observation, in units of return, float32 (actions,)."""
+        return self.values.compute(observation)
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
         """Explore as the settings say, or take the action that the last target was computed with."""
         action, self._next_action = self._next_action, None
-        return super().act(observation, action_mask) if action is None else action
+        return self._explore(self._encoder.encode(observation), action_mask) if action is None else action
+
+    def _explore(self, encoded: NDArray, action_mask: NDArray[np.bool_]) -> int:
+        return self.values.explore(encoded, action_mask, self._schedule.steps, self._action_rng)
+
+    def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """The legal action of highest value."""
+        return choose_best(self.compute_values(observation), action_mask)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Learn from replay, or from this decision as it comes."""
-        experience = self.make_experience(transition)
+        experience = make_experience(transition, self._encoder, self.settings)
         if self.settings.replay_capacity:
             self.replay.add(experience)
-            return self.learn_from_replay(transition)
-        self.advance_clock(transition)
-        metrics = {"epsilon": compute_epsilon(self.settings, self._steps)} | self._conduct
+        due = self._schedule.advance(count_steps(transition, self.settings), len(self.replay))
+        metrics = {"epsilon": compute_epsilon(self.settings, self._schedule.steps)}
+        if self.settings.replay_capacity:
+            for _ in range(due):
+                metrics |= self.update(self.replay.sample(self.settings.batch_size, self._replay_rng))
+            return metrics | self.values.conduct
+        metrics |= self.values.conduct
         if self.settings.late_terminal:
             for late, taken in self._late_terminal.push(experience, transition, self.settings):
-                if self._is_warm:
+                if self._schedule.is_warm:
                     metrics |= self.update(_as_batch(late), self._choose_next(late) if taken is None else taken)
             return metrics
         next_action = self._choose_next(experience)
         self._next_action = None if transition.terminated or transition.truncated else next_action
-        return metrics | (self.update(_as_batch(experience), next_action) if self._is_warm else {})
-
-    @property
-    def _is_warm(self) -> bool:
-        return self._steps > self.settings.warmup
+        return metrics | (self.update(_as_batch(experience), next_action) if self._schedule.is_warm else {})
 
     def _choose_next(self, experience: Experience) -> int | None:
         """An action at s' to bootstrap from and to take next; None where the expectation over all is taken."""
         if self.settings.expected:
             return None
-        return self.explore(experience.next_observation, experience.next_mask)
+        return self._explore(experience.next_observation, experience.next_mask)
 
-    def compute_targets(self, batch: Experience, next_action: int | None) -> torch.Tensor:
-        """R + b V(s')."""
-        next_online = self.online(batch.next_observation).numpy()
+    def update(self, batch: Experience, next_action: int | None = None) -> dict[str, float]:
+        """One gradient step on a batch of arrays; returns numbers to log.
+
+        Args:
+            batch: of decisions.
+            next_action: the action taken at s', in a batch of one decision; None if it is not known.
+        """
+        tensors = Experience(*map(torch.as_tensor, batch))
+        with torch.no_grad():
+            targets = self.compute_targets(tensors, next_action)
+        return self.values.update(tensors, targets)
+
+    def compute_targets(self, batch: Experience, next_action: int | None = None) -> torch.Tensor:
+        """R + b V(s'), (batch,); called without gradient. See `update`."""
+        next_online = self.values.online(batch.next_observation).numpy()
         weights = torch.from_numpy(self._compute_weights(next_online, batch.next_mask.numpy(), next_action))
-        return batch.reward + batch.bootstrap * (weights * self.target(batch.next_observation)).sum(dim=1)
+        return batch.reward + batch.bootstrap * (weights * self.values.target(batch.next_observation)).sum(dim=1)
 
     def _compute_weights(
         self, next_online: NDArray, next_mask: NDArray[np.bool_], next_action: int | None
@@ -115,21 +192,11 @@ class Sarsa(ActionValueAgent):
         one_hot = np.eye(next_online.shape[1], dtype=np.float32)
         if next_action is not None and not self.settings.expected:
             return one_hot[[next_action]]
-        policy = compute_policy(next_online / self.settings.reward_scale, next_mask, self.settings, self._steps)
+        next_values = next_online / self.settings.reward_scale
+        policy = compute_policy(next_values, next_mask, self.settings, self._schedule.steps)
         if self.settings.expected:
             return policy.astype(np.float32)
         return one_hot[[sample_index(row, self._replay_rng) for row in policy]]
-
-    def state_dict(self) -> StateTree:
-        """Decisions in waiting beside networks, replay, counters and generators."""
-        late = self._late_terminal.state_dict()
-        return super().state_dict() | {"next_action": self._next_action, "late_terminal": late}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        super().load_state_dict(state)
-        self._next_action = state["next_action"]
-        self._late_terminal.load_state_dict(state["late_terminal"])
 
 
 def _as_batch(experience: Experience) -> Experience:

@@ -40,14 +40,14 @@ class CountBonus:
 
     Args:
         space: of the observations.
-        settings: weight and bins.
+        settings: `bonus_weight` and `bonus_bins`.
         agent: name of the agent, for messages.
 
     Raises:
         UnsupportedSpaceError: a weight above 0 and observations that cannot be binned, such as pictures.
     """
 
-    def __init__(self, space: gymnasium.Space, settings: BonusSettings, agent: str) -> None:
+    def __init__(self, space: gymnasium.Space, settings: Any, agent: str) -> None:
         self._weight = settings.bonus_weight
         self._counts: dict[bytes, int] = {}
         self._find_cell: Callable[[Any], NDArray[np.int32]] | None = None

@@ -11,19 +11,17 @@ divided by its running mean, capped at 1, and 1 is taken off.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
+from hrl_escape.agents.components.bonuses import CountBonus
 from hrl_escape.agents.components.exploration import make_rng
-from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.networks import (
-    NetworkSettings,
+    Learner,
     ObservationEncoder,
     make_forward,
     make_generator,
@@ -31,7 +29,7 @@ from hrl_escape.agents.components.networks import (
 )
 from hrl_escape.agents.state import StateTree
 
-__all__ = ["DeepBonusSettings", "DistillationBonus", "make_bonus"]
+__all__ = ["DistillationBonus", "make_bonus"]
 
 FEATURES = 32
 """Outputs of the random network."""
@@ -41,15 +39,6 @@ LARGE_BATCH = 256
 """Most observations in an update, where streams show many at once."""
 CLIP = 5.0
 """Bound on whitened observations."""
-
-
-@dataclass(frozen=True)
-class DeepBonusSettings(BonusSettings):
-    """Exploration bonus of deep agents."""
-
-    bonus: Literal["counts", "distillation"] = "counts"
-    """Measure of novelty behind `bonus_weight`. `counts`: visits of a cell. `distillation`: the error of a network that
-    predicts a random one (Burda et al. 2018); a decision costs the weight times 1 - error / mean error, at least 0."""
 
 
 class DistillationBonus:
@@ -64,7 +53,7 @@ class DistillationBonus:
     """
 
     def __init__(
-        self, space: gymnasium.Space, seed: int, weight: float, settings: NetworkSettings, agent: str
+        self, space: gymnasium.Space, seed: int, weight: float, settings: Any, agent: str
     ) -> None:
         self._weight = weight
         self._encoder = encoder = ObservationEncoder(space, settings.scale_observations)
@@ -152,20 +141,19 @@ class DistillationBonus:
 
 
 def make_bonus(
-    space: gymnasium.Space, seed: int, bonus: DeepBonusSettings, networks: NetworkSettings, agent: str
+    space: gymnasium.Space, seed: int, settings: Any, agent: str
 ) -> CountBonus | DistillationBonus:
     """The bonus that an agent's settings ask for; with a weight of 0 it counts nothing.
 
     Args:
         space: of the observations.
         seed: of the agent.
-        bonus: kind and weight.
-        networks: the agent's networks.
+        settings: of the agent: `bonus`, `bonus_weight`, `bonus_bins` and those of networks.
         agent: its name, for messages.
 
     Raises:
         UnsupportedSpaceError: observations that the bonus cannot use.
     """
-    if bonus.bonus_weight and bonus.bonus == "distillation":
-        return DistillationBonus(space, seed, bonus.bonus_weight, networks, agent)
-    return CountBonus(space, bonus, agent)
+    if settings.bonus_weight and settings.bonus == "distillation":
+        return DistillationBonus(space, seed, settings.bonus_weight, settings, agent)
+    return CountBonus(space, settings, agent)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -84,14 +84,17 @@ def choose_best(values: NDArray, mask: NDArray[np.bool_], rng: np.random.Generat
     return best
 
 
-def compute_epsilon(settings: EpsilonSettings, steps: int) -> float:
-    """Epsilon after so many steps: linear from `epsilon_start` to `epsilon_end`, then constant."""
+def compute_epsilon(settings: Any, steps: int) -> float:
+    """Epsilon after so many steps: linear from `epsilon_start` to `epsilon_end`, then constant.
+
+    Settings here and below are any with the fields of `EpsilonSettings` or `ExplorationSettings`.
+    """
     progress = min(steps / settings.epsilon_steps, 1.0)
     return settings.epsilon_start + progress * (settings.epsilon_end - settings.epsilon_start)
 
 
 def compute_policy(
-    values: NDArray, mask: NDArray[np.bool_], settings: ExplorationSettings, steps: int
+    values: NDArray, mask: NDArray[np.bool_], settings: Any, steps: int
 ) -> NDArray[np.float64]:
     """Probabilities of the exploring policy.
 
@@ -137,7 +140,7 @@ def compute_choice_entropy(policy: NDArray) -> float:
     return float(-(possible * np.log(possible)).sum())
 
 
-def compute_exploration_entropy(values: NDArray, mask: NDArray[np.bool_], settings: ExplorationSettings, steps: int
+def compute_exploration_entropy(values: NDArray, mask: NDArray[np.bool_], settings: Any, steps: int
                                 ) -> float:
     """Entropy of `compute_policy` in nats; of epsilon-greedy without its probabilities. Shapes (actions,)."""
     if settings.exploration == "boltzmann":
@@ -151,7 +154,7 @@ def compute_exploration_entropy(values: NDArray, mask: NDArray[np.bool_], settin
 def sample_action(
     values: NDArray,
     mask: NDArray[np.bool_],
-    settings: ExplorationSettings,
+    settings: Any,
     steps: int,
     rng: np.random.Generator,
 ) -> int:

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import SMDPTransition, compute_backup
 from hrl_escape.agents.components.networks import ObservationEncoder, is_goal_space
 from hrl_escape.agents.components.replay import Experience
-from hrl_escape.agents.components.replay_agent import ReplaySettings
 from hrl_escape.agents.goal_rule import GoalRule
 from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import AgentSettingsError, StepContractError
@@ -35,7 +34,7 @@ class HindsightReplay:
         goals: k, how many are drawn for a decision.
         n_step: decisions joined into one backup.
         encoder: of the observations.
-        settings: of the agent.
+        settings: `LearningSettings` with `reward_scale`.
         rng: draws the new goals.
 
     Raises:
@@ -43,7 +42,7 @@ class HindsightReplay:
     """
 
     def __init__(self, space: gymnasium.Space, rule: GoalRule | None, goals: int, n_step: int,
-                 encoder: ObservationEncoder, settings: ReplaySettings, rng: np.random.Generator) -> None:
+                 encoder: ObservationEncoder, settings: Any, rng: np.random.Generator) -> None:
         if rule is None or not is_goal_space(space):
             raise AgentSettingsError(
                 "hindsight_goals", goals, "0 here, for the environment has no goals. One that has shows a Dict of "

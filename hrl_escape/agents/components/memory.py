@@ -8,32 +8,16 @@ decisions, which begin in the state that was there when they were lived.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor, nn
 
 from hrl_escape.agents.components.networks import Network, ObservationEncoder
-from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.errors import UnsupportedSpaceError
-from hrl_escape.settings import Range
 from hrl_escape.spaces import ObjectsBox
 
-__all__ = ["Memory", "MemorySettings", "Stretches", "cut_stretches", "make_memory"]
-
-
-@dataclass(frozen=True)
-class MemorySettings(AgentSettings):
-    """Recurrent memory."""
-
-    memory: Literal["none", "gru"] = "none"
-    """`gru`: a gated recurrent unit remembers the episode's observations, for tasks that the present one does not
-    decide. It begins every episode empty."""
-    memory_units: Annotated[int, Range(1)] = 32
-    """Size of its state; with `network=objects`, of each object's."""
-    memory_span: Annotated[int, Range(1)] = 32
-    """Most decisions through which a gradient goes back."""
+__all__ = ["Memory", "Stretches", "cut_stretches", "make_memory"]
 
 
 class GatedCell(nn.Module):
@@ -143,13 +127,13 @@ def cut_stretches(stream: Tensor, place: Tensor, span: int) -> Stretches:
     return Stretches(grid, is_real)
 
 
-def make_memory(encoder: ObservationEncoder, settings: MemorySettings, by_objects: bool, generator: torch.Generator
+def make_memory(encoder: ObservationEncoder, settings: Any, by_objects: bool, generator: torch.Generator
                 ) -> Memory | None:
     """Make the memory that settings ask for, if any.
 
     Args:
         encoder: of the observations.
-        settings: kind and size.
+        settings: `memory` and `memory_units`.
         by_objects: give each row of objects a state of its own.
         generator: draws the weights.
 

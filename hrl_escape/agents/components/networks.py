@@ -1,16 +1,26 @@
-"""Networks of the deep agents: encoding of observations, layers and fast acting.
+"""Networks of the deep agents: encoding of observations, layers, acting on them and gradient descent.
 
-Multilayer perceptrons, with a convolutional front (Mnih et al. 2015) for images. Weights are drawn from a generator of
-their own and lie in one vector, so that Adam, clipping and target networks are single operations. Acting on one
-observation goes through numpy views of the same weights, four to five times faster on a CPU than torch. Learning is
-plain torch because that measured fastest (`python -m benchmarks.agents`, beside TorchRL and Stable-Baselines3).
+Multilayer perceptrons, with a convolutional front (Mnih et al. 2015) for images, deep sets over rows of objects, or a
+module of the user's own. Weights are drawn from a generator of their own and lie in one vector, so that Adam, clipping
+and target networks are single operations. Acting on one observation goes through numpy views of the same weights, four
+to five times faster on a CPU than torch. Learning is plain torch because that measured fastest (`python -m
+benchmarks.agents`, beside TorchRL and Stable-Baselines3).
+
+Deep sets (Zaheer et al. 2017, equation 4) are equivariant under permutation of the objects, and indifferent to their
+number: every layer gives each object the same function of its own row and of the mean and the maximum over all objects.
+An action that is about an object is valued from that object's row; all other actions, and states, from the pooled rows.
+So what is learned about one button holds for any other button, under any number, where a perceptron over the same
+numbers would have to learn it for each.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from copy import deepcopy
 from dataclasses import dataclass
-from typing import Annotated, Any, Literal, TypeGuard
+from typing import Annotated, Any, TypeGuard
 
 import gymnasium
 import numpy as np
@@ -21,41 +31,45 @@ from numpy.typing import NDArray
 from torch import nn
 from torch.nn import functional
 
+from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.settings import AgentSettings
-from hrl_escape.errors import UnsupportedSpaceError
+from hrl_escape.agents.state import StateTree
+from hrl_escape.errors import AgentSettingsError, CheckpointError, DivergenceError, UnsupportedSpaceError
 from hrl_escape.settings import Range
+from hrl_escape.spaces import ObjectsBox, PointingDiscrete
 
 __all__ = [
+    "Learner",
     "Network",
     "NetworkSettings",
+    "ObjectLayers",
     "ObservationEncoder",
     "compute_td_loss",
     "initialise_layer",
     "is_goal_space",
+    "make_action_network",
     "make_forward",
     "make_generator",
     "make_network",
+    "make_state_network",
 ]
 
 MOST_KNOWN = 1_000
 """Most outputs of a network that are remembered."""
+WILD_LOSS = 1e6
+"""Loss beyond which values have diverged: in scaled rewards, where losses are a few hundred at most."""
+WILD_GROWTH, GROWTH_EVERY = 100.0, 50
+"""Growth of the weights' norm beyond which steps are too long, and updates between two looks at it."""
 
 
 @dataclass(frozen=True)
 class NetworkSettings(AgentSettings):
-    """The networks and their optimiser (Adam)."""
+    """What deep agents have in common; initial weights, step size and bound on gradients are each algorithm's own."""
 
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""
-    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
-    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
-    with zero bias, usual for PPO."""
-    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
-    """Step size of Adam."""
     adam_epsilon: Annotated[float, Range(0, open_low=True)] = 1e-8
     """Term in Adam's denominator; Keras has 1e-7."""
-    max_grad_norm: Annotated[float, Range(0)] = 10.0
-    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
     scale_observations: bool = True
     """Map components with finite bounds in the observation space to [-1, 1]."""
     reward_scale: Annotated[float, Range(0, open_low=True)] = 0.1
@@ -201,7 +215,7 @@ def make_generator(rng: np.random.Generator) -> torch.Generator:
 def make_network(
     encoder: ObservationEncoder,
     outputs: int,
-    settings: NetworkSettings,
+    settings: Any,
     generator: torch.Generator,
     extra_inputs: int = 0,
     output_gain: float = 1.0,
@@ -211,7 +225,7 @@ def make_network(
     Args:
         encoder: says the input's shape.
         outputs: units of the linear last layer.
-        settings: hidden layers and initialisation.
+        settings: `hidden` layers and `initialisation`.
         generator: draws the weights.
         extra_inputs: further inputs after a vector observation, such as a relaxed action.
         output_gain: factor on the last layer's initial weights.
@@ -262,7 +276,10 @@ def _make_convolutions(
 
 
 def initialise_layer(layer: Any, initialisation: str, gain: float, generator: torch.Generator) -> Any:
-    """Draw a layer's initial weights as `NetworkSettings.initialisation` says; returns the layer."""
+    """Draw a layer's initial weights as a setting says; returns the layer.
+
+    `torch` draws U(+-1/sqrt(fan in)); `glorot` is Xavier uniform with zero bias, as Keras; `orthogonal` has zero bias.
+    """
     if initialisation == "glorot":
         nn.init.xavier_uniform_(layer.weight, generator=generator)
     elif initialisation == "orthogonal":
@@ -274,6 +291,154 @@ def initialise_layer(layer: Any, initialisation: str, gain: float, generator: to
         return layer
     nn.init.zeros_(layer.bias)
     return layer
+
+
+class ObjectLayers(nn.Module):
+    """Deep-sets layers from observations in rows to one number an action, or to one number.
+
+    Args:
+        space: of the observations.
+        about: for each action the name of its object, or None; no actions for the value of a state.
+        settings: `hidden` layers and `initialisation`.
+        generator: draws the weights.
+        output_gain: factor on the last layer's initial weights.
+        memory: numbers after the observation that belong to the rows, as many to each.
+    """
+
+    _columns: torch.Tensor
+
+    def __init__(self, space: ObjectsBox, about: tuple[str | None, ...], settings: Any,
+                 generator: torch.Generator, output_gain: float, memory: int = 0) -> None:
+        super().__init__()
+        self._shape, self._present = (len(space.rows), len(space.words)), space.words.index("present")
+        self._memory = memory // len(space.rows)
+        is_tanh = settings.initialisation == "orthogonal"
+        self._activation = nn.Tanh() if is_tanh else nn.ReLU()
+        gain = nn.init.calculate_gain("tanh" if is_tanh else "relu")
+
+        def make(inputs: int, outputs: int, factor: float, scale: float = 1.0) -> Any:
+            linear: Any = nn.utils.skip_init(nn.Linear, inputs, outputs)  # the constructor would draw from global state
+            initialise_layer(linear, settings.initialisation, factor, generator)
+            with torch.no_grad():
+                linear.weight.mul_(scale)
+            return linear
+
+        widths = settings.hidden
+        self.enter = make(len(space.words) + space.context + self._memory, widths[0], gain)
+        self.own, self.shared = nn.ModuleList(), nn.ModuleList()
+        for width, units in zip(widths, widths[1:], strict=False):
+            self.own.append(make(width, units, gain))
+            self.shared.append(make(2 * width, units, gain))
+        columns, heads, free = _lay_out(space.rows, about)
+        self.register_buffer("_columns", torch.tensor(columns), persistent=False)
+        self.point = make(widths[-1], heads, 1.0, output_gain) if heads else None
+        self.whole = make(2 * widths[-1], free, 1.0, output_gain) if free else None
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        """Numbers of all actions, (batch, actions), or of the state, (batch, 1)."""
+        count, width = self._shape
+        rows = observation[:, : count * width].unflatten(1, self._shape)  # (batch, rows, words)
+        rest = observation[:, count * width :]
+        context, memory = rest.split((rest.shape[1] - count * self._memory, count * self._memory), dim=1)
+        context = torch.cat([context[:, None].expand(-1, count, -1), memory.unflatten(1, (count, -1))], dim=2)
+        present = rows[:, :, self._present, None] > 0.5
+        hidden = self._activation(self.enter(torch.cat([rows, context], dim=2)))
+        for own, shared in zip(self.own, self.shared, strict=True):
+            hidden = self._activation(own(hidden) + shared(_pool(hidden, present))[:, None])
+        parts = []
+        if self.point is not None:
+            parts.append(self.point(hidden).flatten(1))  # (batch, rows x heads)
+        if self.whole is not None:
+            parts.append(self.whole(_pool(hidden, present)))
+        return torch.cat(parts, dim=1).index_select(1, self._columns)
+
+
+def _pool(hidden: torch.Tensor, present: torch.Tensor) -> torch.Tensor:
+    """Mean and maximum over the objects that are present: (batch, rows, units) -> (batch, 2 units)."""
+    mean = (hidden * present).sum(dim=1) / present.sum(dim=1).clamp(min=1)
+    most = hidden.masked_fill(~present, -1e9).amax(dim=1)  # no activation is that low
+    return torch.cat([mean, most * present.any(dim=1)], dim=1)
+
+
+def _lay_out(rows: tuple[str, ...], about: tuple[str | None, ...]) -> tuple[list[int], int, int]:
+    """Column of each action among (rows x heads, free) numbers; number of heads; number of free ones.
+
+    The k-th action about an object has head k; an action about nothing, or about what has no row, is free.
+    """
+    if not about:
+        return [0], 0, 1
+    places: list[tuple[int, int] | None] = []
+    for number, name in enumerate(about):
+        known = name is not None and name in rows
+        places.append((rows.index(name), about[:number].count(name)) if known else None)  # type: ignore[arg-type]
+    heads = max((place[1] + 1 for place in places if place), default=0)
+    columns, free = [], 0
+    for place in places:
+        columns.append(len(rows) * heads + free if place is None else place[0] * heads + place[1])
+        free += place is None
+    return columns, heads, free
+
+
+def make_action_network(encoder: ObservationEncoder, action_space: gymnasium.Space, settings: Any,
+                        generator: torch.Generator, output_gain: float = 1.0, memory: int = 0) -> Network:
+    """Network of one number an action, as `settings.network` says.
+
+    Args:
+        encoder: of the observations.
+        action_space: Discrete; a `PointingDiscrete` says what its actions are about.
+        settings: `hidden` layers, `initialisation` and `network`.
+        generator: draws the weights.
+        output_gain: factor on the last layer's initial weights.
+        memory: numbers of a memory after the observation.
+
+    Raises:
+        UnsupportedSpaceError: `network=objects` with observations that are no rows of objects.
+    """
+    actions = count_actions(action_space, "network")
+    if settings.network == "mlp":
+        return make_network(encoder, actions, settings, generator, memory, output_gain)
+    about = action_space.about if isinstance(action_space, PointingDiscrete) else (None,) * actions
+    return Network(ObjectLayers(_get_rows(encoder), about, settings, generator, output_gain, memory))
+
+
+def make_state_network(encoder: ObservationEncoder, settings: Any, generator: torch.Generator, memory: int = 0
+                       ) -> Network:
+    """Network of one number, the value of a state; see `make_action_network`."""
+    if settings.network == "mlp":
+        return make_network(encoder, 1, settings, generator, memory)
+    return Network(ObjectLayers(_get_rows(encoder), (), settings, generator, 1.0, memory))
+
+
+def _get_rows(encoder: ObservationEncoder) -> ObjectsBox:
+    if not isinstance(encoder.space, ObjectsBox):
+        raise UnsupportedSpaceError(f"network=objects needs observations in rows of objects, not {encoder.space}: make "
+                                    "the environment with observation='objects'")
+    return encoder.space
+
+
+def copy_network(module: nn.Module, encoder: ObservationEncoder, action_space: gymnasium.Space) -> Network:
+    """Copy of a user's own module as a network of one number an action.
+
+    Args:
+        module: from encoded observations (batch, *encoder.shape) to (batch, actions); its weights are the first ones.
+        encoder: of the observations.
+        action_space: Discrete.
+
+    Raises:
+        AgentSettingsError: the module has no weights, others than float32, or outputs of another shape.
+    """
+    actions = count_actions(action_space, "network")
+    weights = list(module.parameters())
+    if not weights or any(each.dtype != torch.float32 for each in weights):
+        raise AgentSettingsError("network", type(module).__name__, "a module with float32 weights")
+    own = deepcopy(module)
+    made = Network(*own) if isinstance(own, nn.Sequential) else Network(own)
+    with torch.no_grad():
+        shape = tuple(made(torch.from_numpy(np.zeros((2, *encoder.shape), encoder.dtype))).shape)
+    if shape != (2, actions):
+        raise AgentSettingsError("network", f"outputs of shape {shape}", f"(2, {actions}) from two encoded "
+                                 f"observations of shape {encoder.shape}")
+    return made
 
 
 def make_forward(network: Network) -> Callable[[NDArray], NDArray]:
@@ -338,3 +503,130 @@ def compute_td_loss(values: torch.Tensor, targets: torch.Tensor, kind: str) -> t
     if kind == "huber":
         return functional.smooth_l1_loss(values, targets)
     return 0.5 * functional.mse_loss(values, targets)
+
+
+class Learner:
+    """Gradient descent on some networks: Adam, clipping, the check for divergence, and its checkpoint.
+
+    Args:
+        name: the algorithm's name, for messages.
+        networks: named networks that the checkpoint holds.
+        trained: those whose parameters this optimiser moves.
+        settings: `learning_rate`, `adam_epsilon` and `max_grad_norm`.
+        learning_rate: another than that of the settings.
+
+    Attributes:
+        updates: steps made.
+        gradient_norm: Euclidean norm of the last step's gradient, before it was clipped.
+    """
+
+    def __init__(
+        self, name: str, networks: Mapping[str, Network], trained: Iterable[str], settings: Any,
+        learning_rate: float | None = None,
+    ) -> None:
+        self.name, self.updates, self.gradient_norm, self._is_wild = name, 0, 0.0, False
+        self._networks = networks
+        self._max_norm = settings.max_grad_norm
+        self._trained = [networks[key] for key in trained]
+        self._first_norm = self._measure_weights()
+        self._inputs = [parameter for network in self._trained for parameter in network.parameters()]
+        self._rate, self._epsilon = learning_rate or settings.learning_rate, settings.adam_epsilon
+        self._optimiser = self._make_optimiser()
+
+    def _make_optimiser(self) -> torch.optim.Adam:
+        vectors = [nn.Parameter(network.weights) for network in self._trained]
+        for vector, network in zip(vectors, self._trained, strict=True):
+            vector.grad = network.gradient
+        return torch.optim.Adam(vectors, lr=self._rate, eps=self._epsilon, fused=True)
+
+    def move(self, device: torch.device) -> None:
+        """Move networks and optimiser to a device."""
+        if all(network.weights.device == device for network in self._networks.values()):
+            return
+        state = self.state_dict()
+        for network in self._networks.values():
+            network.move(device)
+        self._inputs = [parameter for network in self._trained for parameter in network.parameters()]
+        self._optimiser = self._make_optimiser()
+        self.load_state_dict(state)
+
+    def minimise(self, loss: torch.Tensor) -> float:
+        """One step down the gradient; returns the loss.
+
+        Raises:
+            DivergenceError: the loss or its gradient is NaN or infinite; the weights are left alone.
+        """
+        value = loss.item()
+        if not math.isfinite(value):
+            raise DivergenceError(self.name, self.updates, loss=value)
+        for network in self._trained:
+            network.gradient.zero_()
+        loss.backward(inputs=self._inputs)
+        self.gradient_norm = norm = math.hypot(*(network.gradient.norm().item() for network in self._trained))
+        if not math.isfinite(norm):
+            raise DivergenceError(self.name, self.updates, loss=value, gradient_norm=norm)
+        if not self._is_wild and (reason := self._find_divergence(value)) is not None:
+            self._is_wild = True
+            warnings.warn(f"{self.name} diverges: {reason}its loss is {value:.3g} and the norm of its gradient "
+                          f"{norm:.3g} (update {self.updates}). Lower learning_rate, or reward_scale where rewards are "
+                          "large", stacklevel=2)
+        if self._max_norm and norm > self._max_norm:
+            for network in self._trained:
+                network.gradient.mul_(self._max_norm / norm)
+        self._optimiser.step()
+        self.updates += 1
+        return value
+
+    def minimise_each(self, losses: Iterable[Mapping[str, torch.Tensor]]) -> dict[str, float]:
+        """One step down the first part of each, taken before the next is asked for; returns the means of all parts."""
+        totals: dict[str, torch.Tensor] = {}
+        count = 0
+        for parts in losses:
+            self.minimise(next(iter(parts.values())))
+            totals = {name: totals.get(name, 0.0) + part.detach() for name, part in parts.items()}
+            count += 1
+        return {name: float(total) / count for name, total in totals.items()}
+
+    def _measure_weights(self) -> float:
+        return math.hypot(*(network.weights.norm().item() for network in self._trained))
+
+    def _find_divergence(self, loss: float) -> str | None:
+        """Reason to say that learning diverges, as the beginning of a sentence; None if there is none."""
+        if abs(loss) > WILD_LOSS:
+            return ""
+        if self.updates % GROWTH_EVERY or not self._first_norm:
+            return None
+        growth = self._measure_weights() / self._first_norm
+        return f"its weights have grown {growth:.0f} times since they were drawn, " if growth > WILD_GROWTH else None
+
+    def state_dict(self) -> StateTree:
+        """Weights, optimiser moments and the counter, as arrays."""
+        moments = self._optimiser.state_dict()["state"]
+        return {
+            "updates": self.updates,
+            "weights": {name: network.weights.cpu().numpy() for name, network in self._networks.items()},
+            "moments": [{key: tensor.cpu().numpy() for key, tensor in moments[index].items()}
+                        for index in sorted(moments)],
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Restore the result of `state_dict`.
+
+        Raises:
+            CheckpointError: it belongs to networks of another size.
+        """
+        self.updates = int(state["updates"])
+        for name, network in self._networks.items():
+            weights = torch.from_numpy(state["weights"][name])
+            if weights.shape != network.weights.shape:
+                raise CheckpointError(
+                    f"the checkpoint's {name} network of {self.name} has {len(weights)} weights; "
+                    f"this agent's has {len(network.weights)}"
+                )
+            network.weights.copy_(weights)
+        moments = {
+            index: {key: torch.from_numpy(np.asarray(value)) for key, value in group.items()}
+            for index, group in enumerate(state["moments"])
+        }
+        groups = self._optimiser.state_dict()["param_groups"]
+        self._optimiser.load_state_dict({"state": moments, "param_groups": groups})

@@ -15,35 +15,30 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.components.networks import NetworkSettings
-from hrl_escape.agents.settings import AgentSettings, LearningSettings
+from hrl_escape.agents.components.networks import NetworkSettings, ObservationEncoder
+from hrl_escape.agents.streams import OpenChoices, StreamTransitions, compute_backups
 from hrl_escape.settings import Range
 
-__all__ = ["AdvantageSettings", "ClippedSettings", "Rollout", "StreamRolloutSettings", "compute_advantages",
-           "compute_clipped_loss", "compute_clipped_parts", "compute_entropy", "compute_log_policy",
-           "draw_minibatches", "sample_policy", "stack_decisions", "take_column", "unstack_decisions"]
+__all__ = ["ClippedSettings", "Rollout", "collect_decisions", "compute_advantages", "compute_clipped_loss",
+           "compute_clipped_parts", "compute_entropy", "compute_log_policy", "draw_minibatches", "sample_policy",
+           "stack_decisions", "take_column", "unstack_decisions"]
 
 
 @dataclass(frozen=True)
-class AdvantageSettings(AgentSettings):
-    """Generalised advantage estimation."""
-
-    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
-    """Lambda of generalised advantage estimation."""
-    lambda_per: Literal["decision", "primitive"] = "decision"
-    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
-
-
-@dataclass(frozen=True)
-class ClippedSettings(AdvantageSettings, NetworkSettings, LearningSettings):
-    """Rounds of updates with the clipped objective from rollouts of decisions."""
+class ClippedSettings(NetworkSettings):
+    """Networks, and rounds of updates with the clipped objective from rollouts of decisions."""
 
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
-    """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
+    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
+    with zero bias, tanh units and a small last layer of the policy, usual for PPO."""
     learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
     """Step size of Adam."""
     max_grad_norm: Annotated[float, Range(0)] = 0.5
     """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
+    gae_lambda: Annotated[float, Range(0, 1)] = 0.95
+    """Lambda of generalised advantage estimation."""
+    lambda_per: Literal["decision", "primitive"] = "decision"
+    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
     rollout: Annotated[int, Range(2)] = 256
     """Decisions collected before each round of updates, of all streams together."""
     epochs: Annotated[int, Range(1)] = 10
@@ -52,19 +47,8 @@ class ClippedSettings(AdvantageSettings, NetworkSettings, LearningSettings):
     """Decisions in a minibatch of a rollout of `rollout` decisions."""
     clip: Annotated[float, Range(0, open_low=True)] = 0.2
     """Bound on how far the probability ratio may move to any advantage."""
-    entropy_weight: Annotated[float, Range(0)] = 0.01
-    """Weight of the policy's entropy in the loss."""
     value_weight: Annotated[float, Range(0)] = 0.5
     """Weight of half the squared value error in the loss."""
-
-
-@dataclass(frozen=True)
-class StreamRolloutSettings(AgentSettings):
-    """Rollouts of many streams."""
-
-    stream_rollout: Annotated[int, Range(1)] = 32
-    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
-    `rollout` is cut into as many minibatches, so into larger ones."""
 
 
 class Rollout(NamedTuple):
@@ -99,6 +83,28 @@ class Rollout(NamedTuple):
     place: Tensor
 
 
+def collect_decisions(choices: OpenChoices, decisions: StreamTransitions, encoder: ObservationEncoder, settings: Any,
+                      bonus: Tensor | None = None) -> Rollout:
+    """Decisions of streams that ended, as a part of a rollout, with what they were chosen with.
+
+    Args:
+        choices: of the streams, in which these decisions end.
+        decisions: of some streams.
+        encoder: of observations.
+        settings: `LearningSettings` with `reward_scale`.
+        bonus: to be added to rewards, in units of return, (n,); None for none.
+    """
+    reward, bootstrap = compute_backups(decisions, settings)
+    reward = reward if bonus is None else reward + bonus
+    over = decisions.terminated | decisions.truncated
+    mask, log_probability, place, memory = choices.end(decisions.stream, over)
+    return Rollout(
+        encoder.encode_many(decisions.observation), mask, decisions.action, log_probability,
+        reward * settings.reward_scale, bootstrap, decisions.duration, over,
+        encoder.encode_many(decisions.next_observation), memory, decisions.stream, place,
+    )
+
+
 def stack_decisions(rows: Sequence[tuple], first: int) -> Rollout:
     """Decisions of one environment as a rollout.
 
@@ -127,7 +133,7 @@ def draw_minibatches(rng: np.random.Generator, units: int, size: int, epochs: in
         yield from torch.from_numpy(rng.permutation(units)).split(size)
 
 
-def compute_advantages(rollout: Rollout, values: Tensor, next_values: Tensor, settings: AdvantageSettings) -> Tensor:
+def compute_advantages(rollout: Rollout, values: Tensor, next_values: Tensor, settings: Any) -> Tensor:
     """Generalised advantages of decisions of different duration, stream by stream.
 
     delta_t = R_t + b_t V(s_{t+1}) - V(s_t), and A_t = delta_t + b_t L_t A_{t+1} unless the episode ended at t,
@@ -138,7 +144,7 @@ def compute_advantages(rollout: Rollout, values: Tensor, next_values: Tensor, se
         rollout: n decisions.
         values: V(s_t), (n,).
         next_values: V of the states reached, (n,).
-        settings: lambda.
+        settings: `gae_lambda` and `lambda_per`.
 
     Returns:
         float32 (n,).
@@ -181,7 +187,7 @@ def compute_clipped_loss(log_probability: Tensor, old_log_probability: Tensor, a
 
 def compute_clipped_parts(
     log_policy: Tensor, mask: Tensor, action: Tensor, values: Tensor, old_log_probability: Tensor, advantage: Tensor,
-    target: Tensor, settings: ClippedSettings,
+    target: Tensor, settings: Any,
 ) -> dict[str, Tensor]:
     """PPO's loss over a minibatch, and after it its parts.
 
@@ -193,7 +199,7 @@ def compute_clipped_parts(
         old_log_probability: of the action, under the policy that chose it, (n,).
         advantage: (n,).
         target: of the value, (n,).
-        settings: bound and weights.
+        settings: `ClippedSettings` with `entropy_weight`.
     """
     policy_loss = compute_clipped_loss(take_column(log_policy, action), old_log_probability, advantage, settings.clip)
     value_loss = 0.5 * functional.mse_loss(values, target)

@@ -1,8 +1,10 @@
-"""Replay of SMDP backups: a ring buffer in plain numpy, and n-step composition before it.
+"""Replay of SMDP backups: rings of them in numpy and torch, n-step composition before, and the schedule of updates.
 
-The buffer stores the backup (R, b) of each decision, target R + b V(s'), so that duration, discount and termination
-cannot be lost or applied twice (see `agent.compute_backup`). On one CPU core it samples several times faster than
-TorchRL's ReplayBuffer over LazyTensorStorage (`python -m benchmarks.agents`).
+The buffers store the backup (R, b) of each decision, target R + b V(s'), so that duration, discount and termination
+cannot be lost or applied twice (see `agent.compute_backup`). One environment has rings in numpy, `ReplayBuffer` and
+`NStep`; many have their twins on one device, `StreamReplay` and `StreamNStep`, to which a stream adds what one
+environment would. On one CPU core `ReplayBuffer` samples several times faster than TorchRL's ReplayBuffer over
+LazyTensorStorage (`python -m benchmarks.agents`).
 """
 
 from __future__ import annotations
@@ -11,12 +13,16 @@ from collections import deque
 from typing import Any, NamedTuple
 
 import numpy as np
+import torch
 from numpy.typing import DTypeLike, NDArray
+from torch import Tensor
 
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.agent import SMDPTransition, compute_backup
+from hrl_escape.agents.components.networks import ObservationEncoder
+from hrl_escape.agents.state import Kept, Stateful, StateTree
 from hrl_escape.errors import CheckpointError
 
-__all__ = ["Experience", "NStep", "ReplayBuffer"]
+__all__ = ["Experience", "NStep", "ReplayBuffer", "StreamNStep", "StreamReplay", "UpdateSchedule", "make_experience"]
 
 
 class Experience(NamedTuple):
@@ -39,6 +45,61 @@ class Experience(NamedTuple):
     bootstrap: Any
     next_observation: Any
     next_mask: Any
+
+
+def make_experience(transition: SMDPTransition, encoder: ObservationEncoder, settings: Any, bonus: float = 0.0
+                    ) -> Experience:
+    """The backup of a decision, in scaled rewards.
+
+    Args:
+        transition: the decision.
+        encoder: of its observations.
+        settings: `LearningSettings` with `reward_scale`.
+        bonus: added to its reward, in units of return.
+    """
+    reward, bootstrap = compute_backup(transition, settings)
+    return Experience(
+        encoder.encode(transition.observation),
+        transition.action_mask,
+        transition.action,
+        (reward + bonus) * settings.reward_scale,
+        bootstrap,
+        encoder.encode(transition.next_observation),
+        transition.next_action_mask,
+    )
+
+
+class UpdateSchedule(Stateful):
+    """Clock of an agent with replay, and the updates that are due on it.
+
+    Args:
+        warmup: steps before the first update.
+        rate: updates for each step from then on.
+
+    Attributes:
+        steps: of the clock, so far.
+    """
+
+    STATE = ("steps", "_due")
+
+    def __init__(self, warmup: int, rate: float) -> None:
+        self.steps, self._due = 0, 0.0
+        self._warmup, self._rate = warmup, rate
+
+    @property
+    def is_warm(self) -> bool:
+        """True once updates may be made."""
+        return self.steps > self._warmup
+
+    def advance(self, steps: int, stored: int) -> int:
+        """Count steps of the clock; returns how many updates are due, none while nothing is `stored`."""
+        self.steps += steps
+        if not (self.is_warm and stored):
+            return 0
+        self._due += steps * self._rate
+        whole = int(self._due)
+        self._due -= whole
+        return whole
 
 
 class ReplayBuffer:
@@ -109,7 +170,7 @@ class ReplayBuffer:
             field[: len(self)] = stored
 
 
-class NStep:
+class NStep(Stateful):
     """Joins n consecutive decisions into one backup: (R1, b1) then (R2, b2) is (R1 + b1 R2, b1 b2).
 
     Thus each decision contributes its own gamma^k (Sutton, Precup and Singh 1999), and a decision after which nothing
@@ -118,6 +179,9 @@ class NStep:
     Args:
         n: decisions to join.
     """
+
+    STATE = (Kept("_pending", pack=lambda pending: [each._asdict() for each in pending],
+                  unpack=lambda saved: deque(Experience(**fields) for fields in saved)),)
 
     def __init__(self, n: int) -> None:
         self.n = n
@@ -142,10 +206,110 @@ class NStep:
             next_mask=then.next_mask,
         )
 
+
+def _make_fields(shape: tuple[int, ...], observation: Tensor, actions: int) -> Experience:
+    """Empty backups (*shape, ...) whose observations are like one that is given, on its device."""
+    seen = torch.zeros((*shape, *observation.shape[1:]), dtype=observation.dtype, device=observation.device)
+    mask = torch.zeros((*shape, actions), dtype=torch.bool, device=observation.device)
+    number = torch.zeros(shape, device=observation.device)
+    return Experience(seen, mask, number.long(), number, number.clone(), seen.clone(), mask.clone())
+
+
+class StreamReplay:
+    """The last `capacity` backups of all streams, sampled uniformly with replacement.
+
+    Args:
+        capacity: how many are kept.
+        observation: a batch of encoded observations, for shape, dtype and device.
+        actions: number of actions.
+    """
+
+    def __init__(self, capacity: int, observation: Tensor, actions: int) -> None:
+        self.capacity, self.added = capacity, 0
+        self._fields = _make_fields((capacity,), observation, actions)
+
+    def __len__(self) -> int:
+        return min(self.added, self.capacity)
+
+    def add(self, experience: Experience) -> None:
+        """Store backups (n, ...), over the oldest when full; of more than fit, the last."""
+        count = len(experience.action)
+        begin = max(count - self.capacity, 0)
+        rows = (torch.arange(begin, count, device=experience.action.device) + self.added) % self.capacity
+        for field, value in zip(self._fields, experience, strict=True):
+            field[rows] = value[begin:]
+        self.added += count
+
+    def sample(self, batch: int, generator: torch.Generator) -> Experience:
+        """Draw a batch of backups, (batch, ...)."""
+        rows = torch.randint(len(self), (batch,), generator=generator, device=generator.device)
+        return Experience(*(field[rows] for field in self._fields))
+
     def state_dict(self) -> StateTree:
-        """The decisions not yet complete."""
-        return {"pending": [dict(experience._asdict()) for experience in self._pending]}
+        """The filled rows and the counter."""
+        return {"added": self.added} | {name: field[: len(self)].cpu().numpy()
+                                        for name, field in self._fields._asdict().items()}
 
     def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self._pending = deque(Experience(**fields) for fields in state["pending"])
+        """Restore the result of `state_dict`.
+
+        Raises:
+            CheckpointError: it comes from another capacity or other spaces.
+        """
+        self.added = int(state["added"])
+        for name, field in self._fields._asdict().items():
+            if state[name].shape != (len(self), *field.shape[1:]):
+                raise CheckpointError(f"the checkpoint's replay has {name} of shape {state[name].shape}; this agent "
+                                      f"needs {(len(self), *field.shape[1:])}")
+            field[: len(self)] = torch.from_numpy(state[name]).to(field.device)
+
+
+class StreamNStep(Stateful):
+    """Joins n consecutive decisions of each stream into one backup; see `NStep`.
+
+    Args:
+        n: decisions to join.
+        streams: number of streams.
+        observation: as for `StreamReplay`.
+        actions: number of actions.
+    """
+
+    STATE = ("_is_there", *(Kept(f"_pending.{name}", name) for name in Experience._fields))
+
+    def __init__(self, n: int, streams: int, observation: Tensor, actions: int) -> None:
+        self.n = n
+        self._pending = _make_fields((n - 1, streams), observation, actions)  # [a - 1]: a decisions joined
+        self._is_there = torch.zeros((n - 1, streams), dtype=torch.bool, device=observation.device)
+
+    def push(self, stream: Tensor, experience: Experience, over: Tensor) -> Experience:
+        """Take in a decision of some streams, int64 (k,); returns the joined backups that are complete.
+
+        Args:
+            stream: streams, each once.
+            experience: their backups, (k, ...).
+            over: bool (k,), the episode ended.
+        """
+        complete: list[tuple[Experience, Tensor]] = []
+        joined, is_there = experience, torch.ones_like(over)
+        for place in range(self.n):  # the newest first; each takes the place of the next older
+            is_done = is_there & (over if place < self.n - 1 else True)
+            complete.append((joined, is_done))
+            if place == self.n - 1:
+                break
+            older = Experience(*(field[place, stream] for field in self._pending))
+            was_there = self._is_there[place, stream]
+            for field, value in zip(self._pending, joined, strict=True):
+                field[place, stream] = value
+            self._is_there[place, stream] = is_there & ~over
+            joined = older._replace(
+                reward=older.reward + older.bootstrap * experience.reward,
+                bootstrap=older.bootstrap * experience.bootstrap,
+                next_observation=experience.next_observation, next_mask=experience.next_mask)
+            is_there = was_there
+        backups, dones = zip(*complete, strict=True)
+        return Experience(*(torch.cat([value[done] for value, done in zip(values, dones, strict=True)])
+                            for values in zip(*backups, strict=True)))
+
+    def forget(self) -> None:
+        """Drop the decisions not yet complete: every stream begins an episode."""
+        self._is_there.zero_()

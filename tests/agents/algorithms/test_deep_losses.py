@@ -72,20 +72,29 @@ def huber(error):
     return np.where(np.abs(error) < 1, 0.5 * error**2, np.abs(error) - 0.5).mean()
 
 
+def compute_loss(agent, batch, *more):
+    """Loss and values of an agent with action values."""
+    tensors = Experience(*map(torch.as_tensor, batch))
+    with torch.no_grad():
+        targets = agent.compute_targets(tensors, *more)
+    return agent.values.compute_loss(tensors, targets)
+
+
 @pytest.mark.parametrize("double", [False, True])
 @pytest.mark.parametrize("seed", range(3))
 def test_dqn_loss_equals_the_formula_by_hand(seed, double):
     batch, duration, terminated = make_batch(seed)
     agent = make(DQN, DQNSettings(**COMMON, double=double), seed)
     targets = np.empty(SIZE)
-    online, target = forward(agent.online, batch.next_observation), forward(agent.target, batch.next_observation)
+    networks = agent.values.online, agent.values.target
+    online, target = (forward(network, batch.next_observation) for network in networks)
     for i in range(SIZE):
         chooser = online if double else target
         legal = [o for o in range(ACTIONS) if batch.next_mask[i, o]]
         best = max(legal, key=chooser[i].__getitem__)
         targets[i] = batch.reward[i] + (0 if terminated[i] else GAMMA ** int(duration[i]) * target[i, best])
-    values = forward(agent.online, batch.observation)[np.arange(SIZE), batch.action]
-    loss, predicted = agent.compute_loss(batch)
+    values = forward(agent.values.online, batch.observation)[np.arange(SIZE), batch.action]
+    loss, predicted = compute_loss(agent, batch)
     assert loss.item() == pytest.approx(huber(values - targets), abs=1e-6)
     assert predicted.numpy() == pytest.approx(values, abs=1e-6)
 
@@ -95,7 +104,7 @@ def test_dqn_loss_equals_torchrls(double):
     batch, duration, terminated = make_batch(7)
     agent = make(DQN, DQNSettings(**COMMON, double=double), 7)
     actor = QValueActor(
-        TensorDictModule(agent.online, in_keys=["observation"], out_keys=["action_value"]),
+        TensorDictModule(agent.values.online, in_keys=["observation"], out_keys=["action_value"]),
         spec=None,
         action_space="categorical",
         action_mask_key="action_mask",
@@ -104,7 +113,7 @@ def test_dqn_loss_equals_torchrls(double):
         actor, loss_function="smooth_l1", double_dqn=double, delay_value=True, action_space="categorical"
     )
     reference.make_value_estimator(ValueEstimators.TD0, gamma=GAMMA)
-    for name, parameter in agent.target.named_parameters():
+    for name, parameter in agent.values.target.named_parameters():
         # The actor holds the network as its first module; its parameters keep their names below it.
         holder = reference.target_value_network_params["module", "0", "module"]
         holder.get(tuple(name.split("."))).data.copy_(parameter.data)
@@ -124,7 +133,7 @@ def test_dqn_loss_equals_torchrls(double):
         },
         [SIZE],
     )
-    assert agent.compute_loss(batch)[0].item() == pytest.approx(reference(data)["loss"].item(), abs=1e-6)
+    assert compute_loss(agent, batch)[0].item() == pytest.approx(reference(data)["loss"].item(), abs=1e-6)
 
 
 def test_trap_9_an_illegal_action_of_value_a_million_leaves_every_target_alone():
@@ -136,11 +145,11 @@ def test_trap_9_an_illegal_action_of_value_a_million_leaves_every_target_alone()
 
     def compute_losses():
         agents = make(DQN, DQNSettings(**COMMON)), make(Sarsa, SarsaSettings(**COMMON))
-        before = [agent.compute_loss(batch)[0].item() for agent in agents]
+        before = [compute_loss(agent, batch)[0].item() for agent in agents]
         for agent in agents:
-            for network in (agent.online, agent.target):
+            for network in (agent.values.online, agent.values.target):
                 network[-1].bias.data[illegal] = 1e6
-        return before, [agent.compute_loss(batch)[0].item() for agent in agents]
+        return before, [compute_loss(agent, batch)[0].item() for agent in agents]
 
     before, after = compute_losses()
     assert after == before
@@ -149,13 +158,13 @@ def test_trap_9_an_illegal_action_of_value_a_million_leaves_every_target_alone()
 def test_the_target_network_stands_still_between_its_updates():
     batch, _, _ = make_batch(0)
     agent = make(DQN, DQNSettings(**COMMON, target_rate=1.0, target_every=3))
-    before = agent.target.weights.clone()
+    before = agent.values.target.weights.clone()
     moved = []
     for _ in range(6):
         agent.update(batch)
-        moved.append((agent.target.weights != before).any().item())
-        before = agent.target.weights.clone()
-        assert (before == agent.online.weights).all().item() == moved[-1], "a rate of 1 copies"
+        moved.append((agent.values.target.weights != before).any().item())
+        before = agent.values.target.weights.clone()
+        assert (before == agent.values.online.weights).all().item() == moved[-1], "a rate of 1 copies"
     assert moved == [False, False, True] * 2
 
 
@@ -165,16 +174,16 @@ def test_the_greedy_policy_follows_the_average_and_exploration_the_online_networ
     history = []
     for _ in range(6):
         agent.update(batch)
-        history.append(agent.online.weights.clone())
+        history.append(agent.values.online.weights.clone())
     mean = history[0]
     for number, weights in enumerate(history[1:], start=2):
         mean = mean + max(0.25, 1 / number) * (weights - mean)
-    assert agent.average.weights.numpy() == pytest.approx(mean.numpy(), abs=1e-6)
+    assert agent.values.average.weights.numpy() == pytest.approx(mean.numpy(), abs=1e-6)
     observations, legal = batch.observation, np.ones(ACTIONS, np.bool_)
     exploring = [agent.act(each, legal) for each in observations]
     greedy = [agent.act_greedy(each, legal, np.random.default_rng(0)) for each in observations]
-    assert exploring == forward(agent.online, observations).argmax(axis=1).tolist()
-    assert greedy == forward(agent.average, observations).argmax(axis=1).tolist()
+    assert exploring == forward(agent.values.online, observations).argmax(axis=1).tolist()
+    assert greedy == forward(agent.values.average, observations).argmax(axis=1).tolist()
     assert greedy != exploring
 
 
@@ -184,11 +193,11 @@ def test_expected_sarsa_loss_equals_the_formula_by_hand(seed, exploration):
     batch, duration, terminated = make_batch(seed)
     settings = SarsaSettings(**COMMON, exploration=exploration, epsilon_start=0.4, epsilon_end=0.4, loss="squared")
     agent = make(Sarsa, settings, seed)
-    policy = compute_policy(forward(agent.online, batch.next_observation), batch.next_mask, settings, 0)
-    expectation = (policy * forward(agent.target, batch.next_observation)).sum(axis=1)
+    policy = compute_policy(forward(agent.values.online, batch.next_observation), batch.next_mask, settings, 0)
+    expectation = (policy * forward(agent.values.target, batch.next_observation)).sum(axis=1)
     targets = batch.reward + np.where(terminated, 0, GAMMA**duration) * expectation
-    values = forward(agent.online, batch.observation)[np.arange(SIZE), batch.action]
-    assert agent.compute_loss(batch)[0].item() == pytest.approx(0.5 * np.mean((values - targets) ** 2), abs=1e-6)
+    values = forward(agent.values.online, batch.observation)[np.arange(SIZE), batch.action]
+    assert compute_loss(agent, batch)[0].item() == pytest.approx(0.5 * np.mean((values - targets) ** 2), abs=1e-6)
 
 
 def test_sampled_sarsa_bootstraps_from_the_given_next_action():
@@ -197,9 +206,10 @@ def test_sampled_sarsa_bootstraps_from_the_given_next_action():
     one.bootstrap[:] = GAMMA ** duration[0]
     agent = make(Sarsa, SarsaSettings(**COMMON, expected=False, loss="squared"))
     for next_action in range(ACTIONS):
-        target = one.reward[0] + GAMMA ** duration[0] * forward(agent.target, one.next_observation)[0, next_action]
-        value = forward(agent.online, one.observation)[0, one.action[0]]
-        loss = agent.compute_loss(one, next_action)[0].item()
+        next_values = forward(agent.values.target, one.next_observation)
+        target = one.reward[0] + GAMMA ** duration[0] * next_values[0, next_action]
+        value = forward(agent.values.online, one.observation)[0, one.action[0]]
+        loss = compute_loss(agent, one, next_action)[0].item()
         assert loss == pytest.approx(0.5 * (value - target) ** 2, abs=1e-6)
 
 

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents import make_agent
+from hrl_escape.agents.algorithms.dqn import DQNSettings
 from hrl_escape.agents.components.bonuses import CountBonus
-from hrl_escape.agents.components.distillation import DeepBonusSettings, DistillationBonus, make_bonus
-from hrl_escape.agents.components.networks import NetworkSettings
+from hrl_escape.agents.components.distillation import DistillationBonus, make_bonus
 from tests.agents.running import interact, learn
 from tests.agents.small_envs import ButtonGrid, Outcome, SmdpEnv
 
 ROOM = gymnasium.spaces.Box(np.array([-1, -1, 0], np.float32), np.array([1, 1, 1], np.float32))
-NETWORKS = NetworkSettings(learning_rate=1e-3)
+NETWORKS = DQNSettings(learning_rate=1e-3)
 
 
 def make_familiar(visits: int = 2_000, seed: int = 0) -> tuple[DistillationBonus, list[float]]:
@@ -63,15 +63,15 @@ def test_a_restored_bonus_goes_on_to_the_last_bit():
 
 def test_pictures_have_novelty_where_counts_have_no_cells():
     pictures = gymnasium.spaces.Box(0, 255, (36, 36, 1), np.uint8)
-    settings = DeepBonusSettings(bonus_weight=1.0, bonus="distillation")
-    bonus = make_bonus(pictures, 0, settings, NETWORKS, "dqn")
+    settings = DQNSettings(bonus_weight=1.0, bonus="distillation", learning_rate=1e-3)
+    bonus = make_bonus(pictures, 0, settings, "dqn")
     black, white = np.zeros((36, 36, 1), np.uint8), np.full((36, 36, 1), 255, np.uint8)
     familiar = [bonus.visit(black) for _ in range(640)][-1]
     assert familiar < -0.5 < bonus.visit(white) == 0
 
 
 def test_a_weight_of_0_distils_nothing():
-    bonus = make_bonus(ROOM, 0, DeepBonusSettings(bonus="distillation"), NETWORKS, "dqn")
+    bonus = make_bonus(ROOM, 0, DQNSettings(bonus="distillation"), "dqn")
     assert isinstance(bonus, CountBonus) and bonus.visit(np.zeros(3)) == 0
 
 

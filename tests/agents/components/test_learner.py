@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 import torch
 
-from hrl_escape.agents.components.learner import Learner
-from hrl_escape.agents.components.networks import Network, NetworkSettings
+from hrl_escape.agents.algorithms.dqn import DQNSettings
+from hrl_escape.agents.components.networks import Learner, Network
 from hrl_escape.errors import DivergenceError
 
 
 def make(**settings):
     torch.manual_seed(0)
     network = Network(torch.nn.Linear(2, 1))
-    return network, Learner("dqn", {"values": network}, ["values"], NetworkSettings(**settings))
+    return network, Learner("dqn", {"values": network}, ["values"], DQNSettings(**{"learning_rate": 1e-3} | settings))
 
 
 def test_a_loss_that_has_diverged_is_told_once_with_its_gradient():

@@ -7,8 +7,14 @@ from gymnasium import spaces
 
 from hrl_escape.agents.algorithms.dqn import DQNSettings
 from hrl_escape.agents.algorithms.ppo import PPOSettings
-from hrl_escape.agents.components.networks import MOST_KNOWN, ObservationEncoder, make_forward, make_generator
-from hrl_escape.agents.components.object_network import make_action_network, make_state_network
+from hrl_escape.agents.components.networks import (
+    MOST_KNOWN,
+    ObservationEncoder,
+    make_action_network,
+    make_forward,
+    make_generator,
+    make_state_network,
+)
 from hrl_escape.agents.registry import make_agent
 from hrl_escape.errors import UnsupportedSpaceError
 from hrl_escape.spaces import ObjectsBox, PointingDiscrete

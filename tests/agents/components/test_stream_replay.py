@@ -6,10 +6,9 @@ import torch
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from hrl_escape.agents import train
+from hrl_escape.agents.algorithms.dqn import sample_actions
 from hrl_escape.agents.components.exploration import ExplorationSettings, compute_policy
-from hrl_escape.agents.components.replay import Experience, NStep
-from hrl_escape.agents.components.streams.exploration import sample_actions
-from hrl_escape.agents.components.streams.replay import StreamNStep, StreamReplay
+from hrl_escape.agents.components.replay import Experience, NStep, StreamNStep, StreamReplay
 from tests.agents.small_envs import Outcome, SmdpEnv, solve
 
 ACTIONS = 3

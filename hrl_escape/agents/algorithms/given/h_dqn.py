@@ -24,8 +24,8 @@ from hrl_escape.agents.components.exploration import (
     make_rng,
     sample_legal,
 )
-from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.networks import (
+    Learner,
     NetworkSettings,
     ObservationEncoder,
     compute_td_loss,
@@ -49,6 +49,13 @@ __all__ = ["HDqn", "HDqnSettings"]
 class HDqnSettings(StackSettings, NetworkSettings, EpsilonSettings):
     """Settings of `h-dqn`; the epsilon schedule is the manager's."""
 
+    initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
+    """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`
+    with zero bias, usual for PPO."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
+    """Step size of Adam."""
+    max_grad_norm: Annotated[float, Range(0)] = 10.0
+    """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
     values: Literal["network", "table"] = "network"
     """Networks over the observation and a one-hot goal, or tables over rounded observations."""
     patience: Annotated[int, Range(0)] = 100

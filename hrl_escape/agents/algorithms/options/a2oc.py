@@ -17,26 +17,36 @@ from torch import Tensor
 from torch.nn import functional
 
 from hrl_escape.agents.components.exploration import compute_epsilon_greedy
+from hrl_escape.agents.components.networks import NetworkSettings
 from hrl_escape.agents.components.options.choices import OptionChoices
-from hrl_escape.agents.components.options.networks import EndingSettings, NetworkOptionAgent
-from hrl_escape.agents.components.policy_gradient import AdvantageSettings, Rollout, compute_entropy, take_column
+from hrl_escape.agents.components.options.networks import NetworkOptionAgent
+from hrl_escape.agents.components.policy_gradient import Rollout, compute_entropy, take_column
+from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.settings import Range
 
 __all__ = ["A2OC", "A2OCSettings"]
 
 
 @dataclass(frozen=True)
-class A2OCSettings(AdvantageSettings, EndingSettings):
+class A2OCSettings(NetworkSettings, LearningSettings):
     """Settings of `a2oc`."""
 
+    options: Annotated[int, Range(1)] = 4
+    """Options that are learned."""
+    initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
+    """Probability of ending an option before anything is learned."""
     initialisation: Literal["torch", "glorot", "orthogonal"] = "orthogonal"
     """Initial weights; `orthogonal` goes with tanh units and a small last layer of the policy."""
+    learning_rate: Annotated[float, Range(0, open_low=True)] = 1e-3
+    """Step size of Adam."""
     max_grad_norm: Annotated[float, Range(0)] = 0.5
     """Gradients are scaled down to this Euclidean norm; 0 leaves them."""
     rollout: Annotated[int, Range(2)] = 20
     """Decisions collected before each update."""
     gae_lambda: Annotated[float, Range(0, 1)] = 1.0
     """Lambda of generalised advantage estimation; 1 has returns of as many decisions as the rollout has left."""
+    lambda_per: Literal["decision", "primitive"] = "decision"
+    """Unit of lambda: a decision of k primitives weighs later errors by lambda, or by lambda^k."""
     epsilon: Annotated[float, Range(0, 1)] = 0.1
     """Share of options that are chosen at random, and of the mean in the value of ending an option."""
     deliberation_cost: Annotated[float, Range(0)] = 0.01

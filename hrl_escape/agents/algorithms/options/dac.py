@@ -14,29 +14,37 @@ from torch import Tensor
 from torch.nn import functional
 
 from hrl_escape.agents.components.options.choices import SMALLEST, OptionChoices, mix_values
-from hrl_escape.agents.components.options.networks import EndingSettings
 from hrl_escape.agents.components.options.streams import StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import (
     ClippedSettings,
     Rollout,
-    StreamRolloutSettings,
     compute_advantages,
     compute_clipped_loss,
     take_column,
 )
+from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.settings import Range
 
 __all__ = ["DAC", "DACSettings"]
 
 
 @dataclass(frozen=True)
-class DACSettings(StreamRolloutSettings, ClippedSettings, EndingSettings):
+class DACSettings(ClippedSettings, LearningSettings):
     """Settings of `dac`."""
 
+    options: Annotated[int, Range(1)] = 4
+    """Options that are learned."""
+    initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
+    """Probability of ending an option before anything is learned."""
+    entropy_weight: Annotated[float, Range(0)] = 0.01
+    """Weight of the policies' entropy in the loss."""
     option_entropy_weight: Annotated[float, Range(0)] = 0.01
     """Weight of the entropy of the choice of options in the loss."""
     deliberation_cost: Annotated[float, Range(0)] = 0.0
     """Weight of the mean termination in the loss; above 0 options last longer."""
+    stream_rollout: Annotated[int, Range(1)] = 32
+    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
+    `rollout` is cut into as many minibatches, so into larger ones."""
 
 
 class DAC(StreamOptionAgent):

@@ -8,7 +8,7 @@ option was chosen.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, ClassVar, NamedTuple
 
 import gymnasium
@@ -17,11 +17,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from hrl_escape.agents.components.learner import Learner
+from hrl_escape.agents.components.networks import Learner
 from hrl_escape.agents.components.options.choices import OptionChoices, mix_values
-from hrl_escape.agents.components.options.networks import EndingSettings
 from hrl_escape.agents.components.options.streams import StreamOptionAgent
-from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, StreamRolloutSettings, take_column
+from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, take_column
+from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
@@ -29,11 +29,15 @@ __all__ = ["PPOC", "OptionSamples", "PPOCSettings"]
 
 
 @dataclass(frozen=True)
-class PPOCSettings(StreamRolloutSettings, ClippedSettings, EndingSettings):
+class PPOCSettings(ClippedSettings, LearningSettings):
     """Settings of `ppoc`."""
 
     options: Annotated[int, Range(1)] = 2
     """Options that are learned."""
+    initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
+    """Probability of ending an option before anything is learned."""
+    entropy_weight: Annotated[float, Range(0)] = 0.01
+    """Weight of the policies' entropy in the loss."""
     least_samples: Annotated[int, Range(2)] = 160
     """Decisions of an option that are collected, over several rollouts if need be, before it is updated."""
     termination_rate: Annotated[float, Range(0)] = 5e-7
@@ -42,6 +46,9 @@ class PPOCSettings(StreamRolloutSettings, ClippedSettings, EndingSettings):
     """Weight of the entropy of the policy over options in the loss."""
     deliberation_cost: Annotated[float, Range(0)] = 0.0
     """Price of ending an option, in scaled return: paid upon arrival, and so a margin of terminations."""
+    stream_rollout: Annotated[int, Range(1)] = 32
+    """Decisions of each stream, on average, that a rollout of several streams has at least. A rollout larger than
+    `rollout` is cut into as many minibatches, so into larger ones."""
 
 
 class OptionSamples(NamedTuple):
@@ -93,8 +100,8 @@ class PPOC(StreamOptionAgent):
         settings: PPOCSettings | None = None,
     ) -> None:
         super().__init__(observation_space, action_space, seed, settings)
-        slow = replace(self.settings, learning_rate=self.settings.termination_rate or 1.0)
-        self._ending_learner = Learner(self.name, {"ending": self.networks["ending"]}, ["ending"], slow)
+        self._ending_learner = Learner(self.name, {"ending": self.networks["ending"]}, ["ending"], self.settings,
+                                       self.settings.termination_rate or 1.0)
         self._waiting: dict[int, OptionSamples] = {}
 
     def _learn(self, rollout: Rollout, choices: OptionChoices) -> Mapping[str, float]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any, ClassVar, Literal
 
 import gymnasium
@@ -22,13 +22,12 @@ from torch.nn import functional
 
 from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.exploration import choose_best, make_rng
-from hrl_escape.agents.components.learner import Learner
-from hrl_escape.agents.components.networks import make_generator, make_network
+from hrl_escape.agents.components.networks import Learner, make_generator, make_network
 from hrl_escape.agents.components.options.choices import OptionChoices
 from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
-from hrl_escape.agents.components.options.networks import OptionNetworkSettings
 from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, compute_advantages, take_column
 from hrl_escape.agents.factored.observation import FactorReader
+from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
@@ -36,7 +35,7 @@ __all__ = ["DIAYN", "DIAYNSettings"]
 
 
 @dataclass(frozen=True)
-class DIAYNSettings(ClippedSettings, OptionNetworkSettings):
+class DIAYNSettings(ClippedSettings, LearningSettings):
     """Settings of `diayn`."""
 
     options: Annotated[int, Range(2)] = 8
@@ -78,8 +77,8 @@ class DIAYN(ClippedOptionAgent):
         super().__init__(observation_space, action_space, seed, settings)
         self.discriminator = make_network(self._encoder, self.options, self.settings,
                                           make_generator(make_rng(seed, "discriminator")))
-        of_its_own = replace(self.settings, learning_rate=self.settings.discriminator_rate)
-        self._judge = Learner(self.name, {"discriminator": self.discriminator}, ["discriminator"], of_its_own)
+        self._judge = Learner(self.name, {"discriminator": self.discriminator}, ["discriminator"], self.settings,
+                              self.settings.discriminator_rate)
         sees_bits = self.settings.goal == "bits" and isinstance(observation_space, spaces.Box)
         self._reader = FactorReader(observation_space, self.name) if sees_bits else None
         self._returns, self._episodes = np.zeros(self.options), np.zeros(self.options, np.int64)

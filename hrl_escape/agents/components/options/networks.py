@@ -8,8 +8,7 @@ from __future__ import annotations
 import math
 from abc import abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Annotated, Any, ClassVar
+from typing import Any, ClassVar
 
 import gymnasium
 import numpy as np
@@ -19,9 +18,8 @@ from torch import Tensor
 
 from hrl_escape.agents.agent import SMDPTransition, compute_backup, count_actions
 from hrl_escape.agents.components.exploration import choose_best, compute_softmax, make_rng, mask_values, sample_index
-from hrl_escape.agents.components.learner import Learner
 from hrl_escape.agents.components.networks import (
-    NetworkSettings,
+    Learner,
     ObservationEncoder,
     make_forward,
     make_generator,
@@ -43,32 +41,12 @@ from hrl_escape.agents.components.policy_gradient import (
     take_column,
     unstack_decisions,
 )
-from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import StateTree
-from hrl_escape.settings import Range
 
-__all__ = ["EndingSettings", "NetworkOptionAgent", "OptionNetworkSettings"]
-
-
-@dataclass(frozen=True)
-class OptionNetworkSettings(NetworkSettings, LearningSettings):
-    """Options over networks."""
-
-    options: Annotated[int, Range(1)] = 4
-    """Options that are learned."""
-    rollout: Annotated[int, Range(2)] = 256
-    """Decisions collected before each round of updates."""
+__all__ = ["NetworkOptionAgent"]
 
 
-@dataclass(frozen=True)
-class EndingSettings(OptionNetworkSettings):
-    """Options over networks that learn where they end."""
-
-    initial_termination: Annotated[float, Range(0, 1, open_low=True, open_high=True)] = 0.5
-    """Probability of ending an option before anything is learned."""
-
-
-def _compute_shift(settings: EndingSettings) -> float:
+def _compute_shift(settings: Any) -> float:
     """Number added to the outputs of the network of terminations, so that 0 there is `initial_termination`."""
     return math.log(settings.initial_termination / (1 - settings.initial_termination))
 

@@ -20,16 +20,15 @@ from hrl_escape.agents.components.networks import make_forward
 from hrl_escape.agents.components.options.choices import OptionChoices
 from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
 from hrl_escape.agents.components.options.open_options import OpenOptions
-from hrl_escape.agents.components.policy_gradient import Rollout, sample_policy, take_column
-from hrl_escape.agents.components.streams.open_choices import OpenChoices
+from hrl_escape.agents.components.policy_gradient import Rollout, collect_decisions, sample_policy, take_column
 from hrl_escape.agents.state import StateTree
-from hrl_escape.agents.streams import StreamAgent, StreamTransitions
+from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions
 
 __all__ = ["StreamOptionAgent"]
 
 
 class StreamOptionAgent(ClippedOptionAgent, StreamAgent):
-    """Base of agents whose settings are `ClippedSettings` and `StreamRolloutSettings`."""
+    """Base of agents whose settings are `ClippedSettings` with `stream_rollout`."""
 
     def __init__(
         self, observation_space: gymnasium.Space, action_space: gymnasium.Space, seed: int, settings: Any = None
@@ -63,7 +62,7 @@ class StreamOptionAgent(ClippedOptionAgent, StreamAgent):
         if self._open is not None and self._open[0].has(count, device):
             if self._collected:
                 rollout, choices = self._gather_chunks()
-                over = rollout.over | self._open[0].find_last(rollout)
+                over = rollout.over | self._open[0].find_last(rollout.stream, rollout.place)
                 self._chunks = [(rollout._replace(over=over), choices)]
             for each in self._open:
                 each.begin_episodes()
@@ -89,7 +88,7 @@ class StreamOptionAgent(ClippedOptionAgent, StreamAgent):
         """Keep the decisions; update when the rollout is full."""
         assert self._open is not None, "begin_streams comes first"
         choices, options = self._open
-        rollout = choices.collect(decisions, self._encoder, self.settings)
+        rollout = collect_decisions(choices, decisions, self._encoder, self.settings)
         self._chunks.append((rollout, options.end(decisions.stream, rollout.over)))
         self._collected += len(decisions.stream)
         if self._collected < max(self.settings.rollout, self.settings.stream_rollout * choices.count):

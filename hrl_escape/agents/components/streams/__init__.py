@@ -1,1 +1,0 @@
-"""Parts of agents that learn from many streams: tensors with a leading dimension, on one device."""
