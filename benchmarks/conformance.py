@@ -21,7 +21,7 @@ import torch
 
 from benchmarks.findings import list_batched_rooms, load_findings
 from hrl_escape.env.batched.engine import Outcome, TensorRoom
-from hrl_escape.env.batched.puzzles.base import as_signed
+from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, Transition
 from hrl_escape.env.sampling.generation import generate
@@ -95,7 +95,7 @@ def _check_start(found: Agreement, scalar: Kinematics, state: RoomState) -> None
 
 def _compare_step(found: Agreement, batch: TensorRoom, outcome: Outcome, scalar: list[Kinematics],
                   states: list[RoomState], actions: np.ndarray, transitions: list[Transition]) -> None:
-    now, after = batch.state, [t.state for t in transitions]
+    now, after, form = batch.state, [t.state for t in transitions], get_tensor_puzzle(batch.layout.puzzle)
     off = np.maximum(np.abs(now.x.numpy() - [s.x for s in after]), np.abs(now.y.numpy() - [s.y for s in after]))
     turned = np.abs(now.heading_offset.numpy() - [s.heading_offset for s in after])
     other = np.minimum(turned, 2 * np.pi - turned) > TOLERANCE
@@ -106,7 +106,7 @@ def _compare_step(found: Agreement, batch: TensorRoom, outcome: Outcome, scalar:
     for mine, theirs in (
         (now.heading_steps, [s.heading_steps for s in after]),
         (now.primitives, [s.primitives for s in after]),
-        (now.puzzle, [as_signed(s.puzzle) for s in after]),
+        (now.puzzle, [as_signed(form.encode(k.instance.puzzle, s.puzzle)) for k, s in zip(scalar, after, strict=True)]),
         (now.touching, [as_signed(s.touching) for s in after]),
         (outcome.reward, np.array([t.reward for t in transitions], dtype=np.float32)),
         (outcome.terminated, [t.terminated for t in transitions]),

@@ -68,6 +68,9 @@ class _PuzzleCheck(Claims):
         self.require(len(set(names)) == len(names), "no two targets or props have one name", names)
         numbers = (*(end for edge in puzzle.edges for end in edge), *puzzle.goal_targets)
         self.require(all(0 <= n < len(self.targets) for n in numbers), "edges and goal_targets name targets", numbers)
+        chances = (0.0, *puzzle.chances, 1.0)
+        self.require(all(low < high for low, high in zip(chances, chances[1:], strict=False)),
+                     "chances ascend between 0 and 1", puzzle.chances)
         bounds = puzzle.bounds
         self.require(all(math.isfinite(low) and math.isfinite(high) and low < high for low, high in bounds),
                      "bounds are finite, low < high", bounds)
@@ -194,10 +197,12 @@ class _PuzzleCheck(Claims):
         self.require(after == again and hash(state) == before,
                      "update is pure: the same state and contacts give the same state, nothing is changed in place",
                      {"state": state, "contacts": contacts, "first": after, "second": again})
-        if not self.puzzle.is_random:
-            other = self.puzzle.update(state, contacts._replace(uniform=0.999))
-            self.require(other == after, "update reads contacts.uniform only where is_random says so",
-                         {"state": state, "contacts": contacts, "first": after, "second": other})
+        ends = (0.0, *self.puzzle.chances, 1.0)
+        outcome = sum(contacts.uniform >= chance for chance in ends[1:-1])
+        chance = ends[outcome] + 0.999 * (ends[outcome + 1] - ends[outcome])
+        other = self.puzzle.update(state, contacts._replace(uniform=chance))
+        self.require(other == after, "outcomes of contacts.uniform change at the puzzle's chances only",
+                     {"state": state, "contacts": contacts, "first": after, "uniform": chance, "second": other})
         reward = self.puzzle.compute_reward(state, after, contacts)
         self.require(isinstance(reward, float) and math.isfinite(reward), "rewards are finite floats", reward)
         failed = self.puzzle.is_failed(after)

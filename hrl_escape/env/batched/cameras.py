@@ -15,7 +15,7 @@ from torch import Tensor
 
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.poses import TensorState, compute_rotation
-from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle, unpack_bits
+from hrl_escape.env.batched.puzzles.base import unpack_bits
 from hrl_escape.env.batched.rules import find_shut
 from hrl_escape.env.batched.scenery import (
     COLOURS,
@@ -27,7 +27,7 @@ from hrl_escape.env.batched.scenery import (
     list_base_parts,
     stack_scenery,
 )
-from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick
+from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick, pick_rules
 from hrl_escape.env.engine import check_camera, check_picture_size
 from hrl_escape.errors import UnsupportedError
 
@@ -241,7 +241,8 @@ def _find_floor_look(layout: Layout, tables: Tables, things: Scenery, view: _Vie
         is_floor = is_floor | _is_within(x, y, things.floors[:, number])
     look = torch.where(is_other, find_look("other tile"), find_look("tile")).to(torch.int32)
     exit_ = pick(layout, tables.exits, state.instance).to(torch.float32)
-    solved = get_tensor_puzzle(layout.puzzle).is_solved(pick(layout, tables.puzzle, state.instance), state.puzzle)
+    rules, columns = pick_rules(layout, tables, state.instance)
+    solved = rules.is_solved(columns, state.puzzle)
     paint = torch.where(solved, find_look("open exit"), find_look("exit")).to(torch.int32).unsqueeze(1)
     look = torch.where(_is_within(x, y, exit_), paint, look)
     return torch.where(is_floor & (depth < _FAR), look, 0)
@@ -255,7 +256,7 @@ def _is_within(x: Tensor, y: Tensor, area: Tensor) -> Tensor:
 
 def _find_looks(layout: Layout, form: _Form, tables: Tables, things: Scenery, state: TensorState) -> Tensor:
     """Looks of all boxes now, int64 (boxes, rooms); 0 for those that are not there."""
-    puzzle, columns = get_tensor_puzzle(layout.puzzle), pick(layout, tables.puzzle, state.instance)
+    puzzle, columns = pick_rules(layout, tables, state.instance)
     looks = things.looks.expand(-1, len(state.x)).clone()
     leaves, last = 2 if layout.has_door else 0, len(form.scenery.is_straight)
     if leaves:

@@ -21,7 +21,7 @@ from hrl_escape.env.batched.observations import TensorObservation, compute_bound
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle, unpack_bits
 from hrl_escape.env.batched.rules import begin, is_in_exit, restart, step
-from hrl_escape.env.batched.tables import Layout, Tables, make_layout, map_tensors, pick, stack_instances
+from hrl_escape.env.batched.tables import Layout, Tables, make_layout, map_tensors, pick_rules, stack_instances
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations import make_observer
@@ -113,7 +113,7 @@ def advance(layout: Layout, observation: TensorObservation, autoreset: Autoreset
 
 def inform(layout: Layout, tables: Tables, state: TensorState, pressed: Tensor, escaped: Tensor) -> RoomInfo:
     """Make the info of every room; `pressed` holds bits, int64 (rooms,), `escaped` truth values, bool (rooms,)."""
-    form, columns = get_tensor_puzzle(layout.puzzle), pick(layout, tables.puzzle, state.instance)
+    form, columns = pick_rules(layout, tables, state.instance)
     lit = form.get_lit(columns, state.puzzle)
     begun, on = (unpack_bits(words, layout.targets, torch.int8).T for words in (store(pressed), lit))
     return RoomInfo(state.primitives, begun, on, state.instance, escaped.to(torch.int32))
@@ -270,8 +270,8 @@ class TensorRoom:
         """The `info` of the rooms now, with nothing just pressed."""
         with torch.no_grad():
             state = self.state
-            columns = pick(self.layout, self.tables.puzzle, state.instance)
-            is_solved = get_tensor_puzzle(self.layout.puzzle).is_solved(columns, state.puzzle)
+            form, columns = pick_rules(self.layout, self.tables, state.instance)
+            is_solved = form.is_solved(columns, state.puzzle)
             escaped = is_in_exit(self.layout, self.tables, state.instance, state.x, state.y) & is_solved
             return inform(self.layout, self.tables, state, torch.zeros_like(state.touching),
                           escaped & (state.has_ended != 0))
@@ -296,11 +296,11 @@ class TensorRoom:
     def get_room_state(self, room: int) -> RoomState:
         """One room's state as the scalar rules know it, for planners, cameras and the Bullet engine."""
         one = map_tensors(lambda field: field[..., room].tolist(), self.state)
-        form = get_tensor_puzzle(self.layout.puzzle)
+        word, puzzle = one.puzzle % 2**64, self.instances[one.instance].puzzle
         offsets = tuple(one.joint_offsets)
         return RoomState(
             one.x, one.y, one.heading_steps, one.heading_offset, tuple(one.joint_steps),
-            offsets if any(offsets) else (), form.decode(one.puzzle % 2**64), one.touching % 2**64,
+            offsets if any(offsets) else (), get_tensor_puzzle(puzzle.kind).decode(puzzle, word), one.touching % 2**64,
             one.primitives, one.noise_key,
         )
 
@@ -308,16 +308,18 @@ class TensorRoom:
         """Put one room into a state that the scalar rules gave; its instance and random stream stay.
 
         Raises:
-            StateError: the state is of another robot, or holds more than the kinematic rules know.
+            StateError: the state is of another robot, holds more than the kinematic rules know, or is one to which
+                nothing leads in a puzzle that is run by its table.
         """
-        check_state(self._get_rules(int(self.state.instance[room])), state)
+        rules = self._get_rules(int(self.state.instance[room]))
+        check_state(rules, state)
         if state.physics is not None or state.z or state.pitch or state.roll:
             raise StateError(f"the batched engine takes kinematic states, not {show_value(state)}")
         joints = self.layout.robot.joints
         values = {
             "x": state.x, "y": state.y, "heading_steps": state.heading_steps, "heading_offset": state.heading_offset,
             "joint_steps": state.joint_steps, "joint_offsets": state.joint_offsets or (0.0,) * joints,
-            "puzzle": as_signed(get_tensor_puzzle(self.layout.puzzle).encode(state.puzzle)),
+            "puzzle": as_signed(get_tensor_puzzle(self.layout.puzzle).encode(rules.instance.puzzle, state.puzzle)),
             "touching": as_signed(state.touching), "primitives": state.primitives, "noise_key": state.noise_key,
             "has_ended": False,
         }

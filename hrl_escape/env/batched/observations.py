@@ -17,9 +17,9 @@ from torch import Tensor
 
 from hrl_escape.env.batched.geometry import Shapes, cast_rays
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_heading, compute_rotation
-from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle, unpack_bits
+from hrl_escape.env.batched.puzzles.base import unpack_bits
 from hrl_escape.env.batched.rules import find_shut
-from hrl_escape.env.batched.tables import INSTEAD, Layout, Tables, pick
+from hrl_escape.env.batched.tables import INSTEAD, Layout, Tables, pick, pick_rules
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.observations import LIDAR_RAYS, OBJECT_WORDS, get_observation, make_observer
@@ -88,8 +88,7 @@ def observe_egocentric(layout: Layout, tables: Tables, state: TensorState) -> li
     half_x, half_y = pick(layout, tables.half_sizes, state.instance)
     diagonal = 2 * torch.sqrt(half_x * half_x + half_y * half_y)
     cos, sin = compute_rotation(layout, tables, state)
-    puzzle = pick(layout, tables.puzzle, state.instance)
-    form = get_tensor_puzzle(layout.puzzle)
+    form, puzzle = pick_rules(layout, tables, state.instance)
     is_solved = form.is_solved(puzzle, state.puzzle)
 
     def look_at(x: Tensor, y: Tensor, slack: Tensor) -> tuple[Tensor, Tensor]:
@@ -126,7 +125,7 @@ def observe_objects(layout: Layout, tables: Tables, state: TensorState) -> list[
     x_min, x_max, y_min, y_max = pick(layout, tables.exits, state.instance)
     diagonal = 2 * torch.sqrt(half_x * half_x + half_y * half_y).to(torch.float64)
     cos, sin = compute_rotation(layout, tables, state)
-    puzzle, form = pick(layout, tables.puzzle, state.instance), get_tensor_puzzle(layout.puzzle)
+    form, puzzle = pick_rules(layout, tables, state.instance)
 
     def make_rows(kind: str, x: Tensor, y: Tensor, thing_cos: Tensor, thing_sin: Tensor, width: Tensor, depth: Tensor,
                   lit: Tensor) -> Tensor:
@@ -182,6 +181,6 @@ def _cast_rays(layout: Layout, tables: Tables, state: TensorState, ray_x: Tensor
 
 
 def _observe_puzzle(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
-    puzzle = pick(layout, tables.puzzle, state.instance)
-    return get_tensor_puzzle(layout.puzzle).observe(puzzle, state.puzzle, layout.targets)
+    form, puzzle = pick_rules(layout, tables, state.instance)
+    return form.observe(puzzle, state.puzzle, layout.targets)
 

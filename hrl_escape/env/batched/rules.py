@@ -16,9 +16,9 @@ from hrl_escape.env.batched.devices import as_flags, store
 from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact, refine_first_contact
 from hrl_escape.env.batched.noise import compute_noise, draw_chance, draw_puzzle_start, draw_words, scale_word
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching, make_base
-from hrl_escape.env.batched.puzzles.base import TensorContacts, get_tensor_puzzle
+from hrl_escape.env.batched.puzzles.base import TensorContacts
 from hrl_escape.env.batched.rectangle import TensorBase
-from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick
+from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.primitives import list_slips
 from hrl_escape.env.puzzles.base import PUSH
@@ -138,9 +138,8 @@ def _push(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Te
     none = torch.zeros_like(state.touching)
     contacts = TensorContacts(none, torch.zeros_like(state.x), none, PUSH * pushes.to(none.dtype), pushes, state.x,
                               state.y, ahead, beyond)
-    columns = pick(layout, tables.puzzle, state.instance)
-    return state._replace(puzzle=get_tensor_puzzle(layout.puzzle).update(columns, state.puzzle, contacts,
-                                                                         layout.targets))
+    form, columns = pick_rules(layout, tables, state.instance)
+    return state._replace(puzzle=form.update(columns, state.puzzle, contacts, layout.targets))
 
 
 def _compute_displacement(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor | None
@@ -192,8 +191,8 @@ def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: 
     if not layout.has_door:
         return free
     doors: Shapes = pick(layout, tables.doors, state.instance)
-    puzzle = pick(layout, tables.puzzle, state.instance)
-    is_open = get_tensor_puzzle(layout.puzzle).is_solved(puzzle, state.puzzle)
+    form, columns = pick_rules(layout, tables, state.instance)
+    is_open = form.is_solved(columns, state.puzzle)
     is_inside = compute_distance(state.x, state.y, doors)[0] < motion[-1] - 1e-6  # it cannot close on a robot
     door = compute_first_contact(*motion, doors)[0].clamp(min=0.0)
     return torch.where(is_open | is_inside, free, torch.minimum(free, door))
@@ -202,8 +201,8 @@ def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: 
 def _find_door(layout: Layout, tables: Tables, state: TensorState, base: TensorBase) -> tuple[Shapes, Tensor]:
     """Exit doors, (1, rooms), and where they are shut, bool (rooms,): they cannot close on a robot."""
     doors: Shapes = pick(layout, tables.doors, state.instance)
-    puzzle = pick(layout, tables.puzzle, state.instance)
-    is_open = get_tensor_puzzle(layout.puzzle).is_solved(puzzle, state.puzzle)
+    form, columns = pick_rules(layout, tables, state.instance)
+    is_open = form.is_solved(columns, state.puzzle)
     return doors, ~is_open & (base.measure_gap(doors)[0] >= -1e-6)
 
 
@@ -261,8 +260,7 @@ def _move_joints(layout: Layout, state: TensorState, action: Tensor, scale: Tens
 
 def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorState, grip: Tensor) -> TensorTransition:
     """Complete a motion: presses, puzzle, reward, exit and horizon."""
-    form = get_tensor_puzzle(layout.puzzle)
-    columns = pick(layout, tables.puzzle, before.instance)
+    form, columns = pick_rules(layout, tables, before.instance)
     touching = compute_touching(layout, tables, moved)
     pressed = touching & ~before.touching
     chance = draw_chance(before.noise_key, before.primitives) if layout.is_puzzle_random else torch.zeros_like(before.x)
@@ -272,7 +270,8 @@ def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorSta
     puzzle = form.update(columns, moved.puzzle, contacts, layout.targets)
     primitives = before.primitives + 1
     escaped = is_in_exit(layout, tables, moved.instance, moved.x, moved.y) & form.is_solved(columns, puzzle)
-    failed, more = form.is_failed(columns, puzzle), form.compute_reward(columns, before.puzzle, puzzle, contacts)
+    failed = form.is_failed(columns, puzzle)
+    more = form.compute_reward(columns, before.puzzle, puzzle, contacts, layout.targets)
     is_told = torch.ones_like(escaped) if layout.is_watching else (pressed != 0) | (grip != 0)
     is_told = is_told | (moved.puzzle != before.puzzle) if layout.can_push else is_told
     terminated = escaped if failed is None else escaped | (failed & is_told)
@@ -287,8 +286,8 @@ def _judge(layout: Layout, tables: Tables, before: TensorState, moved: TensorSta
 
 def find_shut(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
     """Return true where an inner door is shut, bool (inner doors, rooms)."""
-    puzzle = pick(layout, tables.puzzle, state.instance)
-    return get_tensor_puzzle(layout.puzzle).find_shut(puzzle, state.puzzle, layout.inner_doors)
+    form, columns = pick_rules(layout, tables, state.instance)
+    return form.find_shut(columns, state.puzzle, layout.inner_doors)
 
 
 def _find_ahead(layout: Layout, tables: Tables, state: TensorState) -> Tensor:

@@ -16,7 +16,7 @@ from torch import Tensor
 
 from hrl_escape.env.batched.arm import Arm, make_arm
 from hrl_escape.env.batched.geometry import Shapes, SplitShapes, stack_shapes
-from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle
+from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorPuzzle, as_signed, get_tensor_puzzle
 from hrl_escape.env.config import DynamicsConfig, RewardConfig, RobotConfig
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Rules
@@ -35,6 +35,7 @@ __all__ = [
     "make_layout",
     "map_tensors",
     "pick",
+    "pick_rules",
     "stack_instances",
 ]
 
@@ -123,7 +124,7 @@ class Tables(NamedTuple):
         start_headings: turn steps, int32 (starts, instances).
         start_touching: bits of the targets touched there, int64 (starts, instances).
         start_counts: starts that each instance has, int64 (1, instances).
-        puzzle: tables of the puzzle's own, (..., instances).
+        puzzle: tables of the puzzle's own, (..., instances) but for those of all instances together.
         puzzle_starts: states of the puzzle in which episodes may begin, int64 (puzzle starts, instances).
         puzzle_start_counts: those that each instance has, int64 (1, instances).
         headings: angle, cosine and sine of each turn step, (3, headings).
@@ -200,18 +201,23 @@ def pick(layout: Layout, table: Any, instance: Tensor) -> Any:
     return table if layout.is_shared else map_tensors(lambda column: column[..., instance], table)
 
 
+def pick_rules(layout: Layout, tables: Tables, instance: Tensor) -> tuple[TensorPuzzle, PuzzleTables]:
+    """The puzzle's rules, and each room's columns of their tables."""
+    form = get_tensor_puzzle(layout.puzzle)
+    return form, {name: table if name in form.whole else pick(layout, table, instance)
+                  for name, table in tables.puzzle.items()}
+
+
 def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
     """Find the properties that instances share.
 
     Raises:
-        UnsupportedError: physics dynamics, a puzzle without a tensor form, or instances that
-            differ in robot, dynamics, or kind or size of puzzle.
+        UnsupportedError: physics dynamics, or instances that differ in robot, dynamics, or kind or size of puzzle.
     """
     first = instances[0]
     if first.dynamics.kind != "kinematic":
         raise UnsupportedError(f"the batched engine steps kinematic rooms, not dynamics.kind = "
                                f"{first.dynamics.kind!r}: {INSTEAD}")
-    get_tensor_puzzle(first.puzzle.kind)
     for index, other in enumerate(instances):
         for what, mine, theirs in (("robot", first.robot, other.robot), ("dynamics", first.dynamics, other.dynamics),
                                    ("kind of puzzle", first.puzzle.kind, other.puzzle.kind),
@@ -244,7 +250,11 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
 
 
 def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: torch.device) -> Tables:
-    """Stack instances into tables on a device."""
+    """Stack instances into tables on a device.
+
+    Raises:
+        UnsupportedError: the puzzle has neither a tensor form nor a table.
+    """
 
     def floats(values: Any, dtype: torch.dtype = torch.float64) -> Tensor:
         return torch.as_tensor(np.asarray(values, dtype=np.float64)).to(device, dtype)
@@ -267,8 +277,9 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
     turns = [(rules[0].get_heading(rules[0].make_state(Start(heading_steps=n))), *rules[0].get_rotation(n, 0.0))
              for n in range(layout.headings)]
     form = get_tensor_puzzle(layout.puzzle)
-    puzzle = form.make_tables([i.puzzle for i in instances], layout.targets)
-    puzzle_starts = [[as_signed(form.encode(state)) for state in i.puzzle.list_starts()] for i in instances]
+    widest = max((i.frame for i in instances), key=lambda frame: len(frame.bounds))
+    puzzle = form.make_tables([i.puzzle for i in instances], widest)
+    puzzle_starts = [[as_signed(form.encode(i.puzzle, state)) for state in i.puzzle.list_starts()] for i in instances]
     most_puzzle = max(map(len, puzzle_starts))
 
     def pad(values: Sequence[float]) -> list[float]:

@@ -192,9 +192,17 @@ class Puzzle(_OfKind):
         return False
 
     @property
+    def chances(self) -> tuple[float, ...]:
+        """Numbers, ascending, at which the outcome of `contacts.uniform` changes: (0.9,) for what works 9 times in 10.
+
+        Each is the first number of its outcome, so rules compare by `contacts.uniform < chance`.
+        """
+        return ()
+
+    @property
     def is_random(self) -> bool:
         """`update` reads `contacts.uniform`."""
-        return False
+        return bool(self.chances)
 
     @abstractmethod
     def make_state(self) -> PuzzleState:

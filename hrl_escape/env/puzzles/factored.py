@@ -114,9 +114,9 @@ class FactoredPuzzle(Puzzle):
             raise ConfigError("puzzle.turns", self.turns, "a permutation for each setting of a factor's parents")
 
     @property
-    def is_random(self) -> bool:
+    def chances(self) -> tuple[float, ...]:
         """A press may have no effect."""
-        return self.success < 1.0
+        return (self.success,) if self.success < 1.0 else ()
 
     @property
     def target_names(self) -> tuple[str, ...]:

@@ -58,9 +58,9 @@ class ForagingPuzzle(Puzzle):
     """Worms to eat before the exit opens."""
 
     @property
-    def is_random(self) -> bool:
+    def chances(self) -> tuple[float, ...]:
         """The next worm may appear at either of two ends."""
-        return True
+        return (0.5,)
 
     @property
     def target_names(self) -> tuple[str, ...]:

@@ -80,9 +80,9 @@ class LightBoxPuzzle(GraphPuzzle):
         return tuple(masks)
 
     @property
-    def is_random(self) -> bool:
+    def chances(self) -> tuple[float, ...]:
         """A press may have no effect."""
-        return self.success < 1.0
+        return (self.success,) if self.success < 1.0 else ()
 
     @property
     def target_names(self) -> tuple[str, ...]:

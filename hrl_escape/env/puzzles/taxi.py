@@ -79,9 +79,10 @@ class TaxiPuzzle(Puzzle):
     """Probability that the passenger changes the destination on the first ride of one cell."""
 
     @property
-    def is_random(self) -> bool:
-        """The passenger may be fickle."""
-        return self.fickleness > 0.0
+    def chances(self) -> tuple[float, ...]:
+        """The passenger may be fickle, and then want to go to any of the three other depots."""
+        share = self.fickleness / (RIDING - 1)
+        return tuple(1.0 - self.fickleness + turn * share for turn in range(RIDING - 1)) if self.fickleness else ()
 
     @property
     def is_watching(self) -> bool:

@@ -14,8 +14,7 @@ from torch import Tensor
 from hrl_escape.env.batched.arm import compute_hand
 from hrl_escape.env.batched.geometry import Shapes, SplitShapes, compute_distance, compute_first_contact
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
-from hrl_escape.env.batched.puzzles.base import get_tensor_puzzle
-from hrl_escape.env.batched.tables import Layout, Tables, pick
+from hrl_escape.env.batched.tables import Layout, Tables, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
 
 __all__ = ["compute_moves", "compute_resting_hand", "find_touched_by_body", "find_touched_by_hand", "is_in_doorway",
@@ -24,7 +23,8 @@ __all__ = ["compute_moves", "compute_resting_hand", "find_touched_by_body", "fin
 
 def is_solved(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
     """Return whether the exit is open, bool (rooms,)."""
-    return get_tensor_puzzle(layout.puzzle).is_solved(pick(layout, tables.puzzle, state.instance), state.puzzle)
+    form, columns = pick_rules(layout, tables, state.instance)
+    return form.is_solved(columns, state.puzzle)
 
 
 def is_in_doorway(layout: Layout, tables: Tables, state: TensorState) -> Tensor:

@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from hrl_escape.env.batched.puzzles.base import TensorContacts, as_signed, get_tensor_puzzle
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.bit_flip import BitFlipConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
@@ -40,16 +41,22 @@ KINDS = {
 }
 
 
+def encode(form, puzzles, states):
+    return torch.tensor([as_signed(form.encode(*pair)) for pair in zip(puzzles, states, strict=True)])
+
+
 @pytest.mark.parametrize("name", KINDS)
 def test_a_tensor_form_does_what_the_puzzle_does(name):
     puzzles = [KINDS[name].make_puzzle(np.random.default_rng(seed)) for seed in range(32)]
     form, targets = get_tensor_puzzle(KINDS[name].kind), len(puzzles[0].target_names)
-    tables = {key: torch.from_numpy(np.array(value)) for key, value in form.make_tables(puzzles, targets).items()}
+    widest = max(puzzles, key=lambda puzzle: len(puzzle.bounds))
+    made = form.make_tables(puzzles, SpaceLayout(target_names=widest.target_names, bounds=widest.bounds))
+    tables = {key: torch.from_numpy(np.array(value)) for key, value in made.items()}
     rng, solved, failed = np.random.default_rng(0), 0, 0
     for round_ in range(300):
         if round_ % 30 == 0:
             states = [starts[int(rng.integers(len(starts)))] for starts in map(type(puzzles[0]).list_starts, puzzles)]
-            words = torch.tensor([as_signed(form.encode(state)) for state in states])
+            words = encode(form, puzzles, states)
         pressed = [tuple(np.flatnonzero(rng.random(targets) < 1.2 / targets).tolist()) for _ in puzzles]
         chances = rng.random(len(puzzles))
         contacts = [Contacts(press, uniform=chance) for press, chance in zip(pressed, chances.tolist(), strict=True)]
@@ -60,13 +67,13 @@ def test_a_tensor_form_does_what_the_puzzle_does(name):
         touched = TensorContacts(bits, torch.from_numpy(chances), bits, 0 * bits, bits != 0, here, here, 0 * bits - 1,
                                  0 * bits - 1)
         words = form.update(tables, words, touched, targets)
-        assert words.tolist() == [as_signed(form.encode(state)) for state in states]
+        assert words.tolist() == encode(form, puzzles, states).tolist()
         both = list(zip(puzzles, states, strict=True))
         steps = zip(puzzles, before, states, contacts, strict=True)
         rewards = [puzzle.compute_reward(*step) for puzzle, *step in steps]
-        earned = form.compute_reward(tables, words_before, words, touched)
+        earned = form.compute_reward(tables, words_before, words, touched, targets)
         earned = torch.zeros(len(bits)) if earned is None else torch.where(bits != 0, earned, 0.0)
-        assert np.array_equal(earned.numpy(), np.array(rewards, dtype=np.float32))
+        assert np.array_equal(earned.to(torch.float32).numpy(), np.array(rewards, dtype=np.float32))
         lost = form.is_failed(tables, words)
         lost = [False] * len(bits) if lost is None else lost.tolist()
         assert lost == [puzzle.is_failed(state) for puzzle, state in both]

@@ -12,11 +12,11 @@ from hrl_escape import OptionsEnv, RoomConfig, RoomPlanner, generate
 from hrl_escape.agents import train
 from hrl_escape.checks import check_puzzle
 from hrl_escape.env.batched.engine import TensorRoom
-from hrl_escape.env.batched.puzzles.base import TensorPuzzle, register_tensor_puzzle
 from hrl_escape.env.config import RewardConfig, RobotConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.noise import CHANCE_PURPOSE, draw_chance, draw_puzzle_start, philox
 from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig, register_puzzle
+from hrl_escape.env.puzzles.tables import tabulate
 from hrl_escape.options import pursue
 from hrl_escape.planning.best_known import list_start_states
 from hrl_escape.settings import Range
@@ -40,7 +40,7 @@ class Bells(Puzzle):
 
     kind, target_names, bounds = "bells", ("a", "b", "c"), ((0.0, 2.0),) * 2 + ((0.0, 1.0),)
     success: float = 0.75
-    is_random = property(lambda self: self.success < 1.0)
+    chances = property(lambda self: (self.success,) if self.success < 1.0 else ())
 
     def make_state(self):
         return 0, 0, 0
@@ -74,47 +74,6 @@ class Bells(Puzzle):
 
 register_puzzle(BellsConfig, Bells)
 
-# --- and its form in tensors
-
-
-class TensorBells(TensorPuzzle):
-    def make_tables(self, puzzles, targets):
-        return {"success": np.array([puzzle.success for puzzle in puzzles])}
-
-    def encode(self, state):
-        return state[0] | state[1] << 2 | state[2] << 4
-
-    def decode(self, word):
-        return word & 3, word >> 2 & 3, word >> 4
-
-    def update(self, tables, state, contacts, targets):
-        lucky = contacts.uniform < tables["success"]
-        for bell in range(targets):
-            rings = torch.where(lucky & (state >> 2 & 3 < 2) & (state >> 4 == 0), state + 4, state)
-            breaks = torch.where(~lucky & (state >> 2 & 3 < 2), state | 16, state)
-            after = torch.where(state & 3 == bell, rings, breaks)
-            state = torch.where(contacts.pressed >> bell & 1 != 0, after, state)
-        return state
-
-    def is_solved(self, tables, state):
-        return state >> 2 & 3 == 2
-
-    def is_failed(self, tables, state):
-        return state >> 4 == 1
-
-    def compute_reward(self, tables, before, after, contacts):
-        return 5.0 * ((after >> 2 & 3) - (before >> 2 & 3)) - 50.0 * ((after >> 4) - (before >> 4)).to(torch.float32)
-
-    def observe(self, tables, state, targets):
-        return torch.stack([state & 3, state >> 2 & 3, state >> 4]).to(torch.float32)
-
-    def get_lit(self, tables, state):
-        return 1 << (state & 3)
-
-
-register_tensor_puzzle(Bells, TensorBells())
-
-
 def make_room(success: float = 0.75, **parts):
     return generate(RoomConfig(name="bells", puzzle=BellsConfig(success), room=ShapeConfig(width=6, depth=6),
                                robot=RobotConfig(body_radius=0.4), **parts), 0)
@@ -139,7 +98,7 @@ def test_chance_and_first_states_are_fair_and_have_numbers_of_their_own():
 
 def test_both_engines_draw_the_same_first_states_chances_rewards_and_failures():
     room = make_room()
-    form, rooms = TensorBells(), 32
+    numbers, rooms = tabulate(room.puzzle).numbers, 32
     batch, rules = TensorRoom([room], rooms, autoreset="disabled"), Kinematics(room)
     batch.reset(torch.arange(rooms))
     states = [batch.get_room_state(i) for i in range(rooms)]
@@ -151,7 +110,7 @@ def test_both_engines_draw_the_same_first_states_chances_rewards_and_failures():
         outcome = batch.step(torch.from_numpy(actions))
         steps = [rules.step(state, action) for state, action in zip(states, actions.tolist(), strict=True)]
         states = [step.state for step in steps]
-        assert batch.state.puzzle.tolist() == [form.encode(state.puzzle) for state in states]
+        assert batch.state.puzzle.tolist() == [numbers[state.puzzle] for state in states]
         assert outcome.reward.tolist() == [step.reward for step in steps]
         assert outcome.terminated.tolist() == [step.terminated for step in steps]
         escaped = [step.terminated and rules.has_escaped(step.state) for step in steps]

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from hrl_escape.checks import check_puzzle
 from hrl_escape.env.batched.puzzles.base import TensorContacts, get_tensor_puzzle
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Contacts
@@ -104,7 +105,7 @@ def test_the_tensor_form_agrees_in_any_state_and_not_only_where_random_play_lead
     counts = np.concatenate([rng.integers(0, 10, (MATERIALS, 4000)), rng.integers(0, 2, (MATERIALS, 4000))])
     shifts = np.array([0, 4, 8, 12, 16, 20, 21, 22, 23, 24])[:, None]
     words, pressed = (counts << shifts).sum(0), 1 << rng.integers(0, len(NAMES), 4000)
-    tables = {"goal": torch.from_numpy(form.make_tables([puzzle], len(NAMES))["goal"])}
+    tables = {"goal": torch.from_numpy(form.make_tables([puzzle], SpaceLayout(target_names=NAMES))["goal"])}
     bits, none = torch.from_numpy(pressed), torch.zeros(4000, dtype=torch.int64)
     at, before = none.double(), none - 1
     contacts = TensorContacts(bits, at, bits, none, none == 0, at, at, before, before)

@@ -1,20 +1,27 @@
-"""Contract and registry of tensor forms: a puzzle's rules over 64-bit words, one word a room."""
+"""Contract and registry of tensor forms: a puzzle's rules over 64-bit words, one word a room.
+
+A puzzle of few states needs none of its own: the form of all of them reads the table of its rules.
+"""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
+import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.base import Puzzle
-from hrl_escape.errors import UnsupportedError
+from hrl_escape.env.puzzles.tables import GRIPS, tabulate
+from hrl_escape.errors import StateError, show_value
 
 __all__ = [
     "PuzzleTables",
+    "TabulatedPuzzle",
     "TensorContacts",
     "TensorPuzzle",
     "as_signed",
@@ -59,13 +66,17 @@ class TensorPuzzle(ABC):
     The methods that are not abstract suit puzzles whose own state is an integer with bit i for target i.
     """
 
+    whole: ClassVar[frozenset[str]] = frozenset()
+    """Names of the tables that belong to all instances together, and not column by column."""
+
     @abstractmethod
-    def make_tables(self, puzzles: Sequence[Any], targets: int) -> dict[str, NDArray[Any]]:
-        """Stack the tables of the puzzles that the rules read; the last axis is the instance.
+    def make_tables(self, puzzles: Sequence[Any], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
+        """Stack the tables of the puzzles that the rules read; the last axis is the instance, but for those in `whole`.
 
         Args:
             puzzles: of the instances.
-            targets: number of targets in the tables, that of the puzzle with most; the others are never pressed.
+            frame: names of the targets of the instance that has most, and bounds of its observation numbers. Targets
+                that an instance lacks are never touched, and the numbers that it lacks are 0.
         """
 
     @abstractmethod
@@ -87,8 +98,8 @@ class TensorPuzzle(ABC):
         """Return true where a press has ended the episode without an escape, bool (rooms,); None if none ever does."""
         return None
 
-    def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts
-                       ) -> Tensor | None:
+    def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts,
+                       targets: int) -> Tensor | None:
         """Reward of a primitive on top of the room's own, float32 or float64 (rooms,); None for none.
 
         It counts where something was pressed or gripped, or where puzzles watch every primitive.
@@ -99,11 +110,15 @@ class TensorPuzzle(ABC):
         """Return true where an inner door is shut, bool (doors, rooms)."""
         return torch.zeros((doors, state.shape[0]), dtype=torch.bool, device=state.device)
 
-    def encode(self, state: Any) -> int:
-        """Turn the puzzle's own state into an unsigned word."""
+    def encode(self, puzzle: Any, state: Any) -> int:
+        """Turn a puzzle's own state into an unsigned word.
+
+        Raises:
+            StateError: there is no word for it.
+        """
         return state
 
-    def decode(self, word: int) -> Any:
+    def decode(self, puzzle: Any, word: int) -> Any:
         """Turn an unsigned word into the puzzle's own state."""
         return word
 
@@ -127,23 +142,139 @@ def as_signed(bits: int) -> int:
     return bits - 2**64 if bits >= 2**63 else bits
 
 
+class TabulatedPuzzle(TensorPuzzle):
+    """The form of all puzzles of few states: the word is the number of the state in the puzzle's table.
+
+    Tables of different puzzles lie one after another, filled up to a power of two of rows; `first` is the row of each
+    instance's first state. Of O outcomes, that of a chance is the number of an instance's `chances` up to it.
+    """
+
+    whole = frozenset({"after", "rewards", "observed", "lit", "shut", "solved", "failed"})
+
+    def make_tables(self, puzzles: Sequence[Puzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
+        """`after` and `rewards` (events, rows x outcomes), `observed` (numbers, rows), and one number a row.
+
+        Tables that say nothing have no rows.
+        """
+        made = {puzzle: tabulate(puzzle) for puzzle in puzzles}
+        tables, targets = list(made.values()), len(frame.target_names)
+        firsts = dict(zip(made, np.cumsum([0, *(len(table.states) for table in tables)]).tolist(), strict=False))
+        outcomes = max(table.after.shape[2] for table in tables)
+        has_grips = any(len(table.after) > len(puzzle.target_names) for puzzle, table in made.items())
+        events = targets + len(GRIPS) * (targets + 1) * has_grips
+        rows = 1 << (sum(len(table.states) for table in tables) - 1).bit_length()
+        after = np.tile(np.arange(rows, dtype=np.int32)[None, :, None], (events, 1, outcomes))
+        rewards = np.zeros(after.shape)
+        observed = np.zeros((len(frame.bounds), rows), dtype=np.float32)
+        words, flags = np.zeros((2, rows), dtype=np.int64), np.zeros((2, rows), dtype=bool)
+        for (puzzle, table), first in zip(made.items(), firsts.values(), strict=True):
+            place, own = slice(first, first + len(table.states)), len(puzzle.target_names)
+            kept = _list_rows(own, targets)[: len(table.after)]
+            for number in range(outcomes):
+                outcome = min(number, table.after.shape[2] - 1)
+                after[kept, place, number] = table.after[..., outcome] + first
+                rewards[kept, place, number] = table.rewards[..., outcome]
+            observed[: len(table.observed), place] = table.observed
+            words[:, place], flags[:, place] = (table.lit, table.shut), (table.solved, table.failed)
+        chances = [(*puzzle.chances, *(2.0,) * (outcomes - 1 - len(puzzle.chances))) for puzzle in puzzles]
+        return {"after": after.reshape(events, -1), "rewards": _drop_zeros(rewards.reshape(events, -1)),
+                "observed": observed, "lit": words[0], "shut": _drop_zeros(words[1]), "solved": flags[0],
+                "failed": _drop_zeros(flags[1]),
+                "first": np.array([firsts[puzzle] for puzzle in puzzles], dtype=np.int64),
+                "chances": np.array(chances, dtype=np.float64).reshape(len(puzzles), -1).T}
+
+    def _walk(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int
+              ) -> tuple[Tensor, Tensor]:
+        """Rows after presses in index order and a grip, int64 (rooms,), and their rewards, float64 (rooms,)."""
+        after, rewards = tables["after"], tables["rewards"]
+        outcomes = tables["chances"].shape[0] + 1
+        outcome = (contacts.uniform >= tables["chances"]).sum(0)
+        row, reward = tables["first"] + state, torch.zeros_like(contacts.uniform)
+        for target in range(targets):
+            is_pressed, place = (contacts.pressed >> target & 1) != 0, row * outcomes + outcome
+            if rewards.shape[-1]:
+                reward = reward + torch.where(is_pressed, rewards[target][place], 0.0)
+            row = torch.where(is_pressed, after[target][place].to(torch.int64), row)
+        if after.shape[0] == targets:
+            return row, reward
+        grips = [contacts.grip == grip for grip in GRIPS]
+        first = targets + sum(number * is_grip.to(torch.int64) for number, is_grip in enumerate(grips)) * (targets + 1)
+        place, width = row * outcomes + outcome, after.shape[1]
+        chosen, is_idle = torch.zeros_like(row), torch.ones_like(row, dtype=torch.bool)
+        for target in range(targets):
+            is_touched = (contacts.touching >> target & 1) != 0
+            acts = after.view(-1)[(first + target + 1) * width + place] != row
+            chosen = torch.where(is_touched & ((chosen == 0) | (is_idle & acts)), target + 1, chosen)
+            is_idle = is_idle & ~(is_touched & acts)
+        grips_any, place = torch.stack(grips).any(0), (first + chosen) * width + place
+        if rewards.shape[-1]:
+            reward = reward + torch.where(grips_any, rewards.view(-1)[place], 0.0)
+        return torch.where(grips_any, after.view(-1)[place].to(torch.int64), row), reward
+
+    def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
+        """Look up one press after the other, and the grip."""
+        return self._walk(tables, state, contacts, targets)[0] - tables["first"]
+
+    def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts,
+                       targets: int) -> Tensor | None:
+        """Sum of the rewards of presses and grip, float64 (rooms,)."""
+        return self._walk(tables, before, contacts, targets)[1] if tables["rewards"].shape[-1] else None
+
+    def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        """Look it up."""
+        return tables["solved"][tables["first"] + state]
+
+    def is_failed(self, tables: PuzzleTables, state: Tensor) -> Tensor | None:
+        """Look it up; None where no state has failed."""
+        return tables["failed"][tables["first"] + state] if tables["failed"].shape[-1] else None
+
+    def find_shut(self, tables: PuzzleTables, state: Tensor, doors: int) -> Tensor:
+        """Look it up."""
+        if not tables["shut"].shape[-1]:
+            return super().find_shut(tables, state, doors)
+        return unpack_bits(tables["shut"][tables["first"] + state], doors, torch.bool)
+
+    def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
+        """Look them up."""
+        return tables["lit"][tables["first"] + state]
+
+    def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
+        """Look them up, float32 (numbers, rooms)."""
+        return tables["observed"][:, tables["first"] + state]
+
+    def encode(self, puzzle: Puzzle, state: Any) -> int:
+        """Number of a state in the puzzle's table."""
+        number = tabulate(puzzle).numbers.get(state)
+        if number is None:
+            raise StateError(f"no presses or grips lead to the state {show_value(state)} of puzzle {puzzle.kind!r}, "
+                             "and a batch knows only states that they lead to")
+        return number
+
+    def decode(self, puzzle: Puzzle, word: int) -> Any:
+        """The state of a number."""
+        return tabulate(puzzle).states[word]
+
+
+def _list_rows(own: int, targets: int) -> list[int]:
+    """Numbers of a puzzle's events among those of a batch with more targets."""
+    presses = list(range(own))
+    return presses + [targets + grip * (targets + 1) + touched for grip in range(len(GRIPS))
+                      for touched in range(own + 1)]
+
+
+def _drop_zeros(table: NDArray[Any]) -> NDArray[Any]:
+    return table if table.any() else table[..., :0]
+
+
 _FORMS: dict[str, TensorPuzzle] = {}
+_TABULATED = TabulatedPuzzle()
 
 
 def register_tensor_puzzle(puzzle_type: type[Puzzle], form: TensorPuzzle) -> None:
-    """Give a puzzle a tensor form, so that the batched engine can step it."""
+    """Give a puzzle a tensor form of its own: one that has no table, or that is faster without."""
     _FORMS[puzzle_type.kind] = form
 
 
 def get_tensor_puzzle(kind: str) -> TensorPuzzle:
-    """Look up the tensor form of a puzzle.
-
-    Raises:
-        UnsupportedError: the puzzle has none.
-    """
-    if kind not in _FORMS:
-        raise UnsupportedError(
-            f"puzzle {kind!r} has no tensor form ({', '.join(sorted(_FORMS))} have): use the Bullet engine "
-            "(gymnasium.make, or make_vec with vectorization_mode='sync'), or register_tensor_puzzle"
-        )
-    return _FORMS[kind]
+    """Look up the tensor form of a puzzle: the one registered for it, or that of all puzzles with tables."""
+    return _FORMS.get(kind, _TABULATED)

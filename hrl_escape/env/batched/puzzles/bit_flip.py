@@ -17,6 +17,7 @@ from hrl_escape.env.batched.puzzles.base import (
     as_signed,
     register_tensor_puzzle,
 )
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.bit_flip import BitFlipPuzzle
 
 __all__ = ["BitFlipTensorPuzzle"]
@@ -25,7 +26,7 @@ __all__ = ["BitFlipTensorPuzzle"]
 class BitFlipTensorPuzzle(TensorPuzzle):
     """`env.puzzles.bit_flip.BitFlipPuzzle`."""
 
-    def make_tables(self, puzzles: Sequence[BitFlipPuzzle], targets: int) -> dict[str, NDArray[Any]]:
+    def make_tables(self, puzzles: Sequence[BitFlipPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """The word with all bits on (instances,)."""
         return {"all_on": np.array([as_signed((1 << puzzle.count) - 1) for puzzle in puzzles], dtype=np.int64)}
 

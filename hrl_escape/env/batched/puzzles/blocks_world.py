@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, TensorPuzzle, register_tensor_puzzle
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.blocks_world import BlocksWorldPuzzle
 from hrl_escape.env.puzzles.towers import IN_HAND
 
@@ -20,10 +21,10 @@ __all__ = ["BlocksWorldTensorPuzzle"]
 class BlocksWorldTensorPuzzle(TensorPuzzle):
     """`env.puzzles.blocks_world.BlocksWorldPuzzle`."""
 
-    def make_tables(self, puzzles: Sequence[BlocksWorldPuzzle], targets: int) -> dict[str, NDArray[Any]]:
+    def make_tables(self, puzzles: Sequence[BlocksWorldPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """`wanted`: what each block must stand on, -1 for anything, and `clear` (blocks, instances); `free_hand`."""
-        wanted = [[dict(puzzle.goal).get(block, -1) for puzzle in puzzles] for block in range(targets)]
-        clear = [[block in puzzle.clear for puzzle in puzzles] for block in range(targets)]
+        wanted = [[dict(puzzle.goal).get(block, -1) for puzzle in puzzles] for block in range(len(frame.target_names))]
+        clear = [[block in puzzle.clear for puzzle in puzzles] for block in range(len(frame.target_names))]
         return {"wanted": np.array(wanted, dtype=np.int64), "clear": np.array(clear, dtype=bool),
                 "free_hand": np.array([puzzle.free_hand for puzzle in puzzles], dtype=bool)}
 

@@ -17,6 +17,7 @@ from hrl_escape.env.batched.puzzles.base import (
     as_signed,
     register_tensor_puzzle,
 )
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 
 __all__ = ["ButtonsTensorPuzzle"]
@@ -25,13 +26,13 @@ __all__ = ["ButtonsTensorPuzzle"]
 class ButtonsTensorPuzzle(TensorPuzzle):
     """`env.puzzles.buttons.ButtonsPuzzle`."""
 
-    def make_tables(self, puzzles: Sequence[ButtonsPuzzle], targets: int) -> dict[str, NDArray[Any]]:
+    def make_tables(self, puzzles: Sequence[ButtonsPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Tables by instance.
 
         Bits of each button's parents and, if any, its locks (buttons, instances); goals and rules (instances,); with
         doors, the button that opens each, -1 where there are fewer (doors, instances).
         """
-        parents, locks = np.zeros((2, len(puzzles), targets), dtype=np.uint64)
+        parents, locks = np.zeros((2, len(puzzles), len(frame.target_names)), dtype=np.uint64)
         for number, puzzle in enumerate(puzzles):
             parents[number, : puzzle.count], locks[number, : puzzle.count] = puzzle.parent_masks, puzzle.lock_masks
         tables = {

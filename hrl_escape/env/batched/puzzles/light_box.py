@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, TensorPuzzle, register_tensor_puzzle
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.light_box import LightBoxPuzzle
 
 __all__ = ["LightBoxTensorPuzzle"]
@@ -19,9 +20,9 @@ __all__ = ["LightBoxTensorPuzzle"]
 class LightBoxTensorPuzzle(TensorPuzzle):
     """`env.puzzles.light_box.LightBoxPuzzle`."""
 
-    def make_tables(self, puzzles: Sequence[LightBoxPuzzle], targets: int) -> dict[str, NDArray[Any]]:
+    def make_tables(self, puzzles: Sequence[LightBoxPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Bits of each light's parents and of its family (lights, instances), the goal and the chance (instances,)."""
-        parents, families = np.zeros((2, targets, len(puzzles)), dtype=np.int64)
+        parents, families = np.zeros((2, len(frame.target_names), len(puzzles)), dtype=np.int64)
         for number, puzzle in enumerate(puzzles):
             parents[: puzzle.count, number], families[: puzzle.count, number] = puzzle.parent_masks, puzzle.family_masks
         return {"parents": parents, "families": families,

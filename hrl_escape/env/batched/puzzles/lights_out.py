@@ -18,6 +18,7 @@ from hrl_escape.env.batched.puzzles.base import (
     register_tensor_puzzle,
     unpack_bits,
 )
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.lights_out import LightsOutPuzzle, list_flips
 
 __all__ = ["LightsOutTensorPuzzle"]
@@ -26,9 +27,9 @@ __all__ = ["LightsOutTensorPuzzle"]
 class LightsOutTensorPuzzle(TensorPuzzle):
     """`env.puzzles.lights_out.LightsOutPuzzle`."""
 
-    def make_tables(self, puzzles: Sequence[LightsOutPuzzle], targets: int) -> dict[str, NDArray[Any]]:
+    def make_tables(self, puzzles: Sequence[LightsOutPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Flips of each press (lights, instances), and each goal (instances,)."""
-        flips = np.zeros((len(puzzles), targets), dtype=np.int64)
+        flips = np.zeros((len(puzzles), len(frame.target_names)), dtype=np.int64)
         for row, puzzle in zip(flips, puzzles, strict=True):
             row[: puzzle.count] = list_flips(puzzle.count, puzzle.columns)
         return {"flips": np.ascontiguousarray(flips.T),

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, TensorPuzzle, register_tensor_puzzle
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.base import USE
 from hrl_escape.env.puzzles.mini_grid import HELD, PLACE_BITS, MiniGridPuzzle
 from hrl_escape.errors import UnsupportedError
@@ -21,7 +22,7 @@ __all__ = ["MiniGridTensorPuzzle"]
 class MiniGridTensorPuzzle(TensorPuzzle):
     """`env.puzzles.mini_grid.MiniGridPuzzle`; instances of a batch have the same numbers of doors, keys and balls."""
 
-    def make_tables(self, puzzles: Sequence[MiniGridPuzzle], targets: int) -> dict[str, NDArray[Any]]:
+    def make_tables(self, puzzles: Sequence[MiniGridPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Tables by instance.
 
         `cells`: cell of each inner door, -1 where there are fewer; `doors`: its door's number, -1 for other cells

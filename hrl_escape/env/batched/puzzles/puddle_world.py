@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, TensorPuzzle, register_tensor_puzzle
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.puddle_world import PuddleWorldPuzzle
 
 __all__ = ["PuddleWorldTensorPuzzle"]
@@ -19,7 +20,7 @@ __all__ = ["PuddleWorldTensorPuzzle"]
 class PuddleWorldTensorPuzzle(TensorPuzzle):
     """`env.puzzles.puddle_world.PuddleWorldPuzzle`."""
 
-    def make_tables(self, puzzles: Sequence[PuddleWorldPuzzle], targets: int) -> dict[str, NDArray[Any]]:
+    def make_tables(self, puzzles: Sequence[PuddleWorldPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Ends and radius of each puddle, of no size where there are fewer (5, puddles, instances), and the cost."""
         most = max(1, *(len(puzzle.areas) for puzzle in puzzles))
         areas = np.zeros((5, most, len(puzzles)), dtype=np.float64)
@@ -32,7 +33,8 @@ class PuddleWorldTensorPuzzle(TensorPuzzle):
         """Enter the goal."""
         return state | (contacts.pressed != 0).to(state.dtype)
 
-    def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts) -> Tensor:
+    def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts,
+                       targets: int) -> Tensor:
         """The price of the deepest puddle at each place, float64 (rooms,)."""
         x1, y1, x2, y2, radius = tables["areas"]
         along_x, along_y, to_x, to_y = x2 - x1, y2 - y1, contacts.x - x1, contacts.y - y1  # (puddles, rooms)

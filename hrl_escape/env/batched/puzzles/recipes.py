@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, TensorPuzzle, register_tensor_puzzle
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.recipes import COUNT_BITS, MATERIALS, MOST_KEPT, NAMES, RECIPES, RecipesPuzzle
 
 __all__ = ["RecipesTensorPuzzle"]
@@ -21,7 +22,7 @@ _SHIFTS = [COUNT_BITS * min(number, MATERIALS) + max(number - MATERIALS, 0) for 
 class RecipesTensorPuzzle(TensorPuzzle):
     """`env.puzzles.recipes.RecipesPuzzle`."""
 
-    def make_tables(self, puzzles: Sequence[RecipesPuzzle], targets: int) -> dict[str, NDArray[Any]]:
+    def make_tables(self, puzzles: Sequence[RecipesPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Numbers of the goals (instances,)."""
         return {"goal": np.array([NAMES.index(puzzle.goal) for puzzle in puzzles], dtype=np.int64)}
 

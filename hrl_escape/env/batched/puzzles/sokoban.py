@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, TensorPuzzle, register_tensor_puzzle
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.base import PUSH
 from hrl_escape.env.puzzles.sokoban import BOX_BITS, SokobanPuzzle
 
@@ -22,7 +23,7 @@ _CELL = (1 << BOX_BITS) - 1
 class SokobanTensorPuzzle(TensorPuzzle):
     """`env.puzzles.sokoban.SokobanPuzzle`."""
 
-    def make_tables(self, puzzles: Sequence[SokobanPuzzle], targets: int) -> dict[str, NDArray[Any]]:
+    def make_tables(self, puzzles: Sequence[SokobanPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """`cells`: cell of each inner door, -1 for none; `goals`: their cells (goals, instances); `size` of the map."""
         levels = [puzzle.level for puzzle in puzzles]
         cells = np.full((max(len(level.floor) for level in levels), len(levels)), -1, dtype=np.int64)
@@ -54,7 +55,8 @@ class SokobanTensorPuzzle(TensorPuzzle):
         """Return true for each pair of a box and the goal on which it stands, bool (boxes, goals, rooms)."""
         return self._list_boxes(tables, state).unsqueeze(1) == tables["goals"].unsqueeze(0)
 
-    def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts) -> Tensor:
+    def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts,
+                       targets: int) -> Tensor:
         """1 for a box that comes onto a goal, -1 for one that leaves it."""
         then, now = (self._find_filled(tables, state).sum((0, 1)) for state in (before, after))
         return (now - then).to(torch.float64)

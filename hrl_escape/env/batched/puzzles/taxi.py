@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorContacts, TensorPuzzle, register_tensor_puzzle
+from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.taxi import DEPOTS, REFUSED, RIDING, TaxiPuzzle
 
 __all__ = ["TaxiTensorPuzzle"]
@@ -21,7 +22,7 @@ _SETTLED, _DELIVERED = 1 << 5, 1 << 6
 class TaxiTensorPuzzle(TensorPuzzle):
     """`env.puzzles.taxi.TaxiPuzzle`."""
 
-    def make_tables(self, puzzles: Sequence[TaxiPuzzle], targets: int) -> dict[str, NDArray[Any]]:
+    def make_tables(self, puzzles: Sequence[TaxiPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Probability of changing the destination (instances,)."""
         return {"fickleness": np.array([puzzle.fickleness for puzzle in puzzles], dtype=np.float64)}
 
@@ -48,7 +49,8 @@ class TaxiTensorPuzzle(TensorPuzzle):
         """The passenger is where he wanted to go."""
         return state & _DELIVERED != 0
 
-    def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts) -> Tensor:
+    def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts,
+                       targets: int) -> Tensor:
         """Less where gripping or releasing was in vain."""
         return torch.where((contacts.grip != 0) & (after == before), REFUSED, 0.0)
 
