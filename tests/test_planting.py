@@ -26,8 +26,7 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     (house / "hrl_escape/agents/algorithms/first_legal.py").write_text(ALGORITHM)
     (house / "hrl_escape/agents/algorithms/mellow_dqn.py").write_text(VARIANT)
     (house / "hrl_escape/env/puzzles/toggles.py").write_text(read_puzzle())
-    with (house / "hrl_escape/env/observations.py").open("a") as file:
-        file.write(OBSERVATION)
+    (house / "hrl_escape/env/observations/compass.py").write_text(OBSERVATION)
     environment = os.environ | {"PYTHONPATH": str(house), "NUMBA_CACHE_DIR": str(house / "numba")}
     runs = [run_fork(script, cwd=house, environment=environment) for script in (TIMED + ACTS, TIMED)]
     assert [done.returncode for done in runs] == [0, 0], runs[0].stdout + runs[0].stderr
@@ -117,25 +116,28 @@ class MellowDQN(DQN):
 
 
 OBSERVATION = '''
+import numpy as np
+from hrl_escape.env.observations.base import Observer, register_observation
+
 
 class CompassObserver(Observer):
-    """Sine and cosine of the heading, and nothing else."""
+    name, doc = "compass", "the heading alone"
+    names = ("sin-heading", "cos-heading")
+    low, high = -np.ones(2, dtype=np.float32), np.ones(2, dtype=np.float32)
 
-    def __init__(self, rules: Rules, renderer: Renderer | None = None) -> None:
-        super().__init__(rules)
-        self.names = ("sin-heading", "cos-heading")
-        self.high = np.ones(2, dtype=np.float32)
-        self.low = -self.high
-
-    def observe(self, state: RoomState) -> NDArray[np.float32]:
+    def observe(self, state):
         heading = self._rules.get_heading(state)
-        return np.array((math.sin(heading), math.cos(heading)), dtype=np.float32)
+        return np.array((np.sin(heading), np.cos(heading)), dtype=np.float32)
+
+    @staticmethod
+    def observe_batch(rooms):
+        import torch
+
+        return [torch.stack(rooms.rotation[::-1]).to(torch.float32)]
 
 
-register_observation(Observation("compass", "the heading alone", CompassObserver))
+register_observation(CompassObserver)
 '''
-
-
 
 TIMED = '''
 import time
@@ -186,6 +188,11 @@ for name, many in (("one", EscapeRoomEnv("paper-one-button", observation="featur
 call("solve", "--set", "puzzle.kind=toggles", "--seed", "1")
 env = EscapeRoomEnv("paper-one-button", observation="compass")
 said["first"] = [env.observation_space.shape, env.reset(seed=0)[0].tolist()]
+batch = EscapeRoomVectorEnv(2, "paper-one-button", observation="compass")
+said["batch"] = batch.reset(seed=0)[0].tolist()
+toggled = EscapeRoomVectorEnv(2, {"puzzle": {"kind": "toggles"}}, num_instances=2)
+toggled.reset(seed=0)
+said["toggled"] = toggled.step(numpy.zeros(2, dtype=int))[0].shape
 print(json.dumps(said))
 '''
 
@@ -203,15 +210,16 @@ def test_a_variant_of_dqn_is_under_30_lines_and_keeps_its_streams_n_step_and_set
         assert primitives >= 120 and n_step == 3 and updates > 10 and settings > 30
 
 
-def test_a_file_in_puzzles_is_a_puzzle(said):
+def test_a_file_in_puzzles_is_a_puzzle_of_one_room_and_of_a_batch(said):
     assert "toggles" in said["list puzzles"]
     assert "press-a" in said["solve --set"]
+    assert said["toggled"][0] == 2, "a batch of two rooms of it"
 
 
-def test_an_entry_of_the_registry_is_an_observation(said):
+def test_a_file_in_observations_is_an_observation_of_one_room_and_of_a_batch(said):
     assert "compass" in said["list observations"] and "the heading alone" in said["list observations"]
     assert json.loads(said["train q-learning"])["primitives"] >= 40
-    assert said["first"] == [[2], [0.0, 1.0]]
+    assert said["first"] == [[2], [0.0, 1.0]] and said["batch"] == [[0.0, 1.0]] * 2
 
 
 def test_compilation_is_announced_once_and_counts_into_no_time(said):

@@ -22,7 +22,7 @@ from rich.table import Table
 from hrl_escape.agents.registry import SMDP_PREFIX, find_agent_module, list_agents, list_given_agents
 from hrl_escape.comparison.presets import GRIDS
 from hrl_escape.env.engine import CAMERAS
-from hrl_escape.env.observations import list_observations
+from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.presets import PRESETS, describe_schematic, get_preset, make_env_name
 from hrl_escape.env.primitives import make_action_table
 from hrl_escape.env.puzzles.base import get_puzzle_kind, list_puzzles

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.observations import list_observations
+from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.robot import load_urdf
 from hrl_escape.env.sampling.generation import generate

@@ -13,7 +13,7 @@ from .config import (
 from .escape_room import EscapeRoomEnv
 from .instance import PlacedProp, Rectangle, RoomInstance, Start, Target
 from .kinematics import Kinematics, RoomState, Rules
-from .observations import Observer, make_observer
+from .observations.base import Observer, make_observer
 from .presets import PRESETS, get_preset
 from .primitives import Primitive
 from .puzzles.base import (

@@ -23,7 +23,8 @@ from hrl_escape.env.engine import Engine, Renderer, check_camera, check_picture_
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Transition
 from hrl_escape.env.noise import draw_episode
-from hrl_escape.env.observations import OBJECT_WORDS, make_observer
+from hrl_escape.env.observations.base import make_observer
+from hrl_escape.env.observations.objects import OBJECT_WORDS
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
 from hrl_escape.errors import ActionError, ClosedError, ConfigError, ResetNeededError

@@ -22,7 +22,7 @@ from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom, draw_
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.tables import INSTEAD, InstanceSource, collect_instances
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.observations import OBJECT_WORDS
+from hrl_escape.env.observations.objects import OBJECT_WORDS
 from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedError
 from hrl_escape.spaces import make_vector_space
 

@@ -4,7 +4,7 @@ import json
 
 from hrl_escape.agents.registry import list_agents
 from hrl_escape.env.engine import CAMERAS
-from hrl_escape.env.observations import list_observations
+from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.presets import PRESETS
 from hrl_escape.env.primitives import make_action_table
 from tests.command_line import call

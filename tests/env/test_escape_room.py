@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.observations import list_observations
+from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.presets import PRESETS, get_preset, make_env_name
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import (

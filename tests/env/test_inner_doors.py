@@ -24,7 +24,7 @@ from hrl_escape.env.config import (
 )
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.env.observations import make_observer
+from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle

@@ -16,7 +16,7 @@ from hrl_escape.checks import check_isomorphism, check_puzzle
 from hrl_escape.checks.isomorphism import GridOutcome
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.env.observations import make_observer
+from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.mini_grid import HELD, PLACE_BITS, MiniGridConfig, MiniGridPuzzle
 from hrl_escape.env.sampling.generation import generate

@@ -9,7 +9,8 @@ import pytest
 
 from hrl_escape.env.config import Between, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.env.observations import OBJECT_WORDS, make_observer
+from hrl_escape.env.observations.base import make_observer
+from hrl_escape.env.observations.objects import OBJECT_WORDS
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig

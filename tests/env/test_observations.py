@@ -1,4 +1,4 @@
-"""The registry of observations: one entry, and everything that offers observations knows it."""
+"""The registry of observations: one class, and everything that offers observations knows it."""
 
 import os
 import subprocess
@@ -8,15 +8,16 @@ import gymnasium
 import numpy as np
 import pytest
 
-from hrl_escape.env import observations
 from hrl_escape.env.config import ButtonsConfig, RoomConfig
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.env.observations import (
+from hrl_escape.env.observations import base
+from hrl_escape.env.observations.base import (
     get_observation,
     list_observations,
     make_observer,
     register_observation,
 )
+from hrl_escape.env.observations.state import StateObserver
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.torchrl_env import EscapeRoomTorchRLEnv
@@ -26,12 +27,11 @@ from tests.forks import run_fork
 
 COMPASS = """
 import numpy as np
-import torch
-from hrl_escape.env.batched.poses import compute_rotation
-from hrl_escape.env.observations import Observation, Observer, register_observation
+from hrl_escape.env.observations.base import Observer, register_observation
 
 
 class Compass(Observer):
+    name, doc = "compass", "sine and cosine of the heading"
     names = ("sin-heading", "cos-heading")
     low, high = -np.ones(2, np.float32), np.ones(2, np.float32)
 
@@ -39,13 +39,15 @@ class Compass(Observer):
         cos, sin = self._rules.get_rotation(state.heading_steps, state.heading_offset)
         return np.array((sin, cos), np.float32)
 
+    @staticmethod
+    def observe_batch(rooms):
+        import torch
 
-def observe_compass(layout, tables, state):
-    cos, sin = compute_rotation(layout, tables, state)
-    return [torch.stack([sin, cos]).to(torch.float32)]
+        cos, sin = rooms.rotation
+        return [torch.stack([sin, cos]).to(torch.float32)]
 
 
-ENTRY = Observation("compass", "sine and cosine of the heading", Compass, "planted_compass:observe_compass")
+register_observation(Compass)
 """
 
 
@@ -53,11 +55,10 @@ ENTRY = Observation("compass", "sine and cosine of the heading", Compass, "plant
 def compass(tmp_path, monkeypatch):
     (tmp_path / "planted_compass.py").write_text(COMPASS)
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(observations, "_REGISTRY", dict(observations._REGISTRY))
+    monkeypatch.setattr(base, "_REGISTRY", dict(base._REGISTRY))
     import planted_compass
 
-    register_observation(planted_compass.ENTRY)
-    yield planted_compass.ENTRY
+    yield planted_compass.Compass
     sys.modules.pop("planted_compass")
 
 
@@ -84,7 +85,7 @@ def test_one_entry_is_offered_by_the_command_line_and_accepted_by_grids(tmp_path
     info = tmp_path / "planted-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: planted\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[hrl_escape.observations]\ncompass = planted_compass:ENTRY\n")
+    (info / "entry_points.txt").write_text("[hrl_escape.observations]\ncompass = planted_compass:Compass\n")
     script = (
         "from hrl_escape.cli import main\n"
         "main(['list', 'observations'])\n"
@@ -100,7 +101,7 @@ def test_one_entry_is_offered_by_the_command_line_and_accepted_by_grids(tmp_path
 
 def test_the_registry_refuses_a_taken_name_and_names_the_closest():
     with pytest.raises(ConfigError, match="no other observation"):
-        register_observation(get_observation("state")._replace(doc="another"))
+        register_observation(type("Another", (StateObserver,), {}))
     with pytest.raises(UnknownNameError, match="features"):
         get_observation("feature")
 
@@ -120,7 +121,7 @@ def test_bounds_have_the_shape_and_type_of_what_is_observed():
 
 
 def test_the_registry_loads_no_torch_and_no_engine():
-    script = ("import sys, hrl_escape.env.observations, hrl_escape.env.engine\n"
+    script = ("import sys, hrl_escape.env.observations, hrl_escape.env.observations.base, hrl_escape.env.engine\n"
               "print([name for name in ('torch', 'pybullet', 'matplotlib') if name in sys.modules])")
     assert subprocess.check_output([sys.executable, "-c", script], text=True).strip() == "[]"
 

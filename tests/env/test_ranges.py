@@ -20,7 +20,7 @@ from hrl_escape.env.config import (
 )
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.observations import list_observations
+from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
@@ -35,7 +35,7 @@ VARIED = RoomConfig(
     robot=RobotConfig(body_radius=0.5), puzzle=ButtonsConfig(count=Between(2, 5), buttons=Panels(width=1.5)),
     obstacles=ObstaclesConfig(count=Between(0, 6)), exit=ExitConfig(door=True, width=2.5, depth=1.5),
 )
-VECTORS = [observation.name for observation in list_observations() if observation.tensor]
+VECTORS = [observation.name for observation in list_observations() if observation.observe_batch]
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.geometry import Solid, compute_distance, compute_distance_many, make_footprint, stack_footprints
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.env.observations import make_observer
+from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sight import Scanner

@@ -5,7 +5,7 @@ import torch
 from torchrl.collectors import Collector
 from torchrl.envs import check_env_specs
 
-from hrl_escape.env.observations import list_observations
+from hrl_escape.env.observations.base import list_observations
 from hrl_escape.env.torchrl_env import EscapeRoomTorchRLEnv
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ConfigError, UnsupportedError
@@ -13,7 +13,7 @@ from hrl_escape.errors import ConfigError, UnsupportedError
 LEFT = 2
 
 
-@pytest.mark.parametrize("kind", sorted(observation.name for observation in list_observations() if observation.tensor))
+@pytest.mark.parametrize("kind", sorted(one.name for one in list_observations() if one.observe_batch))
 @pytest.mark.parametrize("name", ["paper-two-button", "arm-two-button", "clutter"])
 def test_its_specs_say_what_it_does(name, kind):
     check_env_specs(EscapeRoomTorchRLEnv(6, name, num_instances=2, observation=kind), seed=0)

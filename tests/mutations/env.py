@@ -117,7 +117,7 @@ MUTATIONS = [
     ),
     Mutation(
         "what an observer remembers of a puzzle has no bound",
-        "env/observations.py",
+        "env/observations/base.py",
         "if len(self._seen) > 4096:",
         "if False:",
         "env/test_observations.py",

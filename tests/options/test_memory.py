@@ -8,7 +8,7 @@ from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.env.config import Between, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.observations import OBJECT_WORDS
+from hrl_escape.env.observations.objects import OBJECT_WORDS
 from hrl_escape.env.puzzles.base import Panels
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.puzzles.graphs import GraphConfig

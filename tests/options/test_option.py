@@ -6,7 +6,7 @@ import pytest
 
 from hrl_escape.checks import check_option
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.observations import make_observer
+from hrl_escape.env.observations.base import make_observer
 from hrl_escape.errors import ContractError, OptionError
 from hrl_escape.options.learned import LearnedOption
 from hrl_escape.options.option import Option, ScriptedOption

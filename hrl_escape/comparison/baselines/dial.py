@@ -23,7 +23,7 @@ from hrl_escape.comparison.option_dial import DialPlace, measure_option, place_o
 from hrl_escape.comparison.presets import get_grid
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.observations import make_observer
+from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.errors import ComparisonError
 from hrl_escape.options.degraded import OptionDegradation

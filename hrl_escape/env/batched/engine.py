@@ -17,14 +17,14 @@ from torch import Tensor
 
 from hrl_escape.env.batched.compilation import CompiledStep
 from hrl_escape.env.batched.devices import check_compiler, find_device, store
-from hrl_escape.env.batched.observations import TensorObservation, compute_bounds, load_observation, observe
+from hrl_escape.env.batched.observations import compute_bounds, load_observation, observe
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle, unpack_bits
 from hrl_escape.env.batched.rules import begin, is_in_exit, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables, make_layout, map_tensors, pick_rules, stack_instances
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
-from hrl_escape.env.observations import make_observer
+from hrl_escape.env.observations.base import BatchObservation, make_observer
 from hrl_escape.env.state_checks import check_state
 from hrl_escape.errors import (
     ActionError,
@@ -89,7 +89,7 @@ class Outcome(NamedTuple):
     final_info: RoomInfo | None = None
 
 
-def advance(layout: Layout, observation: TensorObservation, autoreset: Autoreset, tables: Tables, state: TensorState,
+def advance(layout: Layout, observation: BatchObservation, autoreset: Autoreset, tables: Tables, state: TensorState,
             action: Tensor) -> tuple[TensorState, Outcome]:
     """One step of every room with its automatic reset and observation; the function that is compiled.
 
@@ -123,7 +123,7 @@ Kernel = Callable[[TensorState, Tensor], tuple[TensorState, Outcome]]
 
 
 @lru_cache(maxsize=256)
-def _compile(layout: Layout, observation: TensorObservation, autoreset: Autoreset, device: str, threads: int,
+def _compile(layout: Layout, observation: BatchObservation, autoreset: Autoreset, device: str, threads: int,
              shapes: tuple) -> CompiledStep:
     """Compile a step for one shape of batch; engines of the same shape share it."""
     return CompiledStep(partial(advance, layout, observation, autoreset), device, threads)

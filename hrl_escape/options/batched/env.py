@@ -26,7 +26,7 @@ from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.tables import InstanceSource, Layout, collect_instances, map_tensors
 from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
-from hrl_escape.env.observations import OBJECT_WORDS
+from hrl_escape.env.observations.objects import OBJECT_WORDS
 from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError, UnsupportedError, show_value
 from hrl_escape.options.batched.cost_to_go import check_presses, stack_fields
 from hrl_escape.options.batched.decisions import ENDINGS, NOT_ASKED, OpenDecisions, Transitions

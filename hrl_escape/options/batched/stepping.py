@@ -12,10 +12,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from hrl_escape.env.batched.observations import TensorObservation, observe
+from hrl_escape.env.batched.observations import observe
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rules import is_in_exit, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables
+from hrl_escape.env.observations.base import BatchObservation
 from hrl_escape.options.batched.cost_to_go import CostFields
 from hrl_escape.options.batched.decisions import (
     CHOSEN,
@@ -58,7 +59,7 @@ class StepSettings(NamedTuple):
         degradation: known amounts by which options are worse.
     """
 
-    observation: TensorObservation
+    observation: BatchObservation
     primitives: int
     gamma: float
     fail_after: int

@@ -6,12 +6,12 @@ import torch
 
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.env.observations import list_observations, make_observer
+from hrl_escape.env.observations.base import list_observations, make_observer
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 from tests.env.rooms import all_schematics
 
-KINDS = sorted(observation.name for observation in list_observations() if observation.tensor)
+KINDS = sorted(observation.name for observation in list_observations() if observation.observe_batch)
 NAMES = ["paper-two-button", "arm-two-button", "clutter", "bit-flip", "noisy", "door", "sixty-four-buttons"]
 
 

@@ -10,7 +10,7 @@ from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.puzzles.base import TabulatedPuzzle, TensorContacts, get_tensor_puzzle
 from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.kinematics import Rules
-from hrl_escape.env.observations import make_observer
+from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.puzzles import tables as table_module
 from hrl_escape.env.puzzles.base import USE, Contacts, Puzzle

@@ -17,7 +17,7 @@ from hrl_escape.agents.training.train import load_agent, train
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.env.observations import make_observer
+from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.options.options_env import OptionsEnv

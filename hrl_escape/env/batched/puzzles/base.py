@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from hrl_escape.env.batched.devices import store
 from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.tables import GRIPS, tabulate
@@ -197,19 +198,21 @@ class TabulatedPuzzle(TensorPuzzle):
             row = torch.where(is_pressed, after[target][place].to(torch.int64), row)
         if after.shape[0] == targets:
             return row, reward
-        grips = [contacts.grip == grip for grip in GRIPS]
-        first = targets + sum(number * is_grip.to(torch.int64) for number, is_grip in enumerate(grips)) * (targets + 1)
-        place, width = row * outcomes + outcome, after.shape[1]
+        is_grip, first = torch.zeros_like(row, dtype=torch.bool), torch.full_like(row, targets)
+        for number, grip in enumerate(GRIPS):
+            is_this = contacts.grip == grip
+            is_grip, first = is_grip | is_this, torch.where(is_this, targets + number * (targets + 1), first)
+        place, width = store(row * outcomes + outcome), after.shape[1]
         chosen, is_idle = torch.zeros_like(row), torch.ones_like(row, dtype=torch.bool)
         for target in range(targets):
             is_touched = (contacts.touching >> target & 1) != 0
-            acts = after.view(-1)[(first + target + 1) * width + place] != row
+            acts = store(after.view(-1)[(first + target + 1) * width + place] != row)
             chosen = torch.where(is_touched & ((chosen == 0) | (is_idle & acts)), target + 1, chosen)
             is_idle = is_idle & ~(is_touched & acts)
-        grips_any, place = torch.stack(grips).any(0), (first + chosen) * width + place
+        place = store((first + chosen) * width + place)
         if rewards.shape[-1]:
-            reward = reward + torch.where(grips_any, rewards.view(-1)[place], 0.0)
-        return torch.where(grips_any, after.view(-1)[place].to(torch.int64), row), reward
+            reward = reward + torch.where(is_grip, rewards.view(-1)[place], 0.0)
+        return torch.where(is_grip, after.view(-1)[place].to(torch.int64), row), reward
 
     def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
         """Look up one press after the other, and the grip."""

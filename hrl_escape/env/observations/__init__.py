@@ -1,0 +1,11 @@
+"""Observations, one file a kind: what one room shows and, beside it, what a batch of rooms shows.
+
+Importing this package imports every module in it; each file ends with `register_observation`, so a new file is a new
+observation. Environments, command line, grids, viewer and docs read the registry.
+"""
+
+from importlib import import_module
+from pkgutil import iter_modules
+
+for _module in iter_modules(__path__):
+    import_module(f"{__name__}.{_module.name}")

@@ -1,0 +1,264 @@
+"""Contract and registry of observations: a class turns one state into numbers and, for a batch, all states at once.
+
+Packages register theirs through the entry-point group `hrl_escape.observations`. Nothing here imports torch: the form
+for a batch does so when it is called.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from functools import cache
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, Protocol, TypeAlias
+
+from numpy.typing import NDArray
+
+from hrl_escape.env.engine import Renderer
+from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.plugins import load_entry_points
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+__all__ = ["BatchObservation", "BatchView", "Observer", "clip", "get_observation", "list_observations",
+           "make_observer", "register_observation"]
+
+
+class Outlines(Protocol):
+    """Rectangles on the floor, m, float64 (rectangles, rooms) each."""
+
+    @property
+    def x(self) -> Tensor:
+        """Places of the centres."""
+        ...
+
+    @property
+    def y(self) -> Tensor:
+        """Likewise."""
+        ...
+
+    @property
+    def cos(self) -> Tensor:
+        """Cosine of the direction of the width."""
+        ...
+
+    @property
+    def sin(self) -> Tensor:
+        """Its sine."""
+        ...
+
+    @property
+    def half_x(self) -> Tensor:
+        """Half the width."""
+        ...
+
+    @property
+    def half_y(self) -> Tensor:
+        """Half the depth."""
+        ...
+
+
+class BatchView(Protocol):
+    """The part of a batch that observations read; tensors have the rooms last."""
+
+    @property
+    def x(self) -> Tensor:
+        """Places of the bases' axes, m, float64 (rooms,)."""
+        ...
+
+    @property
+    def y(self) -> Tensor:
+        """Likewise."""
+        ...
+
+    @property
+    def heading(self) -> Tensor:
+        """Heading, rad, within [-pi, pi), float64 (rooms,)."""
+        ...
+
+    @property
+    def rotation(self) -> tuple[Tensor, Tensor]:
+        """Cosine and sine of the heading, float64 (rooms,) each."""
+        ...
+
+    @property
+    def angles(self) -> Tensor:
+        """Joint angles, rad, float64 (joints, rooms)."""
+        ...
+
+    @property
+    def limits(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest angle of each joint, rad."""
+        ...
+
+    @property
+    def puzzle(self) -> Tensor:
+        """The puzzle's observation numbers, float32 (numbers, rooms)."""
+        ...
+
+    @property
+    def is_solved(self) -> Tensor:
+        """True where the exit is open, bool (rooms,)."""
+        ...
+
+    @property
+    def half_sizes(self) -> tuple[Tensor, Tensor]:
+        """Largest |x| and |y| of the floor in the frame of observations, m, float32 (rooms,) each."""
+        ...
+
+    @property
+    def targets(self) -> Outlines:
+        """Outlines of the targets."""
+        ...
+
+    @property
+    def is_present(self) -> Tensor:
+        """True for the targets that an instance has, bool (targets, rooms)."""
+        ...
+
+    @property
+    def lit(self) -> Tensor:
+        """True for the targets that are on, bool (targets, rooms)."""
+        ...
+
+    @property
+    def are_cells(self) -> bool:
+        """Targets are cells of a map."""
+        ...
+
+    @property
+    def exit(self) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """x_min, x_max, y_min and y_max of the exits, m, float64 (rooms,) each."""
+        ...
+
+    def cast_rays(self, ray_x: Tensor, ray_y: Tensor, among: Literal["solids", "hiders"]) -> Tensor:
+        """Range of rays (rays, 1, rooms), m, to the first outline or shut door they meet, float64 (rays, rooms).
+
+        Args:
+            ray_x: x of their direction, of length 1.
+            ray_y: likewise.
+            among: all that is solid, or only what can stand between two places on the floor.
+        """
+        ...
+
+
+BatchObservation: TypeAlias = "Callable[[BatchView], list[Tensor]]"
+"""Parts of the observation of every room, float32 (numbers, rooms) each."""
+
+
+class Observer(ABC):
+    """Turns states of one instance into observations of one kind.
+
+    Args:
+        rules: the room's rules.
+        renderer: the engine's renderer, for pictures.
+
+    Attributes:
+        name: the value of `observation=`.
+        doc: one line for lists and docs.
+        is_vector: the observation is a vector of named numbers, which every agent can learn from.
+        observe_batch: the same for a batch of rooms, a static method; None where there is none.
+        names: name of each number, in order; empty for pictures.
+        low: smallest value of each number, in the observation's shape and type.
+        high: largest value of each number.
+        rows: name of the object of each row of `OBJECT_WORDS` that the vector begins with; none in most kinds.
+    """
+
+    name: ClassVar[str]
+    doc: ClassVar[str]
+    is_vector: ClassVar[bool] = True
+    observe_batch: ClassVar[BatchObservation | None] = None
+    names: tuple[str, ...]
+    low: NDArray[Any]
+    high: NDArray[Any]
+    rows: tuple[str, ...] = ()
+
+    def __init__(self, rules: Rules, renderer: Renderer | None = None) -> None:
+        self._rules = rules
+        self._instance = rules.instance
+        self._puzzle = rules.instance.puzzle
+        self._frame = rules.instance.frame
+        self._puzzle_names = tuple(f"puzzle-{i + 1}" for i in range(len(self._frame.bounds)))
+        self._joint_names = tuple(f"joint-{i + 1}" for i in range(rules.instance.robot.joints))
+
+        self._seen: dict[Any, tuple[float, ...]] = {}
+
+    @abstractmethod
+    def observe(self, state: RoomState) -> NDArray[Any]:
+        """Return a fresh array in the shape and type of `low`; for pictures, the renderer's room is in that state."""
+
+    def _get_puzzle(self, state: RoomState) -> tuple[float, ...]:
+        """The puzzle's numbers as this kind shows them; remembered, for a puzzle changes rarely."""
+        numbers = self._seen.get(state.puzzle)
+        if numbers is None:
+            if len(self._seen) > 4096:  # a continuous puzzle never repeats itself
+                self._seen.clear()
+            numbers = self._scale_puzzle(self._puzzle.observe(state.puzzle))
+            numbers += (0.0,) * (len(self._frame.bounds) - len(numbers))  # of absent targets
+            self._seen[state.puzzle] = numbers
+        return numbers
+
+    def _scale_puzzle(self, numbers: tuple[float, ...]) -> tuple[float, ...]:
+        return numbers
+
+
+def clip(value: float) -> float:
+    """The nearest number in [-1, 1]."""
+    return -1.0 if value < -1.0 else 1.0 if value > 1.0 else value
+
+
+# --- the registry --------------------------------------------------------------------------
+
+_REGISTRY: dict[str, type[Observer]] = {}
+
+
+def register_observation(observer: type[Observer]) -> None:
+    """Make an observation known by its name.
+
+    Raises:
+        ConfigError: another observation has that name.
+    """
+    if _REGISTRY.setdefault(observer.name, observer) is not observer:
+        raise ConfigError("observation.name", observer.name, "a name that no other observation has")
+
+
+def _check_entry(loaded: Any) -> type[Observer]:
+    if not (isinstance(loaded, type) and issubclass(loaded, Observer)):
+        raise TypeError(loaded)
+    return loaded
+
+
+@cache
+def _load_entry_points() -> None:
+    for observer in load_entry_points("hrl_escape.observations", "observation", "a subclass of Observer", _check_entry):
+        register_observation(observer)
+
+
+def get_observation(name: str) -> type[Observer]:
+    """Look an observation up by name, entry points of other packages included.
+
+    Raises:
+        UnknownNameError: no observation of that name; the message lists those there are.
+    """
+    if isinstance(name, str) and name not in _REGISTRY:
+        _load_entry_points()
+    if not isinstance(name, str) or name not in _REGISTRY:
+        raise UnknownNameError("observation", name, _REGISTRY)
+    return _REGISTRY[name]
+
+
+def list_observations() -> tuple[type[Observer], ...]:
+    """Return all observations, entry points of other packages included."""
+    _load_entry_points()
+    return tuple(_REGISTRY.values())
+
+
+def make_observer(name: str, rules: Rules, renderer: Renderer | None = None) -> Observer:
+    """Make the observer of a room by name.
+
+    Raises:
+        UnknownNameError: no observation of that name.
+        UnsupportedError: a picture without a renderer.
+    """
+    return get_observation(name)(rules, renderer)
