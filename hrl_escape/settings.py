@@ -83,8 +83,6 @@ class Settings:
     """Exception for impossible values in this family of settings."""
     _takes_ranges: ClassVar[bool] = False
     """Numbers may be ranges to draw from."""
-    _left_out: ClassVar[frozenset[str]] = frozenset()
-    """Fields that plain values leave out at their default, so that a new one changes no content hash."""
 
     def __post_init__(self) -> None:
         section = self._section or type(self).__name__
@@ -110,8 +108,7 @@ class Settings:
 
     def to_dict(self) -> dict[str, Any]:
         """Nested plain dicts, lists, numbers and text, ready for JSON."""
-        return {field.name: _make_plain(getattr(self, field.name)) for field in dataclasses.fields(self)
-                if field.name not in self._left_out or getattr(self, field.name) != field.default}
+        return {field.name: _make_plain(getattr(self, field.name)) for field in dataclasses.fields(self)}
 
     @classmethod
     def from_dict(cls, data: Any) -> Self:

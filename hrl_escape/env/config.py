@@ -15,9 +15,10 @@ from typing import Annotated, Literal
 from hrl_escape.env.primitives import ActionTable, DriveKind, FootprintKind, Move, SlipKind, make_action_table
 from hrl_escape.env.puzzles.base import PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError
 from hrl_escape.ranges import Between
-from hrl_escape.settings import Range, Settings
+from hrl_escape.settings import Range
 
 __all__ = [
     "CONTACT_SKIN",
@@ -52,7 +53,7 @@ def compute_resolution(half_x: float, half_y: float) -> float:
 
 
 @dataclasses.dataclass(frozen=True)
-class Wall(Settings):
+class Wall(Schematic):
     """An explicit interior wall, straight from one place to another along x or y."""
 
     _section = "wall"
@@ -72,12 +73,11 @@ class Wall(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class ShapeConfig(Settings):
+class ShapeConfig(Schematic):
     """Floor plan: a rectangle centred on the origin, split into rooms by interior walls."""
 
     _section = "room"
     _takes_ranges = True
-    _left_out = frozenset({"cell", "map", "walls"})
     width: Annotated[float, Range(5, 200, "m")] = 20.0
     """Inner size along x."""
     depth: Annotated[float, Range(5, 200, "m")] = 20.0
@@ -112,11 +112,10 @@ class ShapeConfig(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class RobotConfig(Settings):
+class RobotConfig(Schematic):
     """A wheeled base (an upright cylinder or box) with an arm of 1-DoF joints."""
 
     _section = "robot"
-    _left_out = frozenset({"gripper", "use", "drive", "moves", "footprint", "body_length", "body_width"})
     kind: Literal["arm", "kuka-iiwa", "franka-panda", "urdf"] = "arm"
     """Arm on the base: generated links, a named arm, or a URDF."""
     body_radius: Annotated[float, Range(0.05, 5, "m")] = 0.75
@@ -206,7 +205,7 @@ class RobotConfig(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class ObstaclesConfig(Settings):
+class ObstaclesConfig(Schematic):
     """Boxes and cylinders strewn over the floor; they may touch each other, never block the way."""
 
     _section = "obstacles"
@@ -232,7 +231,7 @@ class ObstaclesConfig(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class StartConfig(Settings):
+class StartConfig(Schematic):
     """Start of episodes: fixed here, or sampled with the instance among connected free places."""
 
     _section = "start"
@@ -255,7 +254,7 @@ class StartConfig(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class ExitConfig(Settings):
+class ExitConfig(Schematic):
     """The rectangle on the floor that ends the episode once the puzzle is solved."""
 
     _section = "exit"
@@ -275,7 +274,7 @@ class ExitConfig(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class RewardConfig(Settings):
+class RewardConfig(Schematic):
     """Sparse reward of the paper: -1 a primitive, +100 at the exit."""
 
     _section = "reward"
@@ -288,11 +287,10 @@ class RewardConfig(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class DynamicsConfig(Settings):
+class DynamicsConfig(Schematic):
     """Dynamics: exact kinematics or Bullet's rigid bodies, noise and slip, and the part that presses."""
 
     _section = "dynamics"
-    _left_out = frozenset({"blocked", "slip_kind"})
     kind: Literal["kinematic", "physics"] = "kinematic"
     """Exact kinematics or rigid-body physics."""
     press_with: Literal["body", "hand"] = "body"
@@ -322,7 +320,7 @@ class DynamicsConfig(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class RoomConfig(Settings):
+class RoomConfig(Schematic):
     """A schematic: everything `generate(config, seed)` needs to sample room instances.
 
     Example:

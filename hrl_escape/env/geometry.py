@@ -16,7 +16,8 @@ from typing import Annotated, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.settings import Range, Settings
+from hrl_escape.env.schema import Schematic
+from hrl_escape.settings import Range
 
 __all__ = [
     "LARGEST_LENGTH",
@@ -54,7 +55,7 @@ def make_footprint(x: float, y: float, half_x: float, half_y: float, yaw: float 
 
 
 @dataclasses.dataclass(frozen=True)
-class Solid(Settings):
+class Solid(Schematic):
     """An upright box or cylinder standing on the floor, in the room frame."""
 
     _section = "solid"

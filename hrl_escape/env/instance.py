@@ -23,9 +23,10 @@ from hrl_escape.env.puzzles.base import Prop, Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
 from hrl_escape.env.room_checks import check_room
+from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError, EscapeError, InstanceFileError, show_value
 from hrl_escape.files import read_json, write_json
-from hrl_escape.settings import Range, Settings
+from hrl_escape.settings import Range
 
 __all__ = ["SCHEMA_VERSION", "SpaceLayout", "PlacedProp", "Rectangle", "RoomInstance", "Start", "Target"]
 
@@ -33,11 +34,10 @@ SCHEMA_VERSION = 1
 
 
 @dataclasses.dataclass(frozen=True)
-class Target(Settings):
+class Target(Schematic):
     """A box on a wall that can be pressed, in kinematic mode it blocks nothing; or a pad on the floor."""
 
     _section = "target"
-    _left_out = frozenset({"kind"})
     name: str = "button-1"
     """Unique name."""
     x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
@@ -64,7 +64,7 @@ class Target(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class Rectangle(Settings):
+class Rectangle(Schematic):
     """An axis-aligned closed rectangle on the floor."""
 
     _section = "rectangle"
@@ -94,7 +94,7 @@ class Rectangle(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class Start(Settings):
+class Start(Schematic):
     """A pose of the base: heading is `heading_steps` turn steps plus `heading_offset` rad."""
 
     _section = "start"
@@ -109,7 +109,7 @@ class Start(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class PlacedProp(Settings):
+class PlacedProp(Schematic):
     """A prop of the puzzle and where it stands when an episode begins."""
 
     _section = "prop"
@@ -124,7 +124,7 @@ class PlacedProp(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class SpaceLayout(Settings):
+class SpaceLayout(Schematic):
     """Layout and scale of observations and options: one for all instances of a schematic.
 
     An instance with fewer targets than its frame shows the others as absent: their numbers are 0, their options masked.
@@ -144,7 +144,7 @@ class SpaceLayout(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class RoomInstance(Settings):
+class RoomInstance(Schematic):
     """One room, ready to be simulated, planned in and drawn.
 
     The floor is the rectangle |x| <= half_width, |y| <= half_depth (plus the alcove behind
@@ -153,7 +153,6 @@ class RoomInstance(Settings):
     """
 
     _section = "instance"
-    _left_out = frozenset({"shared", "inner_doors", "ways"})
     name: str = "custom"
     """Name of the schematic."""
     seed: Annotated[int, Range(0, 2**63 - 1)] | None = None

@@ -20,9 +20,10 @@ from typing_extensions import Self
 from hrl_escape.env.puzzles.contacts import PUSH, USE, Contacts
 from hrl_escape.env.puzzles.places import Capsule, Pads, Panels, Place, Prop
 from hrl_escape.env.puzzles.symbolic import SOLVED, Operator, SymbolicModel, derive_model, name_state
+from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.plugins import load_entry_points
-from hrl_escape.settings import Range, Settings
+from hrl_escape.settings import Range
 
 __all__ = [
     "PUSH",
@@ -48,7 +49,7 @@ Success = Annotated[float, Range(0, 1, open_low=True)]
 
 
 @dataclasses.dataclass(frozen=True)
-class _OfKind(Settings, ABC):
+class _OfKind(Schematic, ABC):
     """Settings of one registered kind of puzzle; plain dicts name it in the field `kind`."""
 
     kind: ClassVar[str]

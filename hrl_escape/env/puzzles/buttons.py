@@ -41,7 +41,6 @@ class ButtonsConfig(PuzzleConfig):
 
     kind = "buttons"
     _takes_ranges = True
-    _left_out = frozenset({"dead_ends", "doors"})
     count: Annotated[int, Range(1, 64)] = 2
     """Number of buttons."""
     graph: GraphConfig = GraphConfig()
@@ -100,7 +99,6 @@ class ButtonsPuzzle(GraphPuzzle):
     """A concrete button puzzle. Button i is called `button-<i+1>`."""
 
     kind = "buttons"
-    _left_out = frozenset({"locks", "doors"})
     on_violation: ViolationRule = "ignore"
     """Answer to a press with unmet parents, or of a locked button."""
     allow_off: bool = False

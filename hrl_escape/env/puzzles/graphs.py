@@ -15,8 +15,9 @@ from typing import Annotated, Literal, get_args
 
 import numpy as np
 
+from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError
-from hrl_escape.settings import Range, Settings
+from hrl_escape.settings import Range
 
 __all__ = ["Edges", "GraphConfig", "compute_order", "find_ancestors", "sample_graph", "sample_larg_graph",
            "sample_locks", "sample_relabelled"]
@@ -29,7 +30,7 @@ ButtonNumber = Annotated[int, Range(0, 63)]
 
 
 @dataclasses.dataclass(frozen=True)
-class GraphConfig(Settings):
+class GraphConfig(Schematic):
     """Directed acyclic graph of dependencies between buttons."""
 
     _section = "graph"

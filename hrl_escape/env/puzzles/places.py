@@ -6,14 +6,15 @@ import dataclasses
 import math
 from typing import Annotated, Literal
 
+from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError
-from hrl_escape.settings import Range, Settings
+from hrl_escape.settings import Range
 
 __all__ = ["Capsule", "Pads", "Panels", "Place", "Prop"]
 
 
 @dataclasses.dataclass(frozen=True)
-class Place(Settings):
+class Place(Schematic):
     """An explicit place of a panel's centre.
 
     `yaw_deg` is the direction of its width; `z` None takes the panels' `centre_height`.
@@ -31,12 +32,11 @@ class Place(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class Panels(Settings):
+class Panels(Schematic):
     """Size and places of the things on the walls that can be pressed (boxes)."""
 
     _section = "panels"
     _takes_ranges = True
-    _left_out = frozenset({"gap"})
     width: Annotated[float, Range(0.02, 200, "m")] = 1.0
     """Size along the wall."""
     height: Annotated[float, Range(0.02, 50, "m")] = 1.0
@@ -66,7 +66,7 @@ class Panels(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class Pads(Settings):
+class Pads(Schematic):
     """Size and places of the rectangles on the floor that are pressed when the body's axis enters them."""
 
     _section = "pads"
@@ -88,7 +88,7 @@ class Pads(Settings):
 
 
 @dataclasses.dataclass(frozen=True)
-class Capsule(Settings):
+class Capsule(Schematic):
     """A stretch of floor, all that is nearer than a radius to a segment; the robot drives through it."""
 
     _section = "capsule"
@@ -118,7 +118,7 @@ def _check_explicit(section: str, places: str | tuple[Place, ...], count: int) -
 
 
 @dataclasses.dataclass(frozen=True)
-class Prop(Settings):
+class Prop(Schematic):
     """A thing on the floor: a movable block (physics dynamics), or a flat plate."""
 
     _section = "prop"
