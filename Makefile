@@ -4,6 +4,7 @@ PYTHON ?= $(shell command -v python3.11 || command -v python3)
 DEMO   ?= hrl-escape compare quickstart
 WATCH  ?= hrl-escape watch --preset clutter --seed 3
 JOBS   ?= 2
+SHARD  ?= 1/1
 
 VENV  := .venv
 STAMP := $(VENV)/.installed
@@ -11,10 +12,10 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 unexport PYTHONDONTWRITEBYTECODE  # every process that tests start would compile the package anew
 
 .DEFAULT_GOAL := help
-.PHONY: help demo watch test docs lint clean
+.PHONY: help demo watch test test-planted test-slow docs lint clean
 
 help: ## show this list
-	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 16
+	@sed -n 's/^\([a-z-]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST) | expand -t 22
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -28,10 +29,17 @@ watch: $(STAMP) ## open the viewer in the browser: the planner escapes from a cl
 	$(WATCH)
 
 test: $(STAMP) ## every test but those marked slow or gpu
-	python -m pytest tests -n $(JOBS) -m "not slow and not gpu"
+	python -m pytest tests -n $(JOBS) --dist loadfile -m "not slow and not gpu"
 
-docs: $(STAMP) ## the site, into build/docs
+test-planted: $(STAMP) ## every planted bug is seen by a test
+	python -m pytest tests/test_mutations.py -n $(JOBS) -m slow
+
+test-slow: $(STAMP) ## the other slow tests, an hour each in six parts: make test-slow SHARD=1/6
+	python -m pytest tests --ignore tests/test_mutations.py -n $(JOBS) --dist loadfile -m slow --shard $(SHARD)
+
+docs: $(STAMP) ## the site, into build/docs, read once more by its tests
 	sphinx-build -W --keep-going -q docs build/docs
+	python -m pytest -q tests/docs/test_site.py --site build/docs
 	@echo "Read it: $(CURDIR)/build/docs/index.html"
 
 lint: $(STAMP) ## style, types and which way imports run

@@ -1,7 +1,11 @@
-"""Settings that every test process shares, those started by xdist and by the tests themselves included."""
+"""Settings of a test run: threads, examples that are drawn, shards, the built site, and kernels compiled once."""
+
+from __future__ import annotations
 
 import os
+from concurrent.futures import ThreadPoolExecutor
 
+import pytest
 from hypothesis import settings
 
 # One thread a process: xdist already fills the cores, and sums split over threads differ in the last bit.
@@ -11,3 +15,44 @@ os.environ.setdefault("MPLBACKEND", "Agg")
 # A busy machine is no failure, so no deadline; CI repeats the same examples, other runs look for new ones.
 settings.register_profile("hrl-escape", deadline=None, derandomize="CI" in os.environ)
 settings.load_profile("hrl-escape")
+
+KERNELS = (
+    """
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.planning.planner import RoomPlanner
+for name in ("clutter", "arm-two-button"):
+    planner = RoomPlanner(generate(get_preset(name), 0))
+    planner.solve(planner.rules.make_state(planner.instance.starts[0]))
+""", """
+from benchmarks.planner_contenders import make_queries
+from hrl_escape.options.batched.env import BatchedOptionsEnv
+make_queries("empty", range(1), 1)
+BatchedOptionsEnv(1, "clutter")
+""")
+"""Scripts that compile most kernels; each compiles others, for twenty seconds of an idle core."""
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--site", help="folder of the built site, which tests/docs/test_site.py reads (`make docs`)")
+    parser.addoption("--shard", default="1/1", help="part of the tests to run: 2/6 is the second of six")
+
+
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Keep the tests of one shard."""
+    number, count = map(int, config.getoption("shard").split("/"))
+    assert 1 <= number <= count, "--shard takes a number and a count, as 2/6"
+    others = [item for place, item in enumerate(items) if place % count != number - 1]
+    if others:
+        config.hook.pytest_deselected(items=others)
+        items[:] = items[number - 1 :: count]
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Compile kernels before xdist starts its workers, each of which would compile them itself."""
+    if session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput"):
+        from tests.forks import run_fork
+
+        with ThreadPoolExecutor() as pool:
+            for done in pool.map(run_fork, KERNELS):
+                assert done.returncode == 0, done.stderr
