@@ -37,6 +37,7 @@ from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.files import write_json
 from hrl_escape.options.options_env import OptionsEnv
+from studies.__main__ import main as main_of_studies
 
 AGENTS = ("random", "dqn", "smdp-random", "smdp-q-learning", "smdp-dqn", "smdp-ppo")
 LONGEST_SECONDS = 2.0
@@ -99,8 +100,8 @@ def read_train(folder: Path) -> Any:
 
 def study(folder: Path) -> None:
     """The study of given hierarchies with one run of each."""
-    sys.exit(main_of_cli(["experiment", "hierarchies", "--runs", "1", "--primitives", "400",
-                          "--out", str(folder / "runs"), "--docs", str(folder / "docs")]))
+    sys.exit(main_of_studies(["hierarchies", "--runs", "1", "--primitives", "400",
+                              "--out", str(folder / "runs"), "--docs", str(folder / "docs")]))
 
 
 def read_study(folder: Path) -> Any:

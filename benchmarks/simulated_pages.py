@@ -14,35 +14,34 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.baselines.calibration import CHANCE, IN_ORDER, ROUND, tell_calibration
-from hrl_escape.comparison.baselines.dial import DIAL, PLANNED, DialLine, conclude_dial
-from hrl_escape.comparison.baselines.generalisation_findings import tell_room_numbers
-from hrl_escape.comparison.baselines.lines import BaselineRun
-from hrl_escape.comparison.baselines.twin_studies import GIVEN_HIERARCHIES, INTRA_OPTION, LEARNED_HIERARCHIES
-from hrl_escape.comparison.baselines.twins import TwinStudy, compare_twins
-from hrl_escape.comparison.presets import get_grid
-from hrl_escape.comparison.price.contestants import BUTTON_COUNTS
-from hrl_escape.comparison.price.price_runs import PriceRun
-from hrl_escape.comparison.price.price_words import compare_with_chance, conclude_prices
-from hrl_escape.comparison.price.ratios import COSTS
-from hrl_escape.comparison.studies.claims import CLAIMS, FIGURES, judge_claims
-from hrl_escape.comparison.studies.contrasts import make_screening_design
-from hrl_escape.comparison.studies.factorial import get_factors, make_label, read_levels
-from hrl_escape.comparison.studies.factorial_cause import Findings, tell_fresh_runs
-from hrl_escape.comparison.studies.factorial_effects import (
+from studies.baseline import BaselineRun
+from studies.factorial.design import get_factors, make_label, make_screening_design, read_levels
+from studies.factorial.effects import (
     SHARE,
     Screening,
     compute_effects,
     find_sufficient,
     measure_area,
 )
-from hrl_escape.comparison.studies.mediation import compute_paths
-from hrl_escape.comparison.studies.raw import BINS, OPTIMAL_SCORE, RawRun
-from hrl_escape.comparison.studies.scaling.difficulty import tell_difficulty
-from hrl_escape.comparison.studies.scaling.findings import tell_replication
-from hrl_escape.comparison.studies.scaling.scaling_runs import ScalingRun
-from hrl_escape.comparison.studies.scaling.study import AGENTS, BAR, BAR_AGENT, RULES, TOLD, TOLD_TASKS
-from hrl_escape.comparison.studies.scaling.told import compute_told_costs
+from studies.factorial.mediation import compute_paths
+from studies.factorial.words import Findings, tell_fresh_runs
+from studies.generalisation.findings import tell_room_numbers
+from studies.ladder.calibration import CHANCE, IN_ORDER, ROUND, tell_calibration
+from studies.learned.dial import PLANNED, DialLine, conclude_dial
+from studies.paper.analysis import list_claims
+from studies.paper.claims import judge_claims
+from studies.price.contestants import BUTTON_COUNTS
+from studies.price.ratios import COSTS
+from studies.price.runs import PriceRun
+from studies.price.words import compare_with_chance, conclude_prices
+from studies.raw import BINS, OPTIMAL_SCORE, RawRun
+from studies.scaling.difficulty import tell_difficulty
+from studies.scaling.findings import tell_replication
+from studies.scaling.results import ScalingRun
+from studies.scaling.rounds import AGENTS, BAR, BAR_AGENT, RULES, TOLD, TOLD_TASKS
+from studies.scaling.told import compute_told_costs
+from studies.study import find_study
+from studies.twins import compare_twins
 
 __all__ = ["PAGES", "Draw"]
 
@@ -73,9 +72,11 @@ def is_wrong_of_claims(draw: Draw, rng: np.random.Generator) -> bool:
 
     These are the claims on differences between agents; shares of runs are compared with fixed levels.
     """
-    results = {name: [make_run(agent.label, name, seed, float(score)) for agent in get_grid(name).agents
-                      if not agent.is_reference for seed, score in enumerate(draw(rng, RUNS))] for name in FIGURES}
-    chosen = [claim for claim in CLAIMS if "less that" in claim.measured]
+    study = find_study("paper")
+    results = {grid.name: [make_run(agent.label, grid.name, seed, float(score)) for agent in grid.agents
+                           if not agent.is_reference for seed, score in enumerate(draw(rng, RUNS))]
+               for grid in study.grids}
+    chosen = [claim for claim in list_claims(study) if "less that" in claim.measured]
     return any(verdict is not None for finding in judge_claims(chosen, results)
                for verdict in finding.verdicts.values())
 
@@ -131,9 +132,10 @@ def is_wrong_of_fresh_effects(draw: Draw, rng: np.random.Generator) -> bool:
 # --- pages of a line a run ---------------------------------------------------------------------
 
 
-def is_wrong_of_twins(study: TwinStudy, draw: Draw, rng: np.random.Generator) -> bool:
+def is_wrong_of_twins(name: str, draw: Draw, rng: np.random.Generator) -> bool:
     """The page calls an agent better or worse than its twin; 10 runs in each room of the study."""
-    grid = get_grid(study.name)
+    study = find_study(name)
+    (grid,) = study.grids
     lines = [BaselineRun("per-instance", study.name, room.label, agent.label, seed, BUDGET, float(value), None,
                          float(value > 0.5), 1, float(value), round(BUDGET * (1 - float(value))) or None, "")
              for room in grid.rooms for agent in grid.agents if agent.learns
@@ -180,9 +182,9 @@ def is_wrong_of_dial(draw: Draw, rng: np.random.Generator) -> bool:
 
     Nine learners are alike after each of three budgets, 10 runs.
     """
-    half = _compute_mean(draw) / 2
-    lines = [DialLine("room", PLANNED, 0, failure, 0, 2 * half * (1 - failure)) for failure in DIAL.failures]
-    lines += [DialLine("room", agent, budget, None, seed, float(value) / 2) for agent in DIAL.algorithms
+    half, settings = _compute_mean(draw) / 2, find_study("learned").data["dial"]
+    lines = [DialLine("room", PLANNED, 0, failure, 0, 2 * half * (1 - failure)) for failure in settings["failures"]]
+    lines += [DialLine("room", agent, budget, None, seed, float(value) / 2) for agent in settings["algorithms"]
               for budget in (1, 2, 3) for seed, value in enumerate(draw(rng, RUNS))]
     told = conclude_dial(lines)
     placed = [(int(low), int(high)) for low, high in re.findall(r"\((\d+)% to (\d+)%\)", told)]
@@ -254,9 +256,9 @@ PAGES: dict[str, Callable[[Draw, np.random.Generator], bool]] = {
     "claims of the paper": is_wrong_of_claims,
     "why it worsens": is_wrong_of_screening,
     "its paths": is_wrong_of_paths,
-    "given hierarchies and their twins": lambda draw, rng: is_wrong_of_twins(GIVEN_HIERARCHIES, draw, rng),
-    "learned hierarchies and their twins": lambda draw, rng: is_wrong_of_twins(LEARNED_HIERARCHIES, draw, rng),
-    "intra-option learning and its twin": lambda draw, rng: is_wrong_of_twins(INTRA_OPTION, draw, rng),
+    "given hierarchies and their twins": lambda draw, rng: is_wrong_of_twins("hierarchies", draw, rng),
+    "learned hierarchies and their twins": lambda draw, rng: is_wrong_of_twins("learned", draw, rng),
+    "intra-option learning and its twin": lambda draw, rng: is_wrong_of_twins("intra-option", draw, rng),
     "why it worsens: what suffices": is_wrong_of_sufficiency,
     "why it worsens: fresh runs": is_wrong_of_fresh_effects,
     "order of the ladder's rungs": is_wrong_of_rungs,

@@ -25,7 +25,7 @@ from pathlib import Path
 from hrl_escape import __version__
 from hrl_escape.errors import ConfigError, EscapeError, UnknownNameError
 
-__all__ = ["main", "run_script"]
+__all__ = ["main", "run_in_order", "run_script"]
 
 _PROGRAM = "hrl-escape"
 _COMMANDS = "hrl_escape.commands"
@@ -46,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         signal's number if a signal or a closed pipe ended it.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
-    return _run_in_order(_PROGRAM, lambda: _run(words, _FOLDER, _COMMANDS, [_PROGRAM]))
+    return run_in_order(_PROGRAM, lambda: _run(words, _FOLDER, _COMMANDS, [_PROGRAM]))
 
 
 def run_script(run: Callable[..., int | None], arguments: Sequence[str] | None = None) -> int:
@@ -62,10 +62,10 @@ def run_script(run: Callable[..., int | None], arguments: Sequence[str] | None =
     spec = sys.modules[run.__module__].__spec__
     words = ["python", "-m", spec.name if spec else run.__module__]
     given = list(sys.argv[1:] if arguments is None else arguments)
-    return _run_in_order(" ".join(words), lambda: _run_command(run, given, words))
+    return run_in_order(" ".join(words), lambda: _run_command(run, given, words))
 
 
-def _run_in_order(program: str, work: Callable[[], int]) -> int:
+def run_in_order(program: str, work: Callable[[], int]) -> int:
     """Exit code of the work; what stops it is said in one line."""
     try:
         with _raising_signals():

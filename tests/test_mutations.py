@@ -10,10 +10,10 @@ from importlib import import_module
 
 import pytest
 
-from tests.mutations.mutation import ROOT, Mutation, PackageCopy
+from tests.mutations.mutation import ROOT, Mutation, PackageCopy, find_source
 
-PACKAGES = ("smdp_traps", "given", "learned", "env", "planning", "options", "agents", "ladder", "comparison", "viewer",
-            "commands")
+PACKAGES = ("smdp_traps", "given", "learned", "env", "planning", "options", "agents", "ladder", "comparison", "studies",
+            "viewer", "commands")
 MUTATIONS: dict[str, list[Mutation]] = {
     package: [Mutation(*fields) for fields in import_module(f"tests.mutations.{package}").MUTATIONS]
     for package in PACKAGES}
@@ -23,7 +23,7 @@ EVERY = [pytest.param(mutation, id=f"{package}: {mutation.bug}")
 
 def test_every_bug_changes_one_place_and_names_tests_that_exist():
     for mutation in (mutation for mutations in MUTATIONS.values() for mutation in mutations):
-        source = (ROOT / "hrl_escape" / mutation.file).read_text(encoding="utf-8")
+        source = find_source(ROOT, mutation.file).read_text(encoding="utf-8")
         assert source.count(mutation.old) == 1, f"{mutation.bug}: {mutation.old!r} in {mutation.file}"
         assert mutation.new != mutation.old
         for test in mutation.tests.split():

@@ -83,6 +83,8 @@ FORBIDDEN_IMPORTS = [  # (importer, imported, the contract that finds it); a fil
     ("agents.hierarchy.new", "hrl_escape.agents.algorithms.given.hamq", "agents: the protocol and parts"),
     ("agents.components.new", "hrl_escape.agents.training.train", "agents: the protocol and parts"),
     ("env.bullet.new", "gymnasium", "within env, gymnasium only"),
+    ("comparison.new", "studies.store", "the package knows neither"),
+    ("agents.training.new", "benchmarks.machine", "the package knows neither"),
     ("viewer.new", "pybullet", "pybullet only in"),
     ("planning.arm.new", "ompl", "ompl only in"),
     ("planning.new", "pinocchio", "pinocchio and coal only in"),

@@ -6,8 +6,11 @@ import re
 from pathlib import Path
 
 import pytest
+import tyro
 
 from hrl_escape.cli import main
+from studies.running import get_args
+from studies.study import find_study
 from tests.docs.blocks import PAGES, ROOT, Block, parse, parse_options, read_blocks, read_commands
 
 BLOCKS = {page: read_blocks(page) for page in PAGES}
@@ -60,6 +63,8 @@ def run(block: Block, words: list[str]) -> None:
         assert all(re.search(rf"^{extra} = \[", listed, re.M) for part in extras for extra in part.split(",")), words
     elif words[:2] == ["python", "-m"] and arguments[1].startswith("benchmarks."):
         parse_options(arguments[1], arguments[2:])
+    elif words[:3] == ["python", "-m", "studies"]:
+        tyro.cli(get_args(find_study(arguments[2])), args=arguments[3:], config=(tyro.conf.FlagCreatePairsOff,))
     elif program in ("python", "pytest", "sphinx-build"):  # scripts have tests of their own
         paths = [word for word in arguments if "/" in word and not word.startswith(("-", "build/", "runs/"))]
         assert paths and all((ROOT / path).exists() for path in paths), words

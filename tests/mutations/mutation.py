@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import pytest
 
-__all__ = ["ROOT", "Mutation", "PackageCopy"]
+__all__ = ["ROOT", "Mutation", "PackageCopy", "find_source"]
 
 ROOT = Path(__file__).parents[2]
 """Folder of the project."""
@@ -29,7 +29,7 @@ class Mutation(NamedTuple):
 
     Attributes:
         bug: what is wrong with it.
-        file: path within `hrl_escape`.
+        file: path within `hrl_escape`, or of the project if it begins with `studies/`.
         old: sound text, which occurs once in the file.
         new: text that takes its place.
         tests: modules or single tests, paths within `tests` separated by blanks; one of them must fail.
@@ -42,6 +42,11 @@ class Mutation(NamedTuple):
     tests: str
 
 
+def find_source(root: Path, file: str) -> Path:
+    """Where a mutation's file is in a copy of the project."""
+    return root / file if file.startswith("studies/") else root / "hrl_escape" / file
+
+
 class PackageCopy:
     """A copy of the package and its tests, in which one file at a time is broken.
 
@@ -51,7 +56,7 @@ class PackageCopy:
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        for name in ("hrl_escape", "tests", "examples", "docs", "benchmarks"):
+        for name in ("hrl_escape", "studies", "tests", "examples", "docs", "benchmarks"):
             shutil.rmtree(folder / name, ignore_errors=True)
             shutil.copytree(ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__"))
         for path in ROOT.glob("*.*"):
@@ -66,7 +71,7 @@ class PackageCopy:
         Raises:
             RuntimeError: the tests could not be run, or the bug's place is not found.
         """
-        sound = (ROOT / "hrl_escape" / mutation.file).read_text(encoding="utf-8")
+        sound = find_source(ROOT, mutation.file).read_text(encoding="utf-8")
         if sound.count(mutation.old) != 1:
             raise RuntimeError(f"{mutation.old!r} stands {sound.count(mutation.old)} times in {mutation.file}")
         changed = sound.replace(mutation.old, mutation.new)
@@ -74,13 +79,13 @@ class PackageCopy:
 
     def is_change_seen(self, file: str, changed: str, tests: Sequence[str], seconds: float = 300.0) -> bool:
         """The same for the whole changed text of a file."""
-        path = self._folder / "hrl_escape" / file
+        path = find_source(self._folder, file)
         path.write_text(changed, encoding="utf-8")
         try:
             return self._run(tests, seconds)
         finally:
             path.unlink()
-            shutil.copy2(ROOT / "hrl_escape" / file, path)
+            shutil.copy2(find_source(ROOT, file), path)
 
     def _run(self, tests: Sequence[str], seconds: float) -> bool:
         process = self._context.Process(target=_run_pytest, args=(self._folder, tests))

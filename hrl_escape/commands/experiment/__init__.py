@@ -1,1 +1,0 @@
-"""Run a study of docs/results from beginning to end, and write its page: runs, figures, tables."""

@@ -1,0 +1,134 @@
+"""Probe that ends a run once its agent has solved the room: near the best return, and the whole graph recovered.
+
+It notes when the frozen policy first came near the best, and the precision and recall of the agent's believed graph.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+
+from hrl_escape.agents.agent import Agent
+from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.training.evaluation import evaluate
+from hrl_escape.agents.training.results import EpisodeRecord
+from hrl_escape.comparison.graph_recovery import EdgeSet, compare_graphs, find_edges_that_matter
+from hrl_escape.comparison.grid import AgentSpec, SolvedRule
+from hrl_escape.comparison.score_range import ScoreRange
+from hrl_escape.comparison.statistics import compute_score
+from hrl_escape.env.instance import RoomInstance
+
+__all__ = ["Solution", "SolvedProbe"]
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Course of a run towards its solution.
+
+    Attributes:
+        near_best: primitives at the first of two checks in a row that scored near the best; None without such a pair.
+        edges: number of edges that matter in the room's graph.
+        structure: (primitives, precision, recall) at every change; empty for agents without a graph.
+    """
+
+    near_best: int | None
+    edges: int
+    structure: tuple[tuple[int, float, float], ...]
+
+
+class SolvedProbe:
+    """Measures whether an agent has solved its room; see `SolvedRule`.
+
+    An agent that learns nothing gets no better, so it is done with its first escape.
+
+    Args:
+        rule: when to measure, and what counts as solved.
+        env: where the policy is checked, between training episodes.
+        instance: the room.
+        spec: the agent.
+        score_range: of the room, for this agent.
+    """
+
+    def __init__(
+        self, rule: SolvedRule, env: gymnasium.Env, instance: RoomInstance, spec: AgentSpec, score_range: ScoreRange
+    ) -> None:
+        self._rule, self._env, self._range, self._goals = rule, env, score_range, instance.puzzle.goal_targets
+        self._learns = spec.algorithm != "random"
+        self._true = find_edges_that_matter(instance.puzzle.edges, self._goals)
+        shape: Any = env.observation_space.shape
+        self._first_bit = int(shape[0]) - len(instance.targets)  # the puzzle's bits end the observation
+        self._has_escaped = False
+        self._structure: list[tuple[int, float, float]] = []
+        self._near_best: int | None = None
+        self._candidate: int | None = None
+        self._next_check = self._next_graph = 0
+
+    @property
+    def solution(self) -> Solution:
+        """The course so far."""
+        return Solution(self._near_best, len(self._true), tuple(self._structure))
+
+    @property
+    def identity(self) -> dict[str, Any]:
+        """The rule, as a JSON value."""
+        return {"until_solved": self._rule.to_dict()}
+
+    @property
+    def is_done(self) -> bool:
+        """The room is solved."""
+        if not self._learns:
+            return self._has_escaped
+        is_graph_known = not self._structure or self._structure[-1][1:] == (1.0, 1.0)
+        return self._near_best is not None and is_graph_known
+
+    def after_decision(self, agent: Agent, primitives: int) -> None:
+        """Compare the believed graph with the true one, every so often."""
+        if primitives < self._next_graph or (graph := agent.get_graph()) is None:
+            return
+        self._next_graph = primitives + self._rule.graph_every
+        precision, recall = compare_graphs(self._read_graph(graph), self._true)
+        now = round(precision, 4), round(recall, 4)
+        if not self._structure or self._structure[-1][1:] != now:
+            self._structure.append((primitives, *now))
+
+    def _read_graph(self, graph: EdgeSet) -> EdgeSet:
+        """EdgeSet that matter among buttons; the agent numbers them by their place in the observation."""
+        first = self._first_bit
+        edges = {(p - first, c - first) for p, c in graph if p >= first and c >= first}
+        return find_edges_that_matter(edges, self._goals)
+
+    def after_episode(self, agent: Agent, episode: EpisodeRecord) -> None:
+        """Check the frozen policy, every so often, from the first escape until it is near the best."""
+        self._has_escaped = self._has_escaped or episode.success
+        at = episode.primitives
+        if not self._learns or not self._has_escaped or self._near_best is not None or at < self._next_check:
+            return
+        self._next_check = at + self._rule.check_every
+        found = evaluate(agent, self._env, episodes=1).mean_return
+        if compute_score(found, self._range.worst, np.mean(self._range.reachable)) < self._rule.score:
+            self._candidate = None
+        elif self._candidate is None:
+            self._candidate = at
+        else:
+            self._near_best = self._candidate
+
+    def state_dict(self) -> StateTree:
+        """Past measurements, and when the next are due."""
+        return {
+            "has_escaped": self._has_escaped,
+            "structure": [list(step) for step in self._structure],
+            "near_best": self._near_best,
+            "candidate": self._candidate,
+            "next_check": self._next_check,
+            "next_graph": self._next_graph,
+        }
+
+    def load_state_dict(self, state: StateTree) -> None:
+        """Go on where `state_dict` was taken."""
+        self._has_escaped = state["has_escaped"]
+        self._structure = [(int(n), p, r) for n, p, r in state["structure"]]
+        self._near_best, self._candidate = state["near_best"], state["candidate"]
+        self._next_check, self._next_graph = state["next_check"], state["next_graph"]

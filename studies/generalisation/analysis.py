@@ -1,0 +1,189 @@
+"""Generalisation: efficiency by numbers of training rooms and in deeper puzzles, with its figure."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, TypeVar
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from hrl_escape.comparison.comparison import run_grid
+from hrl_escape.comparison.launching.local import LocalLauncher
+from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.env.drawing import palette
+from hrl_escape.ladder.benchmark import load_benchmark
+from studies.baseline import BaselineRun, collect_baselines
+from studies.figures import FIGURE_STYLE, finish_axes
+from studies.generalisation.findings import tell_puzzle_depths, tell_room_numbers
+from studies.generalisation.grids import (
+    DEPTHS,
+    FLAT,
+    FLAT_CHANCE,
+    NAMES,
+    TRAINED,
+    GeneralisationArgs,
+    make_depth_grid,
+    make_sizes_grid,
+)
+from studies.ladder.calibration import CHANCE
+from studies.page import make_table
+from studies.running import refuse_failures
+from studies.store import Store
+from studies.study import Page, Study
+
+__all__ = ["Args", "analyse", "draw_sizes", "measure"]
+
+Args = GeneralisationArgs
+_CHANCES = dict.fromkeys(NAMES, CHANCE) | {FLAT: FLAT_CHANCE}
+_COLOURS = dict(zip(NAMES, ("#777777", "#0072b2", "#e69f00", "#d55e00"), strict=True))
+_Key = TypeVar("_Key")
+
+
+def measure(study: Study, args: GeneralisationArgs, store: Store) -> None:
+    """Run the parts that are asked for; in the part `depth` a line's rung is the kind of room tested in."""
+    bench, out = load_benchmark(study.data["benchmark"]), args.out / "generalisation"
+    for part in args.part:
+        grid = make_sizes_grid(bench, args) if part == "sizes" else make_depth_grid(bench, args, out / "sets")
+        comparison = run_grid(grid, out / part, LocalLauncher(args.workers))
+        refuse_failures(comparison)
+        lines = collect_baselines(comparison, part, args.rung)
+        store.add(lines if part == "sizes" else [dataclasses.replace(line, rung=line.rooms.split(" > ")[1])
+                                                 for line in lines])
+
+
+def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
+    """Tables, sentences and the figure of lines of the protocols `sizes` and `depth`."""
+    lines = sorted(lines, key=lambda line: line.place)
+    sizes = [line for line in lines if line.protocol == "sizes"]
+    depth = [line for line in lines if line.protocol == "depth"]
+    rungs = {rung: [line for line in sizes if line.rung == rung] for rung in dict.fromkeys(line.rung for line in sizes)}
+    return Page({
+        "rungs": {rung: _describe(own) | {
+            "ends": _summarise(own), "table": _tabulate_sizes(own),
+            "told": tell_room_numbers(_group((line.agent, _count_rooms(line), line) for line in own), tuple(NAMES),
+                                      _CHANCES)} for rung, own in rungs.items()},
+        "depth": _describe(depth) | {
+            "table": _tabulate_depths(depth),
+            "told": tell_puzzle_depths(_group((line.agent, line.rung, line) for line in depth), tuple(NAMES),
+                                       CHANCE)} if depth else None,
+        "trained": TRAINED, "own": GeneralisationArgs.primitives,
+    }, {"generalisation": draw_sizes(rungs)} if sizes else {})
+
+
+def _group(lines: Iterable[tuple[str, _Key, BaselineRun]]) -> dict[tuple[str, _Key], list[BaselineRun]]:
+    """Runs by agent and a second key."""
+    cells: dict[tuple[str, _Key], list[BaselineRun]] = {}
+    for agent, key, line in lines:
+        cells.setdefault((agent, key), []).append(line)
+    return cells
+
+
+def _describe(lines: Sequence[BaselineRun]) -> dict[str, Any]:
+    """Numbers of runs, all of one rung or of the part `depth`."""
+    cells = Counter((line.agent, line.rung, line.rooms) for line in lines if line.primitives)
+    return {
+        "count": len(lines), "fewest": min(cells.values()), "most": max(cells.values()),
+        "budgets": sorted({line.primitives for line in lines if line.primitives}),
+        "episodes": max(line.episodes for line in lines), "runs": 1 + max(line.seed for line in lines),
+        "primitives": max(line.primitives for line in lines), "rooms": lines[0].episodes,
+    }
+
+
+def _summarise(lines: Sequence[BaselineRun]) -> dict[str, dict[int, float]]:
+    """Efficiency of each learner, by name, with the fewest and the most training rooms."""
+    found = {}
+    for agent, name in NAMES.items():
+        own = [line for line in lines if line.agent == agent]
+        counts = sorted(map(_count_rooms, own))
+        if own:
+            found[name] = {count: _average([line.efficiency for line in own if _count_rooms(line) == count])
+                           for count in (counts[0], counts[-1])}
+    return found
+
+
+def _tabulate_sizes(lines: Sequence[BaselineRun]) -> str:
+    counts = sorted(set(map(_count_rooms, lines)))
+    agents = {line.agent for line in lines}
+    rows = []
+    for agent in [*(agent for agent in NAMES if agent in agents), *sorted(agents - set(NAMES))]:
+        cells = []
+        for count in counts:
+            own = [line for line in lines if line.agent == agent and _count_rooms(line) == count]
+            seen = [line.seen for line in own if line.seen is not None]
+            cells.append(f"{_format_cell(own)} ({_average(seen):.2f})" if own else "-")
+        rows.append([f"`{agent}`", *cells])
+    return make_table(["agent", *(f"{count:,}" for count in counts)], rows)
+
+
+def _tabulate_depths(lines: Sequence[BaselineRun]) -> str:
+    rows = []
+    for agent in dict.fromkeys(line.agent for line in lines):
+        own = [line for line in lines if line.agent == agent]
+        seen = [line.seen for line in own if line.seen is not None]
+        rows.append([f"`{agent}`", *(_format_cell([line for line in own if line.rung == name]) for name in DEPTHS),
+                     f"{_average(seen):.2f}" if seen else "-"])
+    return make_table(["agent", *DEPTHS, "rooms trained in"], rows)
+
+
+def _format_cell(lines: Sequence[BaselineRun]) -> str:
+    """Mean efficiency in unseen rooms, bold where it is of many seeds."""
+    mean = f"{_average([line.efficiency for line in lines]):.2f}"
+    return "-" if not lines else f"**{mean}**" if len(lines) >= LEAST_RUNS else mean
+
+
+def draw_sizes(rungs: Mapping[str, Sequence[BaselineRun]]) -> Figure:
+    """Efficiency against training rooms, a panel a rung, from the runs of each.
+
+    Solid in unseen rooms, dotted in rooms trained in; dots are runs, those of different agents side by side.
+    """
+    with matplotlib.rc_context(FIGURE_STYLE):
+        figure = Figure(figsize=(2.8 + 3.6 * len(rungs), 3.6), facecolor=palette.BACKGROUND, layout="constrained")
+        panels = figure.subplots(1, len(rungs), squeeze=False)[0]
+        for axes, (rung, lines) in zip(panels, rungs.items(), strict=True):
+            _draw_panel(axes, lines)
+            axes.set_title(rung, fontsize=9, color=palette.INK)
+        panels[0].set_ylabel("efficiency", color=palette.INK)
+        handles, labels = panels[0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside right center", fontsize=8, frameon=False)
+    return figure
+
+
+def _draw_panel(axes: Axes, lines: Sequence[BaselineRun]) -> None:
+    """Curves of one rung."""
+    agents = [agent for agent in NAMES if any(line.agent == agent for line in lines)]
+    for number, agent in enumerate(agents):
+        own = [line for line in lines if line.agent == agent]
+        counts = sorted(set(map(_count_rooms, own)))
+        unseen = [_average([line.efficiency for line in own if _count_rooms(line) == count]) for count in counts]
+        seen = [_average([line.seen or 0.0 for line in own if _count_rooms(line) == count]) for count in counts]
+        axes.plot(counts, unseen, color=_COLOURS[agent], marker="o", markersize=4, linewidth=1.5, label=NAMES[agent])
+        axes.plot(counts, seen, color=_COLOURS[agent], linestyle=":", linewidth=1)
+        shift = 1.1 ** (number - (len(agents) - 1) / 2)
+        axes.scatter([shift * _count_rooms(line) for line in own], [line.efficiency for line in own],
+                     color=_COLOURS[agent], s=8, alpha=0.5, linewidths=0)
+    chance = [line.efficiency for line in lines if line.agent == CHANCE]
+    if chance:
+        axes.axhline(_average(chance), color=palette.MUTED, linestyle="--", linewidth=1, label="options, at random")
+    axes.set_xscale("log")
+    axes.set_ylim(-0.03, 1.03)
+    axes.set_xlabel("training rooms", color=palette.INK)
+    finish_axes(axes)
+    counts = sorted(set(map(_count_rooms, lines)))
+    axes.set_xticks(counts, [f"{count:,}" for count in counts])
+    axes.minorticks_off()
+
+
+def _count_rooms(line: BaselineRun) -> int:
+    found = re.search(r"train\[:(\d+)\]", line.rooms)
+    assert found is not None
+    return int(found[1])
+
+
+def _average(values: Sequence[float]) -> float:
+    return float(np.mean(values)) if values else float("nan")

@@ -1,0 +1,132 @@
+"""Sentences on generalisation, by rule from the lines of the runs: agents against each other, and sizes and depths.
+
+Runs are paired by their training seed. Only cells of `LEAST_RUNS` seeds or more are asked about, and the questions of
+one table share Holm's correction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.comparison.inference import compare_pairs, correct_by_holm
+from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.names import count_nouns, join_words
+from studies.baseline import BaselineRun
+from studies.generalisation.grids import DEPTHS, FLAT_CHANCE
+
+__all__ = ["tell_puzzle_depths", "tell_room_numbers"]
+
+_Seeds = Mapping[int, float]
+"""Efficiency in unseen rooms by training seed."""
+_RANDOM = {FLAT_CHANCE: "random primitives"}
+
+
+class _Question(NamedTuple):
+    """Two conditions, in words, and the efficiencies of the first less those of the second, (seeds,)."""
+
+    first: str
+    second: str
+    differences: NDArray[np.float64]
+
+
+def tell_room_numbers(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Sequence[str],
+                      chances: Mapping[str, str]) -> list[str]:
+    """Sentences on one rung: each agent against the one before it, against chance, and many rooms against few.
+
+    An agent that escapes in no test is told of alone: how far others stand above a floor depends on the budget.
+
+    Args:
+        cells: runs by agent and number of training rooms.
+        agents: in the order of what they are given.
+        chances: the agent that chooses at random among the same; how many rooms it trained in makes no difference to
+            it.
+    """
+    enough = {place: seeds for place, runs in cells.items() if len(seeds := _index(runs)) >= LEAST_RUNS}
+    chance = {agent: seeds for (agent, _), seeds in reversed(enough.items())}
+    known = [agent for agent in agents if any(agent == other for other, _ in enough)]
+    tests = {agent: {count: cells[agent, count] for other, count in enough if other == agent} for agent in known}
+    told = {agent: _tell_zero(agent, tests[agent]) for agent in known
+            if not any(run.efficiency for runs in tests[agent].values() for run in runs)}
+    known, asked = [agent for agent in known if agent not in told], []
+    for before, agent in zip((None, *known), known, strict=False):
+        own = sorted(count for other, count in enough if other == agent)
+        most = enough[agent, own[-1]]
+        both = [count for count in own if (before, count) in enough] if before is not None else []
+        if before is not None and both:
+            asked.append(_ask(f"`{agent}` with {_count(both[-1])}", f"`{before}`",
+                              enough[agent, both[-1]], enough[before, both[-1]]))
+        if (by_chance := chance.get(chances[agent])) is not None:
+            asked.append(_ask(f"`{agent}` with {_count(own[-1])}", _RANDOM.get(chances[agent], "random choices"),
+                              most, by_chance))
+        if len(own) > 1:
+            asked.append(_ask(f"`{agent}` with {_count(own[-1])}", f"with {_count(own[0])}", most,
+                              enough[agent, own[0]]))
+    return [*told.values(), *_answer(asked)]
+
+
+def _tell_zero(agent: str, tests: Mapping[int, Sequence[BaselineRun]]) -> str:
+    """Sentence on an agent that escapes from no unseen room, by numbers of training rooms."""
+    runs = [run for own in tests.values() for run in own]
+    seen = max((run.seen for run in runs if run.seen is not None), default=0.0)
+    also = "nor from one trained in" if not seen else f"though in rooms trained in a run reaches up to {seen:.2f}"
+    return (f"`{agent}` escapes from no unseen room after any of its {count_nouns(len(runs), 'run')}, trained in "
+            f"{join_words((f'{count:,}' for count in sorted(tests)), 'or')} rooms, {also}. At this floor no difference "
+            "from it is asked for.")
+
+
+def tell_puzzle_depths(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], agents: Sequence[str], chance: str
+                       ) -> list[str]:
+    """Sentences on deeper puzzles: of each agent, a chain against layers at the same number, and most against fewest.
+
+    And each against chance, in every kind of room.
+
+    Args:
+        cells: runs by agent and kind of room tested in, of `DEPTHS`.
+        agents: those to be asked about.
+        chance: the agent that chooses at random.
+    """
+    enough = {place: seeds for place, runs in cells.items() if len(seeds := _index(runs)) >= LEAST_RUNS}
+    layered, chain, *_, deepest = DEPTHS
+    asked = []
+    for agent in agents:
+        asked += [_ask(f"`{agent}` in rooms of {first}", f"in rooms of {second}", enough[agent, first],
+                       enough[agent, second])
+                  for first, second in ((chain, layered), (deepest, layered))
+                  if (agent, first) in enough and (agent, second) in enough]
+        asked += [_ask(f"`{agent}` in rooms of {kind}", "random choices", enough[agent, kind], enough[chance, kind])
+                  for kind in DEPTHS if (agent, kind) in enough and (chance, kind) in enough]
+    return _answer(asked)
+
+
+def _index(runs: Sequence[BaselineRun]) -> _Seeds:
+    return {run.seed: run.efficiency for run in runs}
+
+
+def _count(rooms: int) -> str:
+    return f"{rooms:,} training room{'s' if rooms != 1 else ''}"
+
+
+def _ask(first: str, second: str, ours: _Seeds, theirs: _Seeds) -> _Question:
+    both = sorted(ours.keys() & theirs.keys())
+    return _Question(first, second, np.array([ours[seed] - theirs[seed] for seed in both]))
+
+
+def _answer(asked: Sequence[_Question]) -> list[str]:
+    """One sentence a question with enough pairs."""
+    asked = [question for question in asked if len(question.differences) >= LEAST_RUNS]
+    tests = [compare_pairs([question.differences]) for question in asked]
+    told = []
+    for question, test, p in zip(asked, tests, correct_by_holm([test.p for test in tests]), strict=True):
+        low, high = test.low, test.high
+        if p < ALPHA:
+            words = f"reaches {abs(test.difference):.2f} {'more' if test.difference > 0 else 'less'}"
+            low, high = sorted((abs(low), abs(high)))  # both of the same sign, for the question is answered
+        else:
+            words = "is not shown to reach more or less"
+        told.append(f"{question.first} {words} than {question.second} (95 % interval {low:.2f} to {high:.2f}).")
+    return told

@@ -1,0 +1,95 @@
+"""Efficiency in unseen rooms against the number of training rooms, and in deeper puzzles than any trained on."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any, Literal
+
+from hrl_escape.comparison.grid import AgentSpec, Grid
+from hrl_escape.comparison.protocols import LadderSettings, make_protocol_grid
+from hrl_escape.env.config import Between, RoomConfig
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.graphs import GraphConfig
+from hrl_escape.files import read_toml
+from hrl_escape.ladder.benchmark import Benchmark
+from hrl_escape.ladder.hidden import derive_seed
+from hrl_escape.ladder.instance_set import InstanceSet
+from studies.ladder.calibration import CHANCE, KNOWN
+from studies.running import GridArgs
+
+__all__ = ["DEPTHS", "FLAT", "FLAT_CHANCE", "MEMORY", "OBJECTS", "NAMES", "TRAINED", "VECTORS",
+           "GeneralisationArgs", "make_depth_grid", "make_sizes_grid"]
+
+_DATA = read_toml(Path(__file__).with_name("study.toml"))
+DEPTHS: dict[str, dict[str, Any]] = _DATA["depths"]
+TRAINED: str = _DATA["trained"]
+NAMES: dict[str, str] = _DATA["names"]
+FLAT, VECTORS, OBJECTS, MEMORY = NAMES
+FLAT_CHANCE = "random"
+
+
+@dataclasses.dataclass(frozen=True)
+class GeneralisationArgs(GridArgs):
+    """Options of the study of generalisation."""
+
+    part: tuple[Literal["sizes", "depth"], ...] = ("sizes", "depth")
+    """Parts: numbers of training rooms, deeper puzzles."""
+    rung: str = "lattice"
+    """Rung of the numbers of training rooms."""
+    agents: tuple[str, ...] = ()
+    """Agents, as for `hrl-escape ladder run`; those of the part by default."""
+    sizes: tuple[int, ...] = tuple(_DATA["sizes"])
+    """Numbers of training rooms; of a rung with fewer, those that it has."""
+    runs: int = 5
+    """Training seeds."""
+    primitives: int = 1_000_000
+    """Training budget of a run."""
+    rooms: int = 64
+    """Rooms to be tested in."""
+    shallow_rooms: int = 256
+    """Rooms of few buttons to train in, in the part `depth`."""
+
+
+def make_sizes_grid(bench: Benchmark, args: GeneralisationArgs) -> Grid:
+    """Grid over numbers of training rooms of a rung.
+
+    Raises:
+        EscapeError: no such rung, or more rooms than it has.
+    """
+    agents = tuple(map(AgentSpec.parse, args.agents or (FLAT, VECTORS, OBJECTS, MEMORY, CHANCE, FLAT_CHANCE)))
+    sizes = tuple(size for size in args.sizes if size <= bench[args.rung].record.train.count)
+    settings = LadderSettings(args.runs, args.primitives, args.rooms, sizes, first_seed=args.first_seed)
+    grid = make_protocol_grid(bench, args.rung, "generalise", agents, settings)
+    return dataclasses.replace(grid, eval_every=args.primitives)  # only what is known at the end is shown
+
+
+def make_depth_grid(bench: Benchmark, args: GeneralisationArgs, folder: Path) -> Grid:
+    """Grid of training in rooms of few buttons and tests in deeper ones, whose sets are written to a folder.
+
+    Raises:
+        FileWriteError: the folder cannot be written.
+    """
+    base = bench["lattice"].config
+    train = _save(folder, TRAINED, _change(base, Between(2, 4), "layered"), args.shallow_rooms)
+    tests = tuple(_save(folder, name, _change(base, depth["count"], depth["graph"]), args.rooms)
+                  for name, depth in DEPTHS.items())
+    return Grid(
+        name="depth", description="Trained in rooms of 2 to 4 buttons, tested in deeper ones without learning.",
+        agents=tuple(map(AgentSpec.parse, args.agents or (OBJECTS, MEMORY, CHANCE, KNOWN))),
+        train_rooms=(train,) * len(tests), test_rooms=tests, runs=args.runs, first_seed=args.first_seed,
+        primitives=args.primitives, eval_every=args.primitives, eval_episodes=args.rooms, observation="objects",
+    )
+
+
+def _change(base: RoomConfig, count: int | Between, kind: str) -> RoomConfig:
+    assert isinstance(base.puzzle, ButtonsConfig)
+    graph = base.puzzle.graph if kind == "layered" else GraphConfig(kind="chain")
+    return dataclasses.replace(base, puzzle=dataclasses.replace(base.puzzle, count=count, graph=graph))
+
+
+def _save(folder: Path, name: str, config: RoomConfig, count: int) -> str:
+    path = folder / f"{name.replace(' ', '-').replace(',', '')}.json"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    InstanceSet(name, config, [derive_seed("generalisation", name, "rooms", i) for i in range(count)]).save(path)
+    return str(path)

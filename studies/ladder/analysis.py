@@ -1,0 +1,248 @@
+"""The ladder's baselines: tables by protocol, what is mastered and passed, scores, calibration, and the tower."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from rich.console import Console
+
+from hrl_escape.agents.registry import SMDP_PREFIX
+from hrl_escape.comparison.inference import compute_wilson_interval
+from hrl_escape.comparison.ladder_score import compute_ladder_score
+from hrl_escape.comparison.protocols import PASSED_EFFICIENCY, PASSED_ESCAPES, TOWER, get_budget
+from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.ladder.tower import TOWER_HORIZON
+from studies.baseline import BaselineRun, compute_run_efficiency
+from studies.ladder.baselines import (
+    GENERALISTS,
+    LEARNERS,
+    BaselineArgs,
+    collect_lines,
+    list_missing,
+    run_baselines,
+    ship_agents,
+)
+from studies.ladder.calibration import KNOWN, tell_calibration
+from studies.page import make_table
+from studies.store import Store
+from studies.study import Page, Study
+
+__all__ = ["Args", "analyse", "describe", "measure"]
+
+Args = BaselineArgs
+_Cells: TypeAlias = Mapping[tuple[str, str], Sequence[BaselineRun]]
+"""Runs of one protocol by rung and agent."""
+MOST_TO_PASS = 35
+"""Runs without a failure that passing takes at least."""
+
+
+def measure(study: Study, args: BaselineArgs, store: Store) -> None:
+    """Run what is missing, keep the lines, and say what failed and what is left."""
+    found = run_baselines(load_benchmark(study.data["benchmark"]), args)
+    store.add(collect_lines(found))
+    console = Console(highlight=False, soft_wrap=True)
+    if args.ship is not None:
+        for rung, agent in ship_agents(found, args.ship).items():
+            console.print(f"{rung}: {agent}", markup=False)
+    failures = [failure for comparison in found.values() for failure in comparison.failures]
+    for message, count in Counter(failure.message for failure in failures).items():
+        console.print(f"{count} runs failed: {message}", markup=False)
+    console.print(f"{list_missing(found) - len(failures)} runs are left for another time")
+
+
+def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
+    """Values of the page on the benchmark's rungs."""
+    bench = load_benchmark(study.data["benchmark"])
+    return describe(lines, [rung.name for rung in bench],
+                    [rung.name for rung in bench if rung.config.dynamics.is_random])
+
+
+def describe(lines: Sequence[BaselineRun], rungs: Sequence[str], noisy: Collection[str] = ()) -> Page:
+    """Values of the page.
+
+    Args:
+        lines: at least one.
+        rungs: names of the rungs, in order.
+        noisy: rungs in which moves err.
+    """
+    lines = sorted(lines, key=lambda line: line.place)
+    tower = [line for line in lines if line.protocol == TOWER]
+    lines = [line for line in lines if line.protocol != TOWER]
+    alone = _part([line for line in lines if line.protocol == "per-instance"])
+    return Page({
+        "PASSED_ESCAPES": PASSED_ESCAPES, "PASSED_EFFICIENCY": PASSED_EFFICIENCY, "MOST_TO_PASS": MOST_TO_PASS,
+        "TOWER_HORIZON": TOWER_HORIZON,
+        "lines": lines, "rungs": {line.rung for line in lines}, "mastery": _find_mastery(lines, rungs),
+        "has_three_parents": any("+three-parents" in line.agent for line in lines),
+        "protocols": {name: _describe_protocol(own, rungs) for name in ("per-instance", "generalise")
+                      if (own := [line for line in lines if line.protocol == name])},
+        "calibration": tell_calibration(_group(next(iter(alone.values()))), rungs, noisy) if alone else [],
+        "tower": _describe_tower(tower, max(map(get_budget, rungs))), "commands": _list_options(lines, rungs),
+    })
+
+
+def _describe_protocol(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> dict[str, Any]:
+    """Budgets of one protocol, and a part for each kind of choices."""
+    short = [f"`{rung}` ({get_budget(rung):,})" for rung in rungs
+             if 0 < max((line.primitives for line in lines if line.rung == rung), default=0) < get_budget(rung)]
+    parts = {}
+    for title, part in _part(lines).items():
+        cells = _group(part)
+        fewest = min(cells.values(), key=len)
+        parts[title] = {
+            "table": _tabulate(cells, rungs), "highest": _tabulate_highest(cells, rungs),
+            "few": len(fewest) if len(fewest) < MOST_TO_PASS and fewest[0].protocol == "per-instance" else None,
+            "scores": _score(cells, rungs),
+        }
+    return {"budgets": sorted({line.primitives for line in lines if line.primitives}),
+            "episodes": sorted({line.episodes for line in lines}), "short": short, "parts": parts}
+
+
+def _find_mastery(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> dict[str, Any]:
+    """The highest rung that a learner masters, and who does; else whether any learner has runs enough on one."""
+    cells = _group([line for line in lines if line.protocol == "per-instance"] or lines)
+    learners = {agent: _find_highest(cells, agent, rungs)
+                for agent in _sort_agents(agent for (_, agent), runs in cells.items() if runs[0].primitives)}
+    top = max((rung for rung in learners.values() if rung is not None), key=list(rungs).index, default=None)
+    return {"rung": top, "agents": [agent for agent, rung in learners.items() if rung == top],
+            "has_runs": any(len(cells.get((rung, agent), ())) >= LEAST_RUNS for agent in learners for rung in rungs)}
+
+
+def _part(lines: Sequence[BaselineRun]) -> dict[str, list[BaselineRun]]:
+    """Lines by what their agents choose among: tables are of agents that have the same choices."""
+    parts: dict[str, list[BaselineRun]] = {"Over options": [], "Over primitives": []}
+    for line in lines:
+        has_options = line.agent.startswith(SMDP_PREFIX) or line.agent == KNOWN
+        parts["Over options" if has_options else "Over primitives"].append(line)
+    return {title: part for title, part in parts.items() if part}
+
+
+def _group(lines: Sequence[BaselineRun]) -> _Cells:
+    """Runs by rung and agent, of several budgets those of the largest; agents in the order of the baselines."""
+    cells: dict[tuple[str, str], list[BaselineRun]] = {}
+    agents = _sort_agents(line.agent for line in lines)
+    for line in sorted(lines, key=lambda line: agents.index(line.agent)):
+        cells.setdefault((line.rung, line.agent), []).append(line)
+    most = {place: max(run.primitives for run in runs) for place, runs in cells.items()}
+    return {place: [run for run in runs if run.primitives == most[place]] for place, runs in cells.items()}
+
+
+def _sort_agents(agents: Iterable[str]) -> list[str]:
+    """Each agent once, in the order of the baselines, others after them."""
+    known = list(dict.fromkeys((*LEARNERS, *GENERALISTS)))
+    return sorted(set(agents), key=lambda agent: (known.index(agent) if agent in known else len(known), agent))
+
+
+def _list_options(lines: Sequence[BaselineRun], rungs: Sequence[str]) -> list[str]:
+    """Options of commands that make at least these runs, for each protocol, kind of choices and budget."""
+    commands, parts = [], _part(lines)
+    kinds = {(line.protocol, title, line.primitives) for title, part in parts.items() for line in part}
+    for protocol, title, budget in sorted(kinds):
+        own = [line for line in parts[title] if (line.protocol, line.primitives) == (protocol, budget)]
+        there = [rung for rung in rungs if any(line.rung == rung for line in own)]
+        rooms = max(len({line.rooms for line in own if line.rung == rung}) for rung in there)
+        episodes = max(line.episodes for line in own)
+        words = ["--protocol", protocol, "--rung", *there, "--agents",
+                 *_sort_agents(line.agent for line in own), "--runs", str(1 + max(line.seed for line in own))]
+        words += ["--rooms", str(rooms), "--eval-episodes", str(episodes)] if protocol == "per-instance" else [
+            "--rooms", str(episodes)]
+        commands.append(" ".join([*words, *(["--primitives", str(budget)] if budget else [])]))
+    return commands
+
+
+def _tabulate(cells: _Cells, rungs: Sequence[str]) -> str:
+    agents = _sort_agents(agent for _, agent in cells)
+    rows = [(rung, [cells.get((rung, agent), ()) for agent in agents]) for rung in rungs]
+    return make_table(["rung", *(f"`{agent}`" for agent in agents)],
+                      [[f"`{rung}`", *map(_format_cell, row)] for rung, row in rows if any(row)])
+
+
+def _format_cell(runs: Sequence[BaselineRun]) -> str:
+    if not runs:
+        return "-"
+    text = f"{compute_run_efficiency(runs):.2f}"
+    return f"{f'**{text}**' if _is_mastered(runs) else text} ({len(runs)})"
+
+
+def _is_shown(runs: Sequence[BaselineRun]) -> bool:
+    """Return whether so many runs pass that it is said."""
+    return len(runs) >= LEAST_RUNS and _is_mastered(runs)
+
+
+def _is_mastered(runs: Sequence[BaselineRun]) -> bool:
+    """Return whether the numbers themselves pass, however few they are."""
+    return (float(np.mean([run.escapes for run in runs])) >= PASSED_ESCAPES
+            and compute_run_efficiency(runs) >= PASSED_EFFICIENCY)
+
+
+def _is_passed(runs: Sequence[BaselineRun]) -> bool:
+    """Return whether so many runs are enough to be sure; episodes in one room are one try."""
+    tries = len(runs) if runs[0].protocol == "per-instance" else sum(run.episodes for run in runs)
+    low, _ = compute_wilson_interval(float(np.mean([run.escapes for run in runs])), tries)
+    return _is_mastered(runs) and float(low) >= PASSED_ESCAPES
+
+
+def _find_highest(cells: _Cells, agent: str, rungs: Sequence[str]) -> str | None:
+    found = [rung for rung in rungs if _is_shown(cells.get((rung, agent), ()))]
+    return found[-1] if found else None
+
+
+def _tabulate_highest(cells: _Cells, rungs: Sequence[str]) -> str:
+    rows = []
+    for agent in _sort_agents(agent for _, agent in cells):
+        sure = [rung for rung in rungs if (runs := cells.get((rung, agent))) and _is_passed(runs)]
+        rows.append([f"`{agent}`", _find_highest(cells, agent, rungs) or "none", sure[-1] if sure else "none"])
+    return make_table(["agent", f"highest rung mastered, with {LEAST_RUNS} runs or more",
+                       "passed, by Wilson's interval"], rows)
+
+
+def _score(cells: _Cells, rungs: Sequence[str]) -> dict[str, Any] | None:
+    """Ladder scores over the rungs and agents that fill the largest table without gaps; None where there is none."""
+    enough = {rung: {agent for (place, agent), runs in cells.items() if place == rung and len(runs) >= LEAST_RUNS}
+              for rung in rungs}
+    chosen = max(enough.values(), key=lambda chosen: len(chosen) * sum(chosen <= there for there in enough.values()))
+    common = [rung for rung, there in enough.items() if chosen <= there]
+    if not chosen:
+        return None
+    scores = {agent: compute_ladder_score([_split(cells[rung, agent]) for rung in common], np.random.default_rng(0))
+              for agent in _sort_agents(chosen)}
+    return {"rungs": common, "table": make_table(["agent", "score", "95 %"], [
+        [f"`{agent}`", f"{score.value:.2f}", f"{score.low:.2f} to {score.high:.2f}"]
+        for agent, score in scores.items()])}
+
+
+def _split(runs: Sequence[BaselineRun]) -> list[NDArray[np.float64]]:
+    """Efficiencies (runs,) of each room that was learned in, or of each run alone that was tested in others."""
+    units: dict[object, list[float]] = {}
+    for run in runs:
+        units.setdefault(run.rooms if run.protocol == "per-instance" else run.seed, []).append(run.efficiency)
+    return [np.array(unit) for unit in units.values()]
+
+
+def _describe_tower(lines: Sequence[BaselineRun], budget: int) -> dict[str, Any] | None:
+    """Values of the section on the tower; None without a run.
+
+    Args:
+        lines: runs in the tower.
+        budget: primitives that the protocol itself trains for.
+    """
+    if not lines:
+        return None
+    rows, agents = [], list(dict.fromkeys(line.agent for line in sorted(lines, key=lambda line: -line.efficiency)))
+    for agent in agents:
+        most = max(line.primitives for line in lines if line.agent == agent)
+        runs = [line for line in lines if (line.agent, line.primitives) == (agent, most)]
+        rows.append([f"`{agent}`", len(runs), f"{most:,}", f"{compute_run_efficiency(runs):.2f}",
+                     f"{float(np.mean([run.escapes for run in runs])):.0%}"])
+    return {
+        "floors": max(line.rooms.partition(" > ")[2] for line in lines), "agents": agents, "budget": budget,
+        "episodes": max(line.episodes for line in lines), "trained": max(line.primitives for line in lines),
+        "fewest": min(Counter((line.agent, line.primitives) for line in lines).values()),
+        "runs": 1 + max(line.seed for line in lines),
+        "table": make_table(["agent", "runs", "trained for", "efficiency", "floors climbed"], rows),
+    }

@@ -1,0 +1,176 @@
+"""Runs of the baselines, agent by agent and rung by rung, so that however short the time, whole cells are finished."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import shutil
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Literal, NamedTuple
+
+from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
+from hrl_escape.comparison.comparison import Comparison, read_comparison, run_grid
+from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun
+from hrl_escape.comparison.launching.local import Failure, LocalLauncher
+from hrl_escape.comparison.protocols import (
+    TOWER,
+    LadderSettings,
+    Protocol,
+    choose_floors,
+    make_protocol_grid,
+    make_tower_grid,
+)
+from hrl_escape.comparison.runs import RunResult, get_training_folder
+from hrl_escape.files import claim_folder, read_toml
+from hrl_escape.ladder.benchmark import Benchmark
+from hrl_escape.ladder.trained import CHECKPOINT
+from studies.baseline import BaselineRun, collect_baselines
+from studies.running import GridArgs
+
+__all__ = ["CLIMBERS", "GENERALISTS", "LEARNERS", "BaselineArgs", "collect_lines", "list_missing",
+           "make_baseline_grids", "run_baselines", "ship_agents"]
+
+_DATA = read_toml(Path(__file__).with_name("study.toml"))
+LEARNERS = (*_DATA["references"], *_DATA["agents"]["per-instance"])
+"""Agents that learn a room from nothing, and references."""
+GENERALISTS = (*_DATA["references"], *_DATA["agents"]["generalise"])
+"""Agents that learn in some rooms and act in others, and references."""
+CLIMBERS = (*_DATA["tower"]["references"], *_DATA["agents"]["generalise"])
+"""Agents in a tower, and references."""
+NO_TRAINING = 100
+"""Training budget of agents that learn nothing: only their evaluations count."""
+
+
+class BaselinePlace(NamedTuple):
+    """Protocol, rung, and `references` or `learners`."""
+
+    protocol: Protocol
+    rung: str
+    kind: str
+
+
+@dataclasses.dataclass(frozen=True)
+class BaselineArgs(GridArgs):
+    """Choice of baselines, and the number of runs of each."""
+
+    rung: tuple[str, ...] = ()
+    """Names of rungs; all by default."""
+    protocol: tuple[Literal["per-instance", "generalise", "tower"], ...] = ("per-instance", "generalise")
+    """Protocols; in a tower the rungs are floors."""
+    agents: tuple[str, ...] = ()
+    """Agents, as for `hrl-escape ladder run`; those of the protocol by default."""
+    rooms: int = 10
+    """Test rooms of each rung."""
+    runs: int = 10
+    """Training seeds in each room."""
+    primitives: int | None = None
+    """Training budget of a run; the rung's own by default."""
+    eval_episodes: int = 20
+    """Episodes in an evaluation with per-instance."""
+    minutes: float = 240.0
+    """Begin no run after so long."""
+    ship: Path | None = None
+    """Folder to copy the best agent of each rung to."""
+
+
+def make_baseline_grids(bench: Benchmark, args: BaselineArgs) -> Iterator[tuple[BaselinePlace, Grid]]:
+    """Yield places and grids; a grid of more agents and seeds holds the runs of the smaller ones before it.
+
+    An agent goes through all rooms of all rungs before the next one, so that what is finished is whole cells. Those
+    that learn nothing have grids of their own, in which training is cut short.
+
+    Raises:
+        EscapeError: no such rung or agent.
+    """
+    chosen = [bench[name].name for name in args.rung] or [rung.name for rung in bench]
+    defaults = {"per-instance": LEARNERS, "generalise": GENERALISTS, TOWER: CLIMBERS}
+    for runs, protocol in itertools.product(range(1, args.runs + 1), args.protocol):
+        alone, rungs = protocol == "per-instance", [TOWER] if protocol == TOWER else chosen
+        every = tuple(map(AgentSpec.parse, args.agents or defaults[protocol]))
+        for kind, primitives in (("references", NO_TRAINING), ("learners", args.primitives)):
+            agents = [agent for agent in every if agent.learns == (kind == "learners")]
+            settings = LadderSettings(runs, primitives, args.rooms, first_seed=args.first_seed,
+                                      eval_episodes=args.eval_episodes if alone else args.rooms)
+            for count, rung in itertools.product(range(1, len(agents) + 1), rungs):
+                grid = (make_tower_grid(bench, args.rung or choose_floors(bench), agents[:count], settings)
+                        if protocol == TOWER else make_protocol_grid(bench, rung, protocol, agents[:count], settings))
+                yield BaselinePlace(protocol, rung, kind), grid
+
+
+def run_baselines(bench: Benchmark, args: BaselineArgs) -> dict[BaselinePlace, Comparison]:
+    """Make runs until all are made or the time is up; finished ones are kept, in the folder `ladder` of `args.out`.
+
+    Returns:
+        Whole comparison of each place, with the runs that have finished and those that failed now.
+
+    Raises:
+        EscapeError: see `run_grid`.
+    """
+    until, out, whole = time.monotonic() + 60 * args.minutes, args.out / "ladder", {}
+    failures: dict[BaselinePlace, dict[str, Failure]] = defaultdict(dict)
+    for place, grid in make_baseline_grids(bench, args):
+        whole[place] = grid  # the last one holds the runs of all others
+        if time.monotonic() < until:
+            made = run_grid(grid, out.joinpath(*place), LocalLauncher(args.workers, begin_until=until))
+            failures[place].update((failure.run.folder, failure) for failure in made.failures)
+    return {place: dataclasses.replace(read_comparison(out.joinpath(*place), grid),
+                                       failures=tuple(failures[place].values())) for place, grid in whole.items()}
+
+
+def collect_lines(found: dict[BaselinePlace, Comparison]) -> list[BaselineRun]:
+    """Lines of all finished runs."""
+    return [line for place, comparison in found.items()
+            for line in collect_baselines(comparison, place.protocol, place.rung)]
+
+
+def ship_agents(found: dict[BaselinePlace, Comparison], folder: Path) -> dict[str, str]:
+    """Copy the best agent that learned in the first test room of each rung, as of its best evaluation.
+
+    Of several that are equally efficient the smallest is taken.
+
+    Args:
+        found: comparisons by their places.
+        folder: takes a folder a rung, with the run's description and its checkpoint.
+
+    Returns:
+        Label of the agent of each rung.
+    """
+    shipped = {}
+    for (protocol, rung, kind), comparison in found.items():
+        if protocol != "per-instance" or kind != "learners" or not comparison.runs:
+            continue
+        first = comparison.grid.rooms[0].label
+        own = [each for each in comparison.runs if each[0].room == first]
+        if not own:
+            continue
+        run, _ = max(own, key=lambda each: _rate(comparison, *each))
+        source = get_training_folder(comparison.out, run)
+        claim_folder(folder / rung)
+        shutil.copyfile(source / "run.json", folder / rung / "run.json")
+        save_checkpoint(folder / rung / CHECKPOINT, drop_experience(load_checkpoint(source / "best.npz")))
+        shipped[rung] = run.agent.label
+    return shipped
+
+
+def drop_experience(state: StateTree) -> StateTree:
+    """State of a run without its agent's replay, which acting does not need and which makes up most of its bytes."""
+    agent = dict(state["agent"])
+    if "replay" in agent:
+        agent["replay"] = {name: 0 if name == "added" else rows[:0] for name, rows in agent["replay"].items()}
+    return {**state, "agent": agent}
+
+
+def _rate(comparison: Comparison, run: GridRun, result: RunResult) -> tuple[float, int]:
+    """Best efficiency of an evaluation, and how small the checkpoint is."""
+    size = (get_training_folder(comparison.out, run) / "best.npz").stat().st_size
+    return float(result.get_curve("efficiency").max()), -size
+
+
+def list_missing(found: dict[BaselinePlace, Comparison]) -> int:
+    """Number of runs for which there was no time."""
+    return sum(len(comparison.grid.make_runs(comparison.places)) - len(comparison.runs)
+               for comparison in found.values())

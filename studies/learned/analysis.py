@@ -1,0 +1,32 @@
+"""Learned hierarchies: contrasts of twins, and learned options beside planned ones that fail."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hrl_escape.settings import read_record
+from studies import twins
+from studies.baseline import BaselineRun
+from studies.learned.dial import DialLine, DialSettings, describe_dial, measure_dial
+from studies.running import GridArgs, measure_grids
+from studies.store import Store
+from studies.study import Page, Study
+
+__all__ = ["LINES", "analyse", "measure"]
+
+LINES = (BaselineRun, DialLine)
+
+
+def measure(study: Study, args: GridArgs, store: Store) -> None:
+    """Run the grid, then place what its agents learn on the dial."""
+    measure_grids(study, args, store)
+    (grid,) = study.grids
+    seeds = range(args.first_seed, args.first_seed + (args.runs or grid.runs))
+    measure_dial(read_record(DialSettings, study.data["dial"]), grid, store, seeds, args.primitives or grid.primitives)
+
+
+def analyse(study: Study, lines: Sequence[BaselineRun | DialLine]) -> Page:
+    """Both halves of the page."""
+    page = twins.analyse(study, [line for line in lines if isinstance(line, BaselineRun)])
+    placed = describe_dial([line for line in lines if isinstance(line, DialLine)])
+    return page._replace(values={**page.values, "placed": placed})

@@ -1,0 +1,177 @@
+"""The claims of Menashe and Stone (2019), section 6, each with the measurement that tests it; `study.toml` lists them.
+
+A claim is tested agent by agent on runs with the paper's recipe; beside it stand the same measurement with the
+corrected recipe, and what the published program gave when it was rerun. Each criterion can come out either way, and all
+claims and agents are one family of tests (Benjamini and Hochberg).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+from hrl_escape.comparison.inference import Estimate, correct_by_benjamini_hochberg
+from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.comparison.statistics import compute_final
+from studies.paper.measures import (
+    Measurement,
+    Results,
+    Side,
+    get_runs,
+    has_escaped_by,
+    has_settled,
+    measure_gain,
+    measure_share_of_runs,
+    measure_slope,
+    share_of_training,
+)
+from studies.raw import RawRun
+
+__all__ = ["MEASURES", "Claim", "Criterion", "Finding", "judge_claims"]
+
+TWO, META = "paper-figure-2", "paper-figure-3"
+CHANCE = "smdp-random"
+EARLY = 2_000
+"""Primitives; a tenth of a run."""
+
+
+def _count(ask: Callable[[RawRun], bool]) -> Callable[[Results, str, str], Measurement]:
+    return lambda results, figure, agent: measure_share_of_runs([ask(run) for run in get_runs(results, figure, agent)])
+
+
+MEASURES: Mapping[str, Callable[[Results, str, str], Measurement]] = {
+    "escapes": _count(lambda run: run.first_escape is not None),
+    "escapes-early": _count(lambda run: has_escaped_by(run, EARLY)),
+    "settles": _count(has_settled),
+    "often-optimal": _count(lambda run: share_of_training(run, run.training_optimal) >= 0.25),
+    "slope": lambda results, figure, agent: measure_slope(get_runs(results, figure, agent), True, 0.0),
+    "gain-by-options": lambda results, figure, agent: measure_gain(
+        get_runs(results, figure, agent), get_runs(results, TWO, agent.removeprefix("smdp-"))),
+    "gain-over-chance": lambda results, figure, agent: measure_gain(
+        get_runs(results, figure, agent), get_runs(results, figure, CHANCE)),
+    "final-over-chance": lambda results, figure, agent: measure_gain(
+        get_runs(results, figure, agent), get_runs(results, figure, CHANCE),
+        lambda run: compute_final(run.at, run.scores, run.budget)),
+}
+"""Name -> measurement from (results, grid, agent's label)."""
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """Condition under which a measurement confirms or refutes a claim.
+
+    Attributes:
+        side: where the claim holds.
+        level: level beyond which, on that side, the claim holds.
+        refuted: level beyond which, on the other side, it does not; as `level` by default.
+    """
+
+    side: Side
+    level: float
+    refuted: float | None = None
+
+    @property
+    def words(self) -> str:
+        """`above 50`, or both levels where they differ."""
+        if self.refuted is None:
+            return f"{self.side} {100 * self.level:.0f}"
+        return f"{self.side} {100 * self.level:.0f} confirms, {self.other_side} {100 * self.refuted:.0f} refutes"
+
+    @property
+    def other_side(self) -> Side:
+        """Side on which the claim does not hold."""
+        return "below" if self.side == "above" else "above"
+
+    def test(self, found: Measurement) -> tuple[bool, float]:
+        """Direction in which the runs point, True for the claim, and its p-value.
+
+        Where one level parts both directions, a truth right there could be missed on either side, so the p-value is
+        two-sided. Between two levels neither direction is wrong, and it is one-sided.
+        """
+        confirmed = found.compute_p(self.level, self.side)
+        refuted = found.compute_p(self.level if self.refuted is None else self.refuted, self.other_side)
+        return confirmed < refuted, min(1.0, (2 if self.refuted is None else 1) * min(confirmed, refuted))
+
+
+@dataclass(frozen=True)
+class Claim:
+    """Claim of the paper.
+
+    Attributes:
+        says: the paper's words, shortened.
+        measured: the measurement, in words.
+        figure: grid of the measurement.
+        agents: algorithms that the claim is about.
+        measure: name in `MEASURES`.
+        holds: condition under which an estimate confirms the claim.
+        unit: `%`, or `points` for differences and slopes of a score in per cent.
+        rerun: results of the published program when rerun.
+    """
+
+    says: str
+    measured: str
+    figure: str
+    agents: tuple[str, ...]
+    measure: str
+    holds: Criterion
+    unit: str
+    rerun: str
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Outcome of a claim.
+
+    Attributes:
+        claim: the claim.
+        paper: algorithm -> estimate with the paper's recipe.
+        corrected: algorithm -> estimate with the corrected recipe; empty where it was not run.
+        verdicts: algorithm -> True if the paper's recipe confirms the claim, False if it refutes it, None if open.
+        p: algorithm -> p-value of the verdict, corrected over all claims and algorithms.
+    """
+
+    claim: Claim
+    paper: dict[str, Estimate]
+    corrected: dict[str, Estimate]
+    verdicts: dict[str, bool | None]
+    p: dict[str, float]
+
+    @property
+    def agrees(self) -> str:
+        """`yes`, `no` or `open`; where algorithms differ, each answer with its algorithms."""
+        kinds = {True: "yes", False: "no", None: "open"}
+        if len(set(self.verdicts.values())) == 1:
+            return kinds[next(iter(self.verdicts.values()))]
+        parts = [(word, [name for name, verdict in self.verdicts.items() if verdict is kind])
+                 for kind, word in kinds.items()]
+        return "; ".join(f"{word}: {', '.join(names)}" for word, names in parts if names)
+
+
+def name_agent(algorithm: str, recipe: str, figure: str) -> str:
+    """An agent's label in a figure's grid."""
+    prefix = "smdp-" if figure.startswith(META) else ""
+    return f"{prefix}{algorithm}" + ("@paper" if recipe == "paper" else "")
+
+
+def judge_claims(claims: Sequence[Claim], results: Results) -> list[Finding]:
+    """Measure claims with both recipes and judge them as one family."""
+    measured = [(_measure(claim, results, "paper"), _measure(claim, results, "corrected")) for claim in claims]
+    tests = [(number, name, *claim.holds.test(found)) for number, (claim, (paper, _))
+             in enumerate(zip(claims, measured, strict=True)) for name, found in paper.items()]
+    adjusted = correct_by_benjamini_hochberg([p for *_, p in tests])
+    findings = [Finding(claim, _estimate(paper), _estimate(corrected), {}, {})
+                for claim, (paper, corrected) in zip(claims, measured, strict=True)]
+    for (number, name, holds, _), p in zip(tests, adjusted, strict=True):
+        findings[number].verdicts[name] = holds if p < ALPHA else None
+        findings[number].p[name] = p
+    return findings
+
+
+def _measure(claim: Claim, results: Results, recipe: str) -> dict[str, Measurement]:
+    labels = {run.agent for run in results[claim.figure]}
+    names = {algorithm: name_agent(algorithm, recipe, claim.figure) for algorithm in claim.agents}
+    return {key: MEASURES[claim.measure](results, claim.figure, name) for key, name in names.items() if name in labels}
+
+
+def _estimate(found: dict[str, Measurement]) -> dict[str, Estimate]:
+    return {name: measurement.estimate() for name, measurement in found.items()}

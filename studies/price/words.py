@@ -1,0 +1,159 @@
+"""Sentences of the price of flatness, by rule from the ratios: nothing is concluded that they do not show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from hrl_escape.comparison.inference import compute_wilson_interval
+from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.names import count_nouns, join_words
+from studies.price.ratios import (
+    CostRatio,
+    Growth,
+    Median,
+    RunCost,
+    compare_costs,
+    correct_prices,
+    measure_growth,
+)
+from studies.price.runs import PriceRun
+
+__all__ = ["compare_with_chance", "conclude_prices", "conclude_variants", "tell_factor", "tell_longest",
+           "tell_number"]
+
+
+def tell_number(value: float) -> str:
+    """Two digits, and all before the decimal point: 0.52, 3.4, 26, 1,340."""
+    if not np.isfinite(value):
+        return "-"
+    rounded = float(f"{value:.2g}") if value < 1_000 else float(f"{value:.3g}")
+    return f"{rounded:,.0f}" if rounded >= 10 else f"{rounded:.2g}"
+
+
+def tell_factor(median: Median) -> str:
+    """`26 (19 to 36)`, or `> 19 (median at least 26)` of a bound, or `-`."""
+    if median.knowledge == "unknown":
+        return "-"
+    if median.knowledge == "bound":
+        return f"> {tell_number(median.low)} (median at least {tell_number(median.factor)})"
+    return f"{tell_number(median.factor)} ({tell_number(median.low)} to {tell_number(median.high)})"
+
+
+def conclude_prices(runs: Sequence[PriceRun], claims: Sequence[tuple[str, str, RunCost]]) -> list[str]:
+    """The price in a few sentences a claim: size by size, then how it grows.
+
+    All that they conclude is one family (Holm).
+
+    Args:
+        runs: of all learners, and of others.
+        claims: label of a learner over primitives, label of one over options, and a cost, in their order.
+    """
+    ratios = [_compare(runs, flat, options, [cost])[0] for flat, options, cost in claims]
+    ratios, growths = correct_prices(ratios, [measure_growth(own) for own in ratios])
+    told = [_conclude(own, *claim) for own, claim in zip(ratios, claims, strict=True)]
+    return [f"{words} {_tell_growth(growth)}" if words.startswith("Until") else words
+            for words, growth in zip(told, growths, strict=True)]
+
+
+def conclude_variants(runs: Sequence[PriceRun], one: str, other: str, costs: Sequence[RunCost]) -> list[str]:
+    """One learner's price beside another's, a sentence a cost, size by size; all that they conclude is one family.
+
+    Args:
+        runs: of both learners, and of others.
+        one: label of the learner that pays.
+        other: label of the one beside it.
+        costs: in their order.
+    """
+    ratios, _ = correct_prices(_compare(runs, one, other, costs))
+    return [_conclude(own, one, other, cost) for own, cost in zip(ratios, costs, strict=True)]
+
+
+def _compare(runs: Sequence[PriceRun], one: str, other: str, costs: Sequence[RunCost]) -> list[list[CostRatio]]:
+    paid, others = ([run for run in runs if run.agent == label] for label in (one, other))
+    return [compare_costs(paid, others, cost) for cost in costs]
+
+
+def _conclude(ratios: Sequence[CostRatio], one: str, other: str, cost: RunCost) -> str:
+    groups: dict[str, list[CostRatio]] = {name: [] for name in ("dearer", "beyond", "cheaper", "below", "equal",
+                                                                "unknown")}
+    for ratio in ratios:
+        groups[_classify(ratio.median)].append(ratio)
+    parts, unit = [], f"{cost.unit} of `{other}`"
+    if dearer := groups["dearer"]:
+        parts.append(f"pays {_list_times(dearer, unit, tell_factor)}")
+    if beyond := groups["beyond"]:
+        parts.append(f"pays more than {_list_times(beyond, unit, lambda median: tell_number(median.low))}, for too few "
+                     "of its runs get there to say how much")
+    if cheaper := groups["cheaper"]:
+        parts.append(f"pays only {_list_times(cheaper, unit, tell_factor)}")
+    if below := groups["below"]:
+        parts.append(f"pays less than {_list_times(below, unit, lambda median: tell_number(median.high))}, for too few "
+                     f"runs of `{other}` get there to say how much")
+    if equal := groups["equal"]:
+        parts.append(f"is not shown to pay more or fewer {cost.unit} than `{other}` with {_name_sizes(equal)}")
+    if not parts:
+        return (f"How much `{one}` pays until {cost.event} is not known: no size of room has runs enough of it and of "
+                f"`{other}` that tell it.")
+    if unknown := groups["unknown"]:
+        parts.append(f"pays a price that is not known with {_name_sizes(unknown)}")
+    return f"Until {cost.event}, `{one}` {'; it '.join(parts)}."
+
+
+def _classify(median: Median) -> str:
+    is_measured = median.knowledge == "measured"
+    if median.p >= ALPHA:
+        return "equal" if is_measured else "unknown"
+    if median.low > 1:
+        return "dearer" if is_measured else "beyond"
+    if median.high < 1:
+        return "cheaper" if is_measured else "below"
+    return "unknown"
+
+
+def _list_times(ratios: Sequence[CostRatio], unit: str, tell: Callable[[Median], str]) -> str:
+    words = [f"{tell(ratio.median)} times with {_name_sizes([ratio])}" for ratio in ratios]
+    return join_words([words[0].replace(" times ", f" times the {unit} ", 1), *words[1:]])
+
+
+def _name_sizes(ratios: Sequence[CostRatio]) -> str:
+    words = join_words([str(ratio.buttons) for ratio in ratios], "or")
+    return f"{words} button{'' if words == '1' else 's'}"
+
+
+def _tell_growth(growth: Growth) -> str:
+    if growth.median.knowledge == "unknown":
+        return "How the factor grows with a button is not known."
+    span, factor = f"from {growth.smallest} to {growth.largest}", tell_factor(growth.median)
+    if growth.median.p < ALPHA and growth.median.low > 1:
+        more = factor if growth.median.knowledge == "measured" else f"more than {tell_number(growth.median.low)}"
+        return f"Each button {span} multiplies the factor by {more}."
+    if growth.median.p < ALPHA and growth.median.high < 1:
+        return f"Each button {span} multiplies the factor by {factor}, so that it falls."
+    return f"That the factor grows with a button is not shown ({span}: times {factor} each)."
+
+
+def compare_with_chance(learner: Sequence[PriceRun], chance: Sequence[PriceRun], label: str, horizon: int) -> str:
+    """A clause: runs that escape by a number of primitives, of a learner in rooms of one size and of chance."""
+    (own, own_runs), (other, other_runs) = (
+        (sum(run.first_escape is not None and run.first_escape <= horizon for run in runs), len(runs))
+        for runs in (learner, chance))
+    ends = [compute_wilson_interval(hits / runs, runs) for hits, runs in ((own, own_runs), (other, other_runs))]
+    verdict = ("fewer than by chance" if ends[0][1] < ends[1][0] else "more than by chance" if ends[0][0] > ends[1][1]
+               else "not told apart from chance")
+    return f"`{label}` escapes in {own} of {own_runs} runs, `random` in {other} of {other_runs}, {verdict}"
+
+
+def tell_longest(runs: Sequence[PriceRun]) -> str:
+    """A sentence that counts, and concludes nothing: the runs of the largest budget that became efficient."""
+    budget = max(run.budget for run in runs)
+    longest = [run for run in runs if run.budget == budget]
+    parts = []
+    for label, buttons in dict.fromkeys((run.agent, run.buttons) for run in longest):
+        own = [run for run in longest if (run.agent, run.buttons) == (label, buttons)]
+        waits = sorted(run.efficient_at for run in own if run.efficient_at is not None)
+        told = f"{waits[0]:,} to {waits[-1]:,}" if len(waits) > 2 else join_words([f"{wait:,}" for wait in waits])
+        after = f", after {told}" if waits else ""
+        parts.append(f"`{label}` in {len(waits)} of {len(own)} with {count_nouns(buttons, 'button')}{after}")
+    return f"Runs of the largest budget, {budget:,} primitives, that became efficient: {'; '.join(parts)}."

@@ -1,0 +1,97 @@
+"""Sentences on how far the agents of the scaling study come, chosen and filled by rule from its runs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import stats  # pyright: ignore[reportMissingTypeStubs]
+
+from hrl_escape.comparison.inference import correct_by_holm
+from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.comparison.statistics import LEAST_RUNS, NEAR_BEST
+from hrl_escape.names import join_words
+from studies.scaling.followed_runs import count_spared
+from studies.scaling.results import ScalingRun
+from studies.scaling.rounds import (
+    AGENTS,
+    BAR,
+    BAR_AGENT,
+    RULES,
+    SIZES,
+)
+
+__all__ = ["tell_replication", "tell_sizes"]
+
+
+def tell_sizes(results: Sequence[ScalingRun]) -> list[str]:
+    """For each rule the most buttons with which all planned runs of an agent escape, agents of one size together."""
+    sentences = []
+    for rule in RULES:
+        reach: dict[int, list[str]] = {}
+        for agent in AGENTS:
+            own = [run for run in results if (run.agent, run.rule) == (agent, rule)]
+            if own:
+                size, is_tried = _find_reach(own)
+                name = f"`{agent.removeprefix('smdp-')}`"
+                reach.setdefault(size, []).append(name if is_tried else f"{name} (not tried with more)")
+        parts = [f"{f'up to {size}' if size else 'with no number of'} buttons for {join_words(names)}"
+                 for size, names in sorted(reach.items(), reverse=True)]
+        if parts:
+            sentences.append(f"With the {rule} rule all planned runs escape {'; '.join(parts)}.")
+    return sentences
+
+
+def _find_reach(own: Sequence[ScalingRun]) -> tuple[int, bool]:
+    """The most buttons with which all runs escape, and whether it was tried with more, where there are more."""
+    most, is_tried = 0, True
+    for size in SIZES:
+        here = [run for run in own if run.buttons == size]
+        is_spared = count_spared(own, own[0].rule, own[0].agent, size) > 0
+        is_tried = bool(here) or is_spared
+        if not here or is_spared or any(run.first_escape is None for run in here):
+            break
+        most = size
+    return most, is_tried
+
+
+def tell_replication(fresh: Sequence[ScalingRun], published: Sequence[ScalingRun]) -> list[str]:
+    """A sentence for each room of the bar: fresh seeds and rooms beside the published runs.
+
+    Shares of runs near the best are compared by Fisher's exact test, the rooms of the bar as one family (Holm).
+    """
+    both = {task: [[run for run in runs if (run.task, run.agent) == (task, BAR_AGENT)] for runs in (fresh, published)]
+            for task in BAR}
+    both = {task: pair for task, pair in both.items() if all(pair)}
+    counts = {task: [_count_near(runs) for runs in pair] for task, pair in both.items()}
+    tests = [stats.fisher_exact([(hits, count - hits) for hits, count in rows]) for rows in counts.values()]
+    p = correct_by_holm([float(np.asarray(test)[1]) for test in tests])
+    sentences = []
+    for (task, (own, known)), (now, before), corrected in zip(both.items(), counts.values(), p, strict=True):
+        seeds = sorted(run.run for run in own)
+        exact = sum(bool(run.structure) and run.structure[-1][1:] == (1.0, 1.0) for run in own)
+        sentences.append(
+            f"{task.buttons} buttons, {task.graph}, {task.rule}: {now[0]} of {now[1]} come to {NEAR_BEST:.0%} of the "
+            f"best return (seeds {seeds[0]} to {seeds[-1]}), {_compare(now, before, corrected)}, and {exact} have the "
+            f"whole graph without an edge too many; first escape after {_tell_median(own)} primitives, "
+            f"where the published runs take {_tell_median(known)} (medians).")
+    return sentences
+
+
+def _count_near(runs: Sequence[ScalingRun]) -> tuple[int, int]:
+    """Runs near the best, and all."""
+    return sum(run.near_best is not None for run in runs), len(runs)
+
+
+def _compare(now: tuple[int, int], before: tuple[int, int], p: float) -> str:
+    published = f"the published {before[0]} of {before[1]}"
+    if min(now[1], before[1]) < LEAST_RUNS:
+        return f"too few runs to hold against {published}"
+    if p >= ALPHA:
+        return f"which cannot be told from {published}"
+    return f"{'more' if now[0] * before[1] > before[0] * now[1] else 'fewer'} than {published}"
+
+
+def _tell_median(runs: Sequence[ScalingRun]) -> str:
+    escapes = [run.first_escape for run in runs if run.first_escape is not None]
+    return f"{np.median(escapes):,.0f}" if escapes else "no number of"

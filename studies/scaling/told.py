@@ -1,0 +1,138 @@
+"""Knowledge given to structure learners: runs by label, and the cost of more or less than just what holds.
+
+A learner is told the conditions of a press and how many parents a button may have. All labels meet the same rooms and
+training seeds, so that each is compared with `HOLDS` seed by seed; all these comparisons are one family (Holm).
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hrl_escape.comparison.inference import compute_restricted_mean, compute_sign_flip_p, correct_by_holm
+from hrl_escape.comparison.pairs import ALPHA
+from hrl_escape.comparison.statistics import LEAST_RUNS
+from hrl_escape.names import count_nouns, join_words
+from studies.scaling.results import ScalingRun
+from studies.scaling.rounds import MAX_PARENTS, TOLD, TOLD_TASKS
+
+__all__ = ["HOLDS", "ToldCost", "compute_told_costs", "list_told_rows", "tell_told"]
+
+HOLDS = f"all-on, {MAX_PARENTS}"
+"""Label of the learner that is told just what holds in these rooms."""
+
+
+class ToldCost(NamedTuple):
+    """Primitives that being told otherwise costs, until a run is near the best and has the whole graph.
+
+    Attributes:
+        rule: of the rooms.
+        label: of the learner.
+        runs: pairs of runs with the same room and seed.
+        more: mean difference from `HOLDS`; runs that do not get there count with the budget.
+        agreeing: pairs that differ to the same side as the mean.
+        p: two-sided, by the signs of the differences, corrected over the study; 1 with too few runs.
+    """
+
+    rule: str
+    label: str
+    runs: int
+    more: float
+    agreeing: int
+    p: float
+
+    @property
+    def is_shown(self) -> bool:
+        """The runs show a difference."""
+        return self.p < ALPHA
+
+
+def compute_told_costs(results: Sequence[ScalingRun]) -> list[ToldCost]:
+    """Costs of all labels but `HOLDS` that have a run beside one of it, room kind by room kind."""
+    found, raw = [], []
+    for task in TOLD_TASKS:
+        waits = {spec.label: {run.run: _wait_for_graph(run) for run in results
+                              if (run.task, run.agent) == (task, spec.label)} for spec in TOLD}
+        known = waits.pop(HOLDS)
+        for label, own in waits.items():
+            seeds = sorted(own.keys() & known.keys())
+            if not seeds:
+                continue
+            more = np.array([own[seed] - known[seed] for seed in seeds], dtype=np.float64)
+            agreeing = int(np.sum(more * more.mean() > 0))
+            found.append(ToldCost(task.rule, label, len(seeds), float(more.mean()), agreeing, 1.0))
+            p = 2 * min(compute_sign_flip_p(more, "above"), compute_sign_flip_p(more, "below"))
+            raw.append(min(1.0, p) if len(seeds) >= LEAST_RUNS else 1.0)
+    return [cost._replace(p=p) for cost, p in zip(found, correct_by_holm(raw), strict=True)]
+
+
+def _wait_for_graph(run: ScalingRun) -> int:
+    """Primitives until it was near the best with the whole graph, which ends a run; the budget if it never was."""
+    return min(run.primitives, run.budget) if run.near_best is not None and _has_graph(run) else run.budget
+
+
+def _has_graph(run: ScalingRun) -> bool:
+    """Return whether it ends with every edge that matters, and none too many."""
+    return bool(run.structure) and run.structure[-1][1:] == (1.0, 1.0)
+
+
+def tell_told(results: Sequence[ScalingRun]) -> list[str]:
+    """For each rule, labels with which all runs have the whole graph, and what being told otherwise costs."""
+    costs = compute_told_costs(results)
+    sentences = []
+    for task in TOLD_TASKS:
+        runs = {spec.label: [run for run in results if (run.task, run.agent) == (task, spec.label)] for spec in TOLD}
+        runs = {label: own for label, own in runs.items() if own}
+        if not runs:
+            continue
+        fewest = min(map(len, runs.values()))
+        words = (f"{_tell_graphs(runs)} {_tell_costs([cost for cost in costs if cost.rule == task.rule])}"
+                 if fewest >= LEAST_RUNS else f"nothing is concluded from {count_nouns(fewest, 'run')} of a label.")
+        sentences.append(f"Rule {task.rule}: {words}")
+    return sentences
+
+
+def _tell_graphs(runs: dict[str, list[ScalingRun]]) -> str:
+    exact = {label: sum(map(_has_graph, own)) for label, own in runs.items()}
+    whole = [f"`{label}`" for label, count in exact.items() if count == len(runs[label])]
+    part = [f"`{label}` ({count} of {len(runs[label])})" for label, count in exact.items() if count < len(runs[label])]
+    if not whole:
+        return f"told nothing here all runs have the whole graph ({join_words(part)})."
+    lacking = f"; not all do told {join_words(part, 'or')}" if part else ""
+    return f"all runs have the whole graph told {join_words(whole, 'or')}{lacking}."
+
+
+def _tell_costs(costs: Sequence[ToldCost]) -> str:
+    """Sentence on the primitives that labels take beyond those of `HOLDS`, or save."""
+    if not costs:
+        return f"None was told `{HOLDS}`, which is what holds."
+    parts = []
+    for sign, word in ((1, "more"), (-1, "fewer")):
+        shown = [cost for cost in costs if cost.is_shown and sign * cost.more > 0]
+        if shown:
+            parts.append(f"it takes {word} primitives told {join_words(map(_tell_cost, shown))}")
+    if rest := [f"`{cost.label}`" for cost in costs if not cost.is_shown]:
+        parts.append(f"no difference is shown told {join_words(rest, 'or')}")
+    return f"Against `{HOLDS}`, which is what holds, until near the best with the whole graph {'; '.join(parts)}."
+
+
+def _tell_cost(cost: ToldCost) -> str:
+    return f"`{cost.label}` ({abs(cost.more):,.0f}, in {cost.agreeing} of {cost.runs} pairs)"
+
+
+def list_told_rows(results: Sequence[ScalingRun]) -> list[list[Any]]:
+    """A row a rule and label that has runs: how many escape, are near the best and have the whole graph, and when."""
+    rows = []
+    for task, spec in itertools.product(TOLD_TASKS, TOLD):
+        own = [run for run in results if (run.task, run.agent) == (task, spec.label)]
+        if own:
+            escapes = [run.budget if run.first_escape is None else min(run.first_escape, run.budget) for run in own]
+            seen = [run.first_escape is not None for run in own]
+            waits = [_wait_for_graph(run) for run in own]
+            rows.append([task.rule, spec.label, len(own), sum(seen), sum(run.near_best is not None for run in own),
+                         sum(map(_has_graph, own)), f"{compute_restricted_mean(escapes, seen, own[0].budget):,.0f}",
+                         f"{sum(waits) / len(waits):,.0f}"])
+    return rows

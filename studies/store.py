@@ -1,0 +1,88 @@
+"""Results of a study: a file that only grows, one line of JSON a run, small enough to come with the source.
+
+A run that was made again gets a new line, which counts in place of the one before. Processes take turns, so that none
+loses the lines of another.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from collections.abc import Hashable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, ClassVar, Protocol
+
+from hrl_escape.errors import EscapeError, FileReadError, describe_damage
+from hrl_escape.files import read_text, write_text
+from hrl_escape.processes import taking_turns
+from hrl_escape.settings import read_record
+
+__all__ = ["Line", "Store"]
+
+
+class Line(Protocol):
+    """Frozen dataclass of plain values, of which each instance is a line."""
+
+    __dataclass_fields__: ClassVar[dict[str, Any]]
+
+    @property
+    def place(self) -> Hashable:
+        """Subject of the line: a later one about the same counts in its place."""
+        ...
+
+
+class Store:
+    """The file of a study's results.
+
+    Args:
+        path: of the file; it need not exist.
+        kinds: classes of its lines, told apart by their fields.
+    """
+
+    def __init__(self, path: Path, kinds: Sequence[type[Line]]) -> None:
+        self.path = path
+        self._kinds = tuple(kinds)
+
+    def load(self) -> list[Any]:
+        """Lines in the order in which their subjects first appear; none where there is no file.
+
+        Raises:
+            FileReadError: a line is damaged; the message has its number.
+        """
+        return list(self._load().values())
+
+    def add(self, lines: Iterable[Line]) -> None:
+        """Append the lines that are not there yet.
+
+        Raises:
+            FileReadError: the file is damaged; it stays as it is.
+            FileWriteError: it cannot be written.
+        """
+        with taking_turns(self.path.parent):
+            there = self._load()
+            new = [line for line in lines if there.get((type(line), line.place)) != line]
+            if new:
+                rows = [json.dumps(dataclasses.asdict(line), separators=(",", ":"), allow_nan=False) for line in new]
+                text = read_text(self.path) if self.path.exists() else ""
+                write_text(self.path, "\n".join([*text.splitlines(), *rows, ""]))
+
+    def _load(self) -> dict[tuple[type[Line], Hashable], Line]:
+        found: dict[tuple[type[Line], Hashable], Line] = {}
+        rows = read_text(self.path, "file of results").splitlines() if self.path.exists() else []
+        for number, row in enumerate(rows, 1):
+            try:
+                line = self._read(json.loads(row))
+            except (EscapeError, TypeError, ValueError) as error:
+                raise FileReadError(f"{self.path}, line {number}: this is no result of the study "
+                                    f"({describe_damage(error)})") from error
+            found[type(line), line.place] = line
+        return found
+
+    def _read(self, fields: Any) -> Line:
+        """A line of the kind whose fields these are."""
+        for kind in self._kinds:
+            every = dataclasses.fields(kind)
+            required = {field.name for field in every if field.default is dataclasses.MISSING}
+            if isinstance(fields, dict) and required <= fields.keys() <= {field.name for field in every}:
+                return read_record(kind, fields)
+        return read_record(self._kinds[0], fields)

@@ -1,0 +1,123 @@
+"""A study: a folder with its grid as data, its analysis, the words of its page and the results of its runs.
+
+| file | holds |
+|---|---|
+| `study.toml` | `about`, a line; `comparisons` by name or `[[grid]]` tables; whatever else the analysis reads |
+| `analysis.py` | `analyse(study, lines)`, which makes a `Page`; `Args`, `LINES`, `collect`, `measure` if not default |
+| `page.md.j2` | the page's words, around the values of the analysis |
+| `raw.jsonl` | a line a run, see `Store` |
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from matplotlib.figure import Figure
+
+from hrl_escape.comparison.grid import Grid
+from hrl_escape.comparison.presets import get_grid
+from hrl_escape.errors import FileReadError, UnknownNameError
+from hrl_escape.files import read_toml
+
+__all__ = ["ROOT", "Page", "Study", "find_study", "list_studies"]
+
+ROOT = Path(__file__).parent
+"""Folder of all studies."""
+DEFINITION = "study.toml"
+
+
+class Page(NamedTuple):
+    """What an analysis finds.
+
+    Attributes:
+        values: names in the template -> their values.
+        figures: name without ending -> figure.
+        conclusions: sentences that the command prints.
+    """
+
+    values: Mapping[str, Any]
+    figures: Mapping[str, Figure] = {}
+    conclusions: Sequence[str] = ()
+
+
+@dataclass(frozen=True)
+class Study:
+    """A folder of a study.
+
+    Attributes:
+        folder: where it is.
+        data: its `study.toml`.
+    """
+
+    folder: Path
+    data: Mapping[str, Any] = field(hash=False)
+
+    @property
+    def name(self) -> str:
+        """The folder's, with hyphens; that of the command."""
+        return self.folder.name.replace("_", "-")
+
+    @property
+    def page(self) -> str:
+        """Name of its page without ending, by default its own."""
+        return self.data.get("page", self.name)
+
+    @property
+    def command(self) -> str:
+        """Beginning of every command line that runs it."""
+        return f"python -m studies {self.name}"
+
+    @cached_property
+    def grids(self) -> tuple[Grid, ...]:
+        """Its grids: comparisons that come with the package, then its own."""
+        return (*map(get_grid, self.data.get("comparisons", ())),
+                *(Grid.from_dict(table) for table in self.data.get("grid", ())))
+
+    @cached_property
+    def analysis(self) -> ModuleType:
+        """The module `analysis.py`, or another that `analysis` in `study.toml` names, which several studies share."""
+        name = self.data.get("analysis", f"{ROOT.name}.{self.folder.name}.analysis")
+        if "analysis" in self.data or self.folder.parent == ROOT:
+            return importlib.import_module(name)
+        spec = importlib.util.spec_from_file_location(name, self.folder / "analysis.py")
+        assert spec is not None and spec.loader is not None
+        module = sys.modules[name] = importlib.util.module_from_spec(spec)  # dataclasses look their module up
+        try:
+            spec.loader.exec_module(module)
+        except FileNotFoundError:
+            raise FileReadError(f"{self.folder}: a study needs an analysis.py, or the key `analysis` that names "
+                                "another's") from None
+        return module
+
+
+def list_studies() -> dict[str, Study]:
+    """Studies by name."""
+    found = (_load(path.parent) for path in sorted(ROOT.glob(f"*/{DEFINITION}")))
+    return {study.name: study for study in found}
+
+
+def find_study(name: str) -> Study:
+    """A study by its name, or by the path of its folder.
+
+    Raises:
+        UnknownNameError: neither; the message names the closest.
+        FileReadError: its `study.toml` is damaged.
+    """
+    if (Path(name) / DEFINITION).is_file():
+        return _load(Path(name).resolve())
+    known = list_studies()
+    if name not in known:
+        raise UnknownNameError("study", name, known)
+    return known[name]
+
+
+def _load(folder: Path) -> Study:
+    return Study(folder, read_toml(folder / DEFINITION, "definition of a study"))

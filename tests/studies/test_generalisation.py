@@ -1,0 +1,172 @@
+"""Generalisation: the grids of the study, and its page from lines written by hand."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hrl_escape.ladder.benchmark import load_benchmark
+from studies.baseline import BaselineRun
+from studies.generalisation.grids import (
+    DEPTHS,
+    FLAT,
+    FLAT_CHANCE,
+    MEMORY,
+    OBJECTS,
+    VECTORS,
+    GeneralisationArgs,
+    make_depth_grid,
+    make_sizes_grid,
+)
+from studies.ladder.calibration import CHANCE
+from tests.studies.pages import tell
+
+ARGS = GeneralisationArgs(rung="pair", runs=2, primitives=500, rooms=3, shallow_rooms=6, first_seed=7)
+LINE = BaselineRun("sizes", "pair", "x/train[:1] > x/test", VECTORS, 0, 500, 0.2, 1.0, 0.5, 3, 0.5, 70, "abc")
+
+
+def test_rooms_trained_in_grow_and_those_tested_in_stay():
+    grid = make_sizes_grid(load_benchmark("ladder-1"), ARGS)
+    places = grid.make_places()
+    assert [len(place.split.train) for place in places] == [1, 4, 16, 64, 256, 1000]
+    assert len({tuple(place.split.test.seeds) for place in places}) == 1 and len(places[0].split.test) == 3
+    assert len(grid.make_runs(places)) == 2 * 6 * 6 and grid.first_seed == 7
+    few = make_sizes_grid(load_benchmark("ladder-1"), dataclasses.replace(ARGS, sizes=(1, 16), agents=(VECTORS,)))
+    assert [agent.label for agent in few.agents] == [VECTORS] and len(few.train_rooms) == 2
+
+
+def test_rooms_tested_in_are_deeper_than_any_trained_in(tmp_path: Path):
+    grid = make_depth_grid(load_benchmark("ladder-1"), ARGS, tmp_path)
+    places = grid.make_places()
+    assert [place.split.test.name for place in places] == list(DEPTHS)
+    trained = {len(room.targets) for room in places[0].split.train}
+    assert trained <= {2, 3, 4} and len(trained) > 1
+    for place, depth in zip(places, DEPTHS.values(), strict=True):
+        for room in place.split.test:
+            edges = room.puzzle.edges
+            assert len(room.targets) == depth["count"]
+            assert (len(edges) == len({head for _, head in edges}) == depth["count"] - 1) or depth["graph"] == "layered"
+    assert len(grid.make_runs(places)) == 2 * 4 * 4, "and agents can act in both"
+
+
+def test_the_page_tells_sizes_and_depths_by_the_lines_alone(tmp_path: Path):
+    lines = [LINE, dataclasses.replace(LINE, rooms="x/train[:16] > x/test", efficiency=0.6),
+             dataclasses.replace(LINE, agent=MEMORY, efficiency=0.9)]
+    page = tell("generalisation", lines, tmp_path)
+    assert f"| `{VECTORS}` | 0.20 (1.00) | 0.60 (1.00) |" in page and f"| `{MEMORY}` | 0.90 (1.00) | - |" in page
+    assert "options, a vector 0.20 with 1 and 0.60 with 16" in page and "Not run yet." in page
+    assert "Nothing is concluded from fewer than 10 seeds." in page
+    assert (tmp_path / "figures" / "generalisation.svg").stat().st_size > 1000
+    depth = dataclasses.replace(LINE, protocol="depth", rung="8 buttons, layered", rooms="a > b", efficiency=0.3)
+    many = [dataclasses.replace(LINE, seed=seed) for seed in range(10)]
+    assert "Nothing is concluded" not in tell("generalisation", many, tmp_path)
+    page = tell("generalisation", [*lines, depth], tmp_path)
+    assert f"| `{VECTORS}` | - | - | 0.30 | - | 1.00 |" in page and "Not run yet." not in page
+
+
+def test_rungs_have_tables_and_commands_of_their_own_and_seeds_are_counted_by_cell(tmp_path: Path):
+    other = dataclasses.replace(LINE, rung="chain-3", efficiency=0.7)
+    chance = dataclasses.replace(LINE, agent=CHANCE, primitives=0)
+    lines = [LINE, *(dataclasses.replace(other, seed=seed) for seed in range(3)), chance,
+             dataclasses.replace(other, agent=MEMORY, rooms="x/train[:4] > x/test")]
+    page = tell("generalisation", lines, tmp_path)
+    assert f"| `{VECTORS}` | 0.20 (1.00) |\n" in page and f"| `{VECTORS}` | 0.70 (1.00) | - |\n" in page
+    assert page.count("trained in. That is less than the budget of the study itself, 1,000,000.") == 2
+    assert "That is less" not in tell("generalisation", [dataclasses.replace(LINE, primitives=1_000_000)], tmp_path)
+    assert "2 runs: 1 training seed, 500" in page and "4 runs: 1 to 3 training seeds, 500" in page
+    assert "--rung pair --primitives 500 --rooms 3 --runs 1\n" in page
+    assert "--rung chain-3 --primitives 500 --rooms 3 --runs 3\n" in page
+
+
+def make_seeds(agent: str, rooms: int, efficiency: float, shift: int, **fields: Any) -> list[BaselineRun]:
+    """Lines of ten seeds around an efficiency, by amounts that are shifted from seed to seed."""
+    return [dataclasses.replace(LINE, agent=agent, rooms=f"x/train[:{rooms}] > x/test", seed=seed,
+                                efficiency=efficiency + 0.01 * ((3 * seed + shift) % 10 - 4.5), **fields)
+            for seed in range(10)]
+
+
+@pytest.mark.parametrize(("vectors", "objects", "told"), [
+    ((0.2, 0.2), (0.5, 0.7), (f"- `{OBJECTS}` with 1,000 training rooms reaches 0.50 more than `{VECTORS}` (95 % int",
+                              f"- `{OBJECTS}` with 1,000 training rooms reaches 0.20 more than with 1 training room (",
+                              f"- `{OBJECTS}` with 1,000 training rooms reaches 0.40 more than random choices (",
+                              f"- `{VECTORS}` with 1,000 training rooms is not shown to reach more or less than with 1",
+                              f"- `{VECTORS}` with 1,000 training rooms reaches 0.10 less than random choices (")),
+    ((0.4, 0.6), (0.6, 0.3), (f"- `{OBJECTS}` with 1,000 training rooms reaches 0.30 less than `{VECTORS}` (95 % int",
+                              f"- `{OBJECTS}` with 1,000 training rooms reaches 0.30 less than with 1 training room (",
+                              f"- `{OBJECTS}` with 1,000 training rooms is not shown to reach more or less than random",
+                              f"- `{VECTORS}` with 1,000 training rooms reaches 0.20 more than with 1 training room (",
+                              f"- `{VECTORS}` with 1,000 training rooms reaches 0.30 more than random choices (")),
+])
+def test_ten_seeds_lead_to_sentences_and_nine_to_none(vectors: tuple, objects: tuple, told: tuple, tmp_path: Path):
+    lines = [*make_seeds(CHANCE, 1, 0.3, 0, primitives=0)]
+    for agent, values in ((VECTORS, vectors), (OBJECTS, objects)):
+        for rooms, value in zip((1, 1000), values, strict=True):
+            lines += make_seeds(agent, rooms, value, 1 + len(lines) // 10)
+    page = tell("generalisation", lines, tmp_path)
+    assert not [words for words in told if words not in page], page
+    assert page.count("\n- ") == len(told)
+    for sentence in (line for line in page.splitlines() if line.startswith("- ")):
+        if " more than " in sentence or (" less than " in sentence and "not shown" not in sentence):
+            low, high = map(float, re.findall(r"interval (\S+) to (\S+)\)", sentence)[0])
+            assert 0 < low < float(re.findall(r"reaches (\S+)", sentence)[0]) < high, sentence
+    few = [line for line in lines if (line.agent, line.seed) != (OBJECTS, 9)]
+    page = tell("generalisation", few, tmp_path)
+    assert f"- `{OBJECTS}`" not in page and page.count("\n- ") == 2
+    assert f"| `{OBJECTS}` | {objects[0]:.2f} (" in page and f"| `{VECTORS}` | **{vectors[0]:.2f}** (" in page
+    assert "9 to 10 training seeds" in page and "Nothing is concluded from fewer than 10" in page
+
+
+def test_an_agent_at_the_floor_is_told_of_alone_and_flat_chance_is_that_over_primitives(tmp_path: Path):
+    flat = [dataclasses.replace(LINE, agent=FLAT, rooms=f"x/train[:{rooms}] > x/test", seed=seed, efficiency=0.0,
+                                seen=0.0) for rooms in (1, 1000) for seed in range(10)]
+    others = [*make_seeds(VECTORS, 1000, 0.3, 0), *make_seeds(CHANCE, 1, 0.4, 3, primitives=0)]
+    page = tell("generalisation", [*flat, *others], tmp_path)
+    assert (f"- `{FLAT}` escapes from no unseen room after any of its 20 runs, trained in 1 or 1,000 rooms, nor from "
+            "one trained in. At this floor no difference from it is asked for.") in page
+    assert page.count("\n- ") == 2 and f"- `{VECTORS}` with 1,000 training rooms reaches 0.10 less than random" in page
+    page = tell("generalisation", [dataclasses.replace(flat[0], seen=0.7), *flat[1:], *others], tmp_path)
+    assert "though in rooms trained in a run reaches up to 0.70. At this floor" in page
+    above = [dataclasses.replace(line, efficiency=0.02 + 0.001 * line.seed) for line in flat]
+    by_chance = [dataclasses.replace(line, agent=FLAT_CHANCE, primitives=0) for line in flat[:10]]
+    page = tell("generalisation", [*above, *others, *by_chance], tmp_path)
+    assert f"- `{FLAT}` with 1,000 training rooms reaches 0.02 more than random primitives (" in page
+    assert f"- `{VECTORS}` with 1,000 training rooms reaches 0.28 more than `{FLAT}` (" in page and "floor" not in page
+
+
+@pytest.mark.parametrize(("chain", "deepest", "told"), [
+    (0.3, 0.2, ("one chain reaches 0.30 less than in rooms of 6 buttons, layered",
+                "10 buttons, layered reaches 0.40 less than in")),
+    (0.6, 0.8, ("one chain is not shown to reach more or less than in rooms of 6 buttons, layered",
+                "10 buttons, layered reaches 0.20 more than in")),
+    (0.7, 0.6, ("one chain reaches 0.10 more than in rooms of 6 buttons, layered",
+                "10 buttons, layered is not shown to reach more or less than in rooms of 6 buttons, layered"))])
+def test_depth_is_told_at_an_equal_number_of_buttons(chain: float, deepest: float, told: tuple, tmp_path: Path):
+    values = dict(zip(DEPTHS, (0.6, chain, 0.5, deepest), strict=True))
+    lines = [line for shift, (rung, value) in enumerate(values.items())
+             for line in make_seeds(MEMORY, 1, value, shift, protocol="depth", rung=rung)]
+    page = tell("generalisation", lines, tmp_path)
+    assert not [words for words in told if words not in page], page
+    assert page.count(f"\n- `{MEMORY}` in rooms of ") == 2
+    assert f"| **{chain:.2f}** |" in page and "| **0.50** |" in page
+    lines += [line for rung, shift in (("6 buttons, layered", 5), ("8 buttons, layered", 6))
+              for line in make_seeds(CHANCE, 1, 0.5, shift, protocol="depth", rung=rung, primitives=0)]
+    page = tell("generalisation", lines, tmp_path)
+    assert f"- `{MEMORY}` in rooms of 6 buttons, layered reaches 0.10 more than random choices (" in page
+    assert f"- `{MEMORY}` in rooms of 8 buttons, layered is not shown to reach more or less than random choices" in page
+    assert page.count(f"\n- `{MEMORY}` in rooms of ") == 4 and f"- `{CHANCE}`" not in page
+
+
+def test_a_difference_by_luck_alone_is_not_told_where_many_are_asked_about(tmp_path: Path):
+    """One question of p = 0.03 is answered; among five, Holm's correction leaves it open."""
+    gains = [0.12, -0.02, 0.1, 0.03, -0.04, 0.14, 0.07, -0.03, 0.05, 0.06]
+    lines = [*make_seeds(VECTORS, 1, 0.5, 0)]
+    lines += [dataclasses.replace(line, rooms="x/train[:16] > x/test", efficiency=line.efficiency + gain)
+              for line, gain in zip(lines, gains, strict=True)]
+    assert "with 16 training rooms reaches 0.05 more than with 1" in tell("generalisation", lines, tmp_path)
+    others = [*make_seeds(CHANCE, 1, 0.5, 2), *make_seeds(OBJECTS, 1, 0.5, 2), *make_seeds(OBJECTS, 16, 0.5, 4)]
+    page = tell("generalisation", [*lines, *others], tmp_path)
+    assert f"`{VECTORS}` with 16 training rooms is not shown to reach more or less than with 1 training room" in page

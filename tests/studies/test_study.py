@@ -1,0 +1,128 @@
+"""A study is a folder: a new one is planted, run by the public command, and written anew from its results."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from hrl_escape.files import read_toml
+from studies.__main__ import main
+from studies.study import ROOT, find_study, list_studies
+
+DEFINITION = '''
+about = "Measure whether a room of one button is escaped by chance."
+
+[[grid]]
+name = "chance"
+agents = [{ name = "random" }, { name = "planner" }]
+rooms = ["paper-one-button"]
+runs = 2
+primitives = 400
+eval_every = 400
+eval_episodes = 1
+'''
+ANALYSIS = '''
+"""Share of the runs of each agent that escape."""
+
+from studies.page import make_table
+from studies.study import Page
+
+
+def tell_best(shares):
+    best = max(shares, key=shares.get)
+    return f"`{best}` escapes most often." if len(set(shares.values())) > 1 else "All agents escape as often."
+
+
+def analyse(study, lines):
+    agents = {line.agent: [other for other in lines if other.agent == line.agent] for line in lines}
+    shares = {agent: sum(run.escapes for run in runs) / len(runs) for agent, runs in agents.items()}
+    rows = [[agent, len(agents[agent]), f"{share:.2f}"] for agent, share in shares.items()]
+    return Page({"verdict": tell_best(shares), "rows": make_table(["agent", "runs", "escape"], rows)},
+                conclusions=[tell_best(shares)])
+'''
+TEMPLATE = """# By chance
+
+{{ verdict }}
+
+{{ rows }}
+
+```console
+{{ study.command }} --runs 2
+```
+"""
+
+
+@pytest.fixture
+def planted(tmp_path: Path) -> Path:
+    folder = tmp_path / "one_button"
+    folder.mkdir()
+    for name, text in (("study.toml", DEFINITION), ("analysis.py", ANALYSIS), ("page.md.j2", TEMPLATE)):
+        (folder / name).write_text(text)
+    return folder
+
+
+def call(*arguments: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "studies", *arguments]
+    return subprocess.run(command, cwd=ROOT.parent, capture_output=True, text=True)
+
+
+def test_a_new_study_is_a_folder_of_fewer_than_60_lines_besides_its_template(planted: Path):
+    assert sum(len((planted / name).read_text().splitlines()) for name in ("study.toml", "analysis.py")) < 60
+    docs = planted.parent / "docs"
+    done = call(str(planted), "--docs", str(docs), "--out", str(planted.parent / "runs"), "--workers", "1")
+    assert done.returncode == 0, done.stderr
+    assert "`planner` escapes most often." in done.stdout and f"Page: {docs / 'one-button.md'}" in done.stdout
+    page, raw = (docs / "one-button.md").read_text(), docs / "raw" / "one-button.jsonl"
+    assert "| planner | 2 | 1.00 |" in page and "python -m studies one-button --runs 2" in page
+    assert raw.read_text().count("\n") == 4
+    raw.write_text(raw.read_text().replace('"escapes":1.0', '"escapes":0.0'))
+    assert call(str(planted), "--docs", str(docs), "--from-raw").returncode == 0
+    assert "All agents escape as often." in (docs / "one-button.md").read_text()
+
+
+def test_two_processes_of_one_study_that_share_a_folder_keep_all_lines(planted: Path):
+    docs = planted.parent / "docs"
+    command = [sys.executable, "-m", "studies", str(planted), "--docs", str(docs), "--workers", "1"]
+    both = [subprocess.Popen([*command, "--out", str(planted.parent / f"runs-{seed}"), "--first-seed", str(seed)],
+                             cwd=ROOT.parent)
+            for seed in (0, 100)]
+    assert [each.wait(timeout=280) for each in both] == [0, 0]
+    assert "| random | 4 | " in (docs / "one-button.md").read_text()
+
+
+def test_results_without_another_folder_go_beside_the_study(planted: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(planted.parent)
+    assert main([str(planted), "--runs", "1", "--primitives", "60", "--workers", "1"]) == 0
+    assert (planted / "raw.jsonl").is_file() and (planted.parent / "docs/results/one-button.md").is_file()
+
+
+def test_studies_are_listed_and_a_wrong_name_is_answered_with_the_right_ones(capsys: pytest.CaptureFixture[str]):
+    assert main([]) == 0
+    listed = capsys.readouterr().out
+    assert all(f"  {name} " in listed for name in list_studies())
+    assert main(["prize"]) == 2
+    assert "unknown study 'prize'" in (said := capsys.readouterr().err) and "price" in said
+
+
+@pytest.mark.parametrize("name", list_studies())
+def test_a_study_is_data_words_results_and_an_analysis(name: str):
+    study = find_study(name)
+    assert {"study.toml", "page.md.j2", "raw.jsonl"} <= {path.name for path in study.folder.iterdir()}
+    assert callable(study.analysis.analyse)
+    assert study.data["about"].startswith(("Measure ", "Run ", "Find "))
+    assert f"python -m studies {name}" in read_toml(study.folder / "study.toml")["about"]
+
+
+@pytest.mark.parametrize("option", ["--runs=0", "--primitives=-1"])
+def test_a_study_of_nothing_is_refused(planted: Path, capsys: pytest.CaptureFixture[str], option: str):
+    assert main([str(planted), "--docs", str(planted / "docs"), option]) == 2
+    assert "it must be above 0" in capsys.readouterr().err
+
+
+def test_a_study_without_an_analysis_says_so(planted: Path, capsys: pytest.CaptureFixture[str]):
+    (planted / "analysis.py").unlink()
+    assert main([str(planted), "--from-raw"]) == 2
+    assert "a study needs an analysis.py" in capsys.readouterr().err
