@@ -28,7 +28,7 @@ def main(seed: int = 0) -> None:
         total += reward
         print(f"{name}: {info['duration']} primitives, {info['option']['ended']}, reward {reward:g}, "
               f"discounted {info['discounted_reward']:.2f}, then discount by {info['discount']:.3f}, "
-              f"pressed {[env.unwrapped.instance.targets[i].name for i in info['pressed']]}")
+              f"pressed {list(info['option']['pressed'])}")
     print(f"escaped: {terminated}, return {total:g}")
 
 

@@ -284,18 +284,20 @@ class RoomDomain(OptionDomain):
         return [state.noise_key, state.primitives, TERMINATIONS, *([self.level] if self.level else [])]
 
     def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None) -> None:
-        """Add `pressed`, and for an option the targets `also_pressed` beside its own."""
-        pressed = tuple(target for step in steps for target in self._list_pressed(step))
-        info["pressed"] = pressed
+        """Add `pressed`, and to `option` the names of the targets `pressed`, in order, and those `also_pressed`."""
+        targets = self.room.instance.targets
+        pressed = [target for step in steps for target in self._list_pressed(step)]
+        info["pressed"] = np.zeros(len(targets), dtype=np.int8)
+        info["pressed"][pressed] = 1
         if steps:
-            own = None if option is None else option.targets
-            targets = self.room.instance.targets
-            info["option"]["also_pressed"] = () if own is None else tuple(
-                targets[i].name for i in pressed if i not in own)
+            own = range(len(targets)) if option is None or option.targets is None else option.targets
+            info["option"]["pressed"] = tuple(targets[i].name for i in pressed)
+            info["option"]["also_pressed"] = tuple(targets[i].name for i in pressed if i not in own)
 
     def _list_pressed(self, step: DomainStep) -> Sequence[int]:
         if self.lower is not None:
-            return step.info["pressed"]
+            names = [target.name for target in self.room.instance.targets]
+            return [names.index(name) for name in step.info["option"]["pressed"]]
         begun = step.next_state.touching & ~step.state.touching
         return [i for i in range(begun.bit_length()) if begun >> i & 1] if begun else ()
 

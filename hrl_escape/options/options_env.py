@@ -60,7 +60,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     | `discount` | gamma^k |
     | `rewards` | the k primitive rewards, in order |
     | `discounted_reward` | sum over i < k of gamma^i r_i, whatever `reward` is |
-    | `pressed` | in a room: targets pressed by any of the k primitives, in order |
+    | `pressed` | in a room: 1 for each target pressed by any of the k primitives, int8 (targets,) |
     | `action_mask` | int8 (n,), the legal actions at the state reached; for `action_space.sample(mask)` |
     | `option` | the option that ran and how it ended, see below |
     | `trace` | tuple of `TraceStep`, one a step of the wrapped environment, with `trace=True` |
@@ -73,7 +73,8 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     primitive), `interrupted` (see `interruptible`), `timeout` (`max_duration`), `episode-over` (by exit or
     truncation) or `planning-failed`; then `planner_seconds`, `planner_calls`, `cache_hits`, `replans`,
     `cache_hit_rate` (of all calls of this environment), `unavoidable` (targets that the plan had to press), `reason`
-    (why planning failed, else empty) and, in a room, `also_pressed` (names of other targets pressed on the way).
+    (why planning failed, else empty) and, in a room, `pressed` (names of the targets pressed, in order) and
+    `also_pressed` (those that an option did not mean to press).
 
     A decision for an option that is masked or whose planning fails costs one primitive: in a room the robot turns
     left, elsewhere see `OptionDomain.get_idle_action`.
@@ -181,7 +182,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     # --- Gymnasium ---------------------------------------------------------------------
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; `info` has `action_mask`, and in a room an empty `pressed`.
+        """Begin an episode; `info` has `action_mask`, and in a room a `pressed` of zeros.
 
         The seed, in a room the episode's noise key, also fixes terminations and stochastic policies.
         """

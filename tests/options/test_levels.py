@@ -198,7 +198,7 @@ def test_options_over_the_planned_options_of_a_room():
     env = OptionsEnv(lower, [script], discount=GAMMA, trace=True)
     env.reset(seed=0)
     _, reward, terminated, _, info = env.step(len(names))
-    assert terminated and reward == 100 - info["duration"] and info["pressed"] == (0, 1)
+    assert terminated and reward == 100 - info["duration"] and info["option"]["pressed"] == ("button-1", "button-2")
     assert [step.name for step in info["trace"]] == list(names[6:9])
     assert info["duration"] == env.unwrapped.get_state().primitives
     assert info["option"]["also_pressed"] == ()

@@ -100,7 +100,7 @@ def test_a_meta_action_presses_its_button_and_no_other(name):
             assert option["ended"] == "reached" and set(option["also_pressed"]) <= set(option["unavoidable"])
         done += 1
         if isinstance(goal, PressGoal):
-            assert info["pressed"][-1] == index and not option["unavoidable"]
+            assert option["pressed"][-1] == room.instance.targets[index].name and not option["unavoidable"]
             assert terminated or room.get_state().touching >> index & 1
     pads = sum(isinstance(goal, PressGoal) for goal in goals)
     assert done == {"taxi": pads + 1, "foraging": pads + 1, "sokoban": 2}.get(name, len(goals))
@@ -129,7 +129,7 @@ def test_a_button_that_cannot_be_avoided_is_pressed_and_named():
     env = OptionsEnv(EscapeRoomEnv(instance=make_corridor()), include_primitives=False)
     env.reset(seed=0)
     info = env.step(1)[4]
-    assert info["option"]["ended"] == "reached" and info["pressed"] == (0, 1)
+    assert info["option"]["ended"] == "reached" and info["option"]["pressed"] == ("button-1", "button-2")
     assert info["option"]["unavoidable"] == info["option"]["also_pressed"] == ("button-1",)
     env.reset(seed=0)
     info = env.step(0)[4]
@@ -153,11 +153,12 @@ def test_with_ancestors_presses_what_must_be_on_before():
     env = OptionsEnv(EscapeRoomEnv(make_ordered_chain()), flavour="press-with-ancestors", include_primitives=False)
     env.reset(seed=0)
     info = env.step(2)[4]
-    assert info["pressed"] == (0, 1, 2) and info["buttons_on"].tolist() == [1, 1, 1, 0]
+    assert info["option"]["pressed"] == ("button-1", "button-2", "button-3")
+    assert info["buttons_on"].tolist() == [1, 1, 1, 0]
     info = env.step(3)[4]
-    assert info["pressed"] == (3,), "what is on already is not pressed again"
+    assert info["option"]["pressed"] == ("button-4",), "what is on already is not pressed again"
     info = env.step(3)[4]
-    assert info["pressed"] == (3,), "the button itself always is"
+    assert info["option"]["pressed"] == ("button-4",), "the button itself always is"
 
 
 def test_pressing_a_touched_button_again_leaves_it_first():
@@ -166,7 +167,7 @@ def test_pressing_a_touched_button_again_leaves_it_first():
     env.step(0)
     assert env.unwrapped.get_state().touching == 1
     info = env.step(0)[4]
-    assert info["pressed"] == (0,) and info["duration"] >= 2
+    assert info["option"]["pressed"] == ("button-1",) and info["duration"] >= 2
 
 
 def test_touching_is_no_press_until_it_begins_anew():
@@ -176,7 +177,8 @@ def test_touching_is_no_press_until_it_begins_anew():
         env.reset(seed=seed)
         env.step(0)
         info = env.step(0)[4]
-        assert info["option"]["ended"] == "reached" and info["pressed"] == (0,) and info["duration"] >= 2
+        assert info["option"]["ended"] == "reached" and info["option"]["pressed"] == ("button-1",)
+        assert info["duration"] >= 2
 
 
 def test_the_exit_behind_a_shut_door_is_masked_until_it_opens():
@@ -248,7 +250,7 @@ def test_press_goes_and_then_reaches_at_the_cost_of_one_plan(name):
         wrapped.reset(seed=0)
         info = wrapped.step(nested)[4]
         wrapped.reset(seed=0)
-        assert info["option"]["ended"] == "reached" and info["pressed"] == (nested,)
+        assert info["option"]["ended"] == "reached" and info["option"]["pressed"] == (f"button-{nested + 1}",)
         assert info["duration"] == wrapped.step(whole)[4]["duration"]
     check_option(make_press(planner, 1), env, runs=4)
 

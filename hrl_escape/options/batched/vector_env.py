@@ -17,6 +17,7 @@ from gymnasium.vector.utils import batch_space
 from torch import Tensor
 
 from hrl_escape.env.batched.engine import draw_seed
+from hrl_escape.env.batched.puzzles.base import unpack_bits
 from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedError
 from hrl_escape.options.batched.decisions import Transitions
 from hrl_escape.options.batched.env import BatchedOptionsEnv
@@ -29,15 +30,15 @@ _ELSEWHERE = {
     "option_features": "infos['action_mask'] tells what is legal",
     "planner": "options follow cost-to-go fields",
 }
-_TOLD = ("duration", "discount", "discounted_reward", "ended", "pressed", "primitives")
+_TOLD = ("duration", "discount", "discounted_reward", "ended", "primitives")
 
 
 class OptionsVectorEnv(VectorEnv):
     """Many rooms in which every step takes one decision of each; see `OptionsEnv` for the task and the actions.
 
     `infos` holds arrays over rooms: `action_mask` (bool), `duration`, `discount` and `discounted_reward` as
-    `OptionsEnv` gives them, `ended` (an index into `ENDINGS`), `pressed` (bit i for target i), `primitives` (of the
-    episode so far) and `success`. The three kinds of automatic reset are those of `EscapeRoomVectorEnv`.
+    `OptionsEnv` gives them, as `pressed`, `ended` (an index into `ENDINGS`), `primitives` (of the episode so far) and
+    `success`. The three kinds of automatic reset are those of `EscapeRoomVectorEnv`.
 
     Args:
         num_envs: number of rooms.
@@ -155,8 +156,9 @@ class OptionsVectorEnv(VectorEnv):
     def _inform(self, done: Transitions | None, mask: Tensor, more: dict[str, Any]) -> dict[str, Any]:
         infos = {"action_mask": self._give(mask)}
         if done is not None:
+            pressed = unpack_bits(done.pressed, self._batch.room.layout.targets, torch.int8).T
             infos |= {name: self._give(getattr(done, name)) for name in _TOLD} | {
-                "success": self._give(done.terminated)}
+                "success": self._give(done.terminated), "pressed": self._give(pressed)}
         every = self._give(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
         return infos | {f"_{name}": every for name in infos} | more
 

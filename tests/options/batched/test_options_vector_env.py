@@ -36,6 +36,7 @@ def test_a_step_is_one_decision_of_every_room_with_the_fields_of_options_env():
         assert infos["discounted_reward"][room] == pytest.approx(info["discounted_reward"], abs=1e-4)
         assert infos["action_mask"][room].tolist() == info["action_mask"].astype(bool).tolist()
         assert ENDINGS[infos["ended"][room]] == info["option"]["ended"]
+        assert infos["pressed"][room].tolist() == info["pressed"].tolist() and info["pressed"].dtype == np.int8
         assert seen[room] == pytest.approx(expected, abs=1e-4)
     assert not terminated.any() and not truncated.any()
 
