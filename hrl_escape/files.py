@@ -7,6 +7,7 @@ file or the new one, never a half. A read takes plain files up to a size. Nothin
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import re
@@ -32,17 +33,20 @@ LARGEST_TOML = 2**20
 """Bytes of the largest TOML file, 1 MiB: people write these, and their reader is slow."""
 DEEPEST = 100
 """Levels of lists and tables in a JSON or TOML file."""
+LARGEST_PARSED = 2**30
+"""Bytes of memory that the values of a JSON file may take, as `_estimate_memory` counts them: 1 GiB."""
 DOTTED_KEY = re.compile(r"""(?<![\w.-])(?<!\.[ \t])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*)"""
                         f"{{{DEEPEST}}}", re.ASCII)
 """Key of so many parts, on which the reader of TOML takes the square of their number."""
 
 
 @contextmanager
-def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
+def atomic_writer(path: str | os.PathLike[str], *, parents: bool = True) -> Iterator[IO[bytes]]:
     """Open a binary file that takes its name only once it is complete and on disk.
 
     Args:
-        path: path of the file; missing parent folders are made.
+        path: path of the file.
+        parents: make missing parent folders.
 
     Yields:
         A binary file object. If the body raises, nothing changes at `path`.
@@ -54,7 +58,8 @@ def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
     temporary: Path | None = None
     try:
         _check_replaceable(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
+        if parents:
+            path.parent.mkdir(parents=True, exist_ok=True)
         descriptor, name = tempfile.mkstemp(prefix=TEMPORARY_PREFIX, dir=path.parent)
         temporary = Path(name)
         with os.fdopen(descriptor, "wb") as file:
@@ -76,11 +81,17 @@ def atomic_writer(path: str | os.PathLike[str]) -> Iterator[IO[bytes]]:
 
 
 def open_for_writing(path: str | os.PathLike[str], mode: Literal["ab", "wb"] = "ab") -> IO[bytes]:
-    """Open a plain file that grows in place, such as a log or a lock; see `atomic_writer` for errors."""
+    """Open a plain file that grows in place, such as a log or a lock, never through a link to another.
+
+    Raises:
+        FileWriteError: a link or no plain file stands there; else as `atomic_writer`.
+    """
     try:
         _check_replaceable(Path(path))
-        return open(path, mode)
+        return open(path, mode, opener=lambda name, flags: os.open(name, flags | os.O_NOFOLLOW, 0o666))
     except OSError as error:
+        if error.errno == errno.ELOOP:
+            raise FileWriteError(f"cannot write {path}: it is a link, and only plain files are written") from error
         raise FileWriteError(describe_write_failure(path, error)) from error
 
 
@@ -114,7 +125,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
     write_bytes(path, text.encode("utf-8"))
 
 
-def write_json(path: str | os.PathLike[str], value: Any, indent: int | None = 2) -> None:
+def write_json(path: str | os.PathLike[str], value: Any, indent: int | None = 2, *, parents: bool = True) -> None:
     """Write a JSON value atomically; floats come back bit for bit, NaN is refused.
 
     Raises:
@@ -122,7 +133,9 @@ def write_json(path: str | os.PathLike[str], value: Any, indent: int | None = 2)
         TypeError: the value holds something JSON has no form for.
         ValueError: the value holds NaN or an infinity, which JSON has no form for.
     """
-    write_text(path, json.dumps(value, indent=indent, allow_nan=False) + "\n")
+    text = json.dumps(value, indent=indent, allow_nan=False) + "\n"
+    with atomic_writer(path, parents=parents) as file:
+        file.write(text.encode())
 
 
 @contextmanager
@@ -210,6 +223,10 @@ def read_json(path: str | os.PathLike[str], what: str = "JSON file") -> Any:
 
 def parse_json(text: str | bytes, path: str | os.PathLike[str], what: str) -> Any:
     """Parse the text of a JSON file; see `read_json`."""
+    needed = _estimate_memory(text)
+    if needed > LARGEST_PARSED:
+        raise FileReadError(f"{path}: this {what} cannot be read: its values may take {needed >> 20:,} MiB of memory; "
+                            f"at most {LARGEST_PARSED >> 20:,} are read here")
     try:
         value = json.loads(text, parse_constant=_refuse_constant)
     except json.JSONDecodeError as error:
@@ -238,6 +255,13 @@ def read_toml(path: str | os.PathLike[str], what: str = "TOML file") -> dict[str
         raise FileReadError(f"{path}: this {what} cannot be read: {_describe_extreme(error)}") from error
     _check_depth(value, path, what)
     return value
+
+
+def _estimate_memory(text: str | bytes) -> int:
+    """Bytes that the values of a JSON text take in CPython, at a generous count: each table, list, key and value."""
+    marks = {"{": 240, "[": 90, ":": 40, ",": 40}
+    content = text if isinstance(text, bytes) else text.encode("utf-8", "surrogatepass")
+    return len(content) + sum(cost * content.count(mark.encode()) for mark, cost in marks.items())
 
 
 def _refuse_constant(name: str) -> None:

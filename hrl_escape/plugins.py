@@ -1,36 +1,51 @@
-"""Entry points of other packages, loaded in one way."""
+"""Entry points of other packages, loaded in one way.
+
+What cannot be loaded is an error only for who asks for it by name; to everybody else it is a warning.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from typing import Any, TypeVar
+import warnings
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
 
 from hrl_escape.errors import PluginError
 
-__all__ = ["load_entry_points"]
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
-T = TypeVar("T")
+__all__ = ["load_entry_point", "load_entry_points"]
 
 
-def load_entry_points(group: str, what: str, shape: str, make: Callable[[Any], T]) -> Iterator[T]:
+def load_entry_points(group: str, what: str, shape: str, take: Callable[[Any], object], wanted: object = None) -> None:
     """Load all entry points of a group.
 
     Args:
         group: name of the group, such as `hrl_escape.puzzles`.
         what: one of its things, for messages: `puzzle`.
         shape: in words, the value that an entry point must have: `an Observation`.
-        make: makes the thing of the loaded value; may raise anything where it has another shape.
+        take: registers the loaded value; may raise anything where it has another shape.
+        wanted: name of the entry point that is asked for; a broken other one is warned of.
 
     Raises:
-        PluginError: an entry point cannot be loaded; the message names it and its package.
+        PluginError: the entry point that is asked for cannot be loaded; the message names it and its package.
     """
     from importlib.metadata import entry_points  # takes a tenth of the package's import
 
     for point in entry_points(group=group):
         try:
-            made = make(point.load())
-        except Exception as error:  # whatever a stranger's module raises
-            package = point.dist.name if point.dist else "an unknown package"
-            raise PluginError(f"the {what} {point.name!r} of package {package!r} cannot be loaded from "
-                              f"{point.value!r}, which must be {shape}: {error}") from error
-        yield made
+            load_entry_point(point, what, shape, take)
+        except PluginError as error:
+            if point.name == wanted:
+                raise
+            warnings.warn(f"left out: {error}", stacklevel=2)
+
+
+def load_entry_point(point: EntryPoint, what: str, shape: str, take: Callable[[Any], object]) -> None:
+    """Load one entry point; arguments and errors as those of `load_entry_points`."""
+    try:
+        take(point.load())
+    except Exception as error:  # whatever a stranger's module raises
+        package = point.dist.name if point.dist else "an unknown package"
+        raise PluginError(f"the {what} {point.name!r} of package {package!r} cannot be loaded from {point.value!r}, "
+                          f"which must be {shape}: {error}") from error

@@ -309,7 +309,11 @@ def _make_number_reader(kind: type, limits: Range | None) -> _Reader:
 
 
 def _take_ranges(reader: _Reader) -> _Reader:
-    """Reader of what `reader` takes, and of ranges of such numbers."""
+    """Reader of what `reader` takes, and of ranges of such numbers; a zero below zero (-0.0) is plain zero."""
+
+    def read_number(path: str, value: Any) -> Any:
+        number = reader.read(path, value)
+        return 0.0 if isinstance(number, float) and number == 0 else number
 
     def read(path: str, value: Any) -> Any:
         given = value
@@ -319,8 +323,8 @@ def _take_ranges(reader: _Reader) -> _Reader:
             except ValueError:
                 pass
         if not isinstance(given, Between):
-            return reader.read(path, value)
-        low, high = reader.read(path, given.low), reader.read(path, given.high)
+            return read_number(path, value)
+        low, high = read_number(path, given.low), read_number(path, given.high)
         if low is None or high is None or low > high:
             raise _Refusal(path, str(given), "a range from a number to one that is at least as large")
         return Between(low, high)

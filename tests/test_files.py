@@ -174,6 +174,35 @@ def test_extreme_json_is_refused_in_words(tmp_path, text, words):
         read_json(tmp_path / "x.json")
 
 
+def test_json_of_more_values_than_memory_should_hold_is_refused_before_it_is_parsed(tmp_path):
+    (tmp_path / "many.json").write_bytes(b"[" + b"{}," * (40 * 2**20 // 3) + b"{}]")
+    program = f"""
+import resource
+from hrl_escape.files import read_json
+before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+try:
+    read_json({str(tmp_path / "many.json")!r})
+except Exception as error:
+    print(type(error).__name__, "MiB of memory; at most 1,024 are read here" in str(error))
+print((resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) >> 10 < 200)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "FileReadError True\nTrue\n"
+    rows = [{"kind": "episode", "primitives": n, "train/return": 0.5 * n, "train/success": 1} for n in range(50_000)]
+    write_json(tmp_path / "long.json", rows)
+    assert read_json(tmp_path / "long.json") == rows
+
+
+def test_a_file_that_grows_is_never_written_through_a_link(tmp_path):
+    (tmp_path / "target").write_text("mine")
+    for name, target in (("link", "target"), ("dangling", "no-such-file")):
+        (tmp_path / name).symlink_to(tmp_path / target)
+        for mode in ("ab", "wb"):
+            with pytest.raises(FileWriteError, match="it is a link, and only plain files are written"):
+                open_for_writing(tmp_path / name, mode)
+    assert (tmp_path / "target").read_text() == "mine" and not (tmp_path / "no-such-file").exists()
+
+
 @pytest.mark.parametrize(("text", "words"), [
     ("a = " + "[" * 200 + "]" * 200, "nested more than 100 levels deep"),
     ("a = " + "[" * 10**5 + "]" * 10**5, "nested more than 100 levels deep"),

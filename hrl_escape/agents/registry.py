@@ -25,6 +25,7 @@ from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.goal_rule import read_goal_rule
 from hrl_escape.agents.larg2019.recipes import PAPER
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
+from hrl_escape.plugins import load_entry_point
 from hrl_escape.settings import replace_settings
 
 __all__ = [
@@ -63,6 +64,7 @@ def get_agent_class(name: str) -> type[Agent]:
     Raises:
         UnknownNameError: no agent has this name; the message names the closest.
         AgentSettingsError: a third party's class is no `Agent`.
+        PluginError: a third party's class cannot be loaded.
     """
     base = name.removeprefix(SMDP_PREFIX)
     shipped = _find_made() | _find_shipped(f"{_CATALOGUE}.given")
@@ -74,10 +76,11 @@ def get_agent_class(name: str) -> type[Agent]:
     if base not in others:
         known = list_agents()
         raise UnknownNameError("agent", name, [*known, *(SMDP_PREFIX + other for other in known)])
-    found = others[base].load()
-    if not _is_agent(found):
+    loaded: list[Any] = []
+    load_entry_point(others[base], "agent", "an Agent", loaded.append)
+    if not _is_agent(loaded[0]):
         raise AgentSettingsError("agent", name, "a class derived from hrl_escape.agents.Agent")
-    return found
+    return loaded[0]
 
 
 def _is_agent(thing: Any) -> bool:

@@ -1,6 +1,7 @@
 """Ranges in a schematic: each instance draws its numbers, and all of them share one space and one scale."""
 
 import json
+import math
 import pickle
 
 import gymnasium
@@ -48,6 +49,14 @@ def test_instances_differ_within_the_ranges_and_each_seed_gives_one_room(rooms):
     assert len({room.half_width for room in rooms}) == len(rooms)
     assert all(6 <= room.half_width <= 9 and 6 <= room.half_depth <= 9 for room in rooms)
     assert generate(VARIED, 3).id == rooms[3].id
+
+
+def test_a_zero_below_zero_is_plain_zero():
+    """numpy draws from -0.0 to 0.0, and refuses 0.0 to -0.0 in words of its own."""
+    panels, plain = Panels(height_spread=-0.0), Panels(height_spread=0.0)
+    assert math.copysign(1, panels.height_spread) == 1 and json.dumps(panels.to_dict()) == json.dumps(plain.to_dict())
+    rooms = [generate(RoomConfig(puzzle=ButtonsConfig(count=1, buttons=each)), 0) for each in (panels, plain)]
+    assert rooms[0].id == rooms[1].id
 
 
 def test_a_schematic_with_ranges_survives_json_and_pickling():

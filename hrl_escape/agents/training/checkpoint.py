@@ -32,7 +32,7 @@ def save_checkpoint(path: str | os.PathLike[str], state: StateTree) -> None:
     """Write a state tree atomically.
 
     Args:
-        path: the file, by custom ending in `.npz`.
+        path: the file, by custom ending in `.npz`; its folder must be there.
         state: dicts (keys are strings), lists, tuples (which come back as lists), None, bool, int, float, str, numpy
             arrays and numbers, and anything with `.detach().cpu().numpy()`, such as a torch tensor.
 
@@ -43,7 +43,7 @@ def save_checkpoint(path: str | os.PathLike[str], state: StateTree) -> None:
     arrays: dict[str, np.ndarray] = {}
     tree = _pack(state, "state", arrays)
     arrays[TREE] = np.frombuffer(json.dumps(tree).encode(), dtype=np.uint8)
-    with atomic_writer(path) as file:
+    with atomic_writer(path, parents=False) as file:
         np.savez(file, allow_pickle=False, **arrays)  # pyright: ignore[reportArgumentType]
 
 

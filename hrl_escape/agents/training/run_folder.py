@@ -119,7 +119,7 @@ class RunFolder:
         """Make the log durable, then replace the checkpoint."""
         with self._writing_log():
             os.fsync(self._log.fileno())
-        save_checkpoint(self.path / LAST, {"key": self.key, "log_bytes": self._log.tell(), **state})
+            save_checkpoint(self.path / LAST, {"key": self.key, "log_bytes": self._log.tell(), **state})
 
     def save_best(self, state: StateTree) -> None:
         """Replace the checkpoint of the best evaluation."""
@@ -129,7 +129,7 @@ class RunFolder:
     def finish(self, result: Mapping[str, Any]) -> None:
         """Write the result, which marks the run as finished."""
         with self._writing_log():
-            write_json(self.path / "result.json", {"key": self.key, **result})
+            write_json(self.path / "result.json", {"key": self.key, **result}, parents=False)
 
     def close(self) -> None:
         """Close the files and release the lock."""
@@ -144,16 +144,23 @@ class RunFolder:
         """Say at once where the log's disk is full, or where its folder was deleted or moved."""
         path = self.path / "log.jsonl"
         try:
-            if not os.path.samestat(os.stat(path), os.fstat(self._log.fileno())):
+            if not self._is_in_place(path):
                 raise FileNotFoundError
             yield
-        except FileWriteError:
-            raise
-        except FileNotFoundError as error:
-            raise FileWriteError(f"{path} was deleted or moved while its run was writing it. Start the run anew, and "
-                                 "leave its folder where it is") from error
         except OSError as error:
+            if not self._is_in_place(path):
+                raise FileWriteError(f"{path} was deleted or moved while its run was writing it. Start the run anew, "
+                                     "and leave its folder where it is") from error
+            if isinstance(error, FileWriteError):
+                raise
             raise FileWriteError(describe_write_failure(path, error)) from error
+
+    def _is_in_place(self, path: Path) -> bool:
+        """True while the log that is open is the one that the folder has."""
+        try:
+            return os.path.samestat(os.stat(path), os.fstat(self._log.fileno()))
+        except FileNotFoundError:
+            return False
 
     def _take_lock(self) -> IO[bytes]:
         make_folder(self.path)

@@ -230,9 +230,9 @@ def _check_entry(loaded: Any) -> type[Observer]:
 
 
 @cache
-def _load_entry_points() -> None:
-    for observer in load_entry_points("hrl_escape.observations", "observation", "a subclass of Observer", _check_entry):
-        register_observation(observer)
+def _load_entry_points(wanted: str | None = None) -> None:
+    load_entry_points("hrl_escape.observations", "observation", "a subclass of Observer",
+                      lambda loaded: register_observation(_check_entry(loaded)), wanted)
 
 
 def get_observation(name: str) -> type[Observer]:
@@ -242,7 +242,7 @@ def get_observation(name: str) -> type[Observer]:
         UnknownNameError: no observation of that name; the message lists those there are.
     """
     if isinstance(name, str) and name not in _REGISTRY:
-        _load_entry_points()
+        _load_entry_points(name)
     if not isinstance(name, str) or name not in _REGISTRY:
         raise UnknownNameError("observation", name, _REGISTRY)
     return _REGISTRY[name]

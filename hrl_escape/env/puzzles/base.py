@@ -373,7 +373,7 @@ def get_puzzle_kind(kind: Any) -> PuzzleKind:
         UnknownNameError: no puzzle of that name; the message lists those there are.
     """
     if isinstance(kind, str) and kind not in _REGISTRY:
-        _load_entry_points()
+        _load_entry_points(kind)
     if not isinstance(kind, str) or kind not in _REGISTRY:
         raise UnknownNameError("puzzle", kind, _REGISTRY)
     return _REGISTRY[kind]
@@ -385,7 +385,6 @@ def list_puzzles() -> tuple[str, ...]:
     return tuple(sorted(_REGISTRY))
 
 
-def _load_entry_points() -> None:
-    for kind in load_entry_points("hrl_escape.puzzles", "puzzle", "a pair (config type, puzzle type)",
-                                  lambda loaded: PuzzleKind(*loaded)):
-        register_puzzle(kind.config_type, kind.puzzle_type)
+def _load_entry_points(wanted: str | None = None) -> None:
+    load_entry_points("hrl_escape.puzzles", "puzzle", "a pair (config type, puzzle type)",
+                      lambda loaded: register_puzzle(*loaded), wanted)

@@ -17,6 +17,7 @@ from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.errors import ConfigError
 from hrl_escape.files import write_text
 from hrl_escape.planning.motion.trajectory import TimedTrajectory
+from hrl_escape.viewer.pages.policy import add_policy
 from hrl_escape.viewer.scene.poses import RoomPose, make_pose
 from hrl_escape.viewer.scene.room_scene import RoomScene
 from hrl_escape.viewer.server import open_server
@@ -74,7 +75,7 @@ def make_motion(trajectory: TimedTrajectory, instance: RoomInstance, state: Room
     finally:
         server.stop()
     title = f"{instance.name}: {trajectory.duration:.1f} s, {trajectory.method}"
-    return page.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
+    return add_policy(page.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1))
 
 
 def _move(still: RoomPose, names: tuple[str, ...], row: list[float], rules: Rules) -> RoomPose:

@@ -15,6 +15,7 @@ from markupsafe import escape
 from hrl_escape.files import write_text
 from hrl_escape.templates import embed_json, render_template
 from hrl_escape.viewer.pages.panels import make_graph
+from hrl_escape.viewer.pages.policy import add_policy
 from hrl_escape.viewer.recording import Recording
 from hrl_escape.viewer.scene.poses import blend, make_pose
 from hrl_escape.viewer.scene.room_scene import RoomScene
@@ -66,7 +67,7 @@ def make_replay(recording: Recording) -> str:
     page = page.replace("<title>Viser</title>", f"<title>{escape(title)}</title>", 1)
     data = embed_json(_collect(recording))
     overlay = render_template("hrl_escape.viewer.pages", "replay.html", title=title, data=data)
-    return page.replace("</body>", overlay + "</body>", 1)
+    return add_policy(page.replace("</body>", overlay + "</body>", 1))
 
 
 def _make_title(recording: Recording) -> str:

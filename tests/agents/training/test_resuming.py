@@ -3,6 +3,7 @@
 import json
 import os
 import random
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,7 +20,8 @@ from hrl_escape.agents import load_agent, load_result, make_agent, train
 from hrl_escape.agents.registry import list_agents, list_recipes
 from hrl_escape.agents.training.checkpoint import load_checkpoint, save_checkpoint
 from hrl_escape.agents.training.evaluation import evaluate
-from hrl_escape.errors import CheckpointError, FileReadError, RunBusyError, RunMismatchError
+from hrl_escape.agents.training.run_folder import RunFolder
+from hrl_escape.errors import CheckpointError, FileReadError, FileWriteError, RunBusyError, RunMismatchError
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid
 
@@ -309,6 +311,45 @@ def test_a_damaged_checkpoint_is_named_and_nothing_is_overwritten(tmp_path, dama
     with pytest.raises(CheckpointError, match=r"checkpoint\.npz: this checkpoint is damaged"):
         run("q-learning", "corrected", {}, make_env(), tmp_path)
     assert path.read_bytes() != content
+
+
+def test_a_log_that_is_a_link_is_refused_and_its_target_kept(tmp_path):
+    interrupt(tmp_path / "run")
+    log = tmp_path / "run" / "log.jsonl"
+    log.rename(tmp_path / "mine")
+    with open(tmp_path / "mine", "ab") as file:
+        file.write(b"what resuming would cut off")
+    log.symlink_to(tmp_path / "mine")
+    before = (tmp_path / "mine").read_bytes()
+    with pytest.raises(FileWriteError, match=r"log\.jsonl: it is a link"):
+        run("q-learning", "corrected", {}, make_env(), tmp_path / "run")
+    assert (tmp_path / "mine").read_bytes() == before
+
+
+class Deleting:
+    """Stands where a tensor would in a state, and deletes its run's folder while the state is packed."""
+
+    def __init__(self, folder):
+        self.folder = folder
+
+    def detach(self):
+        shutil.rmtree(self.folder)
+        return self
+
+    def cpu(self):
+        return self
+
+    def numpy(self):
+        return np.zeros(3)
+
+
+@pytest.mark.parametrize("save", ["save", "save_best"])
+def test_a_folder_that_is_deleted_meanwhile_does_not_come_back_as_a_lone_checkpoint(tmp_path, save):
+    folder = RunFolder(tmp_path / "run", {"format": 2}, tensorboard=False)
+    with pytest.raises(FileWriteError, match=r"log\.jsonl was deleted or moved while its run was writing it"):
+        getattr(folder, save)({"agent": Deleting(tmp_path / "run")})
+    folder.close()
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_checkpoint_that_would_unpickle_is_refused(tmp_path):

@@ -214,6 +214,12 @@ def test_a_recorded_page_opens_from_disk_without_a_network_and_plays_to_the_end(
     page.wait("Number(document.querySelector('#replay')?.dataset.step) > 2", 60)
     page.wait("document.querySelector('#replay').dataset.end === 'escaped'", 60)
     assert page.run("document.querySelector('#replay .node').dataset.lit") == "1"
+    assert not [event for event in page.events if event["method"] == "Log.entryAdded"
+                and "Content Security Policy" in event["params"]["entry"]["text"]]
+    page.run("document.body.appendChild(Object.assign(document.createElement('script'), "
+             "{textContent: 'window.wasRun = true'})); 0")
+    assert page.run("window.wasRun") is None
+    assert page.run("fetch('http://127.0.0.1:1/').then(() => 'asked', error => 'refused')") == "refused"
     asked = [event["params"]["request"]["url"] for event in page.events
              if event["method"] == "Network.requestWillBeSent"]
     assert all(url.startswith(("file:", "data:", "blob:")) for url in asked)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import hashlib
 import json
 import re
 from pathlib import Path
@@ -57,6 +58,19 @@ def test_a_page_holds_everything_and_asks_for_nothing(two_buttons):
     assert not re.search(r"""<(script|img|link|iframe)[^>]+(src|href)=["']?(https?:)?//""", page)
     data = json.loads(re.search(r'id="r-data">(\{.*?\})</script>', page, re.S)[1])
     assert data["end"] == "escaped" and data["returns"][0] == "0" and len(data["graph"]) == len(data["returns"])
+
+
+def test_a_page_lets_its_own_scripts_run_and_asks_nobody(two_buttons):
+    page = make_replay(record_driver(open_driver("planner", two_buttons)))
+    assert page == make_replay(record_driver(open_driver("planner", two_buttons))), "its nonce is no random number"
+    (policy,) = re.findall(r'<head><meta http-equiv="Content-Security-Policy" content="([^"]*)">', page)
+    rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
+    assert rules["default-src"] == rules["base-uri"] == rules["form-action"] == "'none'"
+    assert "unsafe-inline" not in rules["script-src"] and "http" not in policy
+    (nonce,) = re.findall(r"'nonce-([^']+)'", rules["script-src"])
+    assert page.count(f'e.nonce="{nonce}"') == 1, "viser's client adds its script in other words: see UNPACKED"
+    ours = re.search(r"<script>(\s*\(\(\) => .*?)</script>", page, re.S)[1]
+    assert f"'sha256-{base64.b64encode(hashlib.sha256(ours.encode()).digest()).decode()}'" in rules["script-src"]
 
 
 def test_the_command_writes_page_and_animation(tmp_path: Path, capfd):
