@@ -61,18 +61,18 @@ def measure_latency(name: str, rooms: int, queries: int) -> bool:
         prepare.append(time.thread_time() - begin)
         rng = np.random.default_rng(seed)
         state = planner.rules.make_state(planner.instance.starts[0])
-        planner.find_route(state, PressGoal(0))  # compiles, in the first room
+        planner.routes.find_route(state, PressGoal(0))  # compiles, in the first room
         for _ in range(queries):
             state = wander(planner, state, rng)
             goal = PressGoal(int(rng.integers(len(planner.instance.targets))))
             began, begin = time.perf_counter(), time.thread_time()
-            route = planner.find_route(state, goal)
+            route = planner.routes.find_route(state, goal)
             cpu.append(1e3 * (time.thread_time() - begin))
             wall.append(1e3 * (time.perf_counter() - began))
             begin = time.thread_time()
-            planner.find_route(state, goal)
+            planner.routes.find_route(state, goal)
             cached.append(1e3 * (time.thread_time() - begin))
-            state = planner.follow(state, route)
+            state = planner.routes.follow(state, route)
     slowest, known = max(prepare[1:]), np.median(cached)
     (median, p99), (median_wall, p99_wall) = np.quantile([cpu, wall], [0.5, 0.99], axis=1).T
     print(f"{name:18} prepare {slowest:5.2f} s   plan, CPU ms: median {median:5.2f}, p99 {p99:5.1f}   "
@@ -120,7 +120,7 @@ def measure_memory(plans: int, kinds: Sequence[str]) -> bool:
             target = PressGoal(number % len(instance.targets))
             if name == "answer":  # planned anew each time: nothing is remembered
                 planner.answer(PlanningRequest(state, target, improve=number % 200 == 0))
-                planner._routes.clear()
+                planner.routes.forget()
             elif name == "fields":
                 search.search(state, target)
             else:

@@ -85,7 +85,7 @@ def test_a_limit_holds_over_the_whole_call_and_its_result_says_so():
 
 def test_a_plan_made_without_a_limit_was_not_cut_short():
     planner, start = make_planner()
-    assert not planner.solve(start).timed_out and planner.time_limit is None
+    assert not planner.solve(start).timed_out and planner.routes.time_limit is None
 
 
 @pytest.mark.parametrize("limit", [-1.0, float("nan"), "1", True])

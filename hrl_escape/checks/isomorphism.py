@@ -188,7 +188,7 @@ class _IsomorphismCheck(Claims):
     def try_pair(self, state: Any, action: int, start: RoomState) -> None:
         """Press once from the start, and once more from where that ended, in the same state of the puzzle."""
         self.require(self.is_over(start) == self.reference.is_over(state), "both are over, or neither", state)
-        if not self.planner.can_start(start, self.goals[action]):
+        if not self.planner.routes.can_start(start, self.goals[action]):
             self.require(self.reference.step(state, action) == state, "an action that cannot begin does nothing",
                          (state, action))
             return

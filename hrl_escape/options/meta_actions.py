@@ -52,7 +52,7 @@ class PlannedOption(Option):
 
     def initiation(self, state: RoomState) -> bool:
         """Possible unless the goal is reached already or planning from here is known to fail."""
-        return self._planner.can_start(state, self.goal)
+        return self._planner.routes.can_start(state, self.goal)
 
     def start(self, state: RoomState) -> None:
         """Plan from here. Raises `PlanningFailed`."""
@@ -63,8 +63,8 @@ class PlannedOption(Option):
 
     def policy(self, state: RoomState) -> int:
         """Next primitive of the plan, chosen by the state that the last one really led to."""
-        if self._planner.has_undone(self._first, state):
-            raise self._planner.make_failure(PlanningReason.PRECONDITION_UNMET, state, self.goal,
+        if self._planner.routes.has_undone(self._first, state):
+            raise self._planner.routes.make_failure(PlanningReason.PRECONDITION_UNMET, state, self.goal,
                                              advice="A prop was moved from its place on the way")
         poses, here = self._route.poses, get_pose(state)
         if self._at + 1 < len(poses) and here == poses[self._at + 1]:
@@ -80,7 +80,7 @@ class PlannedOption(Option):
         if self._waited % self._jam == self._jam - 1:
             self._shake = SHAKE * (self._waited // self._jam + 1)
         if self._waited > self._patience:
-            raise self._planner.make_failure(
+            raise self._planner.routes.make_failure(
                 PlanningReason.BUDGET_EXHAUSTED, state, self.goal,
                 nearest=f"{self._left:g} primitives short, no progress for {self._patience} primitives",
             )
@@ -100,17 +100,17 @@ class PlannedOption(Option):
 
     def termination(self, state: RoomState) -> float:
         """1 once the goal is reached; a press counts at the primitive that begins the touch."""
-        is_undone = self._planner.has_undone(self._first, state)
+        is_undone = self._planner.routes.has_undone(self._first, state)
         return float(not is_undone and is_reached(self.goal, self._last, state, self._planner.rules))
 
     def _plan(self, state: RoomState) -> None:
-        self._route, self._at = self._planner.find_route(state, self.goal, self.report), 0
+        self._route, self._at = self._planner.routes.find_route(state, self.goal, self.report), 0
         _tell_unavoidable(self, self._planner.instance, self._route)
 
     def _recover(self, state: RoomState) -> None:
         """Go on with the rest of the plan if it still reaches the goal from here, else replan."""
         rest = self._route.primitives[self._at + 1 :]
-        route = self._planner.replay(state, rest, self.goal) if rest else None
+        route = self._planner.routes.replay(state, rest, self.goal) if rest else None
         if route is not None and set(route.also_pressed) <= set(self._route.also_pressed):
             self._route, self._at = route, 0
         else:
@@ -118,7 +118,7 @@ class PlannedOption(Option):
 
     def _replan(self, state: RoomState) -> None:
         if self.report.replans >= self.max_replans:
-            raise self._planner.make_failure(
+            raise self._planner.routes.make_failure(
                 PlanningReason.BUDGET_EXHAUSTED, state, self.goal, nearest=f"{self.report.replans} plans made",
                 advice="Raise max_replans, or lower noise",
             )
@@ -146,20 +146,20 @@ class MarkovOption(Option):
         self.instance, self.goal = planner.instance, goal
         self.targets = (goal.target,) if isinstance(goal, (PressGoal, GripGoal)) else ()
         self._planner = planner
-        self._settings = planner.settings._replace(effort=-1)  # a better one from the next state on is found there
+        self._settings = planner.routes.settings._replace(effort=-1)  # a better one is found from the next state on
 
     def initiation(self, state: RoomState) -> bool:
         """Possible where a route leads to the goal, and it is not reached already."""
-        if not self._planner.can_start(state, self.goal):
+        if not self._planner.routes.can_start(state, self.goal):
             return False
         try:
-            return bool(self._planner.find_route(state, self.goal, settings=self._settings).primitives)
+            return bool(self._planner.routes.find_route(state, self.goal, settings=self._settings).primitives)
         except PlanningFailed:
             return False
 
     def policy(self, state: RoomState) -> int:
         """First primitive of the route. Raises `PlanningFailed`."""
-        route = self._planner.find_route(state, self.goal, self.report, settings=self._settings)
+        route = self._planner.routes.find_route(state, self.goal, self.report, settings=self._settings)
         _tell_unavoidable(self, self._planner.instance, route)
         return route.primitives[0]
 
@@ -168,7 +168,7 @@ class MarkovOption(Option):
         if isinstance(self.goal, PressGoal):
             return float(state.touching >> self.goal.target & 1)
         if isinstance(self.goal, GripGoal):
-            return float(not self._planner.can_start(state, self.goal))
+            return float(not self._planner.routes.can_start(state, self.goal))
         return float(is_reached(self.goal, state, state, self._planner.rules))
 
 
@@ -208,7 +208,7 @@ class AncestorsOption(Option):
     def start(self, state: RoomState) -> None:
         """Find the cheapest order of the remaining operators. Raises `PlanningFailed`."""
         super().start(state)
-        self._order = self._planner.find_ancestors(state, self.goal, self.report)
+        self._order = self._planner.orders.find_ancestors(state, self.goal, self.report)
 
     def policy(self, state: RoomState) -> OptionAction:
         """Next part."""

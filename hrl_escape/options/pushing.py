@@ -171,11 +171,11 @@ class PushOption(Option):
         """Push if the base stands behind the block, else drive there."""
         self._count += 1
         if self._count > MOST_PUSH_PRIMITIVES:
-            raise self._planner.make_failure(PlanningReason.BUDGET_EXHAUSTED, state, self.goal,
+            raise self._planner.routes.make_failure(PlanningReason.BUDGET_EXHAUSTED, state, self.goal,
                                              nearest=f"{self._count - 1} primitives of pushing")
         push = self._find_push(state)
         if push is None:
-            raise self._planner.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, self.goal,
+            raise self._planner.routes.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, self.goal,
                                              nearest="no side to push from")
         primitive = self._find_pusher(state, push)
         if primitive is not None:
@@ -216,7 +216,7 @@ class PushOption(Option):
         if self._route is not None and self._standing is not None:
             moved = math.hypot(push.block[0] - self._standing.block[0], push.block[1] - self._standing.block[1])
             rest = self._route.primitives[1:]
-            again = self._planner.replay(state, rest, self._place) if rest and moved < 0.02 else None
+            again = self._planner.routes.replay(state, rest, self._place) if rest and moved < 0.02 else None
             if again is not None:
                 self._route = again
                 return again.primitives[0]
@@ -237,10 +237,11 @@ class PushOption(Option):
             self._place = PoseGoal(push.block[0] - away * math.cos(push.direction),
                                    push.block[1] - away * math.sin(push.direction), facing, 0.1 * step, ASKEW / 2)
             try:
-                route = self._planner.find_route_around(state, self._place, blocks, budget, self.report, refine=refine)
+                route = self._planner.routes.find_route_around(state, self._place, blocks, budget, self.report,
+                                                               refine=refine)
             except PlanningFailed as failed:
                 failure = failed
                 continue
             if route.primitives:
                 return route
-        raise failure or self._planner.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, self.goal)
+        raise failure or self._planner.routes.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, state, self.goal)

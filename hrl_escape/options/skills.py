@@ -82,7 +82,7 @@ class ReachOption(Option):
 
     def _search(self, state: RoomState) -> tuple[int, ...]:
         """Joint primitives from here to the touch; empty if there are none."""
-        reacher = self._planner.get_reacher()
+        reacher = self._planner.routes.get_reacher()
         found = reacher.get_configuration(
             state.x, state.y, state.heading_steps, state.joint_steps, self._target,
             joint_offsets=state.joint_offsets, heading_offset=state.heading_offset)
@@ -99,7 +99,7 @@ class ReachOption(Option):
         """First of the fewest joint steps from here."""
         steps = self._get_steps(state)
         if not steps:
-            raise self._planner.make_failure(PlanningReason.NO_POSTURE, state, PressGoal(self._target))
+            raise self._planner.routes.make_failure(PlanningReason.NO_POSTURE, state, PressGoal(self._target))
         return steps[0]
 
     def termination(self, state: RoomState) -> float:
@@ -127,7 +127,7 @@ class PressOption(Option):
 
     def policy(self, state: RoomState) -> OptionAction:
         """Go to the last place of the base in the plan; from there reach, or press by plan if noise led elsewhere."""
-        route = self._planner.find_route(state, self._goal, self.report)
+        route = self._planner.routes.find_route(state, self._goal, self.report)
         by_arm = [p not in self._planner.rules.actions.base for p in route.primitives]
         going = [p for p, arm in zip(route.primitives, by_arm, strict=True) if not arm]
         if self._reach is None:
@@ -135,7 +135,7 @@ class PressOption(Option):
         if going and not self._has_gone:
             self._has_gone = True
             place = self._find_place(state, going)
-            if self._planner.remember(state, place, going):
+            if self._planner.routes.remember(state, place, going):
                 return make_go_to(self._planner, place)
         self._is_last = True
         return self._reach if self._reach is not None and all(by_arm) else self._touch

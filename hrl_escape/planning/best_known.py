@@ -96,7 +96,7 @@ def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | 
         state: first state of the episode.
         records: see `best_known_return`.
     """
-    get_planner(instance).check_query(state)
+    get_planner(instance).routes.check_query(state)
     key = (instance.id, get_pose(state), state.puzzle)
     with _LOCK:
         found = _KNOWN.get(key)

@@ -1,45 +1,38 @@
 """`RoomPlanner`: the programmatic API of all planning in one room.
 
-It composes routes (`routes.py`) into plans: to one goal, or to all goals of the puzzle in the
-cheapest order and then out (`operator_order.py`). Every plan is checked by the room's own kinematics.
+It composes routes to single goals (`routes.py`), orders of the puzzle's operators (`orders.py`) and legs planned
+together (`escapes.py`) into plans. Every plan is checked by the room's own kinematics.
 """
 
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any
 
-from hrl_escape.clock import Clock, OutOfTime
+from hrl_escape.clock import Clock
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnsupportedError
 from hrl_escape.kernels import read_clock
-from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, PushGoal, describe_goal, make_goal, parse_goal
+from hrl_escape.planning.escapes import Escapes
+from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, PushGoal, describe_goal, parse_goal
 from hrl_escape.planning.lower_bounds import bound_escape
-from hrl_escape.planning.orders import REAL_LEGS, TaskPlanner
+from hrl_escape.planning.orders import Orders
 from hrl_escape.planning.plan import Plan, PlanPart, join_parts
 from hrl_escape.planning.requests import PlanningRequest, PlanningResult, bound_cost, compute_plan_cost, iterate_routes
 from hrl_escape.planning.route import Route, SearchSettings
-from hrl_escape.planning.routes import check_method
-from hrl_escape.planning.search.escapes import JointSearch
-from hrl_escape.planning.symbolic.operator_order import TaskSearch
+from hrl_escape.planning.routes import Routes, check_method
 
 __all__ = ["RoomPlanner", "get_planner"]
 
-MOST_JOINTS = 4
-"""Joints of a hand that presses up to which whole escapes are searched: its tables take a millisecond."""
-MOST_FLOOR = 1_000.0
-"""Floor up to which they are, m^2: each posture has a field of its own, which takes 0.1 s there."""
 ESCAPES = 8
 """Orders of the puzzle's operators that are planned in detail for a request that asks for better plans."""
 
 
-class RoomPlanner(TaskPlanner):
+class RoomPlanner:
     """Planner of one room; make it once and use it for every episode.
 
     Thread-safe by a lock. Pickling drops the remembered routes.
@@ -51,12 +44,15 @@ class RoomPlanner(TaskPlanner):
             (see `list_planners`), with `corridor` for the default one; or `auto`, which takes the corridor for places
             on floors of more than 3,000 m^2, and fields for everything else.
         budget: search nodes of a plan; the same budget finds the same plan anywhere.
-        time_limit: limit of one whole call of `plan`, `solve`, `order_goals` or `find_ancestors`, s. None, the default,
-            leaves the decision to the budget, so that plans do not depend on the machine.
+        time_limit: limit of one whole call of `plan`, `solve`, `order_goals` or `orders.find_ancestors`, s. None, the
+            default, leaves the decision to the budget, so that plans do not depend on the machine.
 
     Attributes:
         instance: the room as given.
         rules: its kinematics with nothing random, by which plans are checked.
+        routes: routes to single goals, remembered.
+        orders: cheapest orders of the puzzle's operators.
+        escapes: legs planned together with what comes after them.
 
     Raises:
         UnknownNameError: no such method.
@@ -64,14 +60,24 @@ class RoomPlanner(TaskPlanner):
 
     def __init__(self, instance: RoomInstance, method: str = "auto", budget: int = 300_000,
                  time_limit: float | None = None) -> None:
-        super().__init__(instance, method, budget, time_limit)
+        self.routes = Routes(instance, method, budget, time_limit)
+        self.orders = Orders(self.routes)
+        self.escapes = Escapes(self.routes)
+        self.instance, self.rules = instance, self.routes.rules
 
-    def _open(self) -> None:
-        super()._open()
-        self._joint: JointSearch | None = None
+    def adapt(self, instance: RoomInstance) -> RoomPlanner:
+        """Make the planner of an edited room; it plans as a new one would, and takes over what the edit leaves valid.
 
-    def __getstate__(self) -> dict[str, Any]:
-        return {k: v for k, v in super().__getstate__().items() if k != "_joint"}
+        Args:
+            instance: the edited room, such as `Scene.instance`.
+        """
+        new = RoomPlanner(instance, self.routes.method, self.routes.budget, self.routes.time_limit)
+        new.routes.take_over(self.routes)
+        return new
+
+    def prepare(self) -> None:
+        """Compute now the fields that routes share, so that the first plans are as quick as later ones."""
+        self.routes.prepare()
 
     # --- plans -------------------------------------------------------------------------
 
@@ -91,8 +97,8 @@ class RoomPlanner(TaskPlanner):
         began = read_clock()
         goal = self._read_goal(goal)
         settings = self._choose_settings(method)
-        self.check_query(state, goal)
-        route = self.find_route(state, goal, settings=settings)
+        self.routes.check_query(state, goal)
+        route = self.routes.find_route(state, goal, settings=settings)
         return self._make_leg(state, goal, route, read_clock() - began)
 
     def answer(self, request: PlanningRequest, *, stop: threading.Event | None = None,
@@ -109,12 +115,12 @@ class RoomPlanner(TaskPlanner):
             UnsupportedError: the puzzle needs pushes, whose effect no plan predicts.
         """
         began = read_clock()
-        clock = Clock(self.time_limit if request.time_limit is None else request.time_limit, stop)
+        clock = Clock(self.routes.time_limit if request.time_limit is None else request.time_limit, stop)
         settings = self._choose_settings(request.method, request.budget, request.seed)
         given = request.goal if isinstance(request.goal, tuple) else () if request.goal is None else (request.goal,)
         goals = tuple(map(self._read_goal, given))
-        self.check_query(request.state, *goals)
-        bound = float(self._bounds.bound_goals(request.state, goals) if goals
+        self.routes.check_query(request.state, *goals)
+        bound = float(self.orders.bounds.bound_goals(request.state, goals) if goals
                       else bound_escape(self.instance, request.state))
         bound = bound_cost(self.instance, request.state, goals or (ExitGoal(),), request, bound)
         result = PlanningResult(request, PlanningReason.BUDGET_EXHAUSTED, None, math.inf, bound, "", 0, 0.0)
@@ -153,19 +159,20 @@ class RoomPlanner(TaskPlanner):
         if len(goals) > 1:
             yield self.follow_goals(state, goals, clock, settings)
             return
-        first = self.find_route(state, goals[0], None, clock, settings)
+        first = self.routes.find_route(state, goals[0], None, clock, settings)
         yield self._make_leg(state, goals[0], first)
         if is_thorough:
             rest = settings._replace(budget=settings.budget - first.expansions)
-            for route in iterate_routes(self, state, goals[0], request, rest, clock):
+            for route in iterate_routes(self.routes, state, goals[0], request, rest, clock):
                 yield self._make_leg(state, goals[0], route)
 
     def _read_goal(self, goal: Goal | str) -> Goal:
         return parse_goal(goal, self.instance) if isinstance(goal, str) else goal
 
     def _choose_settings(self, method: str | None, budget: int | None = None, seed: int = 0) -> SearchSettings:
-        check_method(self.method if method is None else method)
-        return SearchSettings(method or self.method, budget or self.budget, seed)
+        usual = self.routes.settings
+        check_method(usual.method if method is None else method)
+        return SearchSettings(method or usual.method, budget or usual.budget, seed)
 
     def solve(self, state: RoomState, method: str | None = None) -> Plan:
         """Plan the whole escape: the puzzle's operators, then the exit, with few primitives in all.
@@ -183,8 +190,8 @@ class RoomPlanner(TaskPlanner):
             UnsupportedError: the puzzle needs pushes, whose effect no plan predicts; use `pursue`.
         """
         settings = self._choose_settings(method)
-        self.check_query(state)
-        return self._solve(state, settings, Clock(self.time_limit))
+        self.routes.check_query(state)
+        return self._solve(state, settings, Clock(self.routes.time_limit))
 
     def _solve(self, state: RoomState, settings: SearchSettings, clock: Clock, most_nodes: int | None = None) -> Plan:
         """Escape leg by leg in the cheapest order, or a shorter one by a search over all legs and orders at once.
@@ -199,49 +206,28 @@ class RoomPlanner(TaskPlanner):
         return dataclasses.replace(plan, seconds=read_clock() - began, timed_out=clock.has_stopped)
 
     def _solve_by_legs(self, state: RoomState, settings: SearchSettings, clock: Clock) -> Plan:
-        return self.follow_goals(state, self._order_goals(state, clock, settings), clock, settings)
+        return self.follow_goals(state, self.orders.find_goals(state, clock, settings), clock, settings)
 
     def _shorten_escape(self, state: RoomState, plan: Plan, settings: SearchSettings, clock: Clock, most_nodes: int
                         ) -> Plan:
         """The escape, or a shorter one found jointly; props, and headings and joints off their lattices, stay out."""
         order = [part.goal for part in plan.parts]
-        if state.heading_offset or any(state.joint_offsets) or not order or not self._can_join(order):
+        if state.heading_offset or any(state.joint_offsets) or not order or not self.escapes.can_join(order):
             return plan
-        with self._lock:
-            joint = self._get_joint_search()
-            try:
-                found, spent = joint.find_escape(state, order, plan.cost, clock=clock, effort=settings.effort,
-                                                 budget=most_nodes)
-            except OutOfTime:
-                return plan
-            if found is None:
-                return dataclasses.replace(plan, expansions=plan.expansions + spent)
-            goals = joint.list_goals(state, found)
+        found, goals, spent = self.escapes.shorten(state, order, plan.cost, clock, settings.effort, most_nodes)
+        if found is None:
+            return dataclasses.replace(plan, expansions=plan.expansions + spent)
         return dataclasses.replace(self.make_plan(state, found, goals, "joint search"),
                                    expansions=plan.expansions + spent)
 
-    def _can_join(self, order: Sequence[Goal]) -> bool:
-        """Return whether legs to these goals can be planned jointly: nothing but primitives to presses counts."""
-        room = self.instance
-        is_plain = not (room.props or room.inner_doors or room.puzzle.has_reward)
-        if self._presses_by_hand:  # arms that collide, or with many joints, take long
-            is_plain &= room.dynamics.kind == "kinematic" and room.robot.joints <= MOST_JOINTS
-            is_plain &= 4 * room.reach_x * room.reach_y <= MOST_FLOOR
-        return is_plain and all(isinstance(goal, (PressGoal, ExitGoal)) for goal in order)
+    def order_goals(self, state: RoomState) -> tuple[Goal, ...]:
+        """List the goals of an escape from here in the cheapest order; the last one is the exit.
 
-    @property
-    def _presses_by_hand(self) -> bool:
-        return self.instance.dynamics.press_with == "hand"
-
-    def _get_joint_search(self) -> JointSearch:
-        """Fields of the puzzle's states, made on first use; to be held under the lock."""
-        if self._joint is None and self._presses_by_hand:
-            from hrl_escape.planning.search.hand_escapes import HandSearch  # loads Pinocchio
-
-            self._joint = HandSearch(self._search)
-        elif self._joint is None:
-            self._joint = JointSearch(self.rules, self.get_field_maker(True), self.get_field_maker(False))
-        return self._joint
+        Raises:
+            PlanningFailed: there is no escape; its reason says why.
+        """
+        self.routes.check_query(state)
+        return self.orders.find_goals(state, Clock(self.routes.time_limit), self.routes.settings)
 
     def plan_onward(self, state: RoomState, order: Sequence[Goal]) -> Plan:
         """Plan the next leg of an escape that noise has led astray, within milliseconds.
@@ -257,15 +243,11 @@ class RoomPlanner(TaskPlanner):
             PlanningFailed: the first goal cannot be reached.
         """
         began = read_clock()
-        self.check_query(state, *order)
-        is_joint = self.method in ("auto", "fields") and self._can_join(order) and not self._presses_by_hand
-        if is_joint and not self.has_escaped(state):
-            with self._lock:
-                joint = self._get_joint_search()
-                found = joint.find_leg(state, order)
-                goals = joint.list_goals(state, found or ())[:1]
+        self.routes.check_query(state, *order)
+        if self.routes.method in ("auto", "fields") and not self.routes.has_escaped(state):
+            found = self.escapes.find_leg(state, order)
             if found is not None:
-                plan = self.make_plan(state, found, goals, "joint search")
+                plan = self.make_plan(state, *found, "joint search")
                 return dataclasses.replace(plan, seconds=read_clock() - began)
         return self.plan(state, order[0])
 
@@ -289,7 +271,7 @@ class RoomPlanner(TaskPlanner):
                 raise UnsupportedError(f"{describe_goal(goal, self.instance)} cannot be planned ahead: pushing takes "
                                        "physics. Use pursue(env), which runs in closed loop")
             is_exit = isinstance(goal, ExitGoal)
-            route = self._find_exit(here, bool(legs), clock, settings) if is_exit else self.find_route(
+            route = self.orders.find_exit(here, bool(legs), clock, settings) if is_exit else self.routes.find_route(
                 here, goal, None, clock, settings)
             if route.primitives:
                 legs.append(self._make_leg(here, goal, route))
@@ -311,17 +293,10 @@ class RoomPlanner(TaskPlanner):
             PlanningFailed: there is no escape; its reason says why.
             UnsupportedError: the puzzle needs pushes.
         """
-        clock, settings = clock or Clock(self.time_limit), settings or self.settings
+        clock, settings = clock or Clock(self.routes.time_limit), settings or self.routes.settings
         first = self._solve_by_legs(state, settings, clock)
-        facts = self.instance.puzzle.get_facts(state.puzzle)
-        search = TaskSearch(self._model, lower_bound=self._bounds.bound_leg, relevant_only=False)
-        extend = self._make_extend(state, clock, settings, None, None, most_nodes)
-        tasks = search.find_orders(facts, state, extend, count, REAL_LEGS * count)
-        orders = ([make_goal(op, self.instance) for op in task.operators] for task in tasks)
-        ancestors = (self.find_ancestors(state, make_goal(op, self.instance))  # as one meta-action does it
-                     for op in search.operators if op.add & self._model.goal)
         plans = {first.primitives: first}
-        for goals in itertools.chain(orders, ancestors):
+        for goals in self.orders.list_orders(state, count, clock, settings, most_nodes):
             if most_nodes <= 0:
                 break
             try:
@@ -330,7 +305,7 @@ class RoomPlanner(TaskPlanner):
                 most_nodes -= failure.expansions
                 continue
             most_nodes -= plan.expansions
-            if self.has_escaped(plan.states[-1]):
+            if self.routes.has_escaped(plan.states[-1]):
                 plans.setdefault(plan.primitives, plan)
         return sorted(plans.values(), key=lambda plan: plan.cost)[:count]
 
@@ -340,15 +315,16 @@ class RoomPlanner(TaskPlanner):
         Raises:
             PlanningFailed: the primitives do not reach the goals.
         """
-        self.check_query(state, *goals)
+        self.routes.check_query(state, *goals)
         legs: list[Plan] = []
-        here, rest = state, self.check_primitives(primitives)
+        here, rest = state, self.routes.check_primitives(primitives)
         for goal in goals:
-            if isinstance(goal, ExitGoal) and not rest and self.has_escaped(here):
+            if isinstance(goal, ExitGoal) and not rest and self.routes.has_escaped(here):
                 break  # by the primitive of the last press
-            route = self.replay(here, rest, goal)
+            route = self.routes.replay(here, rest, goal)
             if route is None:
-                raise self.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, here, goal, planners=(planner,))
+                raise self.routes.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, here, goal,
+                                               planners=(planner,))
             legs.append(self._make_leg(here, goal, route))
             here, rest = legs[-1].states[-1], rest[legs[-1].cost :]
         return self._join_legs(state, legs, planner, 0.0)

@@ -31,7 +31,7 @@ from hrl_escape.planning.props import list_obstacles
 from hrl_escape.planning.route import EFFORTS, PlanningReport, Route, SearchSettings, check_budget
 
 if TYPE_CHECKING:
-    from hrl_escape.planning.routes import RouteFinder
+    from hrl_escape.planning.routes import Routes
 
 __all__ = ["Objective", "PlanningRequest", "PlanningResult", "bound_cost", "compute_lacking_clearance",
            "compute_plan_cost", "iterate_routes"]
@@ -197,13 +197,13 @@ PATH_PLANNERS = ("BITstar", "InformedRRTstar")
 """Path planners whose paths are short or become so."""
 
 
-def iterate_routes(finder: RouteFinder, state: RoomState, goal: Goal, request: PlanningRequest,
+def iterate_routes(routes: Routes, state: RoomState, goal: Goal, request: PlanningRequest,
                    settings: SearchSettings, clock: Clock) -> Iterator[Route]:
     """Routes to one goal after the first one, until the nodes of `settings.budget` are spent; failures are skipped."""
     left = settings.budget
     for number in range(_count_ways(request)):
         try:
-            route = _find_way(finder, state, goal, number, settings._replace(budget=left), clock)
+            route = _find_way(routes, state, goal, number, settings._replace(budget=left), clock)
         except PlanningFailed as failure:
             left -= failure.expansions
         else:
@@ -217,16 +217,16 @@ def _count_ways(request: PlanningRequest) -> int:
     return len(EFFORTS) + (len(WAY_MARGINS) + len(PATH_PLANNERS) if request.objective != "primitives" else 0)
 
 
-def _find_way(finder: RouteFinder, state: RoomState, goal: Goal, number: int, settings: SearchSettings, clock: Clock
+def _find_way(routes: Routes, state: RoomState, goal: Goal, number: int, settings: SearchSettings, clock: Clock
               ) -> Route:
     """Route number `number`: lower and lower heuristics, then growing margins, then path planners."""
     if number < len(EFFORTS):
-        return finder.find_route(state, goal, None, clock, settings._replace(effort=number + 1))
+        return routes.find_route(state, goal, None, clock, settings._replace(effort=number + 1))
     number -= len(EFFORTS)
     if number < len(WAY_MARGINS):
-        keep_out = (*list_obstacles(state, finder.instance)[-1],
-                    *grow_solids(finder.instance, state, goal, WAY_MARGINS[number]))
-        return finder.find_route_around(state, goal, keep_out, settings.budget, PlanningReport(), refine=False,
+        keep_out = (*list_obstacles(state, routes.instance)[-1],
+                    *grow_solids(routes.instance, state, goal, WAY_MARGINS[number]))
+        return routes.find_route_around(state, goal, keep_out, settings.budget, PlanningReport(), refine=False,
                                         clock=clock)
     planner = PATH_PLANNERS[number - len(WAY_MARGINS)]
-    return finder.find_route(state, goal, None, clock, settings._replace(method=planner))
+    return routes.find_route(state, goal, None, clock, settings._replace(method=planner))

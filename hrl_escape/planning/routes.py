@@ -1,12 +1,12 @@
 """Routes: primitives from a state to one goal, found once, remembered, and checked by replay.
 
 Options follow routes, and plans are made of them. A route is a function of state and goal alone,
-so remembering it saves time and changes nothing. `primitive_search.py` finds a single route,
-`planner.py` puts several goals in order.
+so remembering it saves time and changes nothing. `search/primitive_search.py` finds a single route.
 """
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 import numbers
 import threading
@@ -14,8 +14,6 @@ from collections import OrderedDict
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, TypeAlias
-
-from typing_extensions import Self
 
 from hrl_escape.clock import Clock
 from hrl_escape.env.config import CONTACT_SKIN
@@ -45,10 +43,12 @@ from hrl_escape.planning.search.primitive_search import METHODS, PrimitiveSearch
 if TYPE_CHECKING:
     from hrl_escape.planning.arm.reacher import Reacher
 
-__all__ = ["RouteFinder", "check_method"]
+__all__ = ["Routes", "check_method"]
 
-MOST_ROUTES = 10_000
-"""Routes that are kept; the least recently used are dropped first."""
+MOST_POSES = 20_000
+"""Poses of all routes that are kept, at some 0.3 kB each; the least recently used routes are dropped first."""
+_KEY = 3
+"""Poses that the key of a route takes as much memory as."""
 
 CAREFUL = 20_000
 """Search nodes of a route that keeps away from all blocks, before one that may move some."""
@@ -56,12 +56,17 @@ CAREFUL = 20_000
 RouteKey: TypeAlias = tuple[Goal, SearchSettings, tuple[bool, DoorKey], Pose]  # is the exit open?
 
 
-class RouteFinder:
+class Routes:
     """Routes of one room; thread-safe by a lock, and picklable.
 
     Attributes:
         instance: the room as given.
         rules: its kinematics with nothing random, by which routes are checked.
+        method: as in `RoomPlanner`, like the following ones.
+        budget: search nodes of a route.
+        time_limit: limit of one call, s; None for none.
+        search: searches of the room with its inner doors open; to be held under the lock.
+        lock: held while a route is searched.
     """
 
     def __init__(self, instance: RoomInstance, method: str = "auto", budget: int = 300_000,
@@ -82,46 +87,41 @@ class RouteFinder:
         self._open()
 
     def _open(self) -> None:
-        self._search = PrimitiveSearch(self._quiet, self.rules)
-        self._doors = DoorSearches(self._search)
+        self.search = PrimitiveSearch(self._quiet, self.rules)
+        self._doors = DoorSearches(self.search)
         self._routes: OrderedDict[RouteKey, Route | PlanningFailed] = OrderedDict()
+        self._poses = 0
         self._reasons: dict[int, str] = {}
-        self._lock = threading.RLock()
+        self.lock = threading.RLock()
 
     def __getstate__(self) -> dict[str, Any]:
-        left_out = ("_search", "_doors", "_routes", "_reasons", "_lock")
+        left_out = ("search", "_doors", "_routes", "_poses", "_reasons", "lock")
         return {k: v for k, v in self.__dict__.items() if k not in left_out}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._open()
 
-    def adapt(self, instance: RoomInstance) -> Self:
-        """Make the planner of an edited room; it plans as a new one would, and takes over what the edit leaves valid.
-
-        Args:
-            instance: the edited room, such as `Scene.instance`.
-        """
-        new = type(self)(instance, self.method, self.budget, self.time_limit)
-        with self._lock:
-            new._search = self._search.adapt(new._quiet, new.rules)
-            new._doors = DoorSearches(new._search)
-        return new
+    def take_over(self, before: Routes) -> None:
+        """Take over the grids and fields of the room as it was before an edit, as far as the edit leaves them valid."""
+        with before.lock:
+            self.search = before.search.adapt(self._quiet, self.rules)
+            self._doors = DoorSearches(self.search)
 
     def prepare(self) -> None:
         """Compute now the fields that routes share, so that the first routes are as quick as later ones."""
-        with self._lock:
-            self._search.prepare()
+        with self.lock:
+            self.search.prepare()
 
     def get_field_maker(self, door_shut: bool) -> FieldMaker:
         """Grid of the cost-to-go fields, with the exit door shut or open."""
-        with self._lock:
-            return self._search.get_maker(door_shut)
+        with self.lock:
+            return self.search.get_maker(door_shut)
 
     def get_reacher(self) -> Reacher:
         """Arm of this room's robot, which finds its postures."""
-        with self._lock:
-            return self._search.reacher
+        with self.lock:
+            return self.search.reacher
 
     @property
     def settings(self) -> SearchSettings:
@@ -195,7 +195,7 @@ class RouteFinder:
         began = read_clock()
         clock = clock or Clock(self.time_limit)
         settings = self.settings if settings is None else settings
-        with self._lock:
+        with self.lock:
             if clock.is_cancelled:  # while another call was under way
                 raise self.make_failure(clock.reason, state, goal)
             with self._explaining(state, goal):
@@ -215,7 +215,7 @@ class RouteFinder:
         if report is not None:
             report.planner_seconds += read_clock() - began
         if isinstance(found, PlanningFailed):
-            raise found.with_traceback(None)
+            raise copy.copy(found)  # one that is remembered must not keep the frames it was raised through
         return found
 
     def find_route_around(self, state: RoomState, goal: Goal, keep_out: Sequence[Footprint], budget: int,
@@ -236,7 +236,7 @@ class RouteFinder:
         """
         began = read_clock()
         report.planner_calls += 1
-        with self._lock:
+        with self.lock:
             settings = self.settings._replace(budget=budget)
             found = self._search_route(state, goal, clock or Clock(self.time_limit), settings, keep_out, refine)
         report.planner_seconds += read_clock() - began
@@ -251,15 +251,24 @@ class RouteFinder:
         route = self.replay(state, primitives, goal)
         if route is None or len(route.primitives) < len(primitives) or route.also_pressed:
             return False
-        with self._lock:
+        with self.lock:
             self._keep(self._make_key(state, goal, self.settings), route)
         return True
 
     def _keep(self, key: RouteKey, found: Route | PlanningFailed) -> None:
         """Remember what was found, and forget what was not asked for the longest time."""
-        self._routes.setdefault(key, found)
-        if len(self._routes) > MOST_ROUTES:
-            self._routes.popitem(last=False)
+        if key in self._routes:
+            return
+        self._routes[key] = found
+        self._poses += _count_poses(found)
+        while self._poses > MOST_POSES and len(self._routes) > 1:
+            self._poses -= _count_poses(self._routes.popitem(last=False)[1])
+
+    def forget(self) -> None:
+        """Forget all routes; grids and fields stay."""
+        with self.lock:
+            self._routes.clear()
+            self._poses = 0
 
     def _make_key(self, state: RoomState, goal: Goal, settings: SearchSettings) -> RouteKey:
         """All that a route depends on."""
@@ -342,7 +351,7 @@ class RouteFinder:
         begin = state._replace(primitives=0, noise_key=0, z=0.0, pitch=0.0, roll=0.0, physics=None)
         began, method = read_clock(), settings.method
         way, planner = (method, DEFAULT_PLANNER) if method in METHODS else ("corridor", method)
-        way = self._search.choose_method(goal, keep_out) if way == "auto" else way
+        way = self.search.choose_method(goal, keep_out) if way == "auto" else way
         result = self._doors.choose(state).search(
             begin, goal, method=way, planner=planner, avoid=not self.instance.puzzle.target_cells, refine=refine,
             keep_out=keep_out, budget_expansions=settings.budget, clock=clock, seed=settings.seed,
@@ -367,7 +376,7 @@ class RouteFinder:
         if goal.target not in self._reasons:
             from hrl_escape.planning.arm.unreachable import explain_unreachable  # loads Pinocchio
 
-            self._reasons[goal.target] = explain_unreachable(self._search.reacher, goal.target) or ""
+            self._reasons[goal.target] = explain_unreachable(self.search.reacher, goal.target) or ""
         return self._reasons[goal.target]
 
     def follow(self, state: RoomState, route: Route) -> RoomState:
@@ -387,6 +396,11 @@ class RouteFinder:
     def has_escaped(self, state: RoomState) -> bool:
         """The exit is open and the robot stands in it."""
         return self.rules.has_escaped(state)
+
+
+def _count_poses(found: Route | PlanningFailed) -> int:
+    """Memory of what is kept, in poses."""
+    return _KEY + (len(found.poses) if isinstance(found, Route) else _KEY)
 
 
 def check_method(method: str) -> None:

@@ -63,7 +63,7 @@ class TaskMotionPlanner:
             state: first state.
             goals: facts to make true; without them the task is the escape, and has legs to the exit.
         """
-        self.planner.check_query(state)
+        self.planner.routes.check_query(state)
         ends, costs, queue = {START: state}, {}, [START]
         while queue:
             before = queue.pop(0)
@@ -78,17 +78,17 @@ class TaskMotionPlanner:
                     ends[name] = found[1]
                     queue.append(name)
             if goals is None:
-                leaving = self._try_leg(ends[before]._replace(puzzle=self.planner.solved_puzzle), ExitGoal())
+                leaving = self._try_leg(ends[before]._replace(puzzle=self.planner.orders.solved_puzzle), ExitGoal())
                 if leaving is not None:
                     costs[before, LEAVE] = max(1, leaving[0])
         return costs
 
     def _try_leg(self, begin: RoomState, goal: Goal) -> tuple[int, RoomState] | None:
         try:
-            route = self.planner.find_route(begin, goal)
+            route = self.planner.routes.find_route(begin, goal)
         except PlanningFailed:
             return None
-        return len(route.primitives), self.planner.follow(begin, route)
+        return len(route.primitives), self.planner.routes.follow(begin, route)
 
     def export(self, state: RoomState, goals: Iterable[str] | None = None,
                forbidden: Iterable[tuple[str, str]] = ()) -> tuple[str, str]:
@@ -166,10 +166,11 @@ class TaskMotionPlanner:
                 continue
             op = self._operators[_split(name)[0]]
             if not op.is_applicable(facts):
-                raise self.planner.make_failure(PlanningReason.PRECONDITION_UNMET, state, goal,
+                raise self.planner.routes.make_failure(PlanningReason.PRECONDITION_UNMET, state, goal,
                                                 advice=f"{name} needs {', '.join(sorted(op.preconditions - facts))}")
             facts = op.apply(facts)
-        return self.planner.follow_goals(state, goals, Clock(self.planner.time_limit), self.planner.settings)
+        routes = self.planner.routes
+        return self.planner.follow_goals(state, goals, Clock(routes.time_limit), routes.settings)
 
     def _find_goal(self, name: str) -> Goal:
         operator = _split(name)[0]
@@ -199,7 +200,8 @@ class TaskMotionPlanner:
             plan, status = run_engine(self.make_problem(state, goals, barred), engine, time_limit)
             if plan is None:
                 reason = PlanningReason.TIMEOUT if status == "TIMEOUT" else PlanningReason.PRECONDITION_UNMET
-                raise self.planner.make_failure(reason, state, None, planners=(engine,), nearest=f"status {status}")
+                raise self.planner.routes.make_failure(reason, state, None, planners=(engine,),
+                                                       nearest=f"status {status}")
             names = _list_names(plan)
             here = state
             for before, name in zip([START, *(_split(n)[0] for n in names)], names, strict=False):
@@ -210,7 +212,7 @@ class TaskMotionPlanner:
                     break
             else:
                 return self.follow(state, names)
-        raise self.planner.make_failure(PlanningReason.BUDGET_EXHAUSTED, state, None, planners=(engine,))
+        raise self.planner.routes.make_failure(PlanningReason.BUDGET_EXHAUSTED, state, None, planners=(engine,))
 
 
 def _list_names(actions: Any) -> list[str]:

@@ -124,7 +124,7 @@ class Situations:
         return Situation(state, facts, is_open)
 
     def _get_puzzle(self, is_open: bool) -> Hashable:
-        return self.planner.solved_puzzle if is_open else self.instance.puzzle.make_state()
+        return self.planner.orders.solved_puzzle if is_open else self.instance.puzzle.make_state()
 
     # --- predicates ---------------------------------------------------------------------
 
@@ -153,7 +153,7 @@ class Situations:
 
     def _find_route(self, here: Situation, goal: Goal) -> Route | None:
         try:
-            return self.planner.find_route(here.state, goal)
+            return self.planner.routes.find_route(here.state, goal)
         except PlanningFailed:
             return None
 

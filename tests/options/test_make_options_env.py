@@ -52,7 +52,7 @@ def test_vector_environments_step_decisions_of_different_durations():
 
 def test_options_plan_by_the_method_that_is_named():
     env = make_options_env("paper-two-button", planner="RRTConnect", include_primitives=False)
-    assert [option._planner.method for option in env.options] == ["RRTConnect"] * 3
+    assert [option._planner.routes.method for option in env.options] == ["RRTConnect"] * 3
     env.reset(seed=0)
     assert env.step(0)[4]["option"]["ended"] == "reached"
     with pytest.raises(UnknownNameError, match="RRTConnect"):

@@ -63,7 +63,7 @@ def test_they_press_their_target_in_as_many_primitives_as_a_plan(clutter):
     rules = planner.rules
     for option in make_markov(env)[:3]:
         for state in states:
-            planned, taken = len(planner.find_route(state, option.goal).primitives), 0
+            planned, taken = len(planner.routes.find_route(state, option.goal).primitives), 0
             here = state
             while True:
                 here, taken = rules.step(here, option.policy(here)).state, taken + 1

@@ -93,7 +93,7 @@ def test_a_meta_action_presses_its_button_and_no_other(name):
         if not info["action_mask"][index]:
             if name in ("taxi", "foraging", "sokoban"):
                 continue  # for another passenger or worm, or a box that cannot be pushed to that side from here
-            order = get_planner(room.instance).find_ancestors(room.get_state(), goal)
+            order = get_planner(room.instance).orders.find_ancestors(room.get_state(), goal)
         for part in order:
             *_, terminated, _, info = env.step(goals.index(part))
             option = info["option"]

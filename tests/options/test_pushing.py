@@ -44,6 +44,6 @@ def test_a_plan_never_crosses_a_block_that_must_stay():
     (block,) = list_blocks(solved, env.instance, only_done=True)
     x, y = plan.path[len(plan.path) // 2].tolist()
     in_the_way = (block._replace(x=x, y=y),)
-    assert planner.replay(solved, plan.primitives, ExitGoal()) is not None
-    assert planner.replay(solved, plan.primitives, ExitGoal(), in_the_way) is None
+    assert planner.routes.replay(solved, plan.primitives, ExitGoal()) is not None
+    assert planner.routes.replay(solved, plan.primitives, ExitGoal(), in_the_way) is None
     assert list_obstacles(solved, env.instance)[-1][0].half_x < block.half_x, "a graze moves nothing"

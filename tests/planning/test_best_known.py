@@ -72,7 +72,7 @@ def test_in_a_small_room_it_is_the_best_there_is(seed):
 
 def plan_by_legs(planner, start):
     """The escape in the cheapest order, leg after leg, as options make it."""
-    return planner.follow_goals(start, planner.order_goals(start), Clock(), planner.settings)
+    return planner.follow_goals(start, planner.order_goals(start), Clock(), planner.routes.settings)
 
 
 @pytest.mark.parametrize("name", ["paper-one-button", "paper-two-button", "four-button-chain", "bit-flip",
@@ -128,7 +128,7 @@ def test_nothing_that_the_planner_or_its_options_do_beats_the_best_known(config,
     assert max(by_press.value, planner.solve(start).compute_return()) <= known.value <= known.upper_bound
     for found in (known, by_press):
         assert found.plan is not None and found.plan.compute_return() == found.value
-        assert found.plan.states[0] == start and planner.has_escaped(found.plan.states[-1])
+        assert found.plan.states[0] == start and planner.routes.has_escaped(found.plan.states[-1])
 
 
 def test_orders_come_cheapest_first_and_differ():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import json
 import math
 import os
@@ -10,6 +11,7 @@ import pickle
 import subprocess
 import sys
 import threading
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -33,7 +35,7 @@ from hrl_escape.errors import (
     UnsupportedError,
 )
 from hrl_escape.options.closed_loop import pursue
-from hrl_escape.planning import route_finder
+from hrl_escape.planning import routes
 from hrl_escape.planning.goals import (
     ExitGoal,
     PoseGoal,
@@ -146,7 +148,7 @@ def test_pursuit_of_one_goal_ends_there():
 def test_pairwise_costs_lead_to_an_order_as_good_as_costing_every_leg(monkeypatch):
     """A DAG of eight buttons, two orders of costing it."""
     config = RoomConfig(puzzle=ButtonsConfig(count=8, graph=GraphConfig(kind="tree"), buttons=Panels(width=1.0)))
-    from hrl_escape.planning import task_planner as module
+    from hrl_escape.planning import orders as module
 
     for seed in range(3):
         instance = generate(config, seed)
@@ -160,9 +162,9 @@ def test_pairwise_costs_lead_to_an_order_as_good_as_costing_every_leg(monkeypatc
 def test_ancestors_come_first_and_only_where_needed():
     planner = RoomPlanner(generate(make_ordered_chain(), 0))
     state = planner.rules.make_state(planner.instance.starts[0])
-    assert planner.find_ancestors(state, PressGoal(2)) == [PressGoal(0), PressGoal(1), PressGoal(2)]
-    assert planner.find_ancestors(state._replace(puzzle=0b001), PressGoal(2)) == [PressGoal(1), PressGoal(2)]
-    assert planner.find_ancestors(state, PressGoal(0)) == [PressGoal(0)]
+    assert planner.orders.find_ancestors(state, PressGoal(2)) == [PressGoal(0), PressGoal(1), PressGoal(2)]
+    assert planner.orders.find_ancestors(state._replace(puzzle=0b001), PressGoal(2)) == [PressGoal(1), PressGoal(2)]
+    assert planner.orders.find_ancestors(state, PressGoal(0)) == [PressGoal(0)]
 
 
 def test_a_robot_set_down_in_an_open_exit_escapes_with_one_primitive(planner, start):
@@ -230,9 +232,9 @@ def test_a_time_limit_that_passes_says_so_and_is_not_remembered():
     planner = RoomPlanner(instance)
     state = planner.rules.make_state(instance.starts[0])
     planner.plan(state, "button-1")
-    planner.time_limit = 0.0
+    planner.routes.time_limit = 0.0
     assert fail(planner, state, "button-4").reason is PlanningReason.TIMEOUT
-    planner.time_limit = 60.0
+    planner.routes.time_limit = 60.0
     assert planner.plan(state, "button-4").cost > 0
 
 
@@ -247,7 +249,7 @@ def test_a_puzzle_without_a_way_names_its_precondition():
     lost = dataclasses.replace(instance, puzzle=dataclasses.replace(instance.puzzle, edge_list=((0, 3), (1, 3))))
     planner = RoomPlanner(lost)
     model = planner.instance.puzzle.make_symbolic_model()
-    planner._model = dataclasses.replace(model, operators=model.operators[2:])
+    planner.orders._model = dataclasses.replace(model, operators=model.operators[2:])
     with pytest.raises(PlanningFailed) as caught:
         planner.solve(planner.rules.make_state(lost.starts[0]))
     assert caught.value.reason is PlanningReason.PRECONDITION_UNMET
@@ -272,8 +274,8 @@ def test_a_goal_that_is_none_is_refused(planner, start, text, error):
 def test_a_state_that_cannot_be_is_refused_by_its_field_at_every_door(planner, start, field, value):
     state = start._replace(**{field: value})
     for ask in (lambda: planner.plan(state, "button-1"), lambda: planner.solve(state),
-                lambda: planner.order_goals(state), lambda: planner.find_route(state, ExitGoal()),
-                lambda: planner.find_ancestors(state, PressGoal(0)),
+                lambda: planner.order_goals(state), lambda: planner.routes.find_route(state, ExitGoal()),
+                lambda: planner.orders.find_ancestors(state, PressGoal(0)),
                 lambda: planner.make_plan(state, (0,), [ExitGoal()], "mine")):
         with pytest.raises(StateError, match=field):
             ask()
@@ -282,22 +284,73 @@ def test_a_state_that_cannot_be_is_refused_by_its_field_at_every_door(planner, s
 @pytest.mark.parametrize("goal", [None, 5, PressGoal(9), PressGoal(-1), PressGoal("a"), PoseGoal(math.nan, 0.0),
                                   PoseGoal(1, 1, tolerance=-1), RegionGoal(3, 1, 0, 0), PushGoal(0, 1)])
 def test_what_is_no_goal_of_this_room_is_refused_at_every_door(planner, start, goal):
-    for ask in (lambda: planner.plan(start, goal), lambda: planner.find_route(start, goal),
-                lambda: planner.find_ancestors(start, goal)):
+    for ask in (lambda: planner.plan(start, goal), lambda: planner.routes.find_route(start, goal),
+                lambda: planner.orders.find_ancestors(start, goal)):
         with pytest.raises(GoalError):
             ask()
 
 
-def test_remembered_routes_are_bounded_however_they_are_learnt(monkeypatch):
-    monkeypatch.setattr(route_finder, "MOST_ROUTES", 20)
+def walk(planner: RoomPlanner, calls: int, seed: int, ask) -> int:
+    """Ask from the states of a random walk; memory that is in use afterwards, B."""
+    rng, state = np.random.default_rng(seed), planner.rules.make_state(planner.instance.starts[0])
+    for _ in range(calls):
+        primitive = int(rng.integers(6))
+        ask(state, primitive)
+        step = planner.rules.step(state, primitive)
+        state = planner.rules.make_state(planner.instance.starts[0]) if step.terminated else step.state
+    gc.collect()
+    return tracemalloc.get_traced_memory()[0]
+
+
+@pytest.mark.parametrize("by", ["plan", "remember"])
+def test_memory_of_routes_is_bounded_however_they_are_learnt(monkeypatch, by):
+    monkeypatch.setattr(routes, "MOST_POSES", 1_000)
+    config = RoomConfig(room=ShapeConfig(width=6, depth=6), robot=RobotConfig(body_radius=0.3))
+    planner = RoomPlanner(generate(config, 0))
+
+    def ask(state, primitive: int) -> None:
+        if by == "plan":
+            planner.plan(state, "exit")
+            return
+        after = planner.rules.step(state, primitive).state
+        place = PoseGoal(after.x, after.y, planner.rules.get_heading(after), 0.1 + 1e-6 * float(state.x))
+        planner.routes.remember(state, place, (primitive,))
+
+    tracemalloc.start()
+    try:
+        once = walk(planner, 400, 0, ask)
+        again = walk(planner, 1_200, 1, ask)
+    finally:
+        tracemalloc.stop()
+    assert again - once < 150_000, "three times as many calls"
+
+
+@pytest.mark.slow
+def test_ten_thousand_plans_take_little_memory():
     planner = RoomPlanner(generate(get_preset("paper-two-button"), 0))
-    state = planner.rules.make_state(planner.instance.starts[0])
-    for _ in range(60):
-        after = planner.rules.step(state, 4).state
-        assert planner.remember(state, PoseGoal(after.x, after.y, planner.rules.get_heading(after), 0.1), (4,))
-        planner.find_route(after, PressGoal(0))
-        state = after
-    assert len(planner._routes) == 20
+    planner.prepare()
+    rng, half = np.random.default_rng(0), 0.9 * planner.instance.reach_x
+    start = planner.rules.make_state(planner.instance.starts[0])
+    tracemalloc.start()
+    try:
+        for number in range(10_000):
+            x, y = rng.uniform(-half, half, 2).tolist()
+            planner.plan(start._replace(x=x, y=y, heading_steps=int(rng.integers(planner.rules.headings))),
+                         ("button-1", "button-2", "exit")[number % 3])
+        gc.collect()
+        assert tracemalloc.get_traced_memory()[0] < 12 * 2**20
+    finally:
+        tracemalloc.stop()
+
+
+def test_a_failure_that_is_remembered_holds_no_frames():
+    planner = RoomPlanner(generate(get_preset("paper-two-button"), 0))
+    state, raised = planner.rules.make_state(planner.instance.starts[0]), []
+    for _ in range(2):
+        with pytest.raises(PlanningFailed) as caught:
+            planner.plan(state, "500,500")
+        raised.append(caught.value)
+    assert str(raised[0]) == str(raised[1]) and raised[0] is not raised[1]
 
 
 def test_a_path_planner_is_chosen_by_name(planner, start):
@@ -392,7 +445,7 @@ def test_a_plan_names_the_search_that_found_it(planner, start):
 def test_a_place_on_a_large_floor_is_reached_round_a_path_and_targets_by_fields(side, way):
     planner = RoomPlanner(generate(RoomConfig(room=ShapeConfig(width=side, depth=side)), 0))
     start = planner.rules.make_state(planner.instance.starts[0])
-    place, search = PoseGoal(-side / 3, side / 3), planner._search
+    place, search = PoseGoal(-side / 3, side / 3), planner.routes.search
     assert search.choose_method(place, ()) == search.choose_method(RegionGoal(0, 2, 0, 2), ()) == way
     assert search.choose_method(PressGoal(0), ()) == search.choose_method(ExitGoal(), ()) == "fields"
     assert search.choose_method(place, (planner.instance.solids[0].footprint,)) == "fields"
@@ -443,21 +496,6 @@ def test_the_shared_planner_of_a_room_is_one():
     instance = generate(get_preset("paper-two-button"), 0)
     assert get_planner(instance) is get_planner(dataclasses.replace(instance, name="another name"))
     assert get_planner(instance) is not get_planner(generate(get_preset("paper-one-button"), 0))
-
-
-def test_what_is_remembered_is_bounded(monkeypatch):
-    from hrl_escape.planning import route_finder as routes
-
-    monkeypatch.setattr(routes, "MOST_ROUTES", 20)
-    config = RoomConfig(room=ShapeConfig(width=6, depth=6), robot=RobotConfig(body_radius=0.3))
-    planner = RoomPlanner(generate(config, 0))
-    rng = np.random.default_rng(0)
-    state = planner.rules.make_state(planner.instance.starts[0])
-    for _ in range(100):
-        step = planner.rules.step(state, int(rng.integers(6)))
-        state = state if step.terminated else step.state
-        planner.plan(state, "exit")
-    assert len(planner._routes) == 20
 
 
 def test_a_button_beyond_the_arm_is_refused_with_the_reason():

@@ -58,8 +58,8 @@ def check_edits(preset: str, edits: int, *, executed_every: int, compared_every:
         if number % compared_every == 0:
             fresh = RoomPlanner(scene.instance)
             assert found == plan_anyhow(fresh, state, goal)
-            for key, maker in scene.planner._search._makers.items():
-                new = fresh._search.get_maker(*key)
+            for key, maker in scene.planner.routes.search._makers.items():
+                new = fresh.routes.search.get_maker(*key)
                 assert np.array_equal(maker.collision.distance, new.collision.distance)
                 assert np.array_equal(maker.standing, new.standing) and np.array_equal(maker.points, new.points)
                 assert all(map(np.array_equal, maker._links, new._links))
@@ -94,9 +94,9 @@ def test_repaired_fields_are_those_searched_from_nothing():
     scene.planner.prepare()
     for number in range(20):
         edited = edit_at_random(scene, number, rng) or scene
-        maker = edited.planner.get_field_maker(True)
+        maker = edited.planner.routes.get_field_maker(True)
         for key, field in maker._fields.items():
-            seeds = maker.find_seeds(*edited.planner._search.make_problem(
+            seeds = maker.find_seeds(*edited.planner.routes.search.make_problem(
                 edited.planner.rules.make_state(instance.starts[0]), key[0]).area)
             if field.seeds.equals(seeds):
                 assert np.array_equal(maker._repair(field, seeds), maker.make_field(seeds))

@@ -84,14 +84,14 @@ class HostPlanner:
 
     def _find_order(self, room: int, target: int) -> list[int]:
         try:
-            goals = self._get_planner(room).find_ancestors(self._room.get_room_state(room), PressGoal(target))
+            goals = self._get_planner(room).orders.find_ancestors(self._room.get_room_state(room), PressGoal(target))
         except PlanningFailed:
             return []
         return [goal.target for goal in goals if isinstance(goal, PressGoal)]
 
     def _find_plan(self, room: int, goal: int) -> tuple[int, ...]:
         try:
-            route = self._get_planner(room).find_route(self._room.get_room_state(room), self._make_goal(goal))
+            route = self._get_planner(room).routes.find_route(self._room.get_room_state(room), self._make_goal(goal))
         except PlanningFailed:
             return ()
         return route.primitives

@@ -60,7 +60,7 @@ def press_in_bullet(planner: RoomPlanner, primitives: Sequence[int]):
 
 def test_an_arm_among_posts_presses_by_joint_steps_along_a_path_under_physics():
     planner = RoomPlanner(make_pen())
-    start, reacher = planner.rules.make_state(planner.instance.starts[0]), planner.get_reacher()
+    start, reacher = planner.rules.make_state(planner.instance.starts[0]), planner.routes.get_reacher()
     posture = reacher.get_configuration(start.x, start.y, start.heading_steps, start.joint_steps, 0)
     assert posture is not None and reacher.order_steps(start, (), posture, 0) is None, "no order of few steps is free"
     primitives = plan_steps(reacher, start, posture, others=~1)
@@ -77,6 +77,6 @@ def test_a_plan_among_posts_comes_true_under_physics():
     end, expected = press_in_bullet(planner, plan.primitives), plan.states[-1]
     assert end.touching & 1 and end.joint_steps == expected.joint_steps
     assert math.hypot(end.x - expected.x, end.y - expected.y) < 1e-4
-    planner.get_reacher().paths = None
+    planner.routes.get_reacher().paths = None
     with pytest.raises(PlanningFailed):
         planner.plan(start._replace(primitives=1, x=start.x + 1e-6), "button-1")

@@ -5,7 +5,7 @@ leg is longer, or press in an order whose legs do not fit together. Here every s
 cost-to-go field of its own: its seeds are the poses from which one primitive presses a target, at the
 cost-to-go that the puzzle's next state has where the primitive ends. A* over the room's own
 kinematics follows these fields through all orders at once. It is for presses by the body: after a press by
-hand the arm's posture counts, too (`hand_escapes.py`).
+hand the arm's posture counts, too (`hand_search.py`).
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ NODES_A_SEARCH = 20_000
 """Nodes that each search may expand."""
 NODES_A_LEG = 2_000
 """Nodes that the search for one leg may expand."""
+MOST_FIELDS = 256
+"""Fields that are kept: those of four sets of puzzle states."""
 
 
 Fields: TypeAlias = dict[Hashable, NDArray[np.int16]]
@@ -162,6 +164,9 @@ class JointSearch:
         """Fields of the puzzle states ahead; those of the call before if it asked for the same."""
         key = (state.puzzle, tuple(order))
         if self._recent is None or self._recent[0] != key:
+            if len(self._fields) > MOST_FIELDS:
+                self._fields.clear()
+                self._numbers.clear()
             fields = self._make_fields(state, self._list_puzzle_states(state.puzzle, key[1]), clock)
             self._recent = key, fields
         return self._recent[1]

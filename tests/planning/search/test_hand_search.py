@@ -41,9 +41,9 @@ def find_joint_optimum(planner: RoomPlanner, state) -> int:
     not looked at, and so the result may be too small. The bound is admissible: straight lines between goal buttons.
     """
     rules, room = planner.rules, planner.instance
-    lattice = planner.get_reacher().arm.get_ranges(())
+    lattice = planner.routes.get_reacher().arm.get_ranges(())
     postures = list(itertools.product(*(range(low, high + 1) for low, high in zip(*lattice, strict=True))))
-    step, reach = room.robot.move_step, planner.get_reacher().reach + room.robot.hand_radius + 0.1
+    step, reach = room.robot.move_step, planner.routes.get_reacher().reach + room.robot.hand_radius + 0.1
     area, goals, wide = room.exit, room.puzzle.goal_targets, max(target.half_x for target in room.targets)
     known: dict[tuple, list] = {}
 
@@ -104,7 +104,7 @@ def find_joint_optimum(planner: RoomPlanner, state) -> int:
 
 def plan_by_legs(planner: RoomPlanner, state):
     """The escape in the cheapest order, leg after leg."""
-    return planner.follow_goals(state, planner.order_goals(state), Clock(), planner.settings)
+    return planner.follow_goals(state, planner.order_goals(state), Clock(), planner.routes.settings)
 
 
 def compare(counts, seeds) -> tuple[int, int, int, int]:

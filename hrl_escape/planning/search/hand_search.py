@@ -23,7 +23,7 @@ from hrl_escape.floor.cost_to_go import Seeds
 from hrl_escape.planning.arm.reacher import ReachTable
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.search import a_star
-from hrl_escape.planning.search.escapes import NODES_A_SEARCH, Fields, JointSearch, Presses
+from hrl_escape.planning.search.joint_search import NODES_A_SEARCH, Fields, JointSearch, Presses
 from hrl_escape.planning.search.primitive_search import PrimitiveSearch
 from hrl_escape.planning.search.search_run import SearchProblem, SearchResult, SearchRun
 

@@ -68,7 +68,7 @@ def find_joint_optimum(planner: RoomPlanner, state) -> int:
 
 def plan_by_legs(planner: RoomPlanner, state):
     """The escape in the cheapest order, leg after leg."""
-    return planner.follow_goals(state, planner.order_goals(state), Clock(), planner.settings)
+    return planner.follow_goals(state, planner.order_goals(state), Clock(), planner.routes.settings)
 
 
 def compare(counts, seeds) -> tuple[int, int, int]:
@@ -121,7 +121,7 @@ def test_a_published_room_takes_two_primitives_fewer_than_leg_after_leg():
 def follow_onward(planner: RoomPlanner, state, order) -> int:
     """Primitives of an escape whose legs are planned one by one, each where the one before ends."""
     spent = 0
-    while not planner.has_escaped(state):
+    while not planner.routes.has_escaped(state):
         leg = planner.plan_onward(state, order)
         assert [part.goal for part in leg.parts] and leg.states[0] == state
         spent, state = spent + leg.cost, leg.states[-1]
@@ -152,4 +152,5 @@ def test_puzzles_with_too_many_states_are_searched_along_the_best_order():
     start = planner.rules.make_state(planner.instance.starts[0])
     plan = planner.solve(start)
     assert plan.cost <= plan_by_legs(planner, start).cost
-    assert planner._joint is not None and len(planner._joint._fields) <= 65
+    joint = planner.escapes._joint
+    assert joint is not None and len(joint._fields) <= 65
