@@ -19,7 +19,8 @@ from torch.nn import functional
 from hrl_escape.agents.components.exploration import compute_epsilon_greedy
 from hrl_escape.agents.components.networks import NetworkSettings
 from hrl_escape.agents.components.options.choices import OptionChoices
-from hrl_escape.agents.components.options.networks import NetworkOptionAgent
+from hrl_escape.agents.components.options.networks import OptionHeads
+from hrl_escape.agents.components.options.rollouts import RolloutOptionAgent
 from hrl_escape.agents.components.policy_gradient import Rollout, compute_entropy, take_column
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.settings import Range
@@ -60,7 +61,22 @@ class A2OCSettings(NetworkSettings, LearningSettings):
     """Weight of half the squared value error in the loss."""
 
 
-class A2OC(NetworkOptionAgent):
+class GreedyHeads(OptionHeads):
+    """Networks of options whose choice is epsilon-greedy in their values."""
+
+    names: ClassVar[tuple[str, ...]] = ("policy", "critic", "ending")
+
+    def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
+        """Epsilon-greedy choice among the values of options, float64 (options,)."""
+        return compute_epsilon_greedy(self.compute_option_values(observation), self.settings.epsilon)
+
+    def compute_fresh_choice(self, observation: Tensor) -> Tensor:
+        """The same for many observations, (n, options)."""
+        best = functional.one_hot(self.critic(observation).argmax(dim=1), self.options)
+        return (1 - self.settings.epsilon) * best + self.settings.epsilon / self.options
+
+
+class A2OC(RolloutOptionAgent):
     """Learn pi_o, Q(s, o) and beta_o from every few decisions (s, o, a) -> R, s', in one step down the sum of losses.
 
         policy       - log pi_o(a | s) (G - Q(s, o)) - weight x entropy of pi_o
@@ -75,37 +91,29 @@ class A2OC(NetworkOptionAgent):
     name: ClassVar[str] = "a2oc"
     Settings: ClassVar[type] = A2OCSettings
     settings: A2OCSettings
-    heads: ClassVar[tuple[str, ...]] = ("policy", "critic", "ending")
-
-    def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
-        """Epsilon-greedy choice among the values of options, float64 (options,)."""
-        return compute_epsilon_greedy(self.compute_option_values(observation), self.settings.epsilon)
-
-    def compute_fresh_choice(self, observation: Tensor) -> Tensor:
-        """The same for many observations, (n, options)."""
-        best = functional.one_hot(self.critic(observation).argmax(dim=1), self.options)
-        return (1 - self.settings.epsilon) * best + self.settings.epsilon / self.options
+    Heads = GreedyHeads
 
     def _learn(self, rollout: Rollout, choices: OptionChoices) -> Mapping[str, float]:
         with torch.no_grad():
-            values = take_column(self.critic(rollout.observation), choices.option)
-            advantage = self.compute_advantages(rollout, choices, values, self.settings.deliberation_cost)
+            values = take_column(self.heads.critic(rollout.observation), choices.option)
+            advantage = self.heads.compute_advantages(rollout, choices, values, self.settings.deliberation_cost)
         parts = self.compute_loss(rollout, choices, advantage, advantage + values)
-        self._learner.minimise(parts["loss"])
+        self.heads.learner.minimise(parts["loss"])
         return {name: part.item() for name, part in parts.items()} | {
-            "gradient_norm": self._learner.gradient_norm, "value": values.mean().item() / self.settings.reward_scale}
+            "gradient_norm": self.heads.learner.gradient_norm,
+            "value": values.mean().item() / self.settings.reward_scale}
 
     def compute_loss(self, rollout: Rollout, choices: OptionChoices, advantage: Tensor, target: Tensor
                      ) -> dict[str, Tensor]:
         """The loss over a rollout, and its parts."""
         settings, option = self.settings, choices.option
-        log_policy = self.compute_log_policies(rollout.observation, option, rollout.mask)
+        log_policy = self.heads.compute_log_policies(rollout.observation, option, rollout.mask)
         policy_loss = -(take_column(log_policy, rollout.action) * advantage).mean()
-        value_loss = 0.5 * functional.mse_loss(take_column(self.critic(rollout.observation), option), target)
+        value_loss = 0.5 * functional.mse_loss(take_column(self.heads.critic(rollout.observation), option), target)
         entropy = compute_entropy(log_policy, rollout.mask)
         loss = policy_loss + settings.value_weight * value_loss - settings.entropy_weight * entropy
         margin = settings.deliberation_cost + settings.termination_margin
-        termination_loss = self.compute_termination_loss(rollout, choices, margin)
-        termination = take_column(self.compute_betas(rollout.next_observation), option).mean().detach()
+        termination_loss = self.heads.compute_termination_loss(rollout, choices, margin)
+        termination = take_column(self.heads.compute_betas(rollout.next_observation), option).mean().detach()
         return {"loss": loss + termination_loss, "policy_loss": policy_loss, "value_loss": value_loss,
                 "entropy": entropy, "termination_loss": termination_loss, "termination": termination}

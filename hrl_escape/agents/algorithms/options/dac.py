@@ -14,7 +14,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from hrl_escape.agents.components.options.choices import SMALLEST, OptionChoices, mix_values
-from hrl_escape.agents.components.options.streams import StreamOptionAgent
+from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import (
     ClippedSettings,
     Rollout,
@@ -66,13 +66,13 @@ class DAC(StreamOptionAgent):
     def _learn(self, rollout: Rollout, choices: OptionChoices) -> Mapping[str, float]:
         settings, option, former = self.settings, choices.option, choices.former
         with torch.no_grad():
-            critic = self.critic(rollout.observation)
+            critic = self.heads.critic(rollout.observation)
             low_values = take_column(critic, option)
-            choice = self.compute_option_choice(rollout.observation, former)
+            choice = self.heads.compute_option_choice(rollout.observation, former)
             high_values = mix_values(choice, critic, former)
-            low_next, high_next = self.compute_next_values(rollout, choices)
+            low_next, high_next = self.heads.compute_next_values(rollout, choices)
             low = compute_advantages(rollout, low_values, low_next, settings)
-            log_probability = self.compute_old_log_probability(rollout, choices)
+            log_probability = self.heads.compute_old_log_probability(rollout, choices)
             updates = [(self.compute_low_loss, log_probability, low, low + low_values)]
             if self.options > 1:  # a choice among one is none
                 high = compute_advantages(rollout, high_values, high_next, settings)
@@ -84,16 +84,16 @@ class DAC(StreamOptionAgent):
                     updates.reverse()
         metrics: dict[str, float] = {}
         for compute_loss, *numbers in updates:
-            metrics |= self._learner.minimise_each(
+            metrics |= self.heads.learner.minimise_each(
                 compute_loss(rollout, choices, rows, *(each[rows] for each in numbers))
                 for rows in self._draw_batches(len(option), len(option)))
-        return metrics | {"gradient_norm": self._learner.gradient_norm,
+        return metrics | {"gradient_norm": self.heads.learner.gradient_norm,
                           "value": low_values.mean().item() / settings.reward_scale}
 
     def compute_low_loss(self, rollout: Rollout, choices: OptionChoices, rows: Tensor, old_log_probability: Tensor,
                          advantage: Tensor, target: Tensor) -> dict[str, Tensor]:
         """Loss of actions within options over some rows, and its parts."""
-        return self.compute_option_loss(rollout.observation[rows], rollout.mask[rows], choices.option[rows],
+        return self.heads.compute_option_loss(rollout.observation[rows], rollout.mask[rows], choices.option[rows],
                                         rollout.action[rows], old_log_probability, advantage, target)
 
     def compute_high_loss(self, rollout: Rollout, choices: OptionChoices, rows: Tensor, old_log_probability: Tensor,
@@ -101,14 +101,15 @@ class DAC(StreamOptionAgent):
         """Loss of the choice of options over some rows, and its parts; the value's goes through the critic alone."""
         settings, observation = self.settings, rollout.observation[rows]
         former = choices.former[rows]
-        choice = self.compute_option_choice(observation, former)
+        choice = self.heads.compute_option_choice(observation, former)
         log_probability = take_column(choice, choices.option[rows]).clamp(min=SMALLEST).log()
         policy_loss = compute_clipped_loss(log_probability, old_log_probability, advantage, settings.clip)
-        values = mix_values(choice.detach(), self.critic(observation), former)
+        values = mix_values(choice.detach(), self.heads.critic(observation), former)
         value_loss = 0.5 * functional.mse_loss(values, target)
         entropy = -(choice * choice.clamp(min=SMALLEST).log()).sum(dim=1).mean()
         has_former = former >= 0
-        ending = (take_column(self.compute_betas(observation), former.clamp(min=0)) * has_former).sum() / len(rows)
+        betas = take_column(self.heads.compute_betas(observation), former.clamp(min=0))
+        ending = (betas * has_former).sum() / len(rows)
         loss = (policy_loss + settings.value_weight * value_loss - settings.option_entropy_weight * entropy
                 + settings.deliberation_cost * ending)
         return {"high_loss": loss, "high_policy_loss": policy_loss, "high_value_loss": value_loss,

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, NamedTuple
+from typing import Annotated, Any, ClassVar, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -19,10 +19,10 @@ from torch.nn import functional
 
 from hrl_escape.agents.components.networks import Learner
 from hrl_escape.agents.components.options.choices import OptionChoices, mix_values
-from hrl_escape.agents.components.options.streams import StreamOptionAgent
+from hrl_escape.agents.components.options.rollouts import StreamOptionAgent
 from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, take_column
 from hrl_escape.agents.settings import LearningSettings
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept, read_value
 from hrl_escape.settings import Range
 
 __all__ = ["PPOC", "OptionSamples", "PPOCSettings"]
@@ -75,6 +75,15 @@ class OptionSamples(NamedTuple):
     is_chosen: Tensor
 
 
+def _pack_waiting(waiting: Mapping[int, OptionSamples]) -> list[Any]:
+    return [[option, read_value(samples, "samples")] for option, samples in waiting.items()]
+
+
+def _unpack_waiting(saved: list[Any]) -> dict[int, OptionSamples]:
+    return {int(option): OptionSamples(**{name: torch.from_numpy(np.asarray(field)) for name, field in samples.items()})
+            for option, samples in saved}
+
+
 class PPOC(StreamOptionAgent):
     """Learn pi_o, Q(s, o), pi_Omega and beta_o from decisions (s, o, a) -> R, s'.
 
@@ -91,6 +100,7 @@ class PPOC(StreamOptionAgent):
     Settings: ClassVar[type] = PPOCSettings
     settings: PPOCSettings
     trained: ClassVar[tuple[str, ...]] = ("policy", "critic", "chooser")
+    STATE = ("_ending_learner", Kept("_waiting", pack=_pack_waiting, unpack=_unpack_waiting))
 
     def __init__(
         self,
@@ -100,7 +110,7 @@ class PPOC(StreamOptionAgent):
         settings: PPOCSettings | None = None,
     ) -> None:
         super().__init__(observation_space, action_space, seed, settings)
-        self._ending_learner = Learner(self.name, {"ending": self.networks["ending"]}, ["ending"], self.settings,
+        self._ending_learner = Learner(self.name, {"ending": self.heads.networks["ending"]}, ["ending"], self.settings,
                                        self.settings.termination_rate or 1.0)
         self._waiting: dict[int, OptionSamples] = {}
 
@@ -117,36 +127,36 @@ class PPOC(StreamOptionAgent):
                     *map(torch.cat, zip(former, own, strict=True)))
         metrics: dict[str, float] = {}
         if self.options > 1 and settings.termination_rate:
-            loss = self.compute_termination_loss(rollout, choices, settings.deliberation_cost)
+            loss = self.heads.compute_termination_loss(rollout, choices, settings.deliberation_cost)
             metrics["termination_loss"] = self._ending_learner.minimise(loss)
         due = [option for option, own in self._waiting.items() if len(own.action) >= settings.least_samples]
         for option in sorted(due):
             own = self._waiting.pop(option)
-            metrics |= self._learner.minimise_each(
+            metrics |= self.heads.learner.minimise_each(
                 self.compute_loss(option, OptionSamples(*(field[rows] for field in own)))
                 for rows in self._draw_batches(len(own.action), len(choices.option)))
-            metrics["gradient_norm"] = self._learner.gradient_norm
-        betas = take_column(self.compute_betas(rollout.next_observation), choices.option)
+            metrics["gradient_norm"] = self.heads.learner.gradient_norm
+        betas = take_column(self.heads.compute_betas(rollout.next_observation), choices.option)
         return metrics | {"termination": betas.mean().item(),
                           "value": (samples.target - samples.advantage).mean().item() / settings.reward_scale}
 
     def compute_samples(self, rollout: Rollout, choices: OptionChoices) -> OptionSamples:
         """Lessons of every decision of a rollout for its option, while the networks are still those that chose."""
-        option, critic = choices.option, self.critic(rollout.observation)
+        option, critic = choices.option, self.heads.critic(rollout.observation)
         values = take_column(critic, option)
-        advantage = self.compute_advantages(rollout, choices, values, self.settings.deliberation_cost)
+        advantage = self.heads.compute_advantages(rollout, choices, values, self.settings.deliberation_cost)
         target = advantage + values
-        mean = mix_values(self.compute_fresh_choice(rollout.observation), critic, option)
+        mean = mix_values(self.heads.compute_fresh_choice(rollout.observation), critic, option)
         return OptionSamples(rollout.observation, rollout.mask, rollout.action,
-                             self.compute_old_log_probability(rollout, choices), advantage, target,
+                             self.heads.compute_old_log_probability(rollout, choices), advantage, target,
                              (target - mean) * choices.is_chosen, choices.is_chosen)
 
     def compute_loss(self, option: int, batch: OptionSamples) -> dict[str, Tensor]:
         """Loss of an option over some of its decisions, and its parts."""
         own = torch.full_like(batch.action, option)
-        parts = self.compute_option_loss(batch.observation, batch.mask, own, batch.action, batch.log_probability,
+        parts = self.heads.compute_option_loss(batch.observation, batch.mask, own, batch.action, batch.log_probability,
                                          batch.advantage, batch.target)
-        log_choice = functional.log_softmax(self.networks["chooser"](batch.observation), dim=1)
+        log_choice = functional.log_softmax(self.heads.networks["chooser"](batch.observation), dim=1)
         choice_loss = -(log_choice[:, option] * batch.choice_advantage).mean()
         choice_entropy = -(log_choice.exp() * log_choice).sum(dim=1)
         choice_entropy = (choice_entropy * batch.is_chosen).mean()
@@ -160,19 +170,8 @@ class PPOC(StreamOptionAgent):
         self._waiting = {option: OptionSamples(*(field.to(device) for field in samples))
                          for option, samples in self._waiting.items()}
 
-    def state_dict(self) -> StateTree:
-        """Networks, optimisers, the rollout so far, what waits for updates, the running option, generators."""
-        return super().state_dict() | {
-            "ending_learner": self._ending_learner.state_dict(),
-            "waiting": [[option, {name: field.cpu().numpy() for name, field in samples._asdict().items()}]
-                        for option, samples in self._waiting.items()],
-        }
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        super().load_state_dict(state)
-        self._ending_learner.load_state_dict(state["ending_learner"])
-        device = self.policy.weights.device
-        self._waiting = {int(option): OptionSamples(**{name: torch.from_numpy(np.asarray(field)).to(device)
-                                                       for name, field in samples.items()})
-                         for option, samples in state["waiting"]}
+    def after_load(self) -> None:
+        """What waits for updates lies on the networks' device."""
+        device = self.heads.policy.weights.device
+        self._waiting = {option: OptionSamples(*(field.to(device) for field in samples))
+                         for option, samples in self._waiting.items()}

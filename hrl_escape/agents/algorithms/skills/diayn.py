@@ -24,11 +24,12 @@ from hrl_escape.agents.agent import SMDPTransition
 from hrl_escape.agents.components.exploration import choose_best, make_rng
 from hrl_escape.agents.components.networks import Learner, make_generator, make_network
 from hrl_escape.agents.components.options.choices import OptionChoices
-from hrl_escape.agents.components.options.clipped import ClippedOptionAgent
+from hrl_escape.agents.components.options.networks import OptionHeads
+from hrl_escape.agents.components.options.rollouts import RolloutOptionAgent
 from hrl_escape.agents.components.policy_gradient import ClippedSettings, Rollout, compute_advantages, take_column
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.settings import LearningSettings
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 __all__ = ["DIAYN", "DIAYNSettings"]
@@ -49,7 +50,29 @@ class DIAYNSettings(ClippedSettings, LearningSettings):
     """Step size of Adam for the discriminator."""
 
 
-class DIAYN(ClippedOptionAgent):
+class SkillHeads(OptionHeads):
+    """Networks of skills, drawn evenly, that never end by themselves."""
+
+    names: ClassVar[tuple[str, ...]] = ("policy", "critic")
+
+    def compute_terminations(self, observation: Any) -> NDArray[np.float64]:
+        """A skill never ends by itself, float64 (skills,)."""
+        return np.zeros(self.options)
+
+    def compute_betas(self, observation: Tensor) -> Tensor:
+        """The same for many observations, (n, skills)."""
+        return torch.zeros((len(observation), self.options))
+
+    def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
+        """p(z), float64 (skills,)."""
+        return np.full(self.options, 1 / self.options)
+
+    def compute_fresh_choice(self, observation: Tensor) -> Tensor:
+        """The same for many observations, (n, skills)."""
+        return torch.full((len(observation), self.options), 1 / self.options)
+
+
+class DIAYN(RolloutOptionAgent):
     """One skill z an episode, drawn evenly, and PPO within skills.
 
     A skill is paid
@@ -64,8 +87,9 @@ class DIAYN(ClippedOptionAgent):
     name: ClassVar[str] = "diayn"
     Settings: ClassVar[type] = DIAYNSettings
     settings: DIAYNSettings
-    heads: ClassVar[tuple[str, ...]] = ("policy", "critic")
+    Heads = SkillHeads
     is_markov: bool = True
+    STATE = (Kept("_judge", "discriminator"), "_returns", "_episodes", "_earned", "_bits", "_is_warned")
 
     def __init__(
         self,
@@ -86,22 +110,6 @@ class DIAYN(ClippedOptionAgent):
 
     # --- skills -----------------------------------------------------------------------
 
-    def compute_terminations(self, observation: Any) -> NDArray[np.float64]:
-        """A skill never ends by itself, float64 (skills,)."""
-        return np.zeros(self.options)
-
-    def compute_betas(self, observation: Tensor) -> Tensor:
-        """The same for many observations, (n, skills)."""
-        return torch.zeros((len(observation), self.options))
-
-    def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
-        """p(z), float64 (skills,)."""
-        return np.full(self.options, 1 / self.options)
-
-    def compute_fresh_choice(self, observation: Tensor) -> Tensor:
-        """The same for many observations, (n, skills)."""
-        return torch.full((len(observation), self.options), 1 / self.options)
-
     def find_best_skill(self) -> int:
         """The skill whose training episodes earned the most on average; the first before any has ended."""
         means = np.where(self._episodes > 0, self._returns / np.maximum(self._episodes, 1), -np.inf)
@@ -109,7 +117,7 @@ class DIAYN(ClippedOptionAgent):
 
     def compute_preferences(self, observation: Any) -> NDArray:
         """Logits of the best skill at an observation, before any mask, (actions,)."""
-        return self._compute("policy", observation).reshape(self.options, -1)[self.find_best_skill()]
+        return self.heads.compute("policy", observation).reshape(self.options, -1)[self.find_best_skill()]
 
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The likeliest action of the best skill."""
@@ -150,38 +158,28 @@ class DIAYN(ClippedOptionAgent):
         settings, option = self.settings, choices.option
         with torch.no_grad():
             rewards = self.compute_rewards(rollout.next_observation, option)
-            values = take_column(self.critic(rollout.observation), option)
-            next_values, _ = self.compute_next_values(rollout, choices)
+            values = take_column(self.heads.critic(rollout.observation), option)
+            next_values, _ = self.heads.compute_next_values(rollout, choices)
             advantage = compute_advantages(rollout._replace(reward=rewards), values, next_values, settings)
-            log_policy = self.compute_log_policies(rollout.observation, option, rollout.mask)
+            log_policy = self.heads.compute_log_policies(rollout.observation, option, rollout.mask)
             columns = (rollout.observation, rollout.mask, option, rollout.action,
                        take_column(log_policy, rollout.action), advantage, advantage + values)
         batches = list(self._draw_batches(len(option), len(option)))
-        metrics = self._learner.minimise_each(
-            self.compute_option_loss(*(column[rows] for column in columns)) for rows in batches)
+        metrics = self.heads.learner.minimise_each(
+            self.heads.compute_option_loss(*(column[rows] for column in columns)) for rows in batches)
         goals = self.read_goals(rollout.next_observation)
         judged = self._judge.minimise_each(
             {"discriminator_loss": functional.cross_entropy(self.discriminator(goals[rows]), option[rows])}
             for rows in batches)
         return metrics | judged | {"skill_reward": rewards.mean().item(),
-                                   "gradient_norm": self._learner.gradient_norm}
+                                   "gradient_norm": self.heads.learner.gradient_norm}
 
-    def state_dict(self) -> StateTree:
-        """Networks, optimisers, the rollout so far, what skills earned, components that are bits, generators."""
-        return super().state_dict() | {
-            "discriminator": self._judge.state_dict(),
-            "returns": self._returns.copy(),
-            "episodes": self._episodes.copy(),
-            "earned": self._earned,
-            "bits": None if self._reader is None else self._reader.components,
-            "is_warned": self._is_warned,
-        }
+    @property
+    def _bits(self) -> NDArray[np.int64] | None:
+        """Components of the observation that are bits; None where the discriminator sees everything."""
+        return None if self._reader is None else self._reader.components
 
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        super().load_state_dict(state)
-        self._judge.load_state_dict(state["discriminator"])
-        self._returns, self._episodes = np.array(state["returns"]), np.array(state["episodes"])
-        self._earned, self._is_warned = float(state["earned"]), bool(state["is_warned"])
+    @_bits.setter
+    def _bits(self, components: NDArray[np.int64] | None) -> None:
         if self._reader is not None:
-            self._reader.keep(np.asarray(state["bits"], np.int64))
+            self._reader.keep(np.asarray(components, np.int64))

@@ -1,8 +1,11 @@
-"""Base of agents that learn options end to end: the option that runs, what is shown of it, and options for export."""
+"""Base of agents that learn options end to end: the option that runs, what became of options, and those for export."""
 
 from __future__ import annotations
 
+import math
+import warnings
 from abc import abstractmethod
+from collections import deque
 from functools import partial
 from typing import Any
 
@@ -11,10 +14,15 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, RunningCall
 from hrl_escape.agents.components.exploration import sample_index
-from hrl_escape.agents.components.options.log import OptionLog
 from hrl_escape.agents.option_policy import OptionPolicy
+from hrl_escape.agents.state import Kept, Stateful
 
-__all__ = ["OptionAgent"]
+__all__ = ["OptionAgent", "OptionLog"]
+
+WINDOW = 500
+"""Runs of options that the measurements cover."""
+SHORTEST, LOWEST_ENTROPY = 1.1, 0.05
+"""Mean decisions of a run, and share of the largest entropy, below which options have collapsed."""
 
 
 class OptionAgent(Agent):
@@ -73,3 +81,63 @@ class _Run:
     def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
         """Beta of the option."""
         return float(self._agent.compute_terminations(observation)[self._option])
+
+
+class OptionLog(Stateful):
+    """The latest runs of options.
+
+    Args:
+        options: how many there are.
+        name: of the agent, for the warning.
+    """
+
+    STATE = (Kept("_runs", pack=lambda runs: np.array(runs, np.int64).reshape(-1, 2),
+                  unpack=lambda saved: deque((int(option), int(decisions)) for option, decisions in saved)),
+             "_is_warned")
+
+    def __init__(self, options: int, name: str) -> None:
+        self._options, self._name = options, name
+        self._runs: deque[tuple[int, int]] = deque()
+        self._totals = [0] * options
+        """Decisions of each option in these runs."""
+        self._is_warned = False
+
+    def add(self, option: int, decisions: int) -> None:
+        """Take in one run of an option that is over; warns, once, when options have collapsed."""
+        self._runs.append((option, decisions))
+        self._totals[option] += decisions
+        if len(self._runs) > WINDOW:
+            oldest, lasted = self._runs.popleft()
+            self._totals[oldest] -= lasted
+        if not self._is_warned and len(self._runs) == WINDOW and (reason := self.find_collapse()) is not None:
+            self._is_warned = True
+            warnings.warn(f"{self._name}: its options have collapsed: {reason}. Results say nothing of options; try a "
+                          "deliberation cost, more entropy or more options", stacklevel=2)
+
+    def compute_duration(self) -> float:
+        """Mean decisions of a run; 0 before the first."""
+        return sum(self._totals) / max(len(self._runs), 1)
+
+    def compute_entropy(self) -> float:
+        """Entropy of the option that acts, in nats, each run weighted by its decisions."""
+        everything = sum(self._totals)
+        return -sum(made / everything * math.log(made / everything) for made in self._totals if made)
+
+    def find_collapse(self) -> str | None:
+        """Say in which way options have collapsed, by the latest runs; None where they have not."""
+        if self._options < 2 or not self._runs:
+            return None
+        if self.compute_entropy() < LOWEST_ENTROPY * math.log(self._options):
+            return f"one of {self._options} makes almost every decision"
+        if (duration := self.compute_duration()) < SHORTEST:
+            return f"they last {duration:.2f} decisions on average"
+        return None
+
+    def measure(self) -> dict[str, float]:
+        """Numbers to log."""
+        return {"option_duration": self.compute_duration(), "option_entropy": self.compute_entropy(),
+                "option_collapse": float(self.find_collapse() is not None)}
+
+    def after_load(self) -> None:
+        """Add up the runs again."""
+        self._totals = [sum(made for each, made in self._runs if each == option) for option in range(self._options)]

@@ -25,9 +25,9 @@ def make(name, **settings):
     """An agent whose heads are far from their even start."""
     chosen = {"gamma": GAMMA, "hidden": (8,), "options": OPTIONS, "reward_scale": 1.0} | settings
     agent = make_agent(name, BOX, spaces.Discrete(ACTIONS), 0, **chosen)
-    for key in agent.networks:
+    for key in agent.heads.networks:
         if key != "critic":
-            agent.networks[key][-1].weight.data *= 100
+            agent.heads.networks[key][-1].weight.data *= 100
     return agent
 
 
@@ -62,7 +62,7 @@ def softmax(logits):
 def read(agent, observation):
     """Policies (n, options, actions), values, pi_Omega and beta (n, options) in float64, action masks left out."""
     with torch.no_grad():
-        numbers = {key: network(observation).double().numpy() for key, network in agent.networks.items()}
+        numbers = {key: network(observation).double().numpy() for key, network in agent.heads.networks.items()}
     if "chooser" in numbers:
         choice = softmax(numbers["chooser"])
     else:
@@ -91,7 +91,7 @@ def test_with_one_option_it_is_ppo_to_the_bit(name, settings):
             for agent in (one, other)]
     assert ways[0] == ways[1]
     for key in ("policy", "critic"):
-        assert torch.equal(getattr(one, key).weights, other.networks[key].weights), key
+        assert torch.equal(getattr(one, key).weights, other.heads.networks[key].weights), key
 
 
 def test_the_option_before_is_kept_unless_it_ends_and_a_first_one_is_drawn_from_the_policy_over_options():
@@ -110,7 +110,7 @@ def test_the_state_reached_is_worth_the_option_that_ran_next_and_the_mean_where_
     agent, (rollout, choices) = make(name), make_rollout()
     _, values, chooser, beta = read(agent, rollout.next_observation)
     with torch.no_grad():
-        found, mean = (each.numpy() for each in agent.compute_next_values(rollout, choices))
+        found, mean = (each.numpy() for each in agent.heads.compute_next_values(rollout, choices))
     option = choices.option.numpy()
     expected = (mix_by_hand(chooser, beta, option) * values).sum(axis=1)
     assert mean == pytest.approx(expected, abs=1e-5)
@@ -259,23 +259,23 @@ def test_terminations_learn_through_the_choice_of_options_and_the_value_s_error_
     agent, (rollout, choices) = make("dac", option_entropy_weight=0.0), make_rollout(3)
     rows, zeros = torch.arange(SIZE), torch.zeros(SIZE)
     with torch.no_grad():
-        choice = agent.compute_option_choice(rollout.observation, choices.former)
+        choice = agent.heads.compute_option_choice(rollout.observation, choices.former)
         old = choice[rows, choices.option].log()
     numbers = rollout, choices, rows, old
 
     def find_gradients(part, advantage, target):
-        for network in agent.networks.values():
+        for network in agent.heads.networks.values():
             network.gradient.zero_()
         agent.compute_high_loss(*numbers, advantage, target)[part].backward()
-        return {name: network.gradient.clone() for name, network in agent.networks.items()}
+        return {name: network.gradient.clone() for name, network in agent.heads.networks.items()}
 
     by_value = find_gradients("high_value_loss", zeros, zeros + 3)
     assert by_value["critic"].any() and not by_value["chooser"].any() and not by_value["ending"].any()
     advantage = torch.from_numpy(np.random.default_rng(0).standard_normal(SIZE).astype(np.float32))
     gradient = find_gradients("high_policy_loss", advantage, zeros)["ending"]
-    weights, direction, ends = agent.networks["ending"].weights.clone(), gradient / gradient.norm(), []
+    weights, direction, ends = agent.heads.networks["ending"].weights.clone(), gradient / gradient.norm(), []
     for sign in (1, -1):
-        agent.networks["ending"].weights.copy_(weights + sign * 1e-3 * direction)
+        agent.heads.networks["ending"].weights.copy_(weights + sign * 1e-3 * direction)
         ends.append(agent.compute_high_loss(*numbers, advantage, zeros)["high_policy_loss"].item())
     assert gradient.norm() > 1e-3
     assert gradient.norm().item() == pytest.approx((ends[0] - ends[1]) / 2e-3, rel=0.05)
@@ -306,10 +306,10 @@ def test_ppocs_terminations_fall_where_the_option_that_ran_is_better_than_the_me
     option, every = choices.option.numpy(), np.arange(SIZE)
     worse = values[every, option] - (chooser * values).sum(axis=1) + 0.2
     expected = (beta[every, option] * worse * (rollout.bootstrap.numpy() > 0)).mean()
-    loss = agent.compute_termination_loss(rollout, choices, 0.2)
+    loss = agent.heads.compute_termination_loss(rollout, choices, 0.2)
     assert loss.item() == pytest.approx(expected, abs=1e-5)
     loss.backward()
-    moved = [name for name, network in agent.networks.items() if network.gradient.any()]
+    moved = [name for name, network in agent.heads.networks.items() if network.gradient.any()]
     assert moved == ["ending"]
 
 
@@ -317,20 +317,20 @@ def test_ppocs_terminations_move_at_their_own_rate():
     """Adam's first step is its rate, whatever the gradient."""
     for rate in (0.0, 1e-4, 1e-2):
         agent, (rollout, choices) = make("ppoc", termination_rate=rate, learning_rate=0.1), make_rollout(6)
-        before = agent.networks["ending"].weights.clone()
+        before = agent.heads.networks["ending"].weights.clone()
         agent._learn(rollout, choices)
-        assert (agent.networks["ending"].weights - before).abs().max().item() == pytest.approx(rate, rel=0.01)
+        assert (agent.heads.networks["ending"].weights - before).abs().max().item() == pytest.approx(rate, rel=0.01)
 
 
 def test_an_option_waits_for_its_samples_and_then_learns_from_its_own():
     agent, (rollout, choices) = make("ppoc", least_samples=SIZE, epochs=1, batch_size=64), make_rollout(6)
     counts = np.bincount(choices.option.numpy(), minlength=OPTIONS)
-    before = agent.critic.weights.clone()
+    before = agent.heads.critic.weights.clone()
     agent._learn(rollout, choices)
-    assert torch.equal(agent.critic.weights, before)
+    assert torch.equal(agent.heads.critic.weights, before)
     assert {option: len(own.action) for option, own in agent._waiting.items()} == dict(enumerate(counts))
     rounds = 1
-    while torch.equal(agent.critic.weights, before):
+    while torch.equal(agent.heads.critic.weights, before):
         metrics = agent._learn(rollout, choices)
         rounds += 1
     assert "loss" in metrics
@@ -362,16 +362,16 @@ def test_a2ocs_loss_equals_the_formula_by_hand():
     worse = next_values[every, option] - mean + cost + margin
     expected = (-(np.log(policy[every, rollout.action]) * advantage).mean() + 0.25 * (advantage**2).mean()
                 - 0.05 * entropy + (ends * worse * (rollout.bootstrap.numpy() > 0)).mean())
-    before = agent.policy.weights.clone()
+    before = agent.heads.policy.weights.clone()
     metrics = agent._learn(rollout, choices)
     assert metrics["loss"] == pytest.approx(expected, abs=1e-4)
-    assert not torch.equal(agent.policy.weights, before)
+    assert not torch.equal(agent.heads.policy.weights, before)
 
 
 def test_a2oc_has_no_policy_over_options_but_the_values():
     agent = make("a2oc", epsilon=0.3)
     state = np.random.default_rng(0).standard_normal(5).astype(np.float32)
     expected = np.full(OPTIONS, 0.1)
-    expected[agent.compute_option_values(state).argmax()] += 0.7
-    assert agent.compute_option_policy(state) == pytest.approx(expected)
-    assert set(agent.networks) == {"policy", "critic", "ending"}
+    expected[agent.heads.compute_option_values(state).argmax()] += 0.7
+    assert agent.heads.compute_option_policy(state) == pytest.approx(expected)
+    assert set(agent.heads.networks) == {"policy", "critic", "ending"}

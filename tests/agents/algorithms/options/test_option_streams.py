@@ -108,9 +108,9 @@ def live(count, monkeypatch, **settings):
     lives = Lives(agent, count, count)
     agent.settings = replace(agent.settings, rollout=lives.decisions, stream_rollout=1)
     taught = spy(agent, monkeypatch)
-    before = {name: network.weights.clone() for name, network in agent.networks.items()}
+    before = {name: network.weights.clone() for name, network in agent.heads.networks.items()}
     lives.run()
-    for name, network in agent.networks.items():
+    for name, network in agent.heads.networks.items():
         network.weights.copy_(before[name])
     return agent, lives, taught
 
@@ -119,8 +119,8 @@ def live(count, monkeypatch, **settings):
 def test_with_equal_values_both_processes_are_taught_the_returns_summed_by_hand(count, monkeypatch):
     """Every state is worth 0.7 to every option, so that lambda = 1 leaves the return primitive by primitive."""
     agent = make("dac", rollout=10**6, gae_lambda=1.0)
-    agent.critic[-1].weight.data.zero_()
-    agent.critic[-1].bias.data.fill_(0.7)
+    agent.heads.critic[-1].weight.data.zero_()
+    agent.heads.critic[-1].bias.data.fill_(0.7)
     lives = Lives(agent, count, count)
     agent.settings = replace(agent.settings, rollout=lives.decisions, stream_rollout=1)
     taught = spy(agent, monkeypatch)
@@ -175,7 +175,7 @@ def test_runs_of_options_are_counted_in_every_stream():
     lives.run()
     rollout, choices = agent._gather_chunks()
     agent.state_dict()  # what is over is reported
-    last = agent._open[0].find_last(rollout)
+    last = agent._open[0].find_last(rollout.stream, rollout.place)
     begun, unfinished = int(choices.is_chosen.sum()), int((last & ~rollout.over).sum())
     assert len(agent.log._runs) == begun - unfinished and unfinished > 0
     lasted, running = np.array(agent.log._runs), agent._open[1].state_dict()
@@ -220,10 +220,11 @@ def test_a_decision_that_outlasts_its_rollout_keeps_the_chances_that_it_was_made
     seen = torch.from_numpy(rng.standard_normal((3, 5)).astype(np.float32))
     policies, _, chooser, _ = read(agent, seen)
     action = agent.act_streams(seen, mask, torch.arange(3))
-    before = agent.policy.weights.clone()
+    before = agent.heads.policy.weights.clone()
     taught, learn = [], agent._learn
     monkeypatch.setattr(agent, "_learn", lambda rollout, choices: (
-        taught.append((rollout, choices, agent.compute_old_log_probability(rollout, choices))), learn(rollout, choices)
+        taught.append((rollout, choices, agent.heads.compute_old_log_probability(rollout, choices))),
+        learn(rollout, choices)
     )[1])
 
     def end(stream, observation, chosen):
@@ -235,7 +236,7 @@ def test_a_decision_that_outlasts_its_rollout_keeps_the_chances_that_it_was_made
     for _ in range(6):
         chosen = agent.act_streams(seen[:1] + 1, mask[:1], torch.tensor([0]))
         end(0, seen[:1] + 1, chosen)
-    assert len(taught) == 1 and not torch.equal(agent.policy.weights, before), "the networks have moved on"
+    assert len(taught) == 1 and not torch.equal(agent.heads.policy.weights, before), "the networks have moved on"
     end(2, seen[2:], action[2:])
     rollout, choices, old = taught[1]
     row = int((rollout.stream == 2).nonzero())
@@ -255,7 +256,7 @@ def test_the_choice_of_an_option_is_taught_with_the_chance_that_it_was_made_with
     assert np.exp(taught["high", "old"][: len(kept)]) == pytest.approx(kept, rel=1e-5)
     with torch.no_grad():
         rollout, choices = taught["rollout"], taught["choices"]
-        now = agent.compute_option_choice(rollout.observation, choices.former).numpy()
+        now = agent.heads.compute_option_choice(rollout.observation, choices.former).numpy()
     assert np.abs(now[np.arange(len(kept)), choices.option] - kept).max() > 0.05
 
 
@@ -266,7 +267,7 @@ def test_with_one_option_it_is_ppo_in_many_rooms_to_the_bit(name, settings):
     other = train(name, make_rooms(), settings=SMALL | {"options": 1} | settings, **arguments)
     assert [e.mean_return for e in one.evaluations] == [e.mean_return for e in other.evaluations]
     for key in ("policy", "critic"):
-        assert torch.equal(getattr(one.agent, key).weights, other.agent.networks[key].weights), key
+        assert torch.equal(getattr(one.agent, key).weights, other.agent.heads.networks[key].weights), key
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
@@ -292,7 +293,7 @@ def test_episodes_that_are_dropped_count_as_truncated_and_options_do_not_go_on()
     agent = make("dac", rollout=10**6)
     Lives(agent, 8, 0).run()
     before, _ = agent._gather_chunks()
-    last = agent._open[0].find_last(before)
+    last = agent._open[0].find_last(before.stream, before.place)
     agent.begin_streams(8, CPU)
     after, _ = agent._gather_chunks()
     assert torch.equal(after.over, before.over | last) and bool((last & ~before.over).any())

@@ -63,8 +63,9 @@ def test_the_reward_is_the_forecast_at_the_state_reached_against_an_even_guess(m
     """With lambda 0 and gamma 0 the critic's target is the reward itself; the task's counts for nothing."""
     agent = make(gamma=0.0, gae_lambda=0.0, epochs=1, options=3, rollout=4)
     targets = []
-    method = agent.compute_option_loss
-    monkeypatch.setattr(agent, "compute_option_loss", lambda *columns: targets.append(columns) or method(*columns))
+    method = agent.heads.compute_option_loss
+    monkeypatch.setattr(agent.heads, "compute_option_loss",
+                        lambda *columns: targets.append(columns) or method(*columns))
     rng = np.random.default_rng(0)
     rows = [(skill, np.r_[rng.uniform(-5, 5, 2), rng.integers(0, 2, 2)], np.r_[rng.uniform(-5, 5, 2),
              rng.integers(0, 2, 2)]) for skill in (0, 2, 1, 0)]
