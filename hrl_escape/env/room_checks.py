@@ -160,14 +160,7 @@ def _describe_base(robot: RobotConfig) -> str:
 
 def _trace_rim(instance: Room, spacing: float) -> NDArray[np.float64]:
     """Points (n, 2) along the rim of the floor, at most `spacing` apart; behind a door it leads round the alcove."""
-    half_x, half_y = instance.half_width, instance.half_depth
-    areas = [(-half_x, half_x, -half_y, half_y)]
-    if instance.door is not None:
-        beyond = instance.robot.outer_radius + CONTACT_SKIN  # the body's axis stands in the exit
-        area = instance.exit
-        areas.append((*_stretch(area.x_min, area.x_max, half_x, beyond),
-                      *_stretch(area.y_min, area.y_max, half_y, beyond)))
-    points = []
+    areas, points = _list_areas(instance), []
     for number, area in enumerate(areas):
         rim = _trace_rectangle(*area, spacing)
         for other in areas[:number] + areas[number + 1 :]:
@@ -176,6 +169,24 @@ def _trace_rim(instance: Room, spacing: float) -> NDArray[np.float64]:
             rim = rim[~inside]
         points.append(rim)
     return np.concatenate(points)
+
+
+def is_on_floor(instance: Room, x: float, y: float, slack: float = 0.0) -> bool:
+    """Say whether a point is on the floor, or in the alcove behind a door, or at most `slack` m beyond their edges."""
+    return any(x_min - slack <= x <= x_max + slack and y_min - slack <= y <= y_max + slack
+               for x_min, x_max, y_min, y_max in _list_areas(instance))
+
+
+def _list_areas(instance: Room) -> list[tuple[float, float, float, float]]:
+    """Rectangles x_min, x_max, y_min, y_max of the floor: the room's, and that of the alcove behind a door."""
+    half_x, half_y = instance.half_width, instance.half_depth
+    areas = [(-half_x, half_x, -half_y, half_y)]
+    if instance.door is not None:
+        beyond = instance.robot.outer_radius + CONTACT_SKIN  # the body's axis stands in the exit
+        area = instance.exit
+        areas.append((*_stretch(area.x_min, area.x_max, half_x, beyond),
+                      *_stretch(area.y_min, area.y_max, half_y, beyond)))
+    return areas
 
 
 def _stretch(low: float, high: float, half: float, beyond: float) -> tuple[float, float]:

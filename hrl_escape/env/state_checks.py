@@ -9,6 +9,7 @@ from typing import Any
 from hrl_escape.env.body.rectangle import RectangularBase
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.env.room_checks import is_on_floor
 from hrl_escape.errors import StateError, show_value
 
 __all__ = ["check_fields", "check_state"]
@@ -36,6 +37,8 @@ def check_state(rules: Rules, state: Any) -> None:
     soft = rules.instance.dynamics.kind == "physics"
     inner = rules.instance.robot.inner_radius
     pressed_in = inner * _SOFT_CONTACT if soft else 0.0
+    if not is_on_floor(rules.instance, state.x, state.y, pressed_in + 1e-6):
+        raise StateError(f"x = {state.x:g}, y = {state.y:g} is not possible: this is outside the walls")
     base, rotation = RectangularBase.make(rules.instance.robot, 0.0), rules.get_rotation(
         state.heading_steps, state.heading_offset)
     for solid in rules.instance.solids:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, overload
 
@@ -15,7 +16,7 @@ from hrl_escape.env.config import RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate
-from hrl_escape.errors import ConfigError, FileReadError, describe_damage
+from hrl_escape.errors import ConfigError, FileReadError, UnknownNameError, describe_damage
 from hrl_escape.files import read_json, write_json
 
 if TYPE_CHECKING:
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
     from hrl_escape.options.batched.env import BatchedOptionsEnv
 
 __all__ = ["InstanceSet", "InstanceSetEnv", "LazySeeds"]
+
+CHOOSING_ROOMS = ("config", "instance", "instance_seed", "instances", "resample_instance")
+"""Arguments of `EscapeRoomEnv` that a set gives itself."""
 
 
 class LazySeeds(Sequence[int]):
@@ -138,7 +142,14 @@ class InstanceSet(Sequence[RoomInstance]):
         Args:
             options: wrap it in an `OptionsEnv`; a table gives its arguments.
             arguments: all other arguments of `EscapeRoomEnv`, such as `observation="features"`.
+
+        Raises:
+            UnknownNameError: `EscapeRoomEnv` takes no such argument; those of `OptionsEnv` belong into `options`.
         """
+        known = [name for name in signature(EscapeRoomEnv).parameters if name not in CHOOSING_ROOMS]
+        for name in arguments:
+            if name not in known:
+                raise UnknownNameError("argument of EscapeRoomEnv (OptionsEnv's go into options={...})", name, known)
         env = InstanceSetEnv(self, **arguments)
         if not isinstance(options, Mapping) and not options:
             return env

@@ -258,12 +258,12 @@ class RoomDomain(OptionDomain):
         Raises:
             OptionError: there is an environment of options below, whose actions no planner knows.
         """
-        from hrl_escape.options.sources import make_meta_source
+        from hrl_escape.options.sources import MetaSource
 
         if self.lower is not None:
             raise OptionError("planned options choose primitives, and the actions below are options themselves: give "
                               "OptionsEnv(env, options) options that choose among them")
-        return make_meta_source(flavour, planner)
+        return MetaSource(flavour, planner)
 
     def get_state(self, observation: Any) -> RoomState:
         """Full state of the room."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
@@ -10,7 +11,7 @@ from hrl_escape.errors import ConfigError, OptionError
 from hrl_escape.options.flavours import FLAVOURS
 from hrl_escape.options.option import Option
 
-__all__ = ["OptionsSource", "make_meta_source", "make_options"]
+__all__ = ["MetaSource", "OptionsSource", "make_options"]
 
 OptionsSource: TypeAlias = Sequence[Option] | Callable[[Any], Sequence[Option]]
 """Options, or a function that makes them of a room's instance, or of any other environment itself."""
@@ -41,10 +42,11 @@ def make_options(source: OptionsSource, subject: Any) -> tuple[Option, ...]:
     return made
 
 
-def make_meta_source(flavour: str, planner: str = "auto") -> OptionsSource:
-    """Make the function that synthesises the meta-actions of any room.
+@dataclasses.dataclass(frozen=True)
+class MetaSource:
+    """Makes the meta-actions of any room.
 
-    Args:
+    Attributes:
         flavour: of `FLAVOURS`.
         planner: method of their plans, as in `RoomPlanner`.
 
@@ -52,13 +54,17 @@ def make_meta_source(flavour: str, planner: str = "auto") -> OptionsSource:
         ConfigError: no such flavour.
         UnknownNameError: no such method; only when the options are made, as path planners load OMPL.
     """
-    if flavour not in FLAVOURS:
-        raise ConfigError("OptionsEnv.flavour", flavour, " or ".join(map(repr, FLAVOURS)))
 
-    def make(instance: RoomInstance) -> Sequence[Option]:
+    flavour: str
+    planner: str = "auto"
+
+    def __post_init__(self) -> None:
+        if self.flavour not in FLAVOURS:
+            raise ConfigError("OptionsEnv.flavour", self.flavour, " or ".join(map(repr, FLAVOURS)))
+
+    def __call__(self, instance: RoomInstance) -> Sequence[Option]:
+        """The meta-actions of a room."""
         from hrl_escape.options.meta_actions import make_meta_options  # loads the planners
         from hrl_escape.planning.planner import get_planner
 
-        return make_meta_options(instance, flavour, get_planner(instance, planner))
-
-    return make
+        return make_meta_options(instance, self.flavour, get_planner(instance, self.planner))

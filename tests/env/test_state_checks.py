@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.config import ExitConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import PRESETS
@@ -60,6 +61,22 @@ def test_every_state_that_an_episode_reaches_passes(name):
     for action in rng.integers(len(rules.actions), size=400).tolist():
         state = rules.step(state, action).state
         check_state(rules, state)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_no_robot_stands_outside_the_walls_beside_an_alcove(seed):
+    """On the alcove's far side from the room's middle, clear of every solid, and no further out than the exit."""
+    config = RoomConfig(room=ShapeConfig(width=12, depth=12), exit=ExitConfig(door=True, width=3.0))
+    room = generate(config, seed)
+    rules, (x, y) = Kinematics(room), room.exit.centre
+    state = rules.make_state(room.starts[0], 7)
+    along_x = abs(x) > room.half_width  # the alcove is behind the east or the west wall
+    places = [(x, y + beside) if along_x else (x + beside, y) for beside in (-4.0, 4.0)]
+    for x, y in places:
+        if abs(y if along_x else x) < 6:
+            with pytest.raises(StateError, match="this is outside the walls"):
+                check_state(rules, state._replace(x=x, y=y))
+    check_state(rules, state._replace(x=room.exit.centre[0], y=room.exit.centre[1]))
 
 
 def test_every_state_that_physics_reaches_passes_and_parts_of_another_room_do_not():

@@ -9,7 +9,7 @@ import torch
 
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
-from hrl_escape.errors import ConfigError
+from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.ladder.benchmark import Benchmark
 from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.options.options_env import OptionsEnv
@@ -58,6 +58,13 @@ def test_resets_draw_rooms_by_the_episodes_seed(rooms, options):
     with pytest.raises(ConfigError, match="12 instances"):
         env.reset(options={"instance_index": 12})
     env.close()
+
+
+def test_an_argument_that_belongs_to_the_options_is_refused_in_words(rooms):
+    with pytest.raises(UnknownNameError, match=r"OptionsEnv's go into options=\{...\}\) 'include_primitives'"):
+        rooms.make_env(options=True, include_primitives=False)
+    with pytest.raises(UnknownNameError, match="did you mean 'observation'"):
+        rooms.make_env(observations="features")
 
 
 def test_an_environment_over_a_set_is_made_again_from_its_description(rooms):

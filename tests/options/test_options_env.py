@@ -636,3 +636,17 @@ def test_a_trace_survives_pickling():
     trace = env.step(6)[4]["trace"]
     copy = pickle.loads(pickle.dumps(trace))  # our own bytes, made here
     assert [step.state for step in copy] == [step.state for step in trace]
+
+
+@pytest.mark.parametrize("name", [name for name in gymnasium.registry if name.startswith("hrl_escape/")
+                                  and name.endswith("Options-v1")][::7])
+def test_environments_over_options_pickle_within_an_episode_and_go_on_alike(name):
+    env = gymnasium.make(name)
+    _, info = env.reset(seed=1)
+    env.step(int(np.flatnonzero(info["action_mask"])[0]))
+    copy = pickle.loads(pickle.dumps(env))  # our own bytes, made here
+    action = int(np.flatnonzero(info["action_mask"])[1])
+    for (one, *rest), (other, *same) in [(env.step(action), copy.step(action))]:
+        assert np.array_equal(one, other) and rest[:3] == same[:3]
+    env.close()
+    copy.close()
