@@ -173,3 +173,22 @@ def test_nothing_finished_is_an_error_that_says_why():
 def test_different_versions_of_a_package_are_kept_apart():
     runs = [make(0.5), dataclasses.replace(make(0.5), versions={"torch": "2.0"})]
     assert summarise(compare({"dqn": runs})).versions == {"torch": "1.0, 2.0"}
+
+
+def test_the_best_known_is_raised_by_fewer_primitives_or_a_larger_return_alone():
+    """One agent escapes in 41 primitives for less than the best return, one earns more in as many as the planner."""
+    base = make_result([50.0], best=50.0)
+    (last,) = base.evaluations
+    quick = dataclasses.replace(base, evaluations=(dataclasses.replace(last, returns=(20.0,), lengths=(41,)),))
+    rich = dataclasses.replace(base, evaluations=(dataclasses.replace(last, returns=(70.0,), lengths=(51,)),))
+    room = summarise(compare({"dqn": [quick] * 2, "ppo": [base] * 2})).rooms[0]
+    assert (room.best, room.fewest) == (50, 41)
+    room = summarise(compare({"dqn": [rich] * 2, "ppo": [base] * 2})).rooms[0]
+    assert (room.best, room.fewest) == (70, 51)
+
+
+def test_a_first_escape_beyond_the_budget_counts_as_the_budget():
+    """The last decision of a run may end after its budget."""
+    late = dataclasses.replace(make(0, 0, 1), first_escape=1_040)
+    (agent,) = summarise(compare({"dqn": [late, make(0, 1, 0)]})).agents
+    assert agent.first_escape.value == 750

@@ -145,3 +145,9 @@ def test_a_better_way_than_the_planners_is_told():
     said = judge({"dqn": [make_result([WORST, 90.0], best=50.0)] * 6})
     assert any(text.startswith("In paper-two-button, `dqn` found a better way than the planners")
                and text.endswith("(11 primitives).") for text in said["finding"])
+
+
+def test_too_few_runs_of_one_rival_are_too_few_whatever_the_others_have():
+    """With one rival the leader shares ten seeds, with the other four."""
+    said = judge({"dqn": NEVER[:4], "ppo": [*NEVER, *NEVER][:10], "smdp-dqn": [*GOOD, *GOOD][:10]})
+    assert said["headline"][0].endswith("too few to be sure.")

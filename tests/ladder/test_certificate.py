@@ -218,3 +218,11 @@ def test_rooms_are_the_same_whatever_the_processor_and_the_hash_seed():
 def test_the_manifest_of_another_version_is_still_read():
     manifest = load_benchmark("ladder-1").manifest
     assert Manifest.from_dict(manifest.to_dict()) == manifest
+
+
+def test_a_hidden_seed_is_the_hash_of_all_that_names_its_room():
+    """Anybody can compute it: the first 63 bits of SHA-256 over benchmark/rung/hidden/randomness/index."""
+    digest = hashlib.sha256(b"ladder-1/pair/hidden/drand round 4242424242/7").digest()
+    seed = derive_hidden_seed("drand round 4242424242", "ladder-1", "pair", 7)
+    assert seed == int.from_bytes(digest[:8], "big") >> 1
+    assert seed != derive_hidden_seed("drand round 4242424242", "ladder-2", "pair", 7)

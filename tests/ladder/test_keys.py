@@ -1,6 +1,7 @@
 """Keys of rooms: content, layout and task."""
 
 import dataclasses
+import math
 
 import numpy as np
 
@@ -55,3 +56,10 @@ def test_every_kind_of_puzzle_has_a_task():
     for kind in list_puzzles():
         puzzle = get_puzzle_kind(kind).config_type().make_puzzle(np.random.default_rng(0))
         assert len(compute_task_key(puzzle)) == 64
+
+
+def test_a_full_turn_is_no_turn_in_the_layout():
+    room = generate(get_preset("clutter"), 1)
+    for turns, same in ((1, True), (-1, True), (0.5, False)):
+        targets = tuple(dataclasses.replace(target, yaw=target.yaw + turns * math.tau) for target in room.targets)
+        assert (compute_keys(dataclasses.replace(room, targets=targets)).layout == compute_keys(room).layout) == same

@@ -214,4 +214,11 @@ MUTATIONS = [
         "agents/training/test_streams.py"
         "::test_ppo_that_learned_from_many_goes_on_in_one_environment_with_the_chances_of_its_own_choices",
     ),
+    Mutation(
+        "the best checkpoint is the last of equals",
+        "agents/training/run.py",
+        "evaluation.mean_return > earlier.mean_return for",
+        "evaluation.mean_return >= earlier.mean_return for",
+        "agents/training/test_resuming.py::test_of_equally_good_evaluations_the_first_is_kept",
+    ),
 ]

@@ -87,4 +87,25 @@ MUTATIONS = [
         "<title>{{ grid.name | safe }}:",
         "comparison/reporting/test_report.py",
     ),
+    Mutation(
+        "the best known is raised only by who is better in both",
+        "comparison/summary.py",
+        "if new_value > found[0] + 1e-9 or new_fewest < found[1]:",
+        "if new_value > found[0] + 1e-9 and new_fewest < found[1]:",
+        "comparison/test_summary.py",
+    ),
+    Mutation(
+        "a first escape may come after the budget",
+        "comparison/summary.py",
+        "else min(result.first_escape, budget)))",
+        "else result.first_escape))",
+        "comparison/test_summary.py::test_a_first_escape_beyond_the_budget_counts_as_the_budget",
+    ),
+    Mutation(
+        "enough runs with one rival are enough with all",
+        "comparison/verdict.py",
+        "if min(summary.get_pair(leader, agent).count for",
+        "if max(summary.get_pair(leader, agent).count for",
+        "comparison/test_verdict.py::test_too_few_runs_of_one_rival_are_too_few_whatever_the_others_have",
+    ),
 ]

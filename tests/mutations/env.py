@@ -262,4 +262,11 @@ MUTATIONS = [
         "return float(before <= after > 0)",
         "env/test_pushed_grids.py",
     ),
+    Mutation(
+        "a board is scrambled by a press and its repetition",
+        "env/puzzles/lights_out.py",
+        "rng.choice(count, self.scramble, replace=False).tolist():",
+        "rng.choice(count, self.scramble, replace=True).tolist():",
+        "env/puzzles/test_lights_out.py::test_a_scrambled_board_needs_as_many_different_presses_as_were_drawn",
+    ),
 ]

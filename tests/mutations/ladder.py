@@ -108,4 +108,18 @@ MUTATIONS = [
         "range(first, max(last, 1)))",
         "ladder/test_room_sets.py::test_texts_name_the_rooms_of_rungs_presets_and_files",
     ),
+    Mutation(
+        "hidden rooms of two benchmarks are the same",
+        "ladder/hidden.py",
+        'derive_seed(benchmark, rung, "hidden", randomness, index)',
+        'derive_seed(rung, "hidden", randomness, index)',
+        "ladder/test_certificate.py::test_a_hidden_seed_is_the_hash_of_all_that_names_its_room",
+    ),
+    Mutation(
+        "a full turn is another layout",
+        "ladder/keys.py",
+        "round(yaw / TURN) % round(math.tau / TURN)",
+        "round(yaw / TURN)",
+        "ladder/test_keys.py::test_a_full_turn_is_no_turn_in_the_layout",
+    ),
 ]

@@ -17,7 +17,6 @@ from websockets.sync.client import connect
 from websockets.sync.connection import Connection
 from websockets.typing import Origin, Subprotocol
 
-from hrl_escape.viewer.guard import LARGEST_MESSAGE
 from hrl_escape.viewer.incoming import is_expected
 from hrl_escape.viewer.pages.play import MOST_WAITING, PlayPage
 from hrl_escape.viewer.play.controls import Command
@@ -190,7 +189,7 @@ def test_a_page_sets_values_that_its_controls_offer_and_nothing_else(server: Ser
 def test_the_largest_message_is_small(server: Server):
     with open_socket(server) as page:
         page.recv(timeout=10)
-        page.send(b"\0" * (LARGEST_MESSAGE + 1))
+        page.send(b"\0" * (2**16 + 1))  # the page itself sends a few hundred bytes
         with pytest.raises(ConnectionClosed) as closed:
             while True:
                 page.recv(timeout=10)
@@ -229,3 +228,23 @@ def test_a_slider_takes_numbers_of_its_range_only(server: Server):
     assert not any(may(slider, value) for value in (0, 61, True, "5", float("nan"), 1e300))
     assert [may(box, value) for value in (True, False, 1, "x")] == [True, True, False, False]
     assert not may(hidden, True)
+
+
+def test_a_disabled_control_takes_nothing(server: Server):
+    for handle, value in ((server.gui.add_checkbox("fast", False, disabled=True), True),
+                          (server.gui.add_slider("speed", 1, 60, 1, 5, disabled=True), 30)):
+        message = {"type": "GuiUpdateMessage", "uuid": handle._impl.uuid, "updates": {"value": value}}
+        assert not is_expected(server, None, msgspec.msgpack.encode(message))
+        handle.disabled = False
+        assert is_expected(server, None, msgspec.msgpack.encode(message))
+
+
+def test_a_request_with_two_hosts_is_refused_though_the_first_is_right(server: Server):
+    port = server.get_port()
+    for hosts, status in ((["127.0.0.1"], b"200"), (["127.0.0.1", "127.0.0.1"], b"403"),
+                          (["127.0.0.1", "evil.example"], b"403")):
+        lines = [f"GET /?token={server.guard.token} HTTP/1.1", *(f"Host: {host}:{port}" for host in hosts),
+                 "Connection: close", "", ""]
+        with socket.create_connection(("127.0.0.1", port), timeout=10) as dialled:
+            dialled.sendall("\r\n".join(lines).encode())
+            assert dialled.recv(64).split()[1] == status, hosts

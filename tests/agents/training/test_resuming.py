@@ -393,3 +393,12 @@ def test_a_state_dict_taken_at_any_decision_goes_on_to_the_same_bits(tmp_path_fa
         assert restored.act(transition.observation, transition.action_mask) == transition.action
         restored.observe(transition)
     assert flatten(restored.state_dict()) == flatten(agent.state_dict())
+
+
+def test_of_equally_good_evaluations_the_first_is_kept(tmp_path):
+    whole = run("random", "corrected", {}, ButtonGrid(trace=True), tmp_path, primitives=900, eval_every=100,
+                eval_episodes=1)
+    returns = [evaluation.mean_return for evaluation in whole.evaluations]
+    first = whole.evaluations[returns.index(max(returns))]
+    assert returns.count(max(returns)) > 1, "the same episode by the same policy"
+    assert load_checkpoint(tmp_path / "best.npz")["primitives"] == first.primitives

@@ -88,3 +88,12 @@ def test_what_presses_cannot_reach_is_no_state_and_no_goal():
         LightsOutConfig(rows=2, columns=3, task=1)
     with pytest.raises(ConfigError, match="divisor"):
         LightsOutPuzzle(9, 2, 0, 0)
+
+
+@pytest.mark.parametrize("scramble", [2, 5, 9])
+def test_a_scrambled_board_needs_as_many_different_presses_as_were_drawn(scramble):
+    """Of 3 x 3 lights every board has one set of presses; two equal ones would undo each other."""
+    for seed in range(20):
+        puzzle = LightsOutConfig(scramble=scramble).make_puzzle(np.random.default_rng(seed))
+        presses = find_fewest_presses(puzzle.count, puzzle.columns, puzzle.start ^ puzzle.goal)
+        assert presses is not None and presses.bit_count() == scramble

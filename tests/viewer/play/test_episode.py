@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -144,3 +145,21 @@ def test_a_truncated_episode_names_file_and_place(tmp_path: Path):
     path.write_text('{"kind": "episode", ')
     with pytest.raises(FileReadError, match="half.json"):
         load_episode(path)
+
+
+def test_an_escape_that_was_undone_can_be_made_again_by_an_option(two_buttons):
+    episode = Episode(two_buttons)
+    play(episode, ["meta-01", "meta-02", "meta-exit"])
+    escaped, total = episode.state, episode.total
+    episode.undo()
+    play(episode, ["meta-exit"])
+    assert episode.escaped and episode.state == escaped and episode.total == total
+
+
+def test_a_file_that_is_one_primitive_off_in_its_return_is_refused(tmp_path, two_buttons):
+    episode = Episode(two_buttons)
+    play(episode, ["forward", "meta-01"])
+    saved = episode.to_saved()
+    for wrong in (saved.total + 1.0, saved.total - 1.0, saved.total + 1e-3):
+        with pytest.raises(EpisodeFileError, match="the file says"):
+            Episode(saved.instance, seed=saved.seed).replay(dataclasses.replace(saved, total=wrong))
