@@ -8,9 +8,12 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 from hypothesis import settings
 
+from tests.forks import RUN, run_fork
+
 # One thread a process: xdist already fills the cores, and sums split over threads differ in the last bit.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ.setdefault("MPLBACKEND", "Agg")
+os.environ.setdefault(RUN, str(os.getpid()))  # xdist's workers inherit it
 
 # A busy machine is no failure, so no deadline; CI repeats the same examples, other runs look for new ones.
 settings.register_profile("hrl-escape", deadline=None, derandomize="CI" in os.environ)
@@ -51,8 +54,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 def pytest_sessionstart(session: pytest.Session) -> None:
     """Compile kernels before xdist starts its workers, each of which would compile them itself."""
     if session.config.getoption("numprocesses", None) and not hasattr(session.config, "workerinput"):
-        from tests.forks import run_fork
-
         with ThreadPoolExecutor() as pool:
             for done in pool.map(run_fork, KERNELS):
                 assert done.returncode == 0, done.stderr

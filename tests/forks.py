@@ -14,6 +14,7 @@ import fcntl
 import importlib
 import json
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -26,16 +27,18 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, NoReturn
 
-__all__ = ["run_file", "run_fork", "run_module"]
+__all__ = ["RUN", "run_file", "run_fork", "run_module"]
 
 LIBRARIES = ("numba", "torch", "torchrl", "tensordict", "pybullet", "ompl", "pinocchio", "scipy.optimize",
              "scipy.stats", "gymnasium", "pytest", "matplotlib.pyplot", "hypothesis", "jinja2", "rich.table", "tyro",
              "viser", "PIL.Image", "importlinter.cli")
-ROOT = Path(__file__).parents[1]
+RUN = "HRL_ESCAPE_TEST_RUN"
+"""Variable that holds the process id of the test run, in all its processes."""
 
 
 def run_fork(script: str, *arguments: object, cwd: Path | None = None, environment: Mapping[str, str] | None = None,
-             input: str = "", timeout: float | None = None, check: bool = False) -> subprocess.CompletedProcess[str]:
+             input: str = "", timeout: float | None = None, processor_seconds: int | None = None,
+             check: bool = False) -> subprocess.CompletedProcess[str]:
     """Run a script as `python -c` would.
 
     Args:
@@ -45,6 +48,7 @@ def run_fork(script: str, *arguments: object, cwd: Path | None = None, environme
         environment: all its environment; that of this process by default.
         input: what it reads from stdin.
         timeout: seconds after which it is killed.
+        processor_seconds: processor time after which it is killed, by SIGXCPU.
         check: any return code but 0 is an error.
 
     Raises:
@@ -58,6 +62,7 @@ def run_fork(script: str, *arguments: object, cwd: Path | None = None, environme
         stdin.seek(0)
         server = stack.enter_context(_connect())
         request = {"script": script, "arguments": words, "cwd": str(cwd or Path.cwd()),
+                   "processor_seconds": processor_seconds,
                    "environment": dict(os.environ if environment is None else environment)}
         socket.send_fds(server, [b"fork"], [stdin.fileno(), stdout.fileno(), stderr.fileno()])
         lines = stack.enter_context(server.makefile("rw"))
@@ -93,7 +98,7 @@ def run_module(name: str, *arguments: object, **settings: Any) -> subprocess.Com
 
 def _connect() -> socket.socket:
     """A connection to the server of this test run, which the first caller starts."""
-    run = os.getppid() if "PYTEST_XDIST_WORKER" in os.environ else os.getpid()
+    run = os.environ.setdefault(RUN, str(os.getpid()))
     address = f"{tempfile.gettempdir()}/forks-{os.getuid()}-{run}"
     server = socket.socket(socket.AF_UNIX)
     with open(f"{address}.lock", "w") as lock:
@@ -102,7 +107,7 @@ def _connect() -> socket.socket:
             server.connect(address)
         except (FileNotFoundError, ConnectionRefusedError):
             environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-            subprocess.run([sys.executable, __file__, address, str(run)], env=environment, cwd="/", check=True,
+            subprocess.run([sys.executable, __file__, address, run], env=environment, cwd="/", check=True,
                            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
             server.connect(address)
     return server
@@ -169,6 +174,8 @@ def _become(request: dict[str, Any], streams: list[int]) -> NoReturn:
     os.chdir(request["cwd"])
     os.environ.clear()
     os.environ.update(request["environment"])
+    if request["processor_seconds"]:
+        resource.setrlimit(resource.RLIMIT_CPU, (request["processor_seconds"], resource.RLIM_INFINITY))
     sys.modules["numba"].config.reload_config()  # reads the environment
     sys.argv = request["arguments"]
     sys.path[:1] = ["", *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep))]

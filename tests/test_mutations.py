@@ -1,7 +1,7 @@
 """Planted bugs, one at a time in a copy of the package: each makes a test fail.
 
-`tests/mutations/<package>.py` lists them. `python -m pytest tests/test_mutations.py -m slow` runs them all, one after
-another; `-k ladder` runs those of one package.
+`tests/mutations/<package>.py` lists them. `make test-planted` runs them all; `python -m pytest
+tests/test_mutations.py -m slow -k ladder` runs those of one package.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def copy(tmp_path_factory: pytest.TempPathFactory) -> PackageCopy:
 
 
 @pytest.mark.slow
-@pytest.mark.timeout(900)
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("mutation", EVERY)
 def test_a_planted_bug_is_seen(copy: PackageCopy, mutation: Mutation):
     assert copy.is_seen(mutation), f"no test of {mutation.tests} sees: {mutation.bug} ({mutation.file})"

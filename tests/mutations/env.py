@@ -230,9 +230,9 @@ MUTATIONS = [
     Mutation(
         "towers are drawn without their weights",
         "env/puzzles/towers.py",
-        "        number //= _count_towers(len(loose), len(placed))",
-        "        number = number % (len(loose) + len(placed)) if loose or placed else 0",
-        "env/puzzles/test_blocks_world.py",
+        "number = int(rng.integers(everywhere)) - _count_towers(len(loose), len(placed) + 1)",
+        "number = (int(rng.integers(1 + len(loose) + len(placed))) - 1) * _count_towers(len(loose), len(placed))",
+        "env/puzzles/test_blocks_world.py::test_start_and_goal_are_drawn_each_with_the_same_probability",
     ),
     Mutation(
         "a box is pushed into another",

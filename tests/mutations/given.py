@@ -84,9 +84,9 @@ MUTATIONS = [
           "+ self.gamma**step.duration", "+ 1.0",
           "test_r_maxq.py::test_models_of_tasks_are_those_of_nested_solving"),
     # zero-length calls
-    _trap("a task that is over may be called", "task_graph",
-          "if self.until(seen):\n            return False", "if False:\n            return False",
-          "test_maxq.py::test_taxi_is_solved_in_three_thousand_episodes"),
+    ("a task that is over may be called", "agents/hierarchy/task_graph.py",
+     "if self.until(seen):\n            return False", "if False:\n            return False",
+     "agents/hierarchy/test_task_graph.py::test_a_task_that_is_over_is_not_legal_for_it_would_take_no_primitive"),
     _trap("a macro ends before its first primitive", "macros",
           "float(frame.primitives > 0 and self._until(seen))", "float(self._until(seen))",
           "test_macro_q.py::test_random_walks_last_as_long_as_the_paper_s_room_makes_them"),

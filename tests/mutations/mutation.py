@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import shutil
-import sys
+import signal
+import subprocess
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 
+from tests.forks import run_fork
+
 __all__ = ["ROOT", "Mutation", "PackageCopy", "find_source"]
 
 ROOT = Path(__file__).parents[2]
 """Folder of the project."""
-LIBRARIES = ("torch", "torchrl", "pybullet", "ompl", "pinocchio", "scipy.optimize", "scipy.stats", "gymnasium",
-             "pytest", "matplotlib.pyplot", "hypothesis", "jinja2", "rich.table", "viser", "PIL.Image")
-"""Loaded once; each mutant's tests begin in a fork of the process that has them, and load the package themselves."""
-
-SEEN = (pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED)
-"""A test failed, or its module could not even be loaded."""
+PYTEST = """
+import sys, pytest
+sys.exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-m", "not slow", *sys.argv[1:]]))
+"""
+SEEN = (pytest.ExitCode.TESTS_FAILED, pytest.ExitCode.INTERRUPTED, -signal.SIGXCPU)
+"""A test failed, its module could not even be loaded, or it did not end."""
 
 
 class Mutation(NamedTuple):
@@ -62,11 +64,9 @@ class PackageCopy:
         for path in ROOT.glob("*.*"):
             if path.is_file():
                 shutil.copy2(path, folder)
-        self._context = multiprocessing.get_context("forkserver")
-        self._context.set_forkserver_preload(list(LIBRARIES))
 
-    def is_seen(self, mutation: Mutation, seconds: float = 300.0) -> bool:
-        """Plant a bug, run its tests, mend it; say whether one of them failed, or hung for so many seconds.
+    def is_seen(self, mutation: Mutation, seconds: int = 300) -> bool:
+        """Plant a bug, run its tests, mend it; say whether one of them failed, or ran for so many processor seconds.
 
         Raises:
             RuntimeError: the tests could not be run, or the bug's place is not found.
@@ -77,7 +77,7 @@ class PackageCopy:
         changed = sound.replace(mutation.old, mutation.new)
         return self.is_change_seen(mutation.file, changed, mutation.tests.split(), seconds)
 
-    def is_change_seen(self, file: str, changed: str, tests: Sequence[str], seconds: float = 300.0) -> bool:
+    def is_change_seen(self, file: str, changed: str, tests: Sequence[str], seconds: int = 300) -> bool:
         """The same for the whole changed text of a file."""
         path = find_source(self._folder, file)
         path.write_text(changed, encoding="utf-8")
@@ -87,29 +87,14 @@ class PackageCopy:
             path.unlink()
             shutil.copy2(find_source(ROOT, file), path)
 
-    def _run(self, tests: Sequence[str], seconds: float) -> bool:
-        process = self._context.Process(target=_run_pytest, args=(self._folder, tests))
-        process.start()
-        process.join(seconds)
-        if process.is_alive():
-            process.kill()
-            process.join()
+    def _run(self, tests: Sequence[str], seconds: int) -> bool:
+        places = [f"tests/{test}" for test in tests]
+        environment = os.environ | {"PYTHONPATH": str(self._folder), "NUMBA_CACHE_DIR": str(self._folder / "kernels")}
+        try:
+            done = run_fork(PYTEST, *places, cwd=self._folder, environment=environment, processor_seconds=seconds,
+                            timeout=10 * seconds)
+        except subprocess.TimeoutExpired:
             return True
-        if process.exitcode not in (pytest.ExitCode.OK, *SEEN):
-            raise RuntimeError(f"the tests did not run:\n{(self._folder / 'output.txt').read_text()[-3000:]}")
-        return process.exitcode in SEEN
-
-
-def _run_pytest(folder: Path, tests: Sequence[str]) -> None:
-    """Run tests of the copy in this process, which has not loaded the package yet."""
-    assert "hrl_escape" not in sys.modules
-    for name in [name for name in sys.modules if name.partition(".")[0] == "tests"]:
-        del sys.modules[name]
-    os.chdir(folder)
-    sys.path.insert(0, str(folder))
-    os.environ |= {"PYTHONPATH": str(folder), "NUMBA_CACHE_DIR": str(folder / "kernels")}
-    with open("output.txt", "wb") as output:
-        os.dup2(output.fileno(), 1)
-        os.dup2(output.fileno(), 2)
-    places = [f"tests/{test}" for test in tests]
-    sys.exit(pytest.main(["-q", "-x", "-p", "no:cacheprovider", "-m", "not slow", *places]))
+        if done.returncode not in (pytest.ExitCode.OK, *SEEN):
+            raise RuntimeError(f"the tests did not run:\n{(done.stdout + done.stderr)[-3000:]}")
+        return done.returncode in SEEN
