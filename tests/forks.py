@@ -24,6 +24,7 @@ import threading
 import traceback
 import types
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -56,18 +57,19 @@ def run_fork(script: str, *arguments: object, cwd: Path | None = None, environme
         subprocess.TimeoutExpired: it was killed.
     """
     words = ["-c", *map(str, arguments)]
-    with contextlib.ExitStack() as stack:
-        stdin, stdout, stderr = (stack.enter_context(tempfile.TemporaryFile()) for _ in range(3))
+    request = {"script": script, "arguments": words, "cwd": str(cwd or Path.cwd()),
+               "processor_seconds": processor_seconds,
+               "environment": dict(os.environ if environment is None else environment)}
+    (out, to_out), (err, to_err) = os.pipe(), os.pipe()
+    with (_connect() as server, server.makefile("rw") as lines, tempfile.TemporaryFile() as stdin,
+          open(out, "rb") as stdout, open(err, "rb") as stderr, ThreadPoolExecutor() as pool):
         stdin.write(input.encode())
         stdin.seek(0)
-        server = stack.enter_context(_connect())
-        request = {"script": script, "arguments": words, "cwd": str(cwd or Path.cwd()),
-                   "processor_seconds": processor_seconds,
-                   "environment": dict(os.environ if environment is None else environment)}
-        socket.send_fds(server, [b"fork"], [stdin.fileno(), stdout.fileno(), stderr.fileno()])
-        lines = stack.enter_context(server.makefile("rw"))
-        lines.write(json.dumps(request) + "\n")
-        lines.flush()
+        socket.send_fds(server, [b"fork"], [stdin.fileno(), to_out, to_err])
+        os.close(to_out)
+        os.close(to_err)
+        said = [pool.submit(stream.read) for stream in (stdout, stderr)]
+        print(json.dumps(request), file=lines, flush=True)
         pid = int(lines.readline())
         server.settimeout(timeout)
         try:
@@ -75,9 +77,7 @@ def run_fork(script: str, *arguments: object, cwd: Path | None = None, environme
         except TimeoutError:
             os.kill(pid, signal.SIGKILL)
             raise subprocess.TimeoutExpired(words, timeout or 0.0) from None
-        stdout.seek(0)
-        stderr.seek(0)
-        done = subprocess.CompletedProcess(words, code, stdout.read().decode(), stderr.read().decode())
+        done = subprocess.CompletedProcess(words, code, *(each.result().decode() for each in said))
     if check and code != 0:
         raise subprocess.CalledProcessError(code, words, done.stdout, done.stderr)
     return done
@@ -159,6 +159,8 @@ def _answer(connection: socket.socket) -> NoReturn:
     pid = os.fork()
     if pid == 0:
         _become(request, streams)
+    for stream in streams:
+        os.close(stream)
     with contextlib.suppress(BrokenPipeError):  # of a caller that has stopped waiting
         print(pid, file=lines, flush=True)
         print(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), file=lines, flush=True)
@@ -172,6 +174,7 @@ def _become(request: dict[str, Any], streams: list[int]) -> NoReturn:
     for number, stream in enumerate(streams):
         os.dup2(stream, number)
     os.chdir(request["cwd"])
+    tempfile.tempdir = None  # read from the environment anew
     os.environ.clear()
     os.environ.update(request["environment"])
     if request["processor_seconds"]:

@@ -127,7 +127,7 @@ def test_a_signal_ends_a_run_in_order_and_with_its_own_exit_code(tmp_path, numbe
             assert process.poll() is None
             time.sleep(0.05)
         process.send_signal(number)
-        error = process.communicate(timeout=60)[1]
+        error = process.communicate(timeout=600)[1]
     finally:
         process.kill()
     assert process.returncode == 128 + number

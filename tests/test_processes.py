@@ -46,7 +46,7 @@ for _ in range(50):
 def test_processes_that_take_turns_lose_nothing_of_each_other(tmp_path: Path):
     folder = tmp_path / "new"
     both = [subprocess.Popen([sys.executable, "-c", COUNT, str(folder)]) for _ in range(2)]
-    assert [each.wait(timeout=120) for each in both] == [0, 0]
+    assert [each.wait(timeout=600) for each in both] == [0, 0]
     assert (folder / "count").read_text() == "100" and [path.name for path in folder.iterdir()] == ["count"]
 
 

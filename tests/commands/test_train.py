@@ -29,7 +29,7 @@ def test_ctrl_c_saves_the_run_and_the_same_command_goes_on_with_it(tmp_path):
         assert begun.poll() is None
         time.sleep(0.01)
     begun.send_signal(signal.SIGINT)
-    error = begun.communicate(timeout=60)[1]
+    error = begun.communicate(timeout=600)[1]
     assert begun.returncode == 130 and error.count("\n") == 1 and "run holds the run" in error
     saved, length = load_checkpoint(tmp_path / "run" / "checkpoint.npz")["primitives"], log.stat().st_size
     assert f"after {saved:,} primitives" in error and 0 < saved < 4000

@@ -32,7 +32,7 @@ class Page:
 
     def __init__(self, browser: Browser, address: str, target: str) -> None:
         self._browser, self._target = browser, target
-        self._socket = connect(address, max_size=None, open_timeout=30)
+        self._socket = connect(address, max_size=None, open_timeout=600)
         self._numbers = itertools.count(1)
         self.events: list[dict[str, Any]] = []
         for domain in ("Page", "Runtime", "Network", "Log"):
@@ -42,7 +42,7 @@ class Page:
         number = next(self._numbers)
         self._socket.send(json.dumps({"id": number, "method": method, "params": parameters}))
         while True:
-            answer = json.loads(self._socket.recv(timeout=60))
+            answer = json.loads(self._socket.recv(timeout=600))
             if answer.get("id") == number:
                 assert "error" not in answer, answer
                 return answer["result"]
@@ -57,7 +57,7 @@ class Page:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def wait(self, script: str, seconds: float = 90.0) -> Any:
+    def wait(self, script: str, seconds: float = 600.0) -> Any:
         """Wait until an expression becomes true."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
@@ -121,7 +121,7 @@ class Browser:
 
     def _wait_for_port(self) -> int:
         path = Path(self._folder, "DevToolsActivePort")
-        end = time.monotonic() + 60
+        end = time.monotonic() + 600
         while time.monotonic() < end:
             if path.exists() and (lines := path.read_text().splitlines()):
                 return int(lines[0])
@@ -130,7 +130,7 @@ class Browser:
 
     def fetch(self, path: str, method: str = "GET") -> Any:
         request = urllib.request.Request(f"http://127.0.0.1:{self._port}/{path}", method=method)
-        with urllib.request.urlopen(request, timeout=30) as answer:
+        with urllib.request.urlopen(request, timeout=600) as answer:
             text = answer.read().decode()
         return json.loads(text) if text.startswith(("{", "[")) else text
 

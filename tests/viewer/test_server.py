@@ -51,7 +51,7 @@ def test_without_the_extra_one_message_names_it_and_terminal_and_window_do_witho
     lines = ["play --no-open", "watch --no-open", "record",
              "play --no-browser --preset paper-one-button", "play --window"]
     environment = {name: value for name, value in os.environ.items() if name != "DISPLAY"}
-    done = subprocess.run([sys.executable, "-c", code, *lines], capture_output=True, text=True, timeout=120,
+    done = subprocess.run([sys.executable, "-c", code, *lines], capture_output=True, text=True, timeout=600,
                           input="w", env=environment)
     assert done.stdout.splitlines()[-1] == "[2, 2, 2, 0, 2]", done.stderr
     assert "1 primitives" in done.stdout

@@ -265,7 +265,7 @@ def dump_page(path: Path, folder: Path) -> str:
         [str(CHROMIUM), "--headless", "--no-sandbox", "--disable-gpu", "--window-size=1280,800", "--dump-dom",
          "--proxy-server=127.0.0.1:9", f"--user-data-dir={folder / 'profile'}", "--virtual-time-budget=3000",
          path.as_uri()],
-        capture_output=True, text=True, timeout=120,
+        capture_output=True, text=True, timeout=600,
     )
     return done.stdout
 

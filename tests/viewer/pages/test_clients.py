@@ -28,7 +28,7 @@ CAMERA = {"type": "ViewerCameraMessage", "wxyz": (1, 0, 0, 0), "position": (0, -
           "far": 100.0, "image_height": 800, "image_width": 900, "look_at": (0, 0, 0), "up_direction": (0, 0, 1)}
 
 
-def wait_until(condition: Callable[[], Any], what: str, seconds: float = 90.0) -> None:
+def wait_until(condition: Callable[[], Any], what: str, seconds: float = 600.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end, what
@@ -41,7 +41,7 @@ def open_client(server: Server) -> ClientConnection:
     address = f"127.0.0.1:{server.get_port()}"
     client = connect(f"ws://{address}/?token={server.guard.token}", origin=Origin(f"http://{address}"),
                      subprotocols=[protocol], max_size=None, compression=None)
-    client.recv(timeout=10)
+    client.recv(timeout=600)
     client.send(msgspec.msgpack.encode(CAMERA))
     return client
 

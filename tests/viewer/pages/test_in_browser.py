@@ -57,7 +57,7 @@ def playing(instance: RoomInstance, browser: Browser, folder: Path) -> Iterator[
         assert not thread.is_alive()
 
 
-def wait_until(condition: Callable[[], Any], seconds: float = 90.0) -> None:
+def wait_until(condition: Callable[[], Any], seconds: float = 600.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end

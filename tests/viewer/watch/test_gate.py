@@ -59,7 +59,7 @@ def test_a_running_driver_can_be_paused_and_goes_on(two_buttons):
         thread.join(10)
 
 
-def wait_until(condition: Callable[[], bool], seconds: float = 60.0) -> None:
+def wait_until(condition: Callable[[], bool], seconds: float = 600.0) -> None:
     end = time.monotonic() + seconds
     while not condition():
         assert time.monotonic() < end
