@@ -14,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +23,9 @@ from numba.core import config, event
 
 from hrl_escape.version import __version__
 
-__all__ = ["SOURCES", "find_cache_folder", "kernel", "kernel_in_place", "kernel_part", "read_clock"]
+__all__ = ["SOURCES", "add_sources", "find_cache_folder", "kernel", "kernel_in_place", "kernel_part", "read_clock"]
 
-SOURCES = ("agents/factored/search.py", "env/body/rectangle.py", "env/geometry.py", "env/primitives.py",
+SOURCES = ("agents/factored/search.py", "env/bases/disc.py", "env/bases/rectangle.py", "env/geometry.py",
            "floor/dijkstra.py", "floor/sweeps.py", "options/batched/value_iteration.py", "planning/arm/search.py",
            "planning/arm/tables.py", "planning/search/a_star.py", "planning/search/reference.py")
 """Files, relative to the package, that compiled code is made of."""
@@ -65,12 +65,25 @@ def kernel_part(function: Callable[..., Any]) -> Any:
     return numba.njit(**_UNCOUNTED)(function)
 
 
-def find_cache_folder() -> Path:
-    """Folder of this version's compiled kernels; the variable NUMBA_CACHE_DIR moves it."""
+def add_sources(files: Iterable[Path]) -> None:
+    """Keep the kernels that are decorated from now on apart from those that other files are part of."""
+    global _FOLDER
+    own = {Path(__file__).parent / name for name in SOURCES}
+    foreign = [file for file in files if file not in own]
+    if foreign:
+        _FOLDER = find_cache_folder(foreign)
+
+
+def find_cache_folder(more: Iterable[Path] = ()) -> Path:
+    """Folder of this version's compiled kernels; the variable NUMBA_CACHE_DIR moves it.
+
+    Args:
+        more: files besides `SOURCES` that compiled code is made of.
+    """
     package = Path(__file__).parent
     sources = hashlib.sha256()
-    for name in SOURCES:
-        sources.update((package / name).read_bytes())
+    for file in (*(package / name for name in SOURCES), *more):
+        sources.update(file.read_bytes())
     folder = f"{__version__}-{sources.hexdigest()[:12]}"
     chosen = _CONFIG.CACHE_DIR or os.environ.get("XDG_CACHE_HOME") or "~/.cache"
     for base in (Path(chosen).expanduser(), Path(tempfile.gettempdir()) / f"cache-{os.getuid()}"):

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from functools import lru_cache
 from typing import Annotated, Literal
 
-from hrl_escape.env.primitives import ActionTable, DriveKind, FootprintKind, Move, SlipKind, make_action_table
+from hrl_escape.env.bases import BASES, Base
+from hrl_escape.env.primitives import ActionTable, DriveKind, Move, SlipKind, make_action_table
 from hrl_escape.env.puzzles.base import PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.schema import Schematic
@@ -150,32 +152,32 @@ class RobotConfig(Schematic):
     """The base moves along and across its heading, or (differential) along it only, and turns on the spot."""
     moves: tuple[Move, ...] = ()
     """Further primitives of the base, beside those of its drive."""
-    footprint: FootprintKind = "disc"
-    """Outline of the base on the floor, centred on its axis."""
+    footprint: str = "disc"
+    """Outline of the base on the floor, centred on its axis: a disc, which turns anywhere, or a rectangle."""
     body_length: Annotated[float, Range(0.1, 10, "m")] = 1.2
     """Size of a rectangular base along its heading."""
     body_width: Annotated[float, Range(0.1, 10, "m")] = 0.8
     """Size of a rectangular base across its heading."""
 
     @property
-    def half_sizes(self) -> tuple[float, float]:
-        """Half length and half width of a rectangular base, m; 0 and 0 for a disc."""
-        return (self.body_length / 2, self.body_width / 2) if self.footprint == "rectangle" else (0.0, 0.0)
+    def base(self) -> Base:
+        """The base itself, without clearance."""
+        return _measure_base(self)
 
     @property
     def inner_radius(self) -> float:
         """Radius of the largest disc round the axis within the base, m: where it does not fit, no heading helps."""
-        return min(self.half_sizes) if self.footprint == "rectangle" else self.body_radius
+        return self.base.inner_radius
 
     @property
     def outer_radius(self) -> float:
         """Radius of the smallest disc round the axis that holds the base, m: where it fits, any heading does."""
-        return math.hypot(*self.half_sizes) if self.footprint == "rectangle" else self.body_radius
+        return self.base.outer_radius
 
     @property
     def symmetry(self) -> int:
         """Number of headings, evenly spread over a full turn, at which the base covers and moves the same."""
-        return math.gcd(self.actions.symmetry, 2) if self.footprint == "rectangle" else self.actions.symmetry
+        return math.gcd(self.actions.symmetry, self.base.symmetry)
 
     @property
     def actions(self) -> ActionTable:
@@ -198,10 +200,16 @@ class RobotConfig(Schematic):
             raise ConfigError("robot.joints", 0, f"from 1 to 7 for robot.kind = {self.kind!r}")
         if self.use and not self.gripper:
             raise ConfigError("robot.use", self.use, "false without robot.gripper")
-        name, half = ("radius", self.body_radius) if self.footprint == "disc" else ("length / 2", self.half_sizes[0])
-        if abs(self.mount_forward) > half:
+        if self.footprint not in BASES:
+            raise ConfigError("robot.footprint", self.footprint, f"one of {', '.join(BASES)}")
+        if abs(self.mount_forward) > self.base.front:
             raise ConfigError("robot.mount_forward", self.mount_forward,
-                              f"at most robot.body_{name} = {half:g} either way")
+                              f"at most robot.{self.base.front_field} = {self.base.front:g} either way")
+
+
+@lru_cache(maxsize=256)
+def _measure_base(robot: RobotConfig) -> Base:
+    return BASES[robot.footprint].measure(robot)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -357,7 +365,7 @@ class RoomConfig(Schematic):
             raise ConfigError("room.doorway_width", self.room.doorway_width,
                               f"more than the {body:g} m that the robot needs to pass")
         if body >= min(self.room.width, self.room.depth):
-            part = "body_radius" if self.robot.footprint == "disc" else "body_width"
+            part = self.robot.base.width_field
             raise ConfigError(f"robot.{part}", getattr(self.robot, part), "a body that fits into the room")
         if self.exit.door and self.exit.width <= body:
             raise ConfigError("exit.width", self.exit.width, f"more than the {body:g} m that the robot needs to pass")

@@ -214,8 +214,8 @@ class RoomInstance(Schematic):
         if self.puzzle.can_push and self.robot.moves:
             raise ConfigError("robot.moves", tuple(move.name for move in self.robot.moves),
                               "none where things are pushed from cell to cell")
-        if self.robot.footprint == "rectangle" and (self.inner_doors or self.props):
-            raise ConfigError("robot.footprint", "rectangle", "'disc' for a puzzle with inner doors or props")
+        if not self.robot.base.turns_anywhere and (self.inner_doors or self.props):
+            raise ConfigError("robot.footprint", self.robot.footprint, "'disc' for a puzzle with inner doors or props")
         if not self.starts:
             raise ConfigError("instance.starts", self.starts, "at least one start")
         headings = round(360 / self.robot.turn_step_deg)

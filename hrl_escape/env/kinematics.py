@@ -12,9 +12,8 @@ import math
 from collections.abc import Hashable
 from typing import NamedTuple
 
-from hrl_escape.env.body.rectangle import RectangularBase, compute_base_distance
 from hrl_escape.env.config import CONTACT_SKIN
-from hrl_escape.env.geometry import Footprint, InnerDoors, compute_distance, compute_first_contact
+from hrl_escape.env.geometry import Footprint, InnerDoors, compute_distance
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.noise import compute_noise, draw_chance, draw_puzzle_start
 from hrl_escape.env.poses import RobotPoses, RoomState
@@ -67,7 +66,7 @@ class Rules(RobotPoses):
         reach = instance.compute_press_reach
         self._reaches = tuple((i, t.footprint, reach(t), t) for i, t in enumerate(instance.targets))
         self._target_cells: dict[tuple[int, int], tuple] = {}
-        self._presser = None if self._by_hand else RectangularBase.make(instance.robot, 0.0)
+        self._presser = None if self._by_hand or instance.robot.base.turns_anywhere else instance.robot.base
         self.inner_doors = None if not instance.inner_doors else InnerDoors(
             [door.footprint for door in instance.inner_doors], self._puzzle.get_shut,
             instance.robot.outer_radius + CONTACT_SKIN, self.actions.stride, self.actions.longest,
@@ -82,8 +81,8 @@ class Rules(RobotPoses):
         if not self._by_hand:
             for i, footprint, reach, target in self._get_near_targets(x, y):
                 if compute_distance(x, y, footprint) <= reach:
-                    if self._presser is not None and target.kind == "panel" and compute_base_distance(
-                            x, y, *self.get_rotation(heading_steps, heading_offset), *self._presser, footprint
+                    if self._presser is not None and target.kind == "panel" and self._presser.measure_distance(
+                            x, y, self.get_rotation(heading_steps, heading_offset), footprint
                     ) > self.instance.compute_press_margin(target):
                         continue
                     touching |= 1 << i
@@ -166,14 +165,14 @@ class Rules(RobotPoses):
 class Kinematics(Rules):
     """The kinematic MDP of an instance: exact first contact, no sliding, arms pass through.
 
-    A disc turns anywhere. A rectangle does not turn at all where a solid is in the way of any part of the turn.
+    A base does not turn at all where a solid is in the way of any part of the turn.
     """
 
     def __init__(self, instance: RoomInstance, is_still: bool = False) -> None:
         super().__init__(instance, is_still)
         robot, dynamics = instance.robot, instance.dynamics
         self._radius = robot.outer_radius + CONTACT_SKIN
-        self._base = RectangularBase.make(robot)
+        self._base = robot.base.grow(CONTACT_SKIN)
         self._noise, self._slip = (0.0, 0.0) if is_still else (dynamics.noise, dynamics.slip)
         self._slip_kind, self._stays = dynamics.slip_kind, dynamics.blocked == "stay"
         self._slips = tuple(list_slips(dynamics.slip_kind, self.actions, action) for action in range(len(self.actions)))
@@ -216,7 +215,7 @@ class Kinematics(Rules):
 
     def _is_free(self, state: RoomState, action: int, scale: float) -> bool:
         dx, dy = self._compute_displacement(state, action, scale)
-        turned = _AHEAD if self._base is None else self.get_rotation(state.heading_steps, state.heading_offset)
+        turned = self.get_rotation(state.heading_steps, state.heading_offset)
         return self.compute_free_fraction(state.x, state.y, dx, dy, state.puzzle, turned) >= 1.0
 
     def _compute_displacement(self, state: RoomState, action: int, scale: float) -> tuple[float, float]:
@@ -232,8 +231,7 @@ class Kinematics(Rules):
         steps, offset = state.heading_steps, state.heading_offset
         dx, dy = self._compute_displacement(state, action, scale)
         puzzle = self.inner_doors.push(state.x, state.y, dx, dy, state.puzzle) if self.inner_doors else state.puzzle
-        turned = _AHEAD if self._base is None else self.get_rotation(steps, offset)
-        fraction = self.compute_free_fraction(state.x, state.y, dx, dy, puzzle, turned)
+        fraction = self.compute_free_fraction(state.x, state.y, dx, dy, puzzle, self.get_rotation(steps, offset))
         if fraction < 1.0:
             if self._stays:
                 return state
@@ -246,40 +244,29 @@ class Kinematics(Rules):
     def compute_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable,
                               rotation: tuple[float, float] = _AHEAD) -> float:
         """Share in [0, 1] of a displacement that the body, turned like that, can make with its clearance kept."""
-        fraction = 1.0
         near = self._get_near_solids(x, y) if abs(dx) + abs(dy) <= 1.5 * self._span else self.footprints
-        if self._base is not None:
-            near = (*near, *self._list_shut(x, y, puzzle, rotation))
-            return self._base.find_free_fraction(x, y, rotation, dx, dy, near)
-        for footprint in near:
-            met = compute_first_contact(x, y, dx, dy, self._radius, footprint)
-            if met < fraction:
-                fraction = met
-        if self._door is not None and self.is_door_shut(x, y, puzzle):
-            fraction = min(fraction, compute_first_contact(x, y, dx, dy, self._radius, self._door))
-        for footprint in self.inner_doors.list_near(x, y, puzzle) if self.inner_doors else ():
-            fraction = min(fraction, compute_first_contact(x, y, dx, dy, self._radius, footprint))
-        return fraction
+        fraction = self._base.find_free_fraction(x, y, rotation, dx, dy, near)
+        shut = self._list_shut(x, y, puzzle, rotation)
+        return min(fraction, self._base.find_free_fraction(x, y, rotation, dx, dy, shut)) if shut else fraction
 
     def can_turn(self, state: RoomState, to: tuple[float, float], turn: float) -> bool:
-        """Say whether the base can turn by an angle in rad to a rotation where it stands; a disc always can."""
-        if self._base is None:
+        """Say whether the base can turn by an angle in rad to a rotation where it stands."""
+        if self._base.turns_anywhere:
             return True
         x, y, rotation = state.x, state.y, self.get_rotation(state.heading_steps, state.heading_offset)
         shapes = (*self._get_near_solids(x, y), *self._list_shut(x, y, state.puzzle, rotation))
         return self._base.can_turn(x, y, rotation, to, turn, shapes)
 
     def _list_shut(self, x: float, y: float, puzzle: Hashable, rotation: tuple[float, float]) -> tuple[Footprint, ...]:
-        """The exit's door, if it is shut."""
-        return (self._door,) if self._door is not None and self.is_door_shut(x, y, puzzle, rotation) else ()
+        """The exit's door, if it is shut, and the inner doors near a place that are."""
+        doors = tuple(self.inner_doors.list_near(x, y, puzzle)) if self.inner_doors else ()
+        return (self._door, *doors) if self._door and self.is_door_shut(x, y, puzzle, rotation) else doors
 
     def is_door_shut(self, x: float, y: float, puzzle: Hashable, rotation: tuple[float, float] = _AHEAD) -> bool:
         """Say whether the exit has a door that is shut; it cannot close on a robot standing in it."""
         if self._door is None or self._puzzle.is_solved(puzzle):
             return False
-        if self._base is not None:
-            return self._base.measure_gap(x, y, rotation, (self._door,)) >= -1e-6
-        return compute_distance(x, y, self._door) >= self._radius - 1e-6
+        return not self._base.stands_in(x, y, rotation, self._door)
 
     def _get_near_solids(self, x: float, y: float) -> tuple[Footprint, ...]:
         """Solids that a step from a floor cell of one metre could meet."""
@@ -297,10 +284,10 @@ class Kinematics(Rules):
         if scale != 1.0:
             offset = (offset + (scale - 1.0) * turn * self.turn_step + math.pi) % math.tau - math.pi
         touching = state.touching
-        if self._base is not None and not self.can_turn(state, self.get_rotation(steps, offset),
+        if not self._base.turns_anywhere and not self.can_turn(state, self.get_rotation(steps, offset),
                                                         scale * turn * self.turn_step):
             return state
-        if self._by_hand or self._base is not None:
+        if self._by_hand or self._presser is not None:
             touching = self.compute_touching(state.x, state.y, steps, offset, state.joint_steps, state.joint_offsets)
         return RoomState(state.x, state.y, steps, offset, state.joint_steps, state.joint_offsets, state.puzzle,
                          touching, state.primitives, state.noise_key, state.z, state.pitch, state.roll, state.physics)

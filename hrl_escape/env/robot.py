@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hrl_escape.env.body.link import make_box_link, make_cylinder_link
+from hrl_escape.env.bases.link import make_cylinder_link
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.errors import RobotError
 from hrl_escape.files import check_files
@@ -281,10 +281,7 @@ def _mount(config: RobotConfig, arm: ElementTree.Element) -> ElementTree.Element
     whole = ElementTree.Element("robot", name="escape-robot")
     for material in arm.findall("material"):
         whole.append(material)
-    middle = f"0 0 {config.body_height / 2!r}"
-    sizes = config.body_length, config.body_width, config.body_height
-    whole.append(make_box_link(BASE_LINK, 50.0, sizes, middle) if config.footprint == "rectangle" else
-                 make_cylinder_link(BASE_LINK, 50.0, config.body_radius, config.body_height, middle, "0 0 0"))
+    whole.append(config.base.make_link(BASE_LINK, 50.0, config.body_height))
     links = {link.get("name", "") for link in arm.findall("link")}
     if links:
         children = {child.get("link") for child in arm.iterfind("joint/child")}

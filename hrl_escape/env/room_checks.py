@@ -9,7 +9,6 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.env.body.rectangle import RectangularBase
 from hrl_escape.env.config import CONTACT_SKIN, RobotConfig
 from hrl_escape.env.geometry import Footprint, Solid, compute_distance_many, stack_footprints
 from hrl_escape.errors import ConfigError
@@ -141,21 +140,15 @@ def check_room(instance: Room) -> None:
     if not free.all():
         number = int(free.argmin())
         raise ConfigError(f"instance.starts[{number}]", starts[number].tolist(),
-                          f"a place on the floor where {_describe_base(instance.robot)} is clear of every solid")
+                          f"a place on the floor where {instance.robot.base.describe()} is clear of every solid")
 
 
 def does_base_fit(robot: RobotConfig, pose: FloorPose, solids: Sequence[Footprint]) -> bool:
-    """Say whether a rectangular base is clear of solids at a pose; true of a disc, whose heading is no matter."""
-    base = RectangularBase.make(robot)
+    """Say whether a base is clear of solids at a heading; true of one whose heading is no matter."""
     heading = pose.heading_steps * math.radians(robot.turn_step_deg) + pose.heading_offset
     rotation = round(math.cos(heading), 15), round(math.sin(heading), 15)
-    return base is None or base.measure_gap(pose.x, pose.y, rotation, solids) >= -1e-6
-
-
-def _describe_base(robot: RobotConfig) -> str:
-    if robot.footprint == "rectangle":
-        return f"a base of {robot.body_length:g} x {robot.body_width:g} m"
-    return f"a body of radius {robot.body_radius:g} m"
+    return robot.base.turns_anywhere or robot.base.grow(CONTACT_SKIN).measure_gap(
+        pose.x, pose.y, rotation, solids) >= -1e-6
 
 
 def _trace_rim(instance: Room, spacing: float) -> NDArray[np.float64]:

@@ -6,7 +6,6 @@ import math
 import numbers
 from typing import Any
 
-from hrl_escape.env.body.rectangle import RectangularBase
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.room_checks import is_on_floor
@@ -35,15 +34,13 @@ def check_state(rules: Rules, state: Any) -> None:
     """
     check_fields(rules, state)
     soft = rules.instance.dynamics.kind == "physics"
-    inner = rules.instance.robot.inner_radius
-    pressed_in = inner * _SOFT_CONTACT if soft else 0.0
+    base, rotation = rules.instance.robot.base, rules.get_rotation(state.heading_steps, state.heading_offset)
+    pressed_in = base.inner_radius * _SOFT_CONTACT if soft else 0.0
     if not is_on_floor(rules.instance, state.x, state.y, pressed_in + 1e-6):
         raise StateError(f"x = {state.x:g}, y = {state.y:g} is not possible: this is outside the walls")
-    base, rotation = RectangularBase.make(rules.instance.robot, 0.0), rules.get_rotation(
-        state.heading_steps, state.heading_offset)
     for solid in rules.instance.solids:
-        if compute_distance(state.x, state.y, solid.footprint) < inner - pressed_in or (
-                base is not None and base.measure_gap(state.x, state.y, rotation, (solid.footprint,)) < -pressed_in):
+        if compute_distance(state.x, state.y, solid.footprint) < base.inner_radius - pressed_in or (
+                base.measure_gap(state.x, state.y, rotation, (solid.footprint,)) < -pressed_in):
             raise StateError(f"x = {state.x:g}, y = {state.y:g} is not possible: the body stands in the {solid.role} "
                              f"at ({solid.x:g}, {solid.y:g})")
 

@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.env.body.rectangle import TOUCH, RectangularBase
+from hrl_escape.env.bases.rectangle import TOUCH
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import (
     Footprint,
@@ -57,6 +57,7 @@ class CollisionMap:
         radius: radius of the smallest disc that holds the base, plus contact skin, m: where it fits, any heading does.
         inner: that of the largest disc within the base: where it does not fit, no heading does. A base that is a disc
             has one radius.
+        base: the base, plus contact skin.
         low: corner of the grid with the smallest coordinates, shape (2,), m.
         resolution: side of a cell, m: a sixth of the inner radius, at most 0.125, coarser in
             rooms of more than a million such cells.
@@ -76,7 +77,7 @@ class CollisionMap:
         """
         robot = instance.robot
         self.radius, self.inner = robot.outer_radius + CONTACT_SKIN, robot.inner_radius + CONTACT_SKIN
-        self._base = RectangularBase.make(robot)
+        self.base = robot.base.grow(CONTACT_SKIN)
         self._rotations = RobotPoses(robot).list_rotations()
         self._take_solids(instance, door_shut)
         width, depth = 2 * instance.reach_x, 2 * instance.reach_y
@@ -178,11 +179,6 @@ class CollisionMap:
             self._near[cell] = near
         return near
 
-    @property
-    def half_sizes(self) -> tuple[float, float]:
-        """Half length and half width of a rectangular base, plus contact skin, m; 0 and 0 for a disc."""
-        return (0.0, 0.0) if self._base is None else (self._base.half_length, self._base.half_width)
-
     def does_fit(self, x: float, y: float, rotation: tuple[float, float], margin: float = 0.0) -> bool:
         """Return whether the body, with its clearance, fits at a place on the floor and a heading. Exact for no margin.
 
@@ -192,16 +188,15 @@ class CollisionMap:
             rotation: cosine and sine of the heading; no matter for a disc.
             margin: further clearance on all sides, at most `horizon` less `radius`, m.
         """
-        if self._base is None or self.is_clear(x, y, self.radius + margin):
+        if self.base.turns_anywhere or self.is_clear(x, y, self.radius + margin):
             return self.is_clear(x, y, self.radius + margin - TOUCH)
         if not self.is_clear(x, y, self.inner + margin - TOUCH):
             return False
-        grown = RectangularBase(*(half + margin for half in self._base))
-        return grown.measure_gap(x, y, rotation, self._list_near(self._find_cell(x, y))) >= -TOUCH
+        return self.base.grow(margin).measure_gap(x, y, rotation, self._list_near(self._find_cell(x, y))) >= -TOUCH
 
     def is_free(self, x: float, y: float) -> bool:
         """Return whether the body, with its clearance, fits at a place on the floor, at some heading of its. Exact."""
-        if self._base is None or self.is_clear(x, y, self.radius):
+        if self.base.turns_anywhere or self.is_clear(x, y, self.radius):
             return self.is_clear(x, y, self.radius - TOUCH)
         return any(self.does_fit(x, y, rotation) for rotation in self._rotations)
 
@@ -218,8 +213,8 @@ class CollisionMap:
         reach = self._around + (math.hypot(dx, dy) / 2 + self.radius)
         away = np.hypot(self.solids[:, 1] - (x + dx / 2), self.solids[:, 2] - (y + dy / 2))
         need, near = self.radius - TOUCH, np.flatnonzero(away <= reach).tolist()
-        if self._base is not None:
-            return self._base.find_free_fraction(x, y, rotation, dx, dy, (self.footprints[k] for k in near)) == 1.0
+        if not self.base.turns_anywhere:
+            return self.base.find_free_fraction(x, y, rotation, dx, dy, (self.footprints[k] for k in near)) == 1.0
         return not any(compute_first_contact(x, y, dx, dy, need, self.footprints[k]) < 1.0 for k in near)
 
     # --- connectivity ------------------------------------------------------------------

@@ -25,7 +25,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.floor import dijkstra
 from hrl_escape.floor.clearance import CollisionMap, compute_extent_radius, list_cells
-from hrl_escape.floor.sweeps import make_sweep_scene
+from hrl_escape.floor.sweeps import POINT, Presser, make_sweep_scene
 
 __all__ = ["FieldMaker", "FloorGrid", "Seeds", "lay_grid", "make_collision"]
 
@@ -99,12 +99,11 @@ class _KeptField(NamedTuple):
 class FieldMaker:
     """Grid of one room with the links between its cells, and the fields computed on it.
 
-    A disc that strafes has the same moves at headings 90 degrees apart, one with a differential
-    drive, and a rectangle, at opposite ones. So links distinguish only `classes` headings: the turn steps of a quarter
-    or half a turn, or more of them where that is no whole number of turns. Cells are a quarter of a
-    stride wide, at most 0.25 m, and wider where a room would have more than 1.5 million (cell, class)
-    states; a link then stands for several moves in a row, so that one of strides still
-    spans about four cells.
+    A disc that strafes has the same moves at headings 90 degrees apart, one with a differential drive at opposite
+    ones, where a rectangle covers the same floor. So links distinguish only `classes` headings: the turn steps of a
+    quarter or half a turn, or more of them where that is no whole number of turns. Cells are a quarter of a stride
+    wide, at most 0.25 m, and wider where a room would have more than 1.5 million (cell, class) states; a link then
+    stands for several moves in a row, so that one of strides still spans about four cells.
 
     Attributes:
         door_shut: True if there is a door and it is shut.
@@ -191,9 +190,9 @@ class FieldMaker:
                                            self._within, self.points, self.standing)
 
     def _choose_headings(self, clock: Clock) -> None:
-        """Find the headings at which a rectangular base fits, and the turns that are free; a disc has them all."""
+        """Find the headings at which the base fits, and the turns that are free; one that turns anywhere has all."""
         self._fits, self._can_turn = None, np.zeros(0, dtype=np.bool_)
-        if self.scene.half_length == 0.0:
+        if self.scene.kind < 0:
             return
         self._fits, self._can_turn = (np.zeros(self.states, dtype=np.bool_) for _ in range(2))
         stride = max(1, SLICE // self.classes)
@@ -231,7 +230,7 @@ class FieldMaker:
 
     def adapt(self, instance: RoomInstance, collision: CollisionMap, changed: Sequence[Footprint],
               keeps: Callable[[Any], bool]) -> FieldMaker:
-        """Make the grid of a room that differs in some solids only, equal to one made anew; the base is a disc.
+        """Make the grid of a room that differs in some solids only, equal to one made anew; the base turns anywhere.
 
         Columns of cells that no changed solid comes near are taken over. Fields are, too: when one is asked for, the
         part of it that rested on changed cells is searched again.
@@ -293,24 +292,24 @@ class FieldMaker:
         return np.ones(len(self.points), dtype=bool)
 
     def find_seeds(self, goal: Footprint, reach: float, facing: NDArray[np.bool_] | None = None,
-                   presser: tuple[float, float] = (0.0, 0.0)) -> Seeds:
+                   presser: Presser = POINT) -> Seeds:
         """Find the states that are in a goal, or one move away: the body's axis within `reach` of a footprint.
 
         Args:
             goal: footprint of the goal.
             reach: largest distance from it, m.
             facing: headings that reach it, shape (headings,); by default any heading will do.
-            presser: half sizes of a rectangular base that must touch the goal, m; within `reach` it then only may.
+            presser: what must touch the goal; within `reach` a base only may.
         """
         row = stack_footprints([goal])[0]
         away = compute_distance_many(self.points, row[None])
-        surely = reach - math.hypot(*presser) + min(presser)  # touches at any heading
+        surely = reach - presser.outer + presser.inner  # touches at any heading
         inside = np.flatnonzero(self.standing & (away <= reach))
         close = np.flatnonzero(self.standing & (away > surely) & (away <= reach + self.span))
         here = self._find_touching(inside, row, reach, presser)
         last = dijkstra.find_last_moves(self.scene, self.points, self.fits, self.turns, close, self._moves,
-                                                self.macro, row, reach, np.array(presser))
-        if presser[0] > 0.0:
+                                                self.macro, row, reach, presser)
+        if presser.kind >= 0:
             last[self._find_touching(close, row, reach, presser)] = 0
         headings = np.arange(self.classes) if facing is None else np.flatnonzero(facing)
         layers = self.classes if facing is None else self.headings
@@ -323,12 +322,11 @@ class FieldMaker:
         return Seeds(states, costs, layers)
 
     def _find_touching(self, cells: NDArray[np.int64], goal: NDArray[np.float64], reach: float,
-                       presser: tuple[float, float]) -> NDArray[np.bool_]:
+                       presser: Presser) -> NDArray[np.bool_]:
         """Return true where the body fits and touches a goal that the axis is near, shape (cells, classes)."""
         touching = np.ones((len(cells), self.classes), dtype=np.bool_)
-        if presser[0] > 0.0:
-            touching = dijkstra.find_touching_cells(self.points, self.turns, cells, goal, reach,
-                                                            np.array(presser))
+        if presser.kind >= 0:
+            touching = dijkstra.find_touching_cells(self.points, self.turns, cells, goal, reach, presser)
         return touching & self.get_fits(cells, self.classes)
 
     def make_field(self, seeds: Seeds, allowed: NDArray[np.bool_] | None = None, clock: Clock = NO_LIMIT

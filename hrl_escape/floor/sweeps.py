@@ -1,13 +1,15 @@
 """Sweeps and clearances of the body in compiled code, bit for bit those of `Kinematics`.
 
-The geometry is the own source of `env/geometry.py` and `env/body/rectangle.py`, compiled by numba as it stands.
+The geometry is the own source of `env/geometry.py` and of the bases, compiled by numba as it stands.
 Importing this module imports numba. Kernels that loop over sweeps are in `dijkstra.py` and `planning/search/a_star.py`.
 """
 
 from __future__ import annotations
 
+import inspect
 import math
 from collections.abc import Callable
+from pathlib import Path
 from types import FunctionType
 from typing import Any, NamedTuple
 
@@ -15,34 +17,84 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env import geometry
-from hrl_escape.env.body import rectangle
+from hrl_escape.env.bases import BASES, Base
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
 from hrl_escape.floor.clearance import CollisionMap, list_cells
-from hrl_escape.kernels import kernel_part
+from hrl_escape.kernels import add_sources, kernel_part
 
-__all__ = ["SweepScene", "can_turn_body", "compile_geometry", "does_fit", "first_contact", "get_shape",
-           "is_clear_of_all", "is_touched", "make_sweep_scene", "measure_clearance", "measure_distance", "sweep",
-           "sweep_body"]
+__all__ = ["POINT", "Presser", "SweepScene", "can_turn_body", "compile_geometry", "does_fit", "first_contact",
+           "get_shape", "is_clear_of_all", "is_touched", "make_presser", "make_sweep_scene", "measure_clearance",
+           "measure_distance", "sweep", "sweep_body"]
 
 
-def _compile(function: Callable, **names: Any) -> Any:
-    return kernel_part(FunctionType(function.__code__, {**function.__globals__, **names}, function.__name__))
+def _compile(function: Callable) -> Any:
+    """Compile a pure function from its own source, with the functions of its module that it calls."""
+    parts = {name: part for name in function.__code__.co_names
+             if isinstance(part := function.__globals__.get(name), FunctionType)}
+    for name, part in parts.items():
+        if part not in _COMPILED:
+            _COMPILED[part] = _compile(part)
+        parts[name] = _COMPILED[part]
+    return kernel_part(FunctionType(function.__code__, {**function.__globals__, **parts}, function.__name__))
 
 
 def compile_geometry() -> tuple[Any, Any]:
     """Compile `compute_first_contact` and `compute_distance` of the room's geometry from their own source."""
-    meet = _compile(geometry._meet_circle)
-    return _compile(geometry.compute_first_contact, _meet_circle=meet), _compile(geometry.compute_distance)
+    return _compile(geometry.compute_first_contact), _compile(geometry.compute_distance)
 
 
+def _compile_choice(name: str) -> Any:
+    """Compile one of the functions that bases state, to be called with the number of a base in `BASES` and its size."""
+    chosen = None
+    for number, base in reversed(list(enumerate(BASES.values()))):
+        chosen = _choose(number, _compile(getattr(base, name)), chosen)
+    return chosen
+
+
+def _choose(number: int, own: Any, others: Any) -> Any:
+    if others is None:
+        return kernel_part(lambda kind, *values: own(*values))
+
+    def choose(kind, *values):
+        return own(*values) if kind == number else others(kind, *values)
+
+    return kernel_part(choose)
+
+
+add_sources(Path(inspect.getfile(base)) for base in BASES.values())
+_COMPILED: dict[FunctionType, Any] = {}
 first_contact, measure_distance = compile_geometry()
-_names = {"_compute_sides": _compile(rectangle._compute_sides), "compute_distance": measure_distance,
-          "compute_first_contact": first_contact}
-_base_contact = _compile(rectangle.compute_base_contact, **_names)
-_base_gap = _names["measure_base_gap"] = _compile(rectangle.measure_base_gap, **_names)
-_names["_find_nearest_corner"] = _compile(rectangle._find_nearest_corner, **_names)
-_base_distance = _compile(rectangle.compute_base_distance, **_names)
-_is_turn_blocked = _compile(rectangle.is_turn_blocked, **_names)
+_base_contact, _base_gap = _compile_choice("contact"), _compile_choice("gap")
+_base_distance, _is_turn_blocked = _compile_choice("distance"), _compile_choice("blocks_turn")
+
+
+class Presser(NamedTuple):
+    """What must touch a goal: a base at a heading, or a point.
+
+    Attributes:
+        kind: number of the base in `BASES`; -1 for a point, and for bases that the distance of their axis decides for.
+        size: of the base, without clearance, m.
+        inner: radius of the largest disc within it, m.
+        outer: radius of the smallest disc round it, m.
+    """
+
+    kind: int
+    size: NDArray[np.float64]
+    inner: float
+    outer: float
+
+
+POINT = Presser(-1, np.zeros(1), 0.0, 0.0)
+
+
+def number_base(base: Base) -> int:
+    """Number by which compiled code knows a base; -1 for one that turns anywhere, of which a radius says all."""
+    return -1 if base.turns_anywhere else list(BASES.values()).index(type(base))
+
+
+def make_presser(base: Base) -> Presser:
+    """Make the presser of a base that presses with its outline."""
+    return Presser(number_base(base), np.array(base.size), base.inner_radius, base.outer_radius)
 
 
 class SweepScene(NamedTuple):
@@ -53,8 +105,8 @@ class SweepScene(NamedTuple):
         door: row of the shut exit door, or -1.
         radius: radius of the smallest disc that holds the base, plus contact skin, m.
         inner: that of the largest disc within the base, m.
-        half_length: half length of a rectangular base, plus contact skin, m; 0 for a disc.
-        half_width: half its width, plus contact skin, m.
+        kind: number of the base in `BASES`; -1 for one that turns anywhere.
+        size: of the base, plus contact skin, m.
         low: corner of both grids, shape (2,), m.
         near_size: side of a cell of the grid of neighbour lists, m.
         near_shape: columns and rows of that grid, shape (2,).
@@ -69,8 +121,8 @@ class SweepScene(NamedTuple):
     door: int
     radius: float
     inner: float
-    half_length: float
-    half_width: float
+    kind: int
+    size: NDArray[np.float64]
     low: NDArray[np.float64]
     near_size: float
     near_shape: NDArray[np.int64]
@@ -142,14 +194,14 @@ def _list_near(scene, x, y):
 
 @kernel_part
 def _lets_out(scene, item, x, y, turn, shape):
-    """Return whether a shut door lets out a rectangular base that stands in it."""
-    return item == scene.door and _base_gap(x, y, turn[0], turn[1], scene.half_length, scene.half_width, shape) < -1e-6
+    """Return whether a shut door lets out a base that stands in it."""
+    return item == scene.door and _base_gap(scene.kind, x, y, turn[0], turn[1], scene.size, shape) < -1e-6
 
 
 @kernel_part
 def sweep_body(scene, x, y, turn, dx, dy, length):
     """Free fraction of a displacement at a heading, whose cosine and sine a disc does not need."""
-    if scene.half_length == 0.0:
+    if scene.kind < 0:
         return sweep(scene, x, y, dx, dy, length)
     if is_clear_of_all(scene, x + 0.5 * dx, y + 0.5 * dy, 0.5 * length):
         return 1.0
@@ -158,20 +210,19 @@ def sweep_body(scene, x, y, turn, dx, dy, length):
     for k in range(first, last):
         shape = get_shape(scene.solids[scene.near_items[k]])
         if not _lets_out(scene, scene.near_items[k], x, y, turn, shape):
-            fraction = min(fraction, _base_contact(x, y, turn[0], turn[1], scene.half_length, scene.half_width, dx, dy,
-                                                   shape))
+            fraction = min(fraction, _base_contact(scene.kind, x, y, turn[0], turn[1], scene.size, dx, dy, shape))
     return fraction
 
 
 @kernel_part
 def does_fit(scene, x, y, turn):
-    """Return whether a rectangular base fits at a pose."""
+    """Return whether a base that does not turn anywhere fits at a pose."""
     if is_clear_of_all(scene, x, y, 0.0):
         return True
     first, last = _list_near(scene, x, y)
     for k in range(first, last):
         shape = get_shape(scene.solids[scene.near_items[k]])
-        if _base_gap(x, y, turn[0], turn[1], scene.half_length, scene.half_width, shape) < 0.0:
+        if _base_gap(scene.kind, x, y, turn[0], turn[1], scene.size, shape) < 0.0:
             return False
     return True
 
@@ -179,35 +230,35 @@ def does_fit(scene, x, y, turn):
 @kernel_part
 def can_turn_body(scene, x, y, turn, to, angle):
     """Return whether a base can turn on the spot from one heading to another by an angle in rad."""
-    if scene.half_length == 0.0 or is_clear_of_all(scene, x, y, 0.0):
+    if scene.kind < 0 or is_clear_of_all(scene, x, y, 0.0):
         return True
     first, last = _list_near(scene, x, y)
     for k in range(first, last):
         shape = get_shape(scene.solids[scene.near_items[k]])
         if not _lets_out(scene, scene.near_items[k], x, y, turn, shape) and _is_turn_blocked(
-                x, y, turn[0], turn[1], to[0], to[1], angle, scene.half_length, scene.half_width, shape):
+                scene.kind, x, y, turn[0], turn[1], to[0], to[1], angle, scene.size, shape):
             return False
     return True
 
 
 @kernel_part
 def is_touched(x, y, turn, presser, shape, reach):
-    """Return whether a presser touches a footprint: a point, or a rectangle of such half sizes round it.
+    """Return whether a presser touches a footprint.
 
     Args:
         x: place of the presser, m.
         y: place of the presser, m.
         turn: cosine and sine of its heading.
-        presser: half sizes of the rectangle; 0 and 0 for a point.
+        presser: a `Presser`.
         shape: the footprint.
-        reach: largest distance from the point, m: beyond the rectangle it is less by half of its diagonal.
+        reach: largest distance from the point, m: beyond the base it is less by its outer radius.
     """
     if measure_distance(x, y, shape) > reach:
         return False
-    if presser[0] == 0.0:
+    if presser.kind < 0:
         return True
-    margin = reach - math.hypot(presser[0], presser[1]) + 1e-12
-    return _base_distance(x, y, turn[0], turn[1], presser[0], presser[1], shape) <= margin
+    margin = reach - presser.outer + 1e-12
+    return _base_distance(presser.kind, x, y, turn[0], turn[1], presser.size, shape) <= margin
 
 
 def make_sweep_scene(collision: CollisionMap, door: int, span: float) -> SweepScene:
@@ -241,7 +292,8 @@ def make_sweep_scene(collision: CollisionMap, door: int, span: float) -> SweepSc
     order = np.argsort(flat, kind="stable")
     starts = np.searchsorted(flat[order], np.arange(shape[0] * shape[1] + 1))
     return SweepScene(
-        collision.solids, door, collision.radius, collision.inner, *collision.half_sizes, collision.low, size,
+        collision.solids, door, collision.radius, collision.inner, number_base(collision.base),
+        np.array(collision.base.size), collision.low, size,
         np.array(shape), starts.astype(np.int64),
         (np.concatenate(items) if items else np.zeros(0, dtype=np.int32))[order], collision.distance,
         collision.resolution, collision.slack,

@@ -58,7 +58,7 @@ class PushField:
     def __init__(self, instance: RoomInstance, goal: PushGoal) -> None:
         block, plate = (instance.props[i] for i in (goal.prop, goal.destination))
         self._instance = instance
-        self.half, self.radius = block.prop.half_size, instance.robot.body_radius
+        self.half, self.radius = block.prop.half_size, instance.robot.outer_radius
         self.goal, self.goal_half = (plate.x, plate.y), plate.prop.half_size
         solids = (*instance.solids, *((instance.door,) if instance.door else ()))
         self._solids = stack_footprints(

@@ -24,6 +24,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.errors import GoalError, UnsupportedError
 from hrl_escape.floor.clearance import CollisionMap, compute_extent_radius
+from hrl_escape.floor.sweeps import POINT, Presser, make_presser
 from hrl_escape.planning.goals import (
     ExitGoal,
     Goal,
@@ -53,7 +54,7 @@ class Area(NamedTuple):
 def compute_goal_area(goal: Goal, instance: RoomInstance) -> Area:
     """Compute the area where the body's axis reaches a goal; for a press by hand only the footprint is meaningful.
 
-    For a press by a rectangular base it is where the base may touch the target, at some heading.
+    For a press by a base that does not turn anywhere it is where the base may touch the target, at some heading.
 
     Raises:
         GoalError: no such target.
@@ -75,10 +76,11 @@ def compute_goal_area(goal: Goal, instance: RoomInstance) -> Area:
     raise UnsupportedError("a push is no goal of a path: plan to a PoseGoal behind the block, then drive on")
 
 
-def get_presser(goal: Goal, instance: RoomInstance) -> tuple[float, float]:
-    """Half sizes of the rectangular base that must touch a goal, m; 0 and 0 where its area says all."""
+def get_presser(goal: Goal, instance: RoomInstance) -> Presser:
+    """What must touch a goal; a point where its area says all."""
     is_touch = isinstance(goal, PressGoal) and instance.targets[goal.target].kind == "panel"
-    return instance.robot.half_sizes if is_touch and instance.dynamics.press_with == "body" else (0.0, 0.0)
+    by_base = is_touch and instance.dynamics.press_with == "body" and not instance.robot.base.turns_anywhere
+    return make_presser(instance.robot.base) if by_base else POINT
 
 
 def find_headings(goal: Goal, state: RoomState, rules: Rules) -> NDArray[np.bool_] | None:

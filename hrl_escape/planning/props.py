@@ -55,7 +55,7 @@ def list_obstacles(state: RoomState, instance: RoomInstance) -> list[tuple[Footp
 
     The first holds all blocks with a margin, the last only those whose motion would undo what is done.
     """
-    radius = instance.robot.body_radius + CONTACT_SKIN
+    radius = instance.robot.outer_radius + CONTACT_SKIN
     careful = []
     for block in list_blocks(state, instance):
         margin = min(MARGIN, compute_distance(state.x, state.y, block) - radius - GRAZE)  # never round the start itself

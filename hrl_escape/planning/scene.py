@@ -255,7 +255,7 @@ def _check_blocks(room: RoomInstance) -> None:
             continue
         half = placed.prop.half_size
         block = make_footprint(placed.x, placed.y, half, half, placed.yaw)
-        covered = any(compute_distance(start.x, start.y, block) < room.robot.body_radius - _SINK
+        covered = any(compute_distance(start.x, start.y, block) < room.robot.outer_radius - _SINK
                       for start in room.starts)
         if covered or any(compute_distance(placed.x, placed.y, solid.footprint) < half for solid in room.solids):
             raise ConfigError(f"props.{placed.prop.name}", (placed.x, placed.y),

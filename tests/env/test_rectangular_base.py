@@ -14,7 +14,6 @@ from matplotlib.patches import Polygon
 
 from benchmarks.conformance import compare
 from hrl_escape.env.batched.engine import TensorRoom
-from hrl_escape.env.body.rectangle import RectangularBase
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import DynamicsConfig, ExitConfig, ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.drawing.maps import make_map
@@ -56,7 +55,7 @@ def with_physics(config: RoomConfig) -> RoomConfig:
 
 def measure_gap(rules: Kinematics, state: RoomState) -> float:
     """Least gap of the true base, without its clearance, to a solid."""
-    base = RectangularBase.make(rules.instance.robot, 0.0)
+    base = rules.instance.robot.base
     assert base is not None
     return base.measure_gap(state.x, state.y, rules.get_rotation(state.heading_steps, state.heading_offset),
                             rules.footprints)
@@ -338,7 +337,7 @@ def test_plans_come_true_and_are_no_shorter_than_their_bounds(method):
 def test_paths_of_poses_are_free_all_along_and_lead_through_a_doorway_that_is_narrower_than_the_base_is_long():
     room = generate(NARROW, 2)
     navigator, rules = Navigator(room), Kinematics(room)
-    state, base = rules.make_state(room.starts[0]), RectangularBase.make(room.robot, 0.0)
+    state, base = rules.make_state(room.starts[0]), room.robot.base
     for goal in (PressGoal(0), ExitGoal()):
         found = navigator.plan((state.x, state.y), goal, heading=rules.get_heading(state))
         assert found.status == "exact" and len(found.headings) == len(found.path) and base is not None
@@ -356,7 +355,7 @@ def test_trajectories_keep_to_the_plan_s_own_lines_and_turns():
     planner = RoomPlanner(generate(SMALL, 0))
     plan = planner.solve(planner.rules.make_state(planner.instance.starts[0]))
     trajectory = make_trajectory(plan)
-    base = RectangularBase.make(planner.instance.robot, 0.0)
+    base = planner.instance.robot.base
     assert base is not None
     for x, y, heading in trajectory.evaluate(np.linspace(0, trajectory.duration, 500))[:, :3].tolist():
         assert base.measure_gap(x, y, (math.cos(heading), math.sin(heading)), planner.rules.footprints) > 5e-4

@@ -5,14 +5,14 @@ from tests.mutations.mutation import Mutation
 MUTATIONS = [
     Mutation(
         "a rectangle's corners sweep through solids between its first and its last heading",
-        "env/body/rectangle.py",
+        "env/bases/rectangle.py",
         "return (bearing - corner) % math.pi <= turn or (bearing + corner) % math.pi <= turn",
         "return False",
-        "env/body/test_rectangle.py",
+        "env/bases/test_rectangle.py",
     ),
     Mutation(
         "a batched disc is held back by a wall that it leaves",
-        "env/batched/rules.py",
+        "env/bases/disc.py",
         "torch.where(nearly < 1.0, exactly, nearly)",
         "exactly",
         "env/test_engines_agree.py::test_a_wall_that_the_body_leaves_does_not_hold_it",
@@ -26,23 +26,23 @@ MUTATIONS = [
     ),
     Mutation(
         "batched rectangles turn through what their corners meet on the way",
-        "env/batched/rectangle.py",
+        "env/bases/rectangle.py",
         "return is_near & (overlaps | is_swept[0] | is_swept[1])",
         "return is_near & overlaps",
-        "env/body/test_rectangle.py",
+        "env/bases/test_rectangle.py",
     ),
     Mutation(
         "a rectangle that grazes a corner is stopped by rounding",
-        "env/body/rectangle.py",
+        "env/bases/rectangle.py",
         "elif away >= -TOUCH and speed >= -graze:",
         "elif away > 0.0 and speed >= -graze:",
-        "env/body/test_rectangle.py",
+        "env/bases/test_rectangle.py",
     ),
     Mutation(
         "starts of rectangles are tested as if they were discs",
         "env/room_checks.py",
-        "return base is None or base.measure_gap(pose.x, pose.y, rotation, solids) >= -1e-6",
-        "return True",
+        "return robot.base.turns_anywhere or robot.base",
+        "return True or robot.base",
         "env/test_rectangular_base.py::test_starts_and_states_inside_a_solid_are_refused_at_the_heading_that_they_have",
     ),
     Mutation(

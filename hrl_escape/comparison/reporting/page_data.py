@@ -120,7 +120,7 @@ def _describe_room(instance: RoomInstance) -> dict[str, Any]:
         ],
         "props": [_describe_prop(placed) for placed in instance.props],
         "radius": instance.robot.inner_radius,
-        "half_sizes": list(instance.robot.half_sizes),
+        "corners": [list(corner) for corner in instance.robot.base.corners],
         "hand": instance.robot.hand_radius,
         "options": [],
     }

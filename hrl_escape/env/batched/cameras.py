@@ -119,7 +119,7 @@ def _view_robot(layout: Layout, things: Scenery, form: _Form, state: TensorState
     cos, sin = (part.to(torch.float32) for part in compute_rotation(layout, tables, state))
     x, y = state.x.to(torch.float32), state.y.to(torch.float32)
     robot = layout.robot
-    forward, lift = 0.9 * (robot.half_sizes[0] or robot.body_radius), 1.15 * robot.body_height + 0.1
+    forward, lift = 0.9 * robot.base.front, 1.15 * robot.body_height + 0.1
     nought, down = torch.zeros_like(x), math.radians(12.0)
     return _View(
         eye=[x + forward * cos, y + forward * sin, nought + lift],
@@ -216,10 +216,11 @@ def _tabulate(things: Scenery, looks: Tensor, rounds: int) -> Tensor:
 
 
 def _add_box_base(layout: Layout, tables: Tables, things: Scenery, state: TensorState) -> Scenery:
-    """Add the robot's base as the last box, if it is rectangular."""
-    half_x, half_y = layout.robot.half_sizes
-    if not half_x:
+    """Add the box round the robot's base as the last box, unless the base is round."""
+    corners = layout.robot.base.corners
+    if not corners:
         return things
+    half_x, half_y = (max(map(abs, part)) for part in zip(*corners, strict=True))
     cos, sin = compute_rotation(layout, tables, state)
     height = layout.robot.body_height
     base = torch.stack([state.x, state.y, cos, sin, *(torch.full_like(state.x, value) for value in (
@@ -302,10 +303,10 @@ def _meet_box(view: _View, ray: list[Tensor], inverse: list[Tensor], box: Tensor
 def _list_rounds(layout: Layout, things: Scenery, state: TensorState) -> Tensor:
     """Cylinders and the robot's base, if it is round, (6, cylinders and parts, rooms)."""
     x, y = state.x.to(torch.float32), state.y.to(torch.float32)
-    if layout.robot.half_sizes[0]:
+    if layout.robot.base.corners:
         return things.cylinders.expand(-1, -1, len(x))
     parts = [torch.stack([x, y, *(torch.full_like(x, value) for value in part)])
-             for part in list_base_parts(layout.robot.body_radius, layout.robot.body_height)]
+             for part in list_base_parts(layout.robot.outer_radius, layout.robot.body_height)]
     return torch.cat([things.cylinders.expand(-1, -1, len(x)), torch.stack(parts, dim=1)], dim=1)
 
 

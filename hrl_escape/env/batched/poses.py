@@ -15,12 +15,10 @@ from torch import Tensor
 from hrl_escape.env.batched.arm import compute_hand
 from hrl_escape.env.batched.devices import store
 from hrl_escape.env.batched.geometry import Shapes, compute_distance
-from hrl_escape.env.batched.rectangle import TensorBase
 from hrl_escape.env.batched.tables import Layout, Tables, pick
-from hrl_escape.env.body.rectangle import RectangularBase
 
 __all__ = ["TensorState", "compute_angles", "compute_heading", "compute_rotation", "compute_touching",
-           "make_base"]
+           "place_base"]
 
 
 class TensorState(NamedTuple):
@@ -85,10 +83,9 @@ def compute_angles(layout: Layout, state: TensorState) -> Tensor:
     return angles + state.joint_offsets if layout.has_joint_offsets else angles
 
 
-def make_base(layout: Layout, tables: Tables, state: TensorState, margin: float) -> TensorBase | None:
-    """Rectangular bases where they stand, grown on all sides by a margin, m; None if bases are discs."""
-    size = RectangularBase.make(layout.robot, margin)
-    return None if size is None else TensorBase(state.x, state.y, *compute_rotation(layout, tables, state), size)
+def place_base(layout: Layout, tables: Tables, state: TensorState, margin: float) -> TensorBase:
+    """Bases where they stand, grown on all sides by a margin, m."""
+    return layout.robot.base.grow(margin).place(state.x, state.y, *compute_rotation(layout, tables, state))
 
 
 def compute_touching(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
@@ -110,9 +107,8 @@ def compute_touching(layout: Layout, tables: Tables, state: TensorState) -> Tens
     else:
         reach = pick(layout, tables.target_reach, state.instance)
         touched = compute_distance(state.x, state.y, targets) <= reach
-        base = make_base(layout, tables, state, 0.0)
-        if base is not None:
-            away = base.compute_distance(pick(layout, tables.targets, state.instance))
+        if not robot.base.turns_anywhere:
+            away = place_base(layout, tables, state, 0.0).compute_distance(pick(layout, tables.targets, state.instance))
             is_near = away <= pick(layout, tables.target_margin, state.instance)
             touched = touched & (is_near | ~pick(layout, tables.is_panel, state.instance))
     word = torch.int32 if layout.targets < 32 else torch.int64

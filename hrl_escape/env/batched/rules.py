@@ -12,13 +12,13 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from hrl_escape.env.bases import TensorBase
 from hrl_escape.env.batched.devices import as_flags, store
-from hrl_escape.env.batched.geometry import Shapes, compute_distance, compute_first_contact, refine_first_contact
+from hrl_escape.env.batched.geometry import Shapes, compute_distance
 from hrl_escape.env.batched.noise import compute_noise, draw_chance, draw_puzzle_start, draw_words, scale_word
-from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching, make_base
+from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching, place_base
 from hrl_escape.env.batched.puzzles.base import TensorContacts
-from hrl_escape.env.batched.rectangle import TensorBase
-from hrl_escape.env.batched.tables import Layout, Tables, map_tensors, pick, pick_rules
+from hrl_escape.env.batched.tables import Layout, RoomSolids, Tables, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.primitives import list_slips
 from hrl_escape.env.puzzles.base import PUSH
@@ -158,44 +158,17 @@ def _is_free(layout: Layout, tables: Tables, state: TensorState, action: Tensor,
 
 
 def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
-    """Share of displacements that bodies can make, float64 (rooms,).
-
-    The first solid is found in single precision; the contact with it is computed again in double, so that
-    rounding does not grow from contact to contact.
-    """
-    base = make_base(layout, tables, state, CONTACT_SKIN)
-    if base is not None:
-        solids: Shapes = pick(layout, tables.solids, state.instance)
-        free = base.compute_first_contact(dx, dy, solids).amin(0)
-        if not layout.has_door:
-            return free
-        doors, is_shut = _find_door(layout, tables, state, base)
-        return torch.where(is_shut, torch.minimum(free, base.compute_first_contact(dx, dy, doors)[0]), free)
-    motion = (state.x, state.y, dx, dy, layout.robot.body_radius + CONTACT_SKIN)
-    shares = store(compute_first_contact(*motion, pick(layout, tables.split_solids, state.instance)))
-    nearly = shares.amin(0)
-    numbers = torch.arange(len(shares), dtype=torch.int32, device=shares.device).unsqueeze(1)
-    which = torch.where(shares == nearly, numbers, len(shares)).amin(0).to(torch.int64)
-    column = torch.zeros_like(which) if layout.is_shared else state.instance
-    first: Shapes = map_tensors(lambda table: table[which, column].unsqueeze(0), tables.solids)
-    nearly = torch.relu(nearly).to(torch.float64)
-    exactly = refine_first_contact(*motion, first, nearly)[0].clamp(0.0, 1.0)
-    exactly = torch.where((exactly - nearly).abs() < 1e-3, exactly, nearly)
-    free = store(torch.where(nearly < 1.0, exactly, nearly))  # let by one solid, it may meet another
+    """Share of displacements that bodies can make, float64 (rooms,)."""
+    base = place_base(layout, tables, state, CONTACT_SKIN)
+    free = base.find_free_fraction(dx, dy, RoomSolids(layout, tables, state.instance))
     if layout.inner_doors:
         inner: Shapes = pick(layout, tables.inner_doors, state.instance)
-        is_shut = find_shut(layout, tables, state)
-        is_shut = is_shut & (compute_distance(state.x, state.y, inner) >= motion[-1] - 1e-6)
-        met = compute_first_contact(*motion, inner).clamp(min=0.0)
-        free = torch.minimum(free, torch.where(is_shut, met, 1.0).amin(0))
+        is_shut = find_shut(layout, tables, state) & ~base.stands_in(inner)
+        free = torch.minimum(free, torch.where(is_shut, base.compute_first_contact(dx, dy, inner), 1.0).amin(0))
     if not layout.has_door:
         return free
-    doors: Shapes = pick(layout, tables.doors, state.instance)
-    form, columns = pick_rules(layout, tables, state.instance)
-    is_open = form.is_solved(columns, state.puzzle)
-    is_inside = compute_distance(state.x, state.y, doors)[0] < motion[-1] - 1e-6  # it cannot close on a robot
-    door = compute_first_contact(*motion, doors)[0].clamp(min=0.0)
-    return torch.where(is_open | is_inside, free, torch.minimum(free, door))
+    doors, is_shut = _find_door(layout, tables, state, base)
+    return torch.where(is_shut, torch.minimum(free, base.compute_first_contact(dx, dy, doors)[0]), free)
 
 
 def _find_door(layout: Layout, tables: Tables, state: TensorState, base: TensorBase) -> tuple[Shapes, Tensor]:
@@ -203,15 +176,15 @@ def _find_door(layout: Layout, tables: Tables, state: TensorState, base: TensorB
     doors: Shapes = pick(layout, tables.doors, state.instance)
     form, columns = pick_rules(layout, tables, state.instance)
     is_open = form.is_solved(columns, state.puzzle)
-    return doors, ~is_open & (base.measure_gap(doors)[0] >= -1e-6)
+    return doors, ~(is_open | base.stands_in(doors)[0])
 
 
 def _turn(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor | None) -> TensorState:
     """Turn where nothing is in the way of it."""
     turned = _turn_freely(layout, state, action, scale)
-    base = make_base(layout, tables, state, CONTACT_SKIN)
-    if base is None:
+    if layout.robot.base.turns_anywhere:
         return turned
+    base = place_base(layout, tables, state, CONTACT_SKIN)
     angle = math.tau / layout.headings * (state.x.new_ones(()) if scale is None else scale)
     to, angle = compute_rotation(layout, tables, turned), _find_effects(layout, action, "turn", angle)
     is_blocked = base.is_turn_blocked(*to, angle, pick(layout, tables.solids, state.instance)).any(0)

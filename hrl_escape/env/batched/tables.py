@@ -30,6 +30,7 @@ from hrl_escape.errors import ConfigError, UnsupportedError
 __all__ = [
     "InstanceSource",
     "Layout",
+    "RoomSolids",
     "Tables",
     "collect_instances",
     "make_layout",
@@ -206,6 +207,33 @@ def pick_rules(layout: Layout, tables: Tables, instance: Tensor) -> tuple[Tensor
     form = get_tensor_puzzle(layout.puzzle)
     return form, {name: table if name in form.whole else pick(layout, table, instance)
                   for name, table in tables.puzzle.items()}
+
+
+class RoomSolids(NamedTuple):
+    """Walls and obstacles of each room of a batch.
+
+    Attributes:
+        layout: the properties that the rooms share.
+        tables: their instances.
+        instance: index of each room's instance, int64 (rooms,).
+    """
+
+    layout: Layout
+    tables: Tables
+    instance: Tensor
+
+    def list_all(self) -> Shapes:
+        """All of them, (solids, rooms)."""
+        return pick(self.layout, self.tables.solids, self.instance)
+
+    def list_split(self) -> SplitShapes:
+        """All of them in single precision, (solids, rooms)."""
+        return pick(self.layout, self.tables.split_solids, self.instance)
+
+    def gather(self, which: Tensor) -> Shapes:
+        """One of each room, (1, rooms), by its number, int64 (rooms,)."""
+        column = torch.zeros_like(which) if self.layout.is_shared else self.instance
+        return map_tensors(lambda table: table[which, column].unsqueeze(0), self.tables.solids)
 
 
 def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:

@@ -90,7 +90,7 @@ def _view_robot(room: BulletRoom, aspect: float) -> _View:
     """Mounted above the front edge of the base, looking 12 degrees down."""
     state, heading, robot = room.state, room.rules.get_heading(room.state), room.instance.robot
     cos, sin = math.cos(heading), math.sin(heading)
-    forward = 0.9 * (robot.half_sizes[0] or robot.body_radius)
+    forward = 0.9 * robot.base.front
     eye = (state.x + forward * cos, state.y + forward * sin, state.z + 1.15 * robot.body_height + 0.1)
     drop = math.tan(math.radians(12.0))
     target = (eye[0] + cos, eye[1] + sin, eye[2] - drop)

@@ -202,11 +202,8 @@ def _draw_robot(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
     if 2 * radius * scale < 9:  # a robot of few points is hard to find
         axes.plot(*at, "o", markersize=13, fillstyle="none", color=palette.BODY, markeredgewidth=1.0, zorder=7)
     style: dict[str, Any] = {"facecolor": palette.BODY, "edgecolor": palette.BODY_EDGE, "linewidth": 1.0, "zorder": 7}
-    if instance.robot.footprint == "rectangle":
-        half_length, half_width = instance.robot.half_sizes
-        axes.add_patch(_make_outline(Solid("box", state.x, state.y, half_length, half_width, heading), **style))
-    else:
-        axes.add_patch(Circle((state.x, state.y), radius, **style))
+    corners = instance.robot.base.find_corners_at(state.x, state.y, heading)
+    axes.add_patch(Polygon(corners, **style) if corners else Circle((state.x, state.y), radius, **style))
     angles = heading + np.array([0.0, 2.5, math.pi, -2.5])
     reach = radius * np.array([0.85, 0.75, 0.3, 0.75])
     axes.add_patch(Polygon(at + reach[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=1),

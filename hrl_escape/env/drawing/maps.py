@@ -154,7 +154,7 @@ def _make_handles(instance: RoomInstance, trajectories: Sequence[Trajectory]) ->
         return Line2D([], [], linestyle="", marker=shape, markersize=size, markerfacecolor=fill, label=label,
                       markeredgecolor=edge, markeredgewidth=1.0)
 
-    body = "o" if instance.robot.footprint == "disc" else "s"
+    body = "s" if instance.robot.base.corners else "o"
     handles: list[Line2D | Patch] = [mark(body, "robot", palette.BODY, palette.BODY_EDGE, 9),
                                      mark("o", "start", "white", palette.INK, 6)]
     if instance.targets:

@@ -130,20 +130,17 @@ def make_cylinder(radius: float, low: float, high: float, top_radius: float | No
 
 def make_base_column(robot: RobotConfig, low: float, high: float, share: float = 1.0, top_share: float | None = None
                      ) -> Mesh:
-    """A slice of the robot's base from height `low` to `high`, its outline scaled, a disc's top scaled by itself."""
-    if robot.footprint == "rectangle":
-        half_length, half_width = robot.half_sizes
-        return make_prism(rotate_box(0.0, 0.0, share * half_length, share * half_width, 0.0), low, high)
-    top = None if top_share is None else top_share * robot.body_radius
-    return make_cylinder(share * robot.body_radius, low, high, top)
+    """A slice of the robot's base from height `low` to `high`, its outline scaled, and a round one's top."""
+    if robot.base.corners:
+        return make_prism([(share * x, share * y) for x, y in robot.base.corners], low, high)
+    top = None if top_share is None else top_share * robot.outer_radius
+    return make_cylinder(share * robot.outer_radius, low, high, top)
 
 
 def compute_base_outline(robot: RobotConfig) -> list[Point]:
     """Corners of the robot's base, counter-clockwise, in its own frame."""
-    half_length, half_width = robot.half_sizes
-    radius = robot.body_radius
-    return compute_outline(Solid("box", 0.0, 0.0, half_length, half_width) if robot.footprint == "rectangle"
-                           else Solid("cylinder", 0.0, 0.0, radius, radius))
+    radius = robot.outer_radius
+    return list(robot.base.corners) or compute_outline(Solid("cylinder", 0.0, 0.0, radius, radius))
 
 
 def compute_outline(solid: Solid) -> list[Point]:

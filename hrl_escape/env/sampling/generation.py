@@ -79,7 +79,7 @@ def _sample(config: RoomConfig, seed: int, puzzle: Puzzle, rng: np.random.Genera
         name=config.name, seed=seed, half_width=config.room.width / 2, half_depth=config.room.depth / 2,
         wall_height=config.room.wall_height, solids=plan.solids, door=plan.door,
         inner_doors=_list_inner_doors(config, puzzle) or doors.solids,
-        ways=doors.list_ways(targets, plan.exit, config.robot.body_radius), targets=targets,
+        ways=doors.list_ways(targets, plan.exit, config.robot.outer_radius), targets=targets,
         props=tuple(PlacedProp(prop) for prop in puzzle.props), exit=plan.exit, starts=(_fixed_start(config, puzzle),),
         robot=config.robot, puzzle=puzzle, reward=config.reward, dynamics=config.dynamics, horizon=config.horizon,
     )
@@ -289,12 +289,12 @@ def _place_props(instance: RoomInstance, rng: np.random.Generator) -> RoomInstan
     """Put props on the floor, blocks with room to get behind them."""
     if not instance.props:
         return instance
-    taken = [(s.x, s.y, instance.robot.body_radius) for s in instance.starts[:1]]
+    taken = [(s.x, s.y, instance.robot.outer_radius) for s in instance.starts[:1]]
     walls = stack_footprints([solid.footprint for solid in instance.solids])
     placed = []
     for entry in instance.props:
         size = entry.prop.half_size * math.sqrt(2)
-        need = size + (2.2 * instance.robot.body_radius + 0.3 if entry.prop.kind == "block" else 0.3)
+        need = size + (2.2 * instance.robot.outer_radius + 0.3 if entry.prop.kind == "block" else 0.3)
         for _ in range(300):
             x = float(rng.uniform(-instance.half_width, instance.half_width))
             y = float(rng.uniform(-instance.half_depth, instance.half_depth))

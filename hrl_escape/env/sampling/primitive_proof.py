@@ -1,6 +1,6 @@
 """Proof that a room can be solved by its primitives: a sufficient condition, and a search where it does not hold.
 
-**The condition.** The base is a disc, the floor is one rectangle with nothing on it, presses never undo anything,
+**The condition.** The base turns anywhere, the floor is one rectangle with nothing on it, presses never undo anything,
 turns are of at most 15 degrees, and a step s is no longer than half the way that the body's axis has along x and along
 y. A step in one direction and back in the next one then shifts the robot by e = 2 s sin(t / 2) for a turn step t, to
 and fro, and from any place in directions that span the plane: it comes within e of every place. (A base that does not
@@ -88,7 +88,7 @@ def meets_condition(instance: RoomInstance) -> bool:
     exit_x = min(area.x_max, free_x) - max(area.x_min, -free_x)
     exit_y = min(area.y_max, free_y) - max(area.y_min, -free_y)
     return (
-        robot.footprint == "disc" and instance.dynamics.press_with == "body" and instance.door is None
+        robot.base.turns_anywhere and instance.dynamics.press_with == "body" and instance.door is None
         and not list_hiders(instance)
         and isinstance(puzzle, ButtonsPuzzle) and puzzle.on_violation == "ignore" and not puzzle.allow_off
         and not puzzle.has_dead_ends

@@ -120,10 +120,11 @@ def check_presses(instance: RoomInstance) -> None:
     """Check that presses and the exit are all that there is to do in a room.
 
     Raises:
-        UnsupportedError: things are gripped or pushed, or stand behind inner doors, or the base is a rectangle.
+        UnsupportedError: things are gripped or pushed, or stand behind inner doors, or the base is no disc.
     """
-    if instance.robot.footprint == "rectangle":
-        raise UnsupportedError("batched options drive discs: use OptionsEnv over rooms with a rectangular base")
+    if not instance.robot.base.turns_anywhere:
+        raise UnsupportedError("batched options drive discs: use OptionsEnv over rooms with a base that is a "
+                               f"{instance.robot.footprint}")
     if instance.inner_doors:
         raise UnsupportedError("batched options know no inner doors: use OptionsEnv over one room")
     if any(operator.action != "press" for operator in instance.symbolic_model.operators):
@@ -134,8 +135,8 @@ def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
     """Compute the fields of an instance, some tenths of a second, once; later calls find them by its id.
 
     Raises:
-        UnsupportedError: targets of this room are asked to be gripped, or behind inner doors; or the base is a
-            rectangle.
+        UnsupportedError: targets of this room are asked to be gripped, or behind inner doors; or the base is
+            no disc.
     """
     check_presses(instance)
     with _LOCK:

@@ -30,7 +30,7 @@ def is_solved(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
 def is_in_doorway(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
     """Return whether the body stands in the doorway, where a shut door does not block it, bool (rooms,)."""
     doors: Shapes = pick(layout, tables.doors, state.instance)
-    return compute_distance(state.x, state.y, doors)[0] < layout.robot.body_radius + CONTACT_SKIN - 1e-6
+    return compute_distance(state.x, state.y, doors)[0] < layout.robot.outer_radius + CONTACT_SKIN - 1e-6
 
 
 def presses_by_hand(layout: Layout) -> bool:
@@ -62,7 +62,7 @@ def compute_moves(layout: Layout, tables: Tables, state: TensorState, is_open: T
     forward, left = (make_column(layout, state, name, torch.float64)[layout.actions.translations]
                      for name in ("forward", "left"))
     dx, dy = forward * cos - left * sin, forward * sin + left * cos
-    motion = (state.x, state.y, dx.unsqueeze(1), dy.unsqueeze(1), layout.robot.body_radius + CONTACT_SKIN)
+    motion = (state.x, state.y, dx.unsqueeze(1), dy.unsqueeze(1), layout.robot.outer_radius + CONTACT_SKIN)
     solids: SplitShapes = pick(layout, tables.split_solids, state.instance)
     free = compute_first_contact(*motion, solids).amin(1).clamp(min=0.0)
     if layout.has_door:

@@ -334,9 +334,9 @@ def smooth_plan(plan: Plan, clearance: float) -> list[MotionPath]:
         One path for each leg; one for each line or turn of such a base.
     """
     rules, room = Rules(plan.instance), plan.instance
-    if room.robot.drive == "differential" or room.robot.footprint == "rectangle":
+    if room.robot.drive == "differential" or not room.robot.base.turns_anywhere:
         return _follow_moves(plan, rules)
-    radius = room.robot.body_radius + CONTACT_SKIN
+    radius = room.robot.outer_radius + CONTACT_SKIN
     names = ("x", "y", "heading", *rules.robot.joint_names)
     paths = []
     for part in plan.parts:

@@ -102,8 +102,8 @@ class Navigator:
             PathPlannerError: the planner failed, or returned no path.
         """
         factory = get_factory(planner)
-        is_disc = self.instance.robot.footprint == "disc"
-        if not is_disc:
+        turns_anywhere = self.instance.robot.base.turns_anywhere
+        if not turns_anywhere:
             check_pose_planner(planner)
         start = self._check_query(start, goal, seed, budget)
         began, clock = read_clock(), clock or Clock(time_limit)
@@ -113,7 +113,7 @@ class Navigator:
             status, places = self._find_goals(collision, start, goal, clock)
             if len(places):
                 bound = float(np.hypot(*(places - start).T).min())
-            if status is None and not is_disc:
+            if status is None and not turns_anywhere:
                 at = np.array([*start, heading])
                 status, path, calls = self._solve_poses(collision, at, goal, places, planner, seed, budget, clock)
             elif status is None:
@@ -185,7 +185,7 @@ class Navigator:
                 raise GoalError("for a press by hand give places of the base; Reacher.make_table finds them")
             area = compute_goal_area(goal, self.instance)
             proof = collision.find_proof(*start, *area)
-            most = 64 if self.instance.robot.footprint == "disc" else POSE_PLACES
+            most = 64 if self.instance.robot.base.turns_anywhere else POSE_PLACES
             places = sample_places(area, collision, most, clock) if proof != "solid" else none
         if not collision.is_free(*start):
             return "invalid-start", none
@@ -195,7 +195,7 @@ class Navigator:
         places = places[collision.get_parts(places) == here]
         if not len(places) or proof is not None:
             return "no-path", none
-        return None, _choose_goals(places, start) if self.instance.robot.footprint == "disc" else places
+        return None, _choose_goals(places, start) if self.instance.robot.base.turns_anywhere else places
 
     def _solve(
         self, collision: CollisionMap, start: tuple[float, float], places: NDArray[np.float64], name: str,

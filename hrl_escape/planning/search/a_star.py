@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.floor.sweeps import (
+    Presser,
     can_turn_body,
     first_contact,
     get_shape,
@@ -50,7 +51,8 @@ class SearchQuery(NamedTuple):
         presser: position of the presser relative to the body's axis, shape (headings, 2), m.
         targets: footprints of the targets, shape (n, 7).
         reaches: floor distance at which the presser touches each target, or -1, shape (n,), m.
-        pressers: half sizes of a rectangular base that presses each target, else 0 and 0, shape (n, 2), m.
+        pressers: whether the outline of `base` must touch each target, bool, shape (n,).
+        base: what presses then.
         forbidden: bits of the targets that must not be touched anew.
         keep_out: footprints that the body must not meet, shape (n, 7).
         closed: rectangle (x_min, x_max, y_min, y_max) that must not be entered; empty if x_min > x_max.
@@ -87,7 +89,8 @@ class SearchQuery(NamedTuple):
     presser: NDArray[np.float64]
     targets: NDArray[np.float64]
     reaches: NDArray[np.float64]
-    pressers: NDArray[np.float64]
+    pressers: NDArray[np.bool_]
+    base: Presser
     forbidden: np.uint64
     keep_out: NDArray[np.float64]
     closed: NDArray[np.float64]
@@ -143,7 +146,12 @@ def _find_touched(query, x, y, heading):
         if reach >= 0.0:
             around = reach + query.targets[k, 5] + query.targets[k, 6]
             if abs(px - query.targets[k, 1]) <= around and abs(py - query.targets[k, 2]) <= around:
-                if is_touched(px, py, query.turns[heading], query.pressers[k], get_shape(query.targets[k]), reach):
+                shape = get_shape(query.targets[k])
+                if query.pressers[k]:
+                    touches = is_touched(px, py, query.turns[heading], query.base, shape, reach)
+                else:
+                    touches = measure_distance(px, py, shape) <= reach
+                if touches:
                     touching |= np.uint64(1) << np.uint64(k)
     return touching
 

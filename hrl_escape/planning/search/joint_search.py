@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import heapq
 import itertools
-import math
 from collections.abc import Hashable, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
@@ -216,7 +215,7 @@ class JointSearch:
             away = compute_distance_many(maker.points, stack_footprints([area.footprint]))
             step = rules.actions.longest
             presser = get_presser(PressGoal(target), rules.instance)
-            surely = area.reach - math.hypot(*presser) + min(presser)  # touches at any heading
+            surely = area.reach - presser.outer + presser.inner  # touches at any heading
             near = np.flatnonzero(maker.standing & (away > surely) & (away <= area.reach + step))
             layers = len(maker.fits) // len(maker.points)
             actions = rules.actions.base if layers > 1 else rules.actions.translations  # a turn may press

@@ -140,7 +140,7 @@ class PrimitiveSearch:
             kinematics: its kinematics without noise and slip.
         """
         new, old = PrimitiveSearch(instance, kinematics), self.instance
-        if _get_floor(instance) != _get_floor(old) or instance.robot.footprint == "rectangle":
+        if _get_floor(instance) != _get_floor(old) or not instance.robot.base.turns_anywhere:
             return new
         changed = [solid.footprint for solid in _list_differences(old.solids, instance.solids)]
         same_arm = (instance.robot, instance.dynamics.press_with) == (old.robot, old.dynamics.press_with)

@@ -45,8 +45,8 @@ def find_fewest_primitives(kinematics: Kinematics, state: RoomState, goal: Goal,
         UnsupportedError: the base is no disc.
     """
     instance = kinematics.instance
-    if instance.robot.footprint != "disc":
-        raise UnsupportedError("the reference search moves a disc, and this base is a rectangle")
+    if not instance.robot.base.turns_anywhere:
+        raise UnsupportedError(f"the reference search moves a disc, and this base is a {instance.robot.footprint}")
     solids = list(kinematics.footprints)
     if instance.door and not instance.puzzle.is_solved(state.puzzle):
         solids.append(instance.door.footprint)
@@ -55,11 +55,11 @@ def find_fewest_primitives(kinematics: Kinematics, state: RoomState, goal: Goal,
     moves = kinematics.actions.compute_moves(cos, sin)
     half = np.array([instance.reach_x, instance.reach_y])
     shut = [target.footprint for i, target in enumerate(instance.targets) if i != getattr(goal, "target", -1)]
-    touch = instance.robot.body_radius + instance.dynamics.press_margin if isinstance(goal, PressGoal) else -1.0
+    touch = instance.robot.outer_radius + instance.dynamics.press_margin if isinstance(goal, PressGoal) else -1.0
     symmetry = kinematics.actions.symmetry
     folds = kinematics.headings // (symmetry if kinematics.headings % symmetry == 0 else 1)
     chain = _search_compiled(
-        stack_footprints(solids), instance.robot.body_radius + 1e-3, moves, half, bins, folds,
+        stack_footprints(solids), instance.robot.outer_radius + 1e-3, moves, half, bins, folds,
         stack_footprints([area])[0], reach + 1e-12, stack_footprints(shut), touch,
         state.x, state.y, state.heading_steps, most, kinematics.actions.turn_steps, kinematics.actions.longest,
     )

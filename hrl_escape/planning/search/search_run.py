@@ -20,6 +20,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import PlanningReason
 from hrl_escape.floor.cost_to_go import FieldMaker
+from hrl_escape.floor.sweeps import make_presser
 from hrl_escape.planning.areas import Area, get_presser
 from hrl_escape.planning.arm.path_steps import plan_steps
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal, is_reached
@@ -106,20 +107,21 @@ class HeadingTable(NamedTuple):
         turns: cosine and sine, shape (headings, 2).
         moves: displacement of each translation, shape (headings, translations, 2), m.
         reaches: floor distance at which the base touches each target, or -1, shape (targets,), m.
-        pressers: half sizes of a rectangular base that presses each target, else 0 and 0, shape (targets, 2), m.
+        pressers: whether the outline of the base must touch each target, bool, shape (targets,).
     """
 
     turns: NDArray[np.float64]
     moves: NDArray[np.float64]
     reaches: NDArray[np.float64]
-    pressers: NDArray[np.float64]
+    pressers: NDArray[np.bool_]
 
     @classmethod
     def make(cls, rules: Kinematics, heading_offset: float) -> HeadingTable:
         """Compute the table for headings that lie beside the lattice by an offset, rad."""
         turns = np.array([rules.get_rotation(n, heading_offset) for n in range(rules.headings)])
         instance = rules.instance
-        pressers = np.array([get_presser(PressGoal(i), instance) for i in range(len(instance.targets))]).reshape(-1, 2)
+        pressers = np.array([get_presser(PressGoal(i), instance).kind >= 0 for i in range(len(instance.targets))],
+                            dtype=np.bool_)
         return cls(turns, rules.actions.compute_moves(*turns.T),
                    _compute_reaches(instance, 0.0), pressers)
 
@@ -243,7 +245,7 @@ class SearchRun:
             x=state.x, y=state.y, heading=state.heading_steps, touched=np.uint64(state.touching),
             turns=turns, turn_step=rules.turn_step, moves=headings.moves, lengths=rules.actions.lengths,
             turn_steps=rules.actions.turn_steps, stays=instance.dynamics.blocked == "stay", presser=presser,
-            targets=maker.targets, reaches=reaches, pressers=headings.pressers,
+            targets=maker.targets, reaches=reaches, pressers=headings.pressers, base=make_presser(instance.robot.base),
             forbidden=np.uint64(others if self._avoiding else 0), keep_out=stack_footprints(problem.keep_out),
             closed=np.array(closed), target=target, goal=stack_footprints([problem.area.footprint])[0],
             goal_reach=problem.area.reach + _ROUNDING, goal_headings=facing, field=field,

@@ -227,7 +227,7 @@ class Player {
 
   robot(c, at, metre) {
     const look = this.looks, radius = Math.max(this.room.radius, 3.5 * metre);
-    const [long, wide] = this.room.half_sizes;
+    const corners = this.room.corners;
     c.save();
     c.translate(at.x, at.y);
     c.rotate(at.heading);
@@ -235,7 +235,8 @@ class Player {
     c.strokeStyle = look.bodyEdge;
     c.lineWidth = metre;
     c.beginPath();
-    if (long) c.rect(-long, -wide, 2 * long, 2 * wide);
+    corners.forEach(([x, y], n) => n ? c.lineTo(x, y) : c.moveTo(x, y));
+    if (corners.length) c.closePath();
     else c.arc(0, 0, radius, 0, 7);
     c.fill();
     c.stroke();

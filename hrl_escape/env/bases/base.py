@@ -1,0 +1,160 @@
+"""What a base must be able to say of itself: the contract of all bases, and what follows from it.
+
+A base is stated by four pure functions of numbers, which planners also compile as they stand, and by their twins in
+tensors. Poses are those of its axis. Metres, radians.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from xml.etree import ElementTree
+
+from typing_extensions import Self
+
+from hrl_escape.env.geometry import Footprint
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from hrl_escape.env.batched.geometry import Shapes
+    from hrl_escape.env.batched.tables import RoomSolids
+
+__all__ = ["STANDS_IN", "Base", "TensorBase"]
+
+STANDS_IN = 1e-6
+"""Depth in metres from which on a base stands in a shut door, which then lets it out."""
+
+
+class TensorBase(Protocol):
+    """A base where it stands in each room of a batch; shapes come first, rooms last."""
+
+    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: RoomSolids) -> Tensor:
+        """Share in [0, 1] of displacements until the first contact with any solid, float64 (rooms,)."""
+        ...
+
+    def compute_first_contact(self, dx: Tensor, dy: Tensor, shapes: Shapes) -> Tensor:
+        """Share in [0, 1] of displacements until the first contact with each outline, (shapes, rooms)."""
+        ...
+
+    def compute_distance(self, shapes: Shapes) -> Tensor:
+        """Distance to boxes, (shapes, rooms); 0 where they overlap."""
+        ...
+
+    def stands_in(self, shapes: Shapes) -> Tensor:
+        """Return true where it overlaps outlines by more than `STANDS_IN`, bool (shapes, rooms)."""
+        ...
+
+    def is_turn_blocked(self, to_cos: Tensor, to_sin: Tensor, turn: Tensor, shapes: Shapes) -> Tensor:
+        """Return true where an outline is in the way of a turn by an angle in rad, bool (shapes, rooms)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Base(ABC):
+    """The outline of a robot on the floor.
+
+    Attributes:
+        size: distances of its sides from its axis, m; they all grow with a clearance.
+        turns_anywhere: it covers the same floor at every heading. Only such bases carry what knows no headings: puzzles
+            with inner doors or props, batched options, paths of places and their smoothing, repaired fields.
+        front_field: setting of the robot that is the distance to its side ahead, for messages.
+        width_field: setting that says how wide it is.
+        contact: (x, y, cos, sin, size, dx, dy, footprint) -> share in [0, 1) of a displacement at which it first meets
+            the footprint, or infinity; one that touches already is stopped (0) only if it moves inwards.
+        gap: (x, y, cos, sin, size, footprint) -> gap, negative where they overlap: it has the sign of the distance and
+            is never larger.
+        distance: (x, y, cos, sin, size, footprint) -> distance, 0 where they overlap.
+        blocks_turn: (x, y, cos, sin, to_cos, to_sin, turn, size, footprint) -> whether the footprint, clear of it, is
+            in the way of a turn by an angle about its axis.
+    """
+
+    size: tuple[float, ...]
+    turns_anywhere: ClassVar[bool] = False
+    front_field: ClassVar[str]
+    width_field: ClassVar[str]
+    contact: ClassVar[Callable[..., float]]
+    gap: ClassVar[Callable[..., float]]
+    distance: ClassVar[Callable[..., float]]
+    blocks_turn: ClassVar[Callable[..., bool]]
+
+    @classmethod
+    @abstractmethod
+    def measure(cls, robot: Any) -> Self:
+        """The base of a `RobotConfig`, without clearance."""
+
+    @property
+    @abstractmethod
+    def inner_radius(self) -> float:
+        """Radius of the largest disc round the axis within the base, m: where it does not fit, no heading helps."""
+
+    @property
+    @abstractmethod
+    def outer_radius(self) -> float:
+        """Radius of the smallest disc round the axis that holds the base, m: where it fits, any heading does."""
+
+    @property
+    @abstractmethod
+    def front(self) -> float:
+        """Distance from the axis to its side ahead, m."""
+
+    @property
+    @abstractmethod
+    def symmetry(self) -> int:
+        """Number of headings, evenly spread over a full turn, at which it covers the same; 0 if all do."""
+
+    @property
+    @abstractmethod
+    def corners(self) -> tuple[tuple[float, float], ...]:
+        """Its corners in its own frame, counter-clockwise, m; none if it is round."""
+
+    @abstractmethod
+    def describe(self) -> str:
+        """It and its sizes in words, for messages."""
+
+    @abstractmethod
+    def make_link(self, name: str, mass: float, height: float) -> ElementTree.Element:
+        """Make its link of a URDF, upright on the floor; kg, m."""
+
+    @abstractmethod
+    def place(self, x: Tensor, y: Tensor, cos: Tensor, sin: Tensor) -> TensorBase:
+        """Place it in each room of a batch; all tensors are float64 (rooms,)."""
+
+    def grow(self, margin: float) -> Self:
+        """The base with a clearance on all sides, m."""
+        return replace(self, size=tuple(side + margin for side in self.size))
+
+    def find_free_fraction(self, x: float, y: float, rotation: tuple[float, float], dx: float, dy: float,
+                           shapes: Iterable[Footprint]) -> float:
+        """Share in [0, 1] of a displacement until the first contact with any of some footprints."""
+        contact, size, (cos, sin), least = self.contact, self.size, rotation, 1.0
+        for shape in shapes:
+            met = contact(x, y, cos, sin, size, dx, dy, shape)
+            if met < least:
+                least = met
+        return least
+
+    def measure_gap(self, x: float, y: float, rotation: tuple[float, float], shapes: Iterable[Footprint]) -> float:
+        """Least gap to any of some footprints, m; see `gap`."""
+        return min((self.gap(x, y, *rotation, self.size, shape) for shape in shapes), default=math.inf)
+
+    def measure_distance(self, x: float, y: float, rotation: tuple[float, float], shape: Footprint) -> float:
+        """Distance to a footprint, m; 0 where they overlap."""
+        return self.distance(x, y, *rotation, self.size, shape)
+
+    def stands_in(self, x: float, y: float, rotation: tuple[float, float], shape: Footprint) -> bool:
+        """Return whether it overlaps a footprint by more than `STANDS_IN`: a shut door then lets it out."""
+        return self.gap(x, y, *rotation, self.size, shape) < -STANDS_IN
+
+    def can_turn(self, x: float, y: float, rotation: tuple[float, float], to: tuple[float, float], turn: float,
+                 shapes: Iterable[Footprint]) -> bool:
+        """Return whether a turn from one rotation to another is free of all of some footprints."""
+        return not any(self.blocks_turn(x, y, *rotation, *to, turn, self.size, shape) for shape in shapes)
+
+    def find_corners_at(self, x: float, y: float, heading: float) -> Sequence[tuple[float, float]]:
+        """Its corners where it stands, counter-clockwise, m; none if it is round."""
+        cos, sin = math.cos(heading), math.sin(heading)
+        return [(x + cos * a - sin * b, y + sin * a + cos * b) for a, b in self.corners]

@@ -1,0 +1,140 @@
+"""A disc: it meets a footprint where its axis enters the footprint grown by its radius, and turns anywhere."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+from xml.etree import ElementTree
+
+from typing_extensions import Self
+
+from hrl_escape.env.bases.base import STANDS_IN, Base
+from hrl_escape.env.bases.link import make_cylinder_link
+from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from hrl_escape.env.batched.geometry import Shapes
+    from hrl_escape.env.batched.tables import RoomSolids
+
+__all__ = ["Disc"]
+
+
+def compute_disc_contact(x: float, y: float, cos: float, sin: float, size: tuple[float, ...], dx: float, dy: float,
+                         shape: Footprint) -> float:
+    """See `Base.contact`."""
+    return compute_first_contact(x, y, dx, dy, size[0], shape)
+
+
+def measure_disc_gap(x: float, y: float, cos: float, sin: float, size: tuple[float, ...], shape: Footprint) -> float:
+    """See `Base.gap`."""
+    return compute_distance(x, y, shape) - size[0]
+
+
+def compute_disc_distance(x: float, y: float, cos: float, sin: float, size: tuple[float, ...], shape: Footprint
+                          ) -> float:
+    """See `Base.distance`."""
+    return max(compute_distance(x, y, shape) - size[0], 0.0)
+
+
+def does_disc_turn_meet(x: float, y: float, cos: float, sin: float, to_cos: float, to_sin: float, turn: float,
+                        size: tuple[float, ...], shape: Footprint) -> bool:
+    """See `Base.blocks_turn`."""
+    return False
+
+
+class Disc(Base):
+    """A disc round the axis; `size` is its radius."""
+
+    turns_anywhere = True
+    front_field = width_field = "body_radius"
+    contact, gap = staticmethod(compute_disc_contact), staticmethod(measure_disc_gap)
+    distance, blocks_turn = staticmethod(compute_disc_distance), staticmethod(does_disc_turn_meet)
+    symmetry, corners = 0, ()
+
+    @classmethod
+    def measure(cls, robot: Any) -> Self:
+        """The base of a `RobotConfig`, without clearance."""
+        return cls((robot.body_radius,))
+
+    @property
+    def outer_radius(self) -> float:
+        """Its radius, m."""
+        return self.size[0]
+
+    inner_radius = front = outer_radius
+
+    def stands_in(self, x: float, y: float, rotation: tuple[float, float], shape: Footprint) -> bool:
+        """Return whether it overlaps a footprint by more than `STANDS_IN`."""
+        return compute_distance(x, y, shape) < self.size[0] - STANDS_IN
+
+    def describe(self) -> str:
+        """It and its sizes in words, for messages."""
+        return f"a body of radius {self.size[0]:g} m"
+
+    def make_link(self, name: str, mass: float, height: float) -> ElementTree.Element:
+        """Make its link of a URDF, upright on the floor; kg, m."""
+        return make_cylinder_link(name, mass, self.size[0], height, f"0 0 {height / 2!r}", "0 0 0")
+
+    def place(self, x: Tensor, y: Tensor, cos: Tensor, sin: Tensor) -> TensorDisc:
+        """Place it in each room of a batch."""
+        return TensorDisc(x, y, self.size[0])
+
+
+class TensorDisc(NamedTuple):
+    """A disc in each room.
+
+    Attributes:
+        x: centre, m, float64 (rooms,).
+        y: centre, m, float64 (rooms,).
+        radius: the same in all rooms, m.
+    """
+
+    x: Tensor
+    y: Tensor
+    radius: float
+
+    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: RoomSolids) -> Tensor:
+        """Share in [0, 1] of displacements until the first contact with any solid, float64 (rooms,).
+
+        The first solid is found in single precision; the contact with it is computed again in double, so that
+        rounding does not grow from contact to contact.
+        """
+        import torch
+
+        from hrl_escape.env.batched.devices import store
+        from hrl_escape.env.batched.geometry import compute_first_contact, refine_first_contact
+
+        motion = (self.x, self.y, dx, dy, self.radius)
+        shares = store(compute_first_contact(*motion, solids.list_split()))
+        nearly = shares.amin(0)
+        numbers = torch.arange(len(shares), dtype=torch.int32, device=shares.device).unsqueeze(1)
+        which = torch.where(shares == nearly, numbers, len(shares)).amin(0).to(torch.int64)
+        nearly = torch.relu(nearly).to(torch.float64)
+        exactly = refine_first_contact(*motion, solids.gather(which), nearly)[0].clamp(0.0, 1.0)
+        exactly = torch.where((exactly - nearly).abs() < 1e-3, exactly, nearly)
+        return store(torch.where(nearly < 1.0, exactly, nearly))  # let by one solid, it may meet another
+
+    def compute_first_contact(self, dx: Tensor, dy: Tensor, shapes: Shapes) -> Tensor:
+        """Share in [0, 1] of displacements until the first contact with each outline, (shapes, rooms)."""
+        from hrl_escape.env.batched.geometry import compute_first_contact
+
+        return compute_first_contact(self.x, self.y, dx, dy, self.radius, shapes).clamp(min=0.0)
+
+    def compute_distance(self, shapes: Shapes) -> Tensor:
+        """Distance to outlines, (shapes, rooms); 0 where they overlap."""
+        from hrl_escape.env.batched.geometry import compute_distance
+
+        return (compute_distance(self.x, self.y, shapes) - self.radius).clamp(min=0.0)
+
+    def stands_in(self, shapes: Shapes) -> Tensor:
+        """Return true where it overlaps outlines by more than `STANDS_IN`, bool (shapes, rooms)."""
+        from hrl_escape.env.batched.geometry import compute_distance
+
+        return compute_distance(self.x, self.y, shapes) < self.radius - STANDS_IN
+
+    def is_turn_blocked(self, to_cos: Tensor, to_sin: Tensor, turn: Tensor, shapes: Shapes) -> Tensor:
+        """Nothing is in the way of a turn, bool (shapes, rooms)."""
+        import torch
+
+        return torch.zeros_like(shapes.x + self.x, dtype=torch.bool)
