@@ -83,7 +83,7 @@ def test_what_a_rectangle_does_not_do_is_refused_in_one_message():
         generate(change(get_preset("door-key"), footprint="rectangle", body_length=0.8, body_width=0.6), 0)
     with pytest.raises(ConfigError, match="body_length / 2 = 0.6"):
         dataclasses.replace(ROBOT, mount_forward=0.7)
-    with pytest.raises(UnsupportedError, match="rectangular base"):
+    with pytest.raises(UnsupportedError, match="base that is a rectangle"):
         compute_instance_fields(generate(SMALL, 0))
     with pytest.raises(UnsupportedError, match="poses of a rectangular base are planned by"):
         Navigator(generate(SMALL, 0)).plan((0.0, 0.0), ExitGoal(), "PRM")

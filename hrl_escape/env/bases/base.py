@@ -20,13 +20,28 @@ from hrl_escape.env.geometry import Footprint
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from hrl_escape.env.batched.geometry import Shapes
-    from hrl_escape.env.batched.tables import RoomSolids
+    from hrl_escape.env.tensor_geometry import Shapes, SplitShapes
 
-__all__ = ["STANDS_IN", "Base", "TensorBase"]
+__all__ = ["STANDS_IN", "Base", "RoomSolids", "TensorBase"]
 
 STANDS_IN = 1e-6
 """Depth in metres from which on a base stands in a shut door, which then lets it out."""
+
+
+class RoomSolids(Protocol):
+    """Walls and obstacles of each room of a batch."""
+
+    def list_all(self) -> Shapes:
+        """All of them, (solids, rooms)."""
+        ...
+
+    def list_split(self) -> SplitShapes:
+        """All of them in single precision, (solids, rooms)."""
+        ...
+
+    def gather(self, which: Tensor) -> Shapes:
+        """One of each room, (1, rooms), by its number, int64 (rooms,)."""
+        ...
 
 
 class TensorBase(Protocol):

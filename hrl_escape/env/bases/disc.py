@@ -7,15 +7,14 @@ from xml.etree import ElementTree
 
 from typing_extensions import Self
 
-from hrl_escape.env.bases.base import STANDS_IN, Base
+from hrl_escape.env.bases.base import STANDS_IN, Base, RoomSolids
 from hrl_escape.env.bases.link import make_cylinder_link
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from hrl_escape.env.batched.geometry import Shapes
-    from hrl_escape.env.batched.tables import RoomSolids
+    from hrl_escape.env.tensor_geometry import Shapes
 
 __all__ = ["Disc"]
 
@@ -102,8 +101,7 @@ class TensorDisc(NamedTuple):
         """
         import torch
 
-        from hrl_escape.env.batched.devices import store
-        from hrl_escape.env.batched.geometry import compute_first_contact, refine_first_contact
+        from hrl_escape.env.tensor_geometry import compute_first_contact, refine_first_contact, store
 
         motion = (self.x, self.y, dx, dy, self.radius)
         shares = store(compute_first_contact(*motion, solids.list_split()))
@@ -117,19 +115,19 @@ class TensorDisc(NamedTuple):
 
     def compute_first_contact(self, dx: Tensor, dy: Tensor, shapes: Shapes) -> Tensor:
         """Share in [0, 1] of displacements until the first contact with each outline, (shapes, rooms)."""
-        from hrl_escape.env.batched.geometry import compute_first_contact
+        from hrl_escape.env.tensor_geometry import compute_first_contact
 
         return compute_first_contact(self.x, self.y, dx, dy, self.radius, shapes).clamp(min=0.0)
 
     def compute_distance(self, shapes: Shapes) -> Tensor:
         """Distance to outlines, (shapes, rooms); 0 where they overlap."""
-        from hrl_escape.env.batched.geometry import compute_distance
+        from hrl_escape.env.tensor_geometry import compute_distance
 
         return (compute_distance(self.x, self.y, shapes) - self.radius).clamp(min=0.0)
 
     def stands_in(self, shapes: Shapes) -> Tensor:
         """Return true where it overlaps outlines by more than `STANDS_IN`, bool (shapes, rooms)."""
-        from hrl_escape.env.batched.geometry import compute_distance
+        from hrl_escape.env.tensor_geometry import compute_distance
 
         return compute_distance(self.x, self.y, shapes) < self.radius - STANDS_IN
 

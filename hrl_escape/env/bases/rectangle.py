@@ -18,15 +18,14 @@ from xml.etree import ElementTree
 
 from typing_extensions import Self
 
-from hrl_escape.env.bases.base import STANDS_IN, Base
+from hrl_escape.env.bases.base import STANDS_IN, Base, RoomSolids
 from hrl_escape.env.bases.link import make_box_link
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 
 if TYPE_CHECKING:
     from torch import Tensor
 
-    from hrl_escape.env.batched.geometry import Shapes
-    from hrl_escape.env.batched.tables import RoomSolids
+    from hrl_escape.env.tensor_geometry import Shapes
 
 __all__ = ["TOUCH", "Rectangle", "compute_base_contact", "compute_base_distance", "is_turn_blocked",
            "measure_base_gap"]
@@ -272,7 +271,7 @@ class TensorRectangle(NamedTuple):
         """Gap to outlines across the axis that separates them best, (shapes, rooms); negative where they overlap."""
         import torch
 
-        from hrl_escape.env.batched.geometry import compute_distance
+        from hrl_escape.env.tensor_geometry import compute_distance
 
         box = torch.stack([place.abs() - half for _, _, place, half in self._compute_sides(shapes)]).amax(0)
         to_disc = compute_distance(self.x, self.y, self._as_shapes(shapes)._replace(
@@ -283,7 +282,7 @@ class TensorRectangle(NamedTuple):
         """Distance to boxes, (shapes, rooms); 0 where they overlap."""
         import torch
 
-        from hrl_escape.env.batched.geometry import Shapes, compute_distance
+        from hrl_escape.env.tensor_geometry import Shapes, compute_distance
 
         half_length, half_width = self.size
         base = Shapes(self.x, self.y, self.cos, self.sin, torch.full_like(self.cos, half_length),
@@ -310,7 +309,7 @@ class TensorRectangle(NamedTuple):
         """Share in [0, 1] of displacements until the first contact with each outline, (shapes, rooms)."""
         import torch
 
-        from hrl_escape.env.batched.geometry import compute_first_contact
+        from hrl_escape.env.tensor_geometry import compute_first_contact
 
         disc = compute_first_contact(self.x, self.y, dx, dy, 0.0, self._as_shapes(shapes)).clamp(min=0.0)
         sides = self._compute_sides(shapes)

@@ -1,4 +1,4 @@
-"""Devices of the batched engine: found by name, checked for a compiler, and told what its kernels are to store."""
+"""Devices of the batched engine: found by name and checked for a compiler; truth values as kernels combine them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from hrl_escape.errors import ConfigError, UnsupportedError
 
-__all__ = ["as_flags", "check_compiler", "find_device", "store"]
+__all__ = ["as_flags", "check_compiler", "find_device"]
 
 
 def find_device(device: str | torch.device) -> torch.device:
@@ -40,15 +40,6 @@ def check_compiler(device: torch.device) -> None:
     if device.type == "cpu" and shutil.which(program) is None:
         raise UnsupportedError(f"compile=True needs a C++ compiler, and there is no {program!r}: install one, set CXX, "
                                "or step eagerly with compile=False")
-
-
-def store(value: Tensor) -> Tensor:
-    """Have a compiled kernel compute a value once and store it; the same value.
-
-    The compiler would compute again, in every turn of a loop over solids, whatever the rooms bring to it: gathers
-    from tables, above all. Nothing fuses across a change of strides, be it to the same ones.
-    """
-    return value.as_strided(value.shape, value.stride())
 
 
 def as_flags(where: Tensor) -> Tensor:

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.compilation import CompiledStep
-from hrl_escape.env.batched.devices import check_compiler, find_device, store
+from hrl_escape.env.batched.devices import check_compiler, find_device
 from hrl_escape.env.batched.observations import compute_bounds, load_observation, observe
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle, unpack_bits
@@ -26,6 +26,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations.base import BatchObservation, make_observer
 from hrl_escape.env.state_checks import check_state
+from hrl_escape.env.tensor_geometry import store
 from hrl_escape.errors import (
     ActionError,
     BatchError,

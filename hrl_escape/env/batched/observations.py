@@ -11,7 +11,6 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.env.batched.geometry import Shapes, cast_rays
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_heading, compute_rotation
 from hrl_escape.env.batched.puzzles.base import unpack_bits
 from hrl_escape.env.batched.rules import find_shut
@@ -19,6 +18,7 @@ from hrl_escape.env.batched.tables import INSTEAD, Layout, Tables, pick, pick_ru
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.observations.base import BatchObservation, get_observation, make_observer
+from hrl_escape.env.tensor_geometry import Shapes, cast_rays
 from hrl_escape.errors import UnsupportedError
 
 __all__ = ["compute_bounds", "load_observation", "observe"]

@@ -12,10 +12,10 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
+from hrl_escape.env.bases import TensorBase
 from hrl_escape.env.batched.arm import compute_hand
-from hrl_escape.env.batched.devices import store
-from hrl_escape.env.batched.geometry import Shapes, compute_distance
 from hrl_escape.env.batched.tables import Layout, Tables, pick
+from hrl_escape.env.tensor_geometry import Shapes, compute_distance, store
 
 __all__ = ["TensorState", "compute_angles", "compute_heading", "compute_rotation", "compute_touching",
            "place_base"]

@@ -14,11 +14,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.env.batched.geometry import stack_shapes
 from hrl_escape.env.batched.tables import Layout
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.geometry import Footprint, Solid, make_footprint
 from hrl_escape.env.instance import RoomInstance, Target
+from hrl_escape.env.tensor_geometry import stack_shapes
 
 __all__ = ["COLOURS", "LABELS", "LOOKS", "LOOK_LABELS", "Scenery", "SceneryForm",
            "find_look", "list_base_parts", "stack_scenery"]

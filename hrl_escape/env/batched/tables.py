@@ -15,7 +15,6 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.arm import Arm, make_arm
-from hrl_escape.env.batched.geometry import Shapes, SplitShapes, stack_shapes
 from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorPuzzle, as_signed, get_tensor_puzzle
 from hrl_escape.env.config import DynamicsConfig, RewardConfig, RobotConfig
 from hrl_escape.env.instance import RoomInstance, Start
@@ -25,6 +24,7 @@ from hrl_escape.env.robot import make_robot
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
 from hrl_escape.env.sight import list_hiders
+from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, stack_shapes
 from hrl_escape.errors import ConfigError, UnsupportedError
 
 __all__ = [

@@ -13,10 +13,9 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.arm import compute_hand
-from hrl_escape.env.batched.devices import store
-from hrl_escape.env.batched.geometry import Shapes
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors
+from hrl_escape.env.tensor_geometry import Shapes, store
 from hrl_escape.options.batched.cost_to_go import CostFields, interpolate_cost, locate
 from hrl_escape.options.batched.field_grid import OTHER_PRESS_COST
 from hrl_escape.options.batched.postures import FAR

@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.arm import compute_hand
-from hrl_escape.env.batched.geometry import Shapes, SplitShapes, compute_distance, compute_first_contact
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
 from hrl_escape.env.batched.tables import Layout, Tables, pick, pick_rules
 from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, compute_distance, compute_first_contact
 
 __all__ = ["compute_moves", "compute_resting_hand", "find_touched_by_body", "find_touched_by_hand", "is_in_doorway",
            "is_solved", "make_column", "presses_by_hand", "rotate"]

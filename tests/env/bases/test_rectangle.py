@@ -20,9 +20,9 @@ from hrl_escape.env.bases.rectangle import (
     is_turn_blocked,
     measure_base_gap,
 )
-from hrl_escape.env.batched.geometry import Shapes, stack_shapes
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Footprint, make_footprint
+from hrl_escape.env.tensor_geometry import Shapes, stack_shapes
 
 SIZE = (0.6, 0.3)
 CLOSE = 1e-4  # m, within which coal and a closed form may decide differently

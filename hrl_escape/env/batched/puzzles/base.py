@@ -14,10 +14,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.env.batched.devices import store
 from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.tables import GRIPS, tabulate
+from hrl_escape.env.tensor_geometry import store
 from hrl_escape.errors import StateError, show_value
 
 __all__ = [

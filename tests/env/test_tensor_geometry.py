@@ -9,9 +9,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from hrl_escape.env import geometry
-from hrl_escape.env.batched.geometry import Shapes, cast_rays, compute_distance, compute_first_contact, stack_shapes
 from hrl_escape.env.geometry import Footprint, make_footprint
 from hrl_escape.env.sight import Scanner
+from hrl_escape.env.tensor_geometry import Shapes, cast_rays, compute_distance, compute_first_contact, stack_shapes
 
 numbers = st.floats(-8, 8)
 sizes = st.floats(0.05, 4)

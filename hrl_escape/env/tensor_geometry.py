@@ -19,14 +19,22 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from hrl_escape.env.batched.devices import store
 from hrl_escape.env.geometry import Footprint
 
 __all__ = ["Shapes", "SplitShapes", "cast_rays", "compute_distance", "compute_first_contact", "refine_first_contact",
-           "stack_shapes"]
+           "stack_shapes", "store"]
 
 _NEVER = 1e6  # place of the outlines that only pad a table
 _TINY = 1e-18  # keeps a velocity from zero
+
+
+def store(value: Tensor) -> Tensor:
+    """Have a compiled kernel compute a value once and store it; the same value.
+
+    The compiler would compute again, in every turn of a loop over solids, whatever the rooms bring to it: gathers
+    from tables, above all. Nothing fuses across a change of strides, be it to the same ones.
+    """
+    return value.as_strided(value.shape, value.stride())
 
 
 class Shapes(NamedTuple):
