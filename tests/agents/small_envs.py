@@ -243,7 +243,8 @@ class ButtonGrid(gymnasium.Env):
 def spread_options(smdp: Smdp, seed: int) -> Smdp:
     """The same deterministic SMDP with a state after each primitive inside an option, whose one action is the rest.
 
-    So a cut inside an option has an exact value: `CutEnv` stops there. States keep their numbers, new ones follow.
+    So a cut inside an option has an exact value: `CutEnv` stops there. States keep their numbers, new ones follow. The
+    action is any but the first.
     """
     rng = np.random.default_rng(seed)
     actions = len(smdp[0])
@@ -252,7 +253,7 @@ def spread_options(smdp: Smdp, seed: int) -> Smdp:
         (outcome,) = rows[state][action]
         for done in range(1, len(outcome.rewards)):
             row: list[tuple[Outcome, ...]] = [()] * actions
-            row[int(rng.integers(actions))] = (Outcome(1.0, outcome.next_state, outcome.rewards[done:],
+            row[int(rng.integers(1, actions))] = (Outcome(1.0, outcome.next_state, outcome.rewards[done:],
                                                        outcome.terminated),)
             rows.append(row)
     return tuple(map(tuple, rows))
@@ -265,11 +266,12 @@ class CutEnv(SmdpEnv):
         smdp: before it is spread.
         seed: of the actions by which options go on.
         longest: largest time limit, primitives.
+        shows_cuts: an option is never cut after its first primitive, where it would look like a primitive.
     """
 
-    def __init__(self, smdp: Smdp, seed: int, longest: int = 12) -> None:
+    def __init__(self, smdp: Smdp, seed: int, longest: int = 12, shows_cuts: bool = False) -> None:
         super().__init__(spread_options(smdp, seed), start=None)
-        self.longest = longest
+        self.longest, self.shows_cuts = longest, shows_cuts
         self._inside: dict[tuple[int, int], int] = {}
         """(state, action) -> the state after its first primitive; those after it are numbered on."""
         for state, row in enumerate(smdp):
@@ -288,6 +290,8 @@ class CutEnv(SmdpEnv):
 
     def step(self, action: int) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         state, before = self.state, self.elapsed
+        if self.shows_cuts and len(self.smdp[state][action][0].rewards) > self.horizon - before == 1:
+            self.horizon += 1
         observation, reward, terminated, truncated, info = super().step(action)
         if info["duration"] < len(self.smdp[state][action][0].rewards):
             done = self.elapsed - before

@@ -22,7 +22,7 @@ MUTATIONS = [
           "if self.settings.pseudo_rewards and returned.terminated else 0.0",
           "test_maxq.py::test_every_task_is_worth_its_exact_value_with_pseudo_rewards_and_without"),
     _trap("the manager goes on after the end of the episode", "h_dqn",
-          "0.0 if reached or returned.terminated else decision.discount",
+          "0.0 if reached or returned.terminated or not legal.any() else decision.discount",
           "decision.discount",
           "test_h_dqn.py::test_the_manager_learns_in_the_state_where_the_goal_was_named"),
     _trap("an order that was given up counts as obeyed or left", "feudal_rl",

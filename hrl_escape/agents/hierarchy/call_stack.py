@@ -29,8 +29,7 @@ class Return(NamedTuple):
         seen: the moment reached.
         ended: the call ended by itself, its `ends` said so.
         is_over: the call is over, by itself or because a caller, the episode or the lack of choices ended it.
-        cut: the child that was called did not end by itself.
-        stuck: the call is over because it had nothing left to choose.
+        cut: the child that was called neither ended by itself nor got stuck.
         terminated: the episode ended in the task's sense.
         truncated: the episode was cut off.
     """
@@ -40,7 +39,6 @@ class Return(NamedTuple):
     ended: bool
     is_over: bool
     cut: bool
-    stuck: bool
     terminated: bool
     truncated: bool
 
@@ -48,6 +46,11 @@ class Return(NamedTuple):
     def frame(self) -> Frame:
         """The call whose decision this is."""
         return self.stack[-1]
+
+    @property
+    def stuck(self) -> bool:
+        """The call did not end by itself, but has nothing left to choose, so that nothing follows in its own view."""
+        return not (self.ended or self.terminated) and not self.frame.task.legal(self.seen, self.frame.context).any()
 
     @property
     def decision(self) -> Decision:
@@ -125,15 +128,14 @@ def arrive(
     else:
         keep = ended.index(True) if True in ended else len(stack)
         keep = min(keep, 1) if polled else keep
-    stuck = -1
     while not episode_over and keep > 0 and not stack[keep - 1].task.legal(seen, stack[keep - 1].context).any():
         keep -= 1
-        stuck = keep
     returns = []
     for index in range(len(stack) - 1, max(keep - 2, -1), -1):
-        child_cut = index + 1 < len(stack) and not ended[index + 1]
-        returns.append(Return(stack[: index + 1], seen, ended[index], index >= keep, child_cut,
-                              index == stuck and not ended[index], step.terminated, step.truncated))  # fmt: skip
+        child_cut = index + 1 < len(stack) and not ended[index + 1] and bool(
+            stack[index + 1].task.legal(seen, stack[index + 1].context).any())
+        returns.append(Return(stack[: index + 1], seen, ended[index], index >= keep, child_cut, step.terminated,
+                              step.truncated))  # fmt: skip
     return stack[:keep], returns
 
 

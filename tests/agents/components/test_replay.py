@@ -108,8 +108,9 @@ def test_trap_8_n_step_returns_multiply_each_gamma_k_and_stop_at_ends(decisions,
                 break
         if complete:
             bootstrap = 0.0 if decisions[last].terminated else GAMMA**elapsed
-            expected.append((decisions[first].action, reward, bootstrap, *decisions[last].next_observation))
-    got = [(e.action, e.reward, e.bootstrap, *e.next_observation) for e in joined]
+            expected.append((decisions[first].action, reward, bootstrap, *decisions[last].next_observation,
+                             *decisions[last].next_action_mask))
+    got = [(e.action, e.reward, e.bootstrap, *e.next_observation, *e.next_mask) for e in joined]
     assert len(got) == len(expected)
     for one, other in zip(sorted(got), sorted(expected), strict=True):
         assert one == pytest.approx(other, rel=1e-9, abs=1e-9)

@@ -206,7 +206,7 @@ class HDqn(CallRunner):
                 goal,
                 decision.choice,
                 decision.reward,
-                0.0 if reached or returned.terminated else decision.discount,
+                0.0 if reached or returned.terminated or not legal.any() else decision.discount,
                 frame.task.view(returned.seen, returned.stack),
                 legal,
             )

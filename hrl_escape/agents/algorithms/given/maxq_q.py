@@ -58,7 +58,7 @@ class MaxqQ(CallRunner):
     One a*, chosen by D, serves both: C is the value of the policy that is followed. No pseudo-reward reaches C, so
     callers are told what the environment pays. With `all_states`, C and D are learned for every state on the child's
     way, N counted from there. "Ended" means over for task i: a call that its caller cut short bootstraps, and one whose
-    child was cut learns nothing.
+    child was cut learns nothing, an option of the environment included.
 
     A task whose policy is given has nothing to choose, so it has no completions: like a primitive it is worth what
     its calls earned, learned from every state on the way. A call that was cut bootstraps.
@@ -160,10 +160,13 @@ class MaxqQ(CallRunner):
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Learn the primitive's value, then the completions of the choices that came back, the innermost first."""
         self._way.append((step.seen, step.duration, step.reward))
-        error = abs(self.tables["primitive"].update(self._make_primitive_key(step.action, step.seen), step.reward))
+        was_cut, error = step.truncated and step.duration > 1, 0.0
+        if not was_cut:
+            key = self._make_primitive_key(step.action, step.seen)
+            error = abs(self.tables["primitive"].update(key, step.reward))
         for returned in returns:
             task = _get_task(returned.stack)
-            cut_before_its_end = returned.cut and not (returned.ended or returned.terminated)
+            cut_before_its_end = (returned.cut or was_cut) and not (returned.ended or returned.terminated)
             if task.policy is not None:
                 error = max(error, self._learn_walk(returned, task) if returned.is_over else 0.0)
             elif not cut_before_its_end:

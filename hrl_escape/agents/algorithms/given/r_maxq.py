@@ -195,7 +195,9 @@ class RMaxq(CallRunner):
         return int(np.where(legal, self.plan(task).values[state], -np.inf).argmax())
 
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
-        """Count one primitive."""
+        """Count one primitive; an option that was cut inside does not show where it leads."""
+        if step.truncated and step.duration > 1:
+            return {"states": len(self._moments)}
         before, after, action = self.number(step.seen), self.number(step.next_seen), step.action
         weights = self._weights[before]
         is_new = False

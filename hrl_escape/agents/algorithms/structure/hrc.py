@@ -1,7 +1,9 @@
-"""HRC: causal interventions on subgoals, one after another, until the way to the goal is known.
+"""HRC without its estimate of effects: causal interventions on subgoals, any or told ancestors of the goal.
 
 Khorasani et al. (2025). Subgoals are the bits of the observation. The agent drives those on that it has chosen to
-intervene on, tries every action that has had no effect yet, and learns which bits an action needs.
+intervene on, tries every action that has had no effect yet, and learns which bits an action needs. The paper prefers
+interventions of large estimated effect on the goal. Where the goal needs all of its parents on, nothing is ever seen of
+it before they are, so that no estimate tells its ancestors from other subgoals: the agent goes for any, or is told.
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from hrl_escape.agents.discovery.interventions import InterventionRule, compute_
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.agents.state import StateTree
-from hrl_escape.errors import UnsupportedSpaceError
+from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 from hrl_escape.settings import Range
 
 __all__ = ["Hrc", "HrcSettings"]
@@ -41,9 +43,14 @@ class HrcSettings(AgentSettings):
     max_parents: Annotated[int, Range(0, 8)] = 2
     """Most bits that an action needs."""
     rule: InterventionRule = "uniform"
-    """Choice of the next intervention; the others need `ancestors`, or choose as `uniform` does."""
+    """Choice of the next intervention; all but `uniform` need `ancestors`."""
     ancestors: tuple[Annotated[int, Range(0)], ...] = ()
     """Components of the observation that the agent is told to be ancestors of the goal. Privileged."""
+
+    def check(self) -> None:
+        """Refuse a rule that would choose like `uniform` for want of ancestors."""
+        if self.rule != "uniform" and not self.ancestors:
+            raise AgentSettingsError("HrcSettings.rule", self.rule, "uniform, or with ancestors=(...) that it is told")
 
 
 class Hrc(Agent):

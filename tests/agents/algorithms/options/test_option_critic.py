@@ -208,6 +208,20 @@ def test_updating_every_option_is_in_expectation_updating_the_one_that_runs():
     assert (single != 0).sum() == 1 and (many != 0).all()
 
 
+def test_an_option_that_does_not_run_learns_by_how_much_likelier_it_would_have_acted_so_at_most_once():
+    """Weights 0.5 each; the other option takes the action 27 times, or 1/27 times, as often as the one that runs."""
+    agent, likely = make(options=2, critic_rate=0.5, multi_option=1.0), np.array([0.5, 0.5])
+    tables = agent._claim(0)
+    tables.preferences[0, 0] = math.log(27.0)
+    policies = agent.compute_policies(0, ALL)
+    for option, other in ((0, 1), (1, 0)):
+        ratio = policies[other, 0] / policies[option, 0]
+        change = learn(agent, option, 0, terminated=True, likely=likely)[0][VALUES]
+        assert change[option] == pytest.approx(0.5 * 0.5 * 0.5)
+        assert change[other] == pytest.approx(0.5 * min(0.5 * ratio, 1.0) * 0.5)
+        assert (ratio > 2) == (option == 1), "cut off, or not"
+
+
 def test_the_policy_of_every_option_moves_by_its_own_advantage():
     likely = np.array([0.5, 0.3, 0.2])
     agent = make(critic_rate=1e-12, multi_option=1.0, policy_rate=0.5)

@@ -1,5 +1,8 @@
 """HRC: costs of interventions against a simulation told as a story, and what the agent spends in puzzles."""
 
+import itertools
+
+import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
@@ -7,7 +10,7 @@ from gymnasium import spaces
 from hrl_escape.agents.algorithms.structure.hrc import END, Hrc, HrcSettings
 from hrl_escape.agents.discovery.interventions import compute_expected_cost, find_causes
 from hrl_escape.comparison.graph_recovery import find_edges_that_matter
-from hrl_escape.errors import UnsupportedSpaceError
+from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 from tests.agents.puzzle_envs import make_button_env
 from tests.agents.running import interact
 
@@ -113,6 +116,39 @@ def test_an_action_counts_as_tried_only_where_all_that_was_chosen_is_on_and_anew
     assert not agent._list_untried().any()
     agent.act(np.array([1.0, 0.0, 0.0, 0.0]), np.ones(2, np.bool_))
     assert agent._list_untried().tolist() == [False, True], "some action must have failed by chance"
+
+
+class TreeOfBits(gymnasium.Env):
+    """Twenty bits; an action turns its bit on where its parent is on, the last one ends the task where the goal is."""
+
+    observation_space, action_space = spaces.MultiBinary(20), spaces.Discrete(21)
+
+    def __init__(self, goal):
+        self.goal = goal
+
+    def reset(self, *, seed=None, options=None):
+        self.bits = np.zeros(20, np.int8)
+        return self.bits.copy(), {}
+
+    def step(self, action):
+        if action < 20 and (action == 0 or self.bits[(action - 1) // 2]):
+            self.bits[action] = 1
+        return self.bits.copy(), -1.0, bool(action == 20 and self.bits[self.goal]), False, {}
+
+
+def test_before_the_goal_is_reached_the_data_are_the_same_whichever_subgoal_it_is():
+    """So no estimate of effects can prefer its ancestors: what the paper's rule goes by has to be told."""
+    ways = []
+    for goal in range(15, 20):
+        agent = Hrc(TreeOfBits.observation_space, TreeOfBits.action_space, 0, HrcSettings())
+        play(agent, TreeOfBits(goal), 400, 0)
+        ways.append([sample for sample in itertools.takewhile(lambda sample: not sample[3], agent._samples)])
+    for one, other in itertools.combinations(ways, 2):
+        common = min(len(one), len(other))
+        assert common > 20 and one[:common] == other[:common]
+    for rule in ("targeted", "ancestors"):
+        with pytest.raises(AgentSettingsError, match="ancestors"):
+            HrcSettings(rule=rule)
 
 
 def test_a_hint_is_followed():

@@ -48,6 +48,16 @@ def test_two_forecasts_by_hand():
     assert learner.get_alive(0, 1).tolist()[:2] == [parent, 0], "not beaten any more, and the longer code"
 
 
+def test_a_context_forecasts_from_its_third_visit_on():
+    """The parent is right and the empty set wrong, but the first `visits` samples of a context say nothing."""
+    learner = Meteorologists(np.array([2, 2]), 1, 1, visits=3, delta=0.05)
+    parent = learner.hypotheses.index((0,))
+    for n, on in enumerate([1, 0] * 4):
+        learner.add(np.array([on, 0]), 0, np.array([on, on]), False, 0)
+        compared = learner._tests[0, 1]._ranges[0, parent] > 0
+        assert compared == (n >= 6), "of the seventh sample three of its kind are known"
+
+
 def test_the_true_parents_are_dropped_no_more_often_than_said_and_wrong_ones_always():
     """Bits drawn at random, an action that works in 80 % of the cases where its parents are on."""
     dropped, first, trials, wrong = 0, 0, 20, 0
