@@ -27,7 +27,7 @@ from hrl_escape.agents.components.networks import (
     make_generator,
     make_network,
 )
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept, Stateful
 
 __all__ = ["DistillationBonus", "make_bonus"]
 
@@ -41,7 +41,7 @@ CLIP = 5.0
 """Bound on whitened observations."""
 
 
-class DistillationBonus:
+class DistillationBonus(Stateful):
     """Prediction error of a random network's outputs, and the bonus that it gives.
 
     Args:
@@ -51,6 +51,8 @@ class DistillationBonus:
         settings: of the agent's networks; the predictor learns at their learning rate.
         agent: name of the agent, for messages.
     """
+
+    STATE = ("_learner", "_visits", "_errors", "_mean", "_squares", Kept("_kept_batch", "batch"))
 
     def __init__(
         self, space: gymnasium.Space, seed: int, weight: float, settings: Any, agent: str
@@ -121,23 +123,14 @@ class DistillationBonus:
         self._squares = self._squares + before * (encoded - self._mean)
         return self._scale(encoded)
 
-    def state_dict(self) -> StateTree:
-        """Networks, optimiser, running moments and the batch so far."""
-        return {
-            "learner": self._learner.state_dict(),
-            "visits": self._visits,
-            "errors": self._errors,
-            "mean": self._mean,
-            "squares": self._squares,
-            "batch": np.array(self._batch, self._encoder.dtype).reshape(-1, *self._encoder.shape),
-        }
+    @property
+    def _kept_batch(self) -> NDArray:
+        """Whitened observations that wait for the predictor's next update, (n, *observation shape)."""
+        return np.array(self._batch, self._encoder.dtype).reshape(-1, *self._encoder.shape)
 
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self._learner.load_state_dict(state["learner"])
-        self._visits, self._errors = int(state["visits"]), float(state["errors"])
-        self._mean, self._squares = np.array(state["mean"]), np.array(state["squares"])
-        self._batch = list(np.array(state["batch"]))
+    @_kept_batch.setter
+    def _kept_batch(self, saved: NDArray) -> None:
+        self._batch = list(saved)
 
 
 def make_bonus(

@@ -8,7 +8,7 @@ before which it was achieved already is left out: an episode that asked for it w
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -19,13 +19,50 @@ from hrl_escape.agents.agent import SMDPTransition, compute_backup
 from hrl_escape.agents.components.networks import ObservationEncoder, is_goal_space
 from hrl_escape.agents.components.replay import Experience
 from hrl_escape.agents.goal_rule import GoalRule
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept, Stateful, StateTree, read_value
 from hrl_escape.errors import AgentSettingsError, StepContractError
 
 __all__ = ["HindsightReplay"]
 
 
-class HindsightReplay:
+class _Judgement(NamedTuple):
+    """Reward of a decision after which one goal was achieved and another one desired, and whether that ends it."""
+
+    reward: float
+    terminated: bool
+
+
+class _Decision(NamedTuple):
+    """A decision of the episode, without its observations, which are in the experience.
+
+    Attributes:
+        transition: the rest of it.
+        experience: its backup.
+        before: goal achieved before it.
+        achieved: goal achieved after it.
+        desired: goal asked for.
+        bonus: in its reward.
+    """
+
+    transition: SMDPTransition
+    experience: Experience
+    before: NDArray
+    achieved: NDArray
+    desired: NDArray
+    bonus: float
+
+
+def _pack_episode(episode: list[_Decision]) -> list[StateTree]:
+    return [read_value(decision._replace(transition=decision.transition._replace(trace=[])), "episode")
+            for decision in episode]
+
+
+def _unpack_episode(saved: list[StateTree]) -> list[_Decision]:
+    return [_Decision(**{**fields, "transition": SMDPTransition(**{**fields["transition"], "trace": ()}),
+                         "experience": Experience(**fields["experience"])}) for fields in saved]
+
+
+class HindsightReplay(Stateful):
     """The episode so far, and its backups under goals that it achieved.
 
     Args:
@@ -40,6 +77,8 @@ class HindsightReplay:
     Raises:
         AgentSettingsError: the environment has no goals.
     """
+
+    STATE = ("_rng", Kept("_episode", pack=_pack_episode, unpack=_unpack_episode))
 
     def __init__(self, space: gymnasium.Space, rule: GoalRule | None, goals: int, n_step: int,
                  encoder: ObservationEncoder, settings: Any, rng: np.random.Generator) -> None:
@@ -120,47 +159,3 @@ class HindsightReplay:
             known[pair] = _Judgement(float(self._rule.compute_reward(achieved, goal, {})),
                                      bool(self._rule.compute_terminated(achieved, goal, {})))
         return known[pair]
-
-    def state_dict(self) -> StateTree:
-        """The unfinished episode, and the generator."""
-        return {"rng": self._rng.bit_generator.state,
-                "episode": [decision._asdict() | {"transition": decision.transition._asdict() | {"trace": []},
-                                                  "experience": decision.experience._asdict()}
-                            for decision in self._episode]}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self._rng.bit_generator.state = state["rng"]
-        self._episode = [_Decision(**{**saved, "transition": _load_transition(saved["transition"]),
-                                      "experience": Experience(**saved["experience"])}) for saved in state["episode"]]
-
-
-class _Judgement(NamedTuple):
-    """Reward of a decision after which one goal was achieved and another one desired, and whether that ends it."""
-
-    reward: float
-    terminated: bool
-
-
-class _Decision(NamedTuple):
-    """A decision of the episode, without its observations, which are in the experience.
-
-    Attributes:
-        transition: the rest of it.
-        experience: its backup.
-        before: goal achieved before it.
-        achieved: goal achieved after it.
-        desired: goal asked for.
-        bonus: in its reward.
-    """
-
-    transition: SMDPTransition
-    experience: Experience
-    before: NDArray
-    achieved: NDArray
-    desired: NDArray
-    bonus: float
-
-
-def _load_transition(saved: Mapping[str, Any]) -> SMDPTransition:
-    return SMDPTransition(**{**saved, "trace": ()})

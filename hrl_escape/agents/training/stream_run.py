@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Mapping
 from typing import Any, cast
 
 import gymnasium
@@ -16,7 +15,7 @@ import torch
 from gymnasium.vector import VectorEnv
 
 from hrl_escape.agents.registry import SMDP_PREFIX
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Stateful, StateTree
 from hrl_escape.agents.streams import StreamAgent, Streams, StreamTransitions, gather_decisions
 from hrl_escape.agents.training.env_description import describe_many
 from hrl_escape.agents.training.evaluation import compute_episode_seed
@@ -130,8 +129,13 @@ class StreamRun(Run):
                 self._tally.load_state_dict(state["tally"])
 
 
-class _StreamTally:
-    """Returns and lengths of running episodes, and sums over those that ended, on the device."""
+class _StreamTally(Stateful):
+    """Returns and lengths of running episodes, and sums over those that ended, on the device.
+
+    The sums are empty between segments, so that the state is that of the running episodes.
+    """
+
+    STATE = ("_running",)
 
     def __init__(self, count: int, device: torch.device) -> None:
         self._running = torch.zeros((2, count), dtype=torch.float64, device=device)  # return and length so far
@@ -154,11 +158,3 @@ class _StreamTally:
         return {"train/episodes": int(episodes), "train/successes": int(successes),
                 "train/return": returns / episodes if episodes else None,
                 "train/length": lengths / episodes if episodes else None}
-
-    def state_dict(self) -> StateTree:
-        """Running episodes; sums are empty between segments."""
-        return {"running": self._running.cpu().numpy()}
-
-    def load_state_dict(self, state: Mapping[str, Any]) -> None:
-        """Restore the result of `state_dict`."""
-        self._running.copy_(torch.from_numpy(state["running"]))

@@ -95,6 +95,7 @@ class OptionCritic(OptionAgent):
     name: ClassVar[str] = "option-critic"
     Settings: ClassVar[type] = OptionCriticSettings
     settings: OptionCriticSettings
+    STATE = ("log", "_option", "_decisions", "_likely", "_rng")
 
     def __init__(
         self,
@@ -238,26 +239,16 @@ class OptionCritic(OptionAgent):
         return True
 
     def state_dict(self) -> StateTree:
-        """Tables in order of first meeting, the running option, its log, generator."""
+        """Tables in order of first meeting, beside what `STATE` names."""
         keys = [np.frombuffer(key, np.uint8) for key in self._tables]
         columns = zip(*self._tables.values(), strict=True) if keys else ([] for _ in OptionTables._fields)
-        return {
-            "keys": np.array(keys, np.uint8),
-            **{name: np.array(column) for name, column in zip(OptionTables._fields, columns, strict=True)},
-            "log": self.log.state_dict(),
-            "option": self._option,
-            "decisions": self._decisions,
-            "likely": self._likely,
-            "rng": self._rng.bit_generator.state,
-        }
+        tables = {name: np.array(column) for name, column in zip(OptionTables._fields, columns, strict=True)}
+        return {"keys": np.array(keys, np.uint8), **tables, **super().state_dict()}
 
     def load_state_dict(self, state: StateTree) -> None:
         """Restore the result of `state_dict`."""
         columns = (np.array(state[name]) for name in OptionTables._fields)
         rows = (OptionTables(*row) for row in zip(*columns, strict=True))
         self._tables = {key.tobytes(): row for key, row in zip(state["keys"], rows, strict=True)}
-        self.log.load_state_dict(state["log"])
-        self._option, self._decisions = int(state["option"]), int(state["decisions"])
-        self._likely = np.array(state["likely"])
-        self._rng.bit_generator.state = state["rng"]
         self._evaluation = None
+        super().load_state_dict(state)
