@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 from hrl_escape.agents import evaluate, make_agent
 from hrl_escape.agents.agent import Agent, count_actions, make_transition
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
-from hrl_escape.comparison.inference import compare_pairs, compute_sign_flip_p, correct_by_holm
+from hrl_escape.comparison.inference import compare_pairs, correct_by_holm
 from hrl_escape.comparison.statistics import compute_iqm
+from studies.statistics import compute_sign_flip_p
 
 EPISODES = 20
 """Greedy episodes in an evaluation, the same ones for every contender and seed."""

@@ -73,7 +73,7 @@ class Study:
     @property
     def command(self) -> str:
         """Beginning of every command line that runs it."""
-        return f"python -m studies {self.name}"
+        return f"python -m studies {self.name if self.folder.parent == ROOT else self.folder}"
 
     @cached_property
     def grids(self) -> tuple[Grid, ...]:

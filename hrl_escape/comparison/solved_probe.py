@@ -5,6 +5,7 @@ It notes when the frozen policy first came near the best, and the precision and 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -15,13 +16,16 @@ from hrl_escape.agents.agent import Agent
 from hrl_escape.agents.state import StateTree
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.agents.training.results import EpisodeRecord
-from hrl_escape.comparison.graph_recovery import EdgeSet, compare_graphs, find_edges_that_matter
 from hrl_escape.comparison.grid import AgentSpec, SolvedRule
 from hrl_escape.comparison.score_range import ScoreRange
 from hrl_escape.comparison.statistics import compute_score
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.puzzles.graphs import find_ancestors
 
-__all__ = ["Solution", "SolvedProbe"]
+__all__ = ["EdgeSet", "Solution", "SolvedProbe", "compare_graphs", "find_edges_that_matter"]
+
+EdgeSet = frozenset[tuple[int, int]]
+"""Edges of a dependency graph, (parent, child)."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +99,7 @@ class SolvedProbe:
             self._structure.append((primitives, *now))
 
     def _read_graph(self, graph: EdgeSet) -> EdgeSet:
-        """EdgeSet that matter among buttons; the agent numbers them by their place in the observation."""
+        """Edges that matter among buttons; the agent numbers them by their place in the observation."""
         first = self._first_bit
         edges = {(p - first, c - first) for p, c in graph if p >= first and c >= first}
         return find_edges_that_matter(edges, self._goals)
@@ -132,3 +136,39 @@ class SolvedProbe:
         self._structure = [(int(n), p, r) for n, p, r in state["structure"]]
         self._near_best, self._candidate = state["near_best"], state["candidate"]
         self._next_check, self._next_graph = state["next_check"], state["next_graph"]
+
+
+# --- the graph --------------------------------------------------------------------------------
+
+
+def find_edges_that_matter(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> EdgeSet:
+    """Edges that some order of presses towards the goals can tell from none.
+
+    Those are the edges among the ancestors of the goals that no longer way implies: with a before b and b before c,
+    an edge from a to c changes nothing, so no agent can find it.
+
+    Args:
+        edges: (parent, child) pairs; a believed graph may have cycles.
+        goals: targets that solve the puzzle.
+    """
+    every = set(edges)
+    ancestors = find_ancestors(every, goals)
+    kept = {(parent, child) for parent, child in every if child in ancestors}
+
+    def is_implied(edge: tuple[int, int]) -> bool:
+        reached, frontier = {edge[0]}, [edge[0]]
+        while frontier:
+            node = frontier.pop()
+            for following in (other for other in kept if other[0] == node and other != edge):
+                if following[1] not in reached:
+                    reached.add(following[1])
+                    frontier.append(following[1])
+        return edge[1] in reached
+
+    return frozenset(edge for edge in kept if not is_implied(edge))
+
+
+def compare_graphs(found: EdgeSet, true: EdgeSet) -> tuple[float, float]:
+    """Precision (1 where nothing was found and nothing is there, else 0) and recall of edges."""
+    hits = len(found & true)
+    return hits / len(found) if found else float(not true), hits / len(true) if true else 1.0

@@ -28,7 +28,6 @@ __all__ = [
     "compute_mean_efficiency",
     "compute_profile",
     "compute_score",
-    "compute_slope",
     "split_gap",
 ]
 
@@ -139,25 +138,6 @@ def compute_final(x: ArrayLike, y: ArrayLike, end: float) -> float:
         end: the budget, in units of `x`.
     """
     return float(np.mean(np.asarray(y, dtype=np.float64)[np.asarray(x, dtype=np.float64) >= LATE * end]))
-
-
-def compute_slope(x: ArrayLike, y: ArrayLike, start: float, end: float) -> float:
-    """Least-squares slope of a learning curve between two points, in units of `y` per unit of `x`.
-
-    Args:
-        x: (n,) where it was measured.
-        y: (n,) the values; NaN where nothing was measured.
-        start: from where, included.
-        end: to where, included.
-
-    Returns:
-        The slope; 0 with fewer than two measurements in between, which show no trend.
-    """
-    at, values = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    chosen = (at >= start) & (at <= end) & np.isfinite(values)
-    away = at[chosen] - at[chosen].mean() if chosen.any() else np.zeros(0)
-    spread = float(np.sum(away**2))
-    return float(np.sum(away * values[chosen]) / spread) if spread > 0 else 0.0
 
 
 class Gap(NamedTuple):

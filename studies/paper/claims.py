@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
-from hrl_escape.comparison.inference import Estimate, correct_by_benjamini_hochberg
+from hrl_escape.comparison.inference import Estimate
 from hrl_escape.comparison.pairs import ALPHA
 from hrl_escape.comparison.statistics import compute_final
 from studies.paper.measures import (
@@ -26,6 +26,7 @@ from studies.paper.measures import (
     share_of_training,
 )
 from studies.raw import RawRun
+from studies.statistics import correct_by_benjamini_hochberg
 
 __all__ = ["MEASURES", "Claim", "Criterion", "Finding", "judge_claims"]
 

@@ -14,18 +14,11 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from hrl_escape.comparison.inference import (
-    Estimate,
-    Statistic,
-    compare_pairs,
-    compute_ends,
-    compute_sign_flip_p,
-    cut_interval,
-    draw_weights,
-)
-from hrl_escape.comparison.statistics import LATE, Floats, compute_final, compute_iqm, compute_mean, compute_slope
+from hrl_escape.comparison.inference import Estimate, Statistic, compare_pairs, compute_ends, cut_interval, draw_weights
+from hrl_escape.comparison.statistics import LATE, Floats, compute_final, compute_iqm, compute_mean
 from hrl_escape.errors import ComparisonError
 from studies.raw import BINS, OPTIMAL_SCORE, RawRun
+from studies.statistics import compute_sign_flip_p, compute_slope
 
 __all__ = [
     "Measurement",

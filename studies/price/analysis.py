@@ -14,7 +14,6 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import EngFormatter, LogLocator, NullFormatter
 
 from hrl_escape.agents.registry import get_recipe
-from hrl_escape.comparison.inference import compute_restricted_mean, compute_survival
 from hrl_escape.comparison.reporting.agent_style import GREYS, SPARE
 from hrl_escape.env.drawing import palette
 from hrl_escape.names import count_nouns, join_words
@@ -33,6 +32,7 @@ from studies.price.words import (
     tell_number,
 )
 from studies.running import StudyArgs
+from studies.statistics import compute_restricted_mean, compute_survival
 from studies.store import Store
 from studies.study import Page, Study
 

@@ -12,8 +12,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from hrl_escape.comparison.inference import compute_restricted_mean
 from studies.scaling.results import ScalingRun
+from studies.statistics import compute_restricted_mean
 
 __all__ = ["FollowedRuns", "Pick", "count_spared", "follow_runs", "list_bins"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -10,11 +10,11 @@ import numpy as np
 
 from hrl_escape.agents.training.results import load_result
 from hrl_escape.comparison.comparison import Comparison
-from hrl_escape.comparison.graph_recovery import compute_edge_depth, find_edges_that_matter
 from hrl_escape.comparison.runs import get_training_folder
+from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.env.instance import RoomInstance
 
-__all__ = ["RoomKind", "ScalingRun", "collect_scaling_runs"]
+__all__ = ["RoomKind", "ScalingRun", "collect_scaling_runs", "compute_edge_depth"]
 
 
 class RoomKind(NamedTuple):
@@ -110,3 +110,11 @@ def collect_scaling_runs(comparison: Comparison, rooms: Mapping[RoomKind, RoomIn
 def _measure_depth(room: RoomInstance) -> int:
     goals = room.puzzle.goal_targets
     return compute_edge_depth(find_edges_that_matter(room.puzzle.edges, goals), goals)
+
+
+def compute_edge_depth(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> int:
+    """Most edges in a row that lead to a goal; edges are (parent, child) pairs without cycles."""
+    every, level, depth = set(edges), set(goals), 0
+    while level := {parent for parent, child in every if child in level}:
+        depth += 1
+    return depth

@@ -12,12 +12,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hrl_escape.comparison.inference import compute_restricted_mean, compute_sign_flip_p, correct_by_holm
+from hrl_escape.comparison.inference import correct_by_holm
 from hrl_escape.comparison.pairs import ALPHA
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.scaling.results import ScalingRun
 from studies.scaling.rounds import MAX_PARENTS, TOLD, TOLD_TASKS
+from studies.statistics import compute_restricted_mean, compute_sign_flip_p
 
 __all__ = ["HOLDS", "ToldCost", "compute_told_costs", "list_told_rows", "tell_told"]
 

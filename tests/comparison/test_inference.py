@@ -14,8 +14,6 @@ from scipy import stats
 from hrl_escape.comparison.inference import (
     compare_pairs,
     compute_interval,
-    compute_restricted_mean,
-    compute_sign_flip_p,
     compute_wilson_interval,
     correct_by_holm,
 )
@@ -83,21 +81,6 @@ def test_wilsons_interval_is_scipys(hits: int, misses: int):
     assert compute_wilson_interval(hits / tries, tries) == pytest.approx((exact.low, exact.high))
 
 
-# --- time to an event ------------------------------------------------------------------
-
-
-def test_restricted_mean_of_runs_censored_at_the_horizon_is_the_mean_of_capped_times():
-    assert compute_restricted_mean([100, 300, 1000, 1000], [True, True, False, False], 1000) == 600
-
-
-def test_restricted_mean_is_the_area_under_the_survival_curve():
-    """Survival 1 to 2, 3/4 to 3, then 3/4 x 1/2 to 5 (one was lost at 3, so two are left), then 0."""
-    found = compute_restricted_mean([2, 3, 4, 5], [True, False, True, True], 10)
-    assert found == pytest.approx(2 + 0.75 * (4 - 2) + 0.375 * (5 - 4))
-    survival = stats.ecdf(stats.CensoredData(uncensored=[2, 4, 5], right=[3])).sf
-    assert found == pytest.approx(sum(survival.evaluate(np.arange(0, 10, 0.01)) * 0.01), abs=0.02)
-
-
 # --- paired tests ----------------------------------------------------------------------
 
 
@@ -155,34 +138,3 @@ def test_holm_keeps_the_order_and_lies_between_none_and_bonferroni(p: list[float
     for (a, b), (x, y) in zip(itertools.pairwise(sorted(p)), itertools.pairwise(sorted(adjusted)), strict=True):
         assert a <= b and x <= y
     assert all(raw <= value <= min(1, len(p) * raw) + 1e-12 for raw, value in zip(p, adjusted, strict=True))
-
-
-# --- signs -----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("count", range(1, 11))
-def test_differences_of_nought_and_one_have_the_p_of_their_signs(count: int):
-    """Only those that are not 0 have a sign: all of them up, by chance, once in 2 to their number."""
-    differences = [1.0] * count + [0.0] * (10 - count)
-    assert compute_sign_flip_p(differences, "above") == 0.5**count
-    assert compute_sign_flip_p([-each for each in differences], "below") == 0.5**count
-    assert compute_sign_flip_p(differences, "below") == 1.0
-
-
-def test_the_p_of_signs_is_scipys_over_all_of_them():
-    differences = rng(3).normal(0.4, 1.0, 9)
-    for side, alternative in (("above", "greater"), ("below", "less")):
-        exact = stats.permutation_test((differences,), np.mean, permutation_type="samples", n_resamples=np.inf,
-                                       alternative=alternative).pvalue
-        assert compute_sign_flip_p(differences, side) == pytest.approx(exact)
-
-
-def test_drawn_signs_of_many_differences_never_give_nought():
-    """The differences themselves are one of the draws."""
-    assert compute_sign_flip_p(np.ones(40), "above") == 2.0**-14
-    assert compute_sign_flip_p(rng(1).normal(0.0, 1.0, 40), "above") == pytest.approx(
-        1 - compute_sign_flip_p(rng(1).normal(0.0, 1.0, 40), "below"), abs=0.02)
-
-
-def test_equal_sums_count_as_reached_whatever_their_rounding():
-    assert compute_sign_flip_p([0.1, 0.2, -0.3], "above") == 5 / 8

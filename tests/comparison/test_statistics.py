@@ -17,7 +17,6 @@ from hrl_escape.comparison.statistics import (
     compute_mean_efficiency,
     compute_profile,
     compute_score,
-    compute_slope,
     split_gap,
 )
 
@@ -133,16 +132,3 @@ def test_a_run_comes_to_the_mean_of_its_last_fifth():
 def test_gaps_add_up_to_what_is_missing():
     gap = split_gap(score=0.7, reachable=0.95)
     assert gap == pytest.approx((0.05, 0.25)) and sum(gap) == pytest.approx(0.3)
-
-
-# --- slope -----------------------------------------------------------------------------
-
-
-def test_slope_is_that_of_linear_regression_over_the_chosen_part():
-    x, y = np.arange(10.0), np.array([9, 9, 9, 9, 1, 4, 2, 6, np.nan, 5])
-    kept = [4, 5, 6, 7, 9]
-    assert compute_slope(x, y, 4, 9) == pytest.approx(stats.linregress(x[kept], y[kept]).slope)
-
-
-def test_slope_of_fewer_than_two_measurements_is_none():
-    assert compute_slope([0, 1], [3, np.nan], 0, 1) == compute_slope([], [], 0, 1) == 0

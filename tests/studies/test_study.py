@@ -76,7 +76,7 @@ def test_a_new_study_is_a_folder_of_fewer_than_60_lines_besides_its_template(pla
     assert done.returncode == 0, done.stderr
     assert "`planner` escapes most often." in done.stdout and f"Page: {docs / 'one-button.md'}" in done.stdout
     page, raw = (docs / "one-button.md").read_text(), docs / "raw" / "one-button.jsonl"
-    assert "| planner | 2 | 1.00 |" in page and "python -m studies one-button --runs 2" in page
+    assert "| planner | 2 | 1.00 |" in page and f"python -m studies {planted} --runs 2" in page
     assert raw.read_text().count("\n") == 4
     raw.write_text(raw.read_text().replace('"escapes":1.0', '"escapes":0.0'))
     assert call(str(planted), "--docs", str(docs), "--from-raw").returncode == 0

@@ -1,6 +1,7 @@
-"""Recovered graphs: edges that matter, precision and recall."""
+"""Recovery of a graph: edges that matter, precision and recall, and the longest chain."""
 
-from hrl_escape.comparison.graph_recovery import compare_graphs, compute_edge_depth, find_edges_that_matter
+from hrl_escape.comparison.solved_probe import compare_graphs, find_edges_that_matter
+from studies.scaling.results import compute_edge_depth
 
 
 def test_an_edge_that_a_longer_way_implies_does_not_matter():
