@@ -238,14 +238,18 @@ class AbsentOption(Option):
 
 
 def list_goals(instance: RoomInstance) -> list[Goal]:
-    """Goals of a room: presses of the targets of its frame, unless they are cells of a map; then the model's others."""
-    pressed = () if instance.puzzle.target_cells else range(len(instance.frame.target_names))
-    goals: list[Goal] = [PressGoal(i) for i in pressed]
+    """Goals of a room: presses of the targets of its frame, unless they are cells of a map; then the model's others.
+
+    What is done at every target beside presses, such as gripping, stands for the frame's other targets, too.
+    """
+    own, every = len(instance.targets), len(instance.frame.target_names)
+    goals: list[Goal] = [PressGoal(i) for i in (() if instance.puzzle.target_cells else range(every))]
     for op in instance.symbolic_model.operators:
         goal = make_goal(op, instance)
         if goal not in goals:
             goals.append(goal)
-    return goals
+    grips = dict.fromkeys(goal.action for goal in goals if isinstance(goal, GripGoal))
+    return goals + [GripGoal(target, action) for target in range(own, every) for action in grips]
 
 
 def make_option(name: str, planner: RoomPlanner, goal: Goal) -> Option:
@@ -254,7 +258,7 @@ def make_option(name: str, planner: RoomPlanner, goal: Goal) -> Option:
         from hrl_escape.options.pushing import PushOption  # loads scipy, which presses do not need
 
         return PushOption(name, planner, goal)
-    if isinstance(goal, PressGoal) and goal.target >= len(planner.instance.targets):
+    if isinstance(goal, (PressGoal, GripGoal)) and goal.target >= len(planner.instance.targets):
         return AbsentOption(name)
     return PlannedOption(name, planner, goal)
 
@@ -282,7 +286,8 @@ def make_meta_options(instance: RoomInstance, flavour: str = "press", planner: R
     parts = {goal: make_option(f"meta-{n:02d}", planner, goal) for n, goal in enumerate(goals, 1)}
     options: list[Option] = list(parts.values())
     if flavour == "press-with-ancestors":
-        options = [AncestorsOption(option.name, planner, goal, parts) for goal, option in parts.items()]
+        options = [option if isinstance(option, AbsentOption) else AncestorsOption(option.name, planner, goal, parts)
+                   for goal, option in parts.items()]
     elif flavour == "press-markov":
         options = [MarkovOption(option.name, planner, goal)
                    if isinstance(option, PlannedOption) and not _is_lattice_push(goal) else option

@@ -7,11 +7,13 @@ import numpy as np
 import pytest
 import torch
 
+from hrl_escape.agents import train
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import ConfigError, UnknownNameError
-from hrl_escape.ladder.benchmark import Benchmark
+from hrl_escape.ladder.benchmark import Benchmark, load_benchmark
 from hrl_escape.options.batched.env import BatchedOptionsEnv
+from hrl_escape.options.meta_actions import list_goals
 from hrl_escape.options.options_env import OptionsEnv
 from tests.ladder.small import make_manifest
 
@@ -95,3 +97,25 @@ def test_a_batch_holds_every_room_of_the_set(rooms):
     assert isinstance(decisions, BatchedOptionsEnv)
     decisions.reset(torch.arange(8))
     assert decisions.action_names[-1] == "meta-exit" and decisions.actions == 7
+
+
+@pytest.mark.parametrize("rung", [rung.name for rung in load_benchmark("ladder-1")])
+def test_rooms_of_a_rung_offer_the_same_goals_in_the_same_order(rung):
+    """Else no learner of options could go from one to the next."""
+    rooms = load_benchmark("ladder-1")[rung].train
+    goals = [list_goals(rooms[index]) for index in range(10)]
+    assert all(other == goals[0] for other in goals)
+
+
+@pytest.mark.parametrize("flavour", ["press", "press-with-ancestors"])
+def test_options_over_rooms_of_two_and_three_blocks_are_learned_from_and_the_missing_ones_are_masked(flavour):
+    rooms = load_benchmark("ladder-1")["freight"].train[:4]
+    assert {len(room.targets) for room in rooms} == {2, 3}
+    env = rooms.make_env(options={"include_primitives": False, "flavour": flavour})
+    for seed in range(6):
+        _, info = env.reset(seed=seed)
+        missing = [index for index, goal in enumerate(list_goals(env.unwrapped.instance))
+                   if getattr(goal, "target", 0) >= len(env.unwrapped.instance.targets)]
+        assert len(missing) in (0, 3) and not info["action_mask"][missing].any() and info["action_mask"].any()
+    result = train("q-learning", env, primitives=300, eval_episodes=0, progress=False)
+    assert result.primitives >= 300

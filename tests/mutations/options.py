@@ -169,4 +169,11 @@ MUTATIONS = [
         "[wanted < 0, wanted > 0]",
         "options/batched/test_hand_presses.py::test_rooms_pressed_by_hand_go_on_without_the_planner",
     ),
+    Mutation(
+        "places that a room lacks have no options to grip there",
+        "options/meta_actions.py",
+        "return goals + [GripGoal(target, action) for target in range(own, every) for action in grips]",
+        "return goals",
+        "ladder/test_instance_set.py",
+    ),
 ]
