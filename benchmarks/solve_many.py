@@ -94,14 +94,14 @@ def solve_room(config: RoomConfig, seed: int) -> dict[str, object]:
     try:
         if dynamics.kind == "physics" or dynamics.is_random or instance.puzzle.is_random:
             run = pursue(env, planner=planner)
-            escaped, count = run.terminated, len(run.rewards)
+            escaped, count = run.escaped, len(run.rewards)
             planned = sum(decision["planner_seconds"] for decision in run.decisions)
         else:
             plan = planner.solve(env.get_state())
             planned = plan.seconds
             run = plan.execute(env)
-            escaped, count = run.terminated and run.as_predicted, plan.cost
-        end, why = ("escaped", "") if escaped else ("out of time" if run.truncated else "not escaped", "")
+            escaped, count = run.escaped and run.as_predicted, plan.cost
+        end, why = ("escaped", "") if escaped else (run.end.words if run.end.is_over else "not escaped", "")
     except PlanningFailed as failure:
         end, why, count = "no plan", str(failure), 0
     finally:

@@ -24,7 +24,7 @@ def main(config: str = "clutter", draw: Path = Path("plan.svg")) -> None:
     plan = planner.solve(env.unwrapped.get_state())
     print(plan)
     execution = plan.execute(env)
-    print(f"driven: escaped {execution.terminated}, return {sum(execution.rewards):g}, "
+    print(f"driven: escaped {execution.escaped}, return {sum(execution.rewards):g}, "
           f"every state as predicted: {execution.as_predicted}")
     plan.draw(draw)
     print(f"drawn: {draw}")

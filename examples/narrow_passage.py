@@ -43,7 +43,7 @@ def main() -> None:
     env.reset(options={"state": plan.states[0]})
     run = plan.execute(env)
     env.close()
-    print(f"driven: escaped {run.terminated}, every state as predicted: {run.as_predicted}")
+    print(f"driven: escaped {run.escaped}, every state as predicted: {run.as_predicted}")
     if chosen.draw:
         save_map(chosen.draw, room, plan.states[len(plan.states) // 2], [Trajectory(plan.path, "escape")])
 

@@ -43,7 +43,7 @@ def run(args: DemoArgs) -> None:
     drive = drive_room(dataclasses.replace(instance, starts=(start,)), plan.primitives)
     parts = ", ".join(make_console_text(part.name) for part in plan.parts)
     console.print(f"[bold]{make_console_text(instance.name)}[/bold], seed {instance.seed}: {len(plan.primitives)} "
-                  f"primitives for {parts}, found in {plan.seconds:.2f} s; driven in Bullet: {drive.describe_end()}, "
+                  f"primitives for {parts}, found in {plan.seconds:.2f} s; driven in Bullet: {drive.end.words}, "
                   f"return {drive.total:g}")
     legs = [Trajectory(drive.path[part.start : part.stop + 1], part.name) for part in plan.parts]
     map_ = args.folder / "map.svg"

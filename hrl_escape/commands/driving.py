@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -30,16 +31,14 @@ class Drive:
         states: one more than primitives.
         rewards: one a primitive.
         pressed: number of a primitive, from 1, and the names of the targets that it pressed.
-        terminated: the robot escaped.
-        truncated: the horizon was reached.
+        end: how the episode ended.
     """
 
     primitives: tuple[str, ...]
     states: tuple[RoomState, ...]
     rewards: tuple[float, ...]
     pressed: tuple[tuple[int, tuple[str, ...]], ...]
-    terminated: bool
-    truncated: bool
+    end: EpisodeEnd
 
     @property
     def total(self) -> float:
@@ -51,14 +50,10 @@ class Drive:
         """Positions of the body's axis, m."""
         return [(state.x, state.y) for state in self.states]
 
-    def describe_end(self) -> str:
-        """End of the episode in words."""
-        return "escaped" if self.terminated else "out of time" if self.truncated else "still inside"
-
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
-        return {"primitives": list(self.primitives), "return": self.total, "terminated": self.terminated,
-                "truncated": self.truncated, "path": self.path,
+        return {"primitives": list(self.primitives), "return": self.total, "end": self.end.value,
+                "path": self.path,
                 "pressed": [{"primitive": at, "targets": list(names)} for at, names in self.pressed]}
 
 
@@ -109,16 +104,17 @@ def drive_room(instance: RoomInstance, actions: Sequence[int], seed: int = 0) ->
     env = EscapeRoomEnv(instance=instance)
     env.reset(seed=seed)
     states, rewards, pressed = [env.get_state()], [], []
-    terminated = truncated = False
+    end = EpisodeEnd.STOPPED
     for number, action in enumerate(actions, start=1):
         _, reward, terminated, truncated, info = env.step(action)
         states.append(env.get_state())
         rewards.append(float(reward))
         if info["pressed"].any():
             pressed.append((number, tuple(instance.targets[target].name for target in np.flatnonzero(info["pressed"]))))
-        if terminated or truncated:
+        end = EpisodeEnd.of_step(bool(info["success"]), terminated, truncated)
+        if end.is_over:
             break
     env.close()
     names = get_names(instance)
     done = tuple(names[action] for action in actions[: len(rewards)])
-    return Drive(done, tuple(states), tuple(rewards), tuple(pressed), terminated, truncated)
+    return Drive(done, tuple(states), tuple(rewards), tuple(pressed), end)

@@ -56,8 +56,8 @@ def run(args: RecordArgs) -> None:
     check_camera(args.camera)
     recording = _record(args)
     console = Console(soft_wrap=True)
-    console.print(f"{make_console_text(recording.driver)}: {recording.end} after {len(recording.rewards)} primitives, "
-                  f"return {sum(recording.rewards):g}")
+    console.print(f"{make_console_text(recording.driver)}: {recording.end.words} after {len(recording.rewards)} "
+                  f"primitives, return {sum(recording.rewards):g}")
     for path in args.out:
         if path.suffix.lower() == PAGE_ENDING:
             from hrl_escape.viewer.pages.replay import save_replay  # needs the extra `viewer`, which animations do not

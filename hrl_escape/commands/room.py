@@ -145,7 +145,7 @@ def _print(report: dict[str, Any], drive: Drive) -> None:
     if "check" in report:
         table.add_row("check", make_console_text(report["check"]))
     if drive.primitives:
-        table.add_row("drive", f"{len(drive.primitives)} primitives, return {drive.total:g}, {drive.describe_end()}")
+        table.add_row("drive", f"{len(drive.primitives)} primitives, return {drive.total:g}, {drive.end.words}")
         for number, names in drive.pressed:
             table.add_row("", f"primitive {number} pressed {_join(names)}")
     for path in report["files"]:

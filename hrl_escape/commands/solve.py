@@ -23,6 +23,7 @@ from hrl_escape.commands.room_choice import RoomChoice
 from hrl_escape.env.drawing.formats import VIDEO_FORMATS, check_picture_name
 from hrl_escape.env.drawing.video import make_filmstrip, save_picture, save_video
 from hrl_escape.env.engine import check_camera, film
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -115,8 +116,8 @@ def _describe(instance: RoomInstance, args: SolveArgs, outcome: _Outcome) -> dic
     executed = outcome.run
     report: dict[str, Any] = {
         "room": instance.name, "seed": instance.seed, "id": instance.id, "goal": args.goal,
-        "reached": outcome.is_reached, "escaped": executed.terminated, "primitives": len(executed.rewards),
-        "return": float(sum(executed.rewards)),
+        "reached": outcome.is_reached, "escaped": executed.escaped, "end": executed.end.value,
+        "primitives": len(executed.rewards), "return": float(sum(executed.rewards)),
     }
     if outcome.plan is not None:
         report["plan"] = outcome.plan.to_dict()
@@ -136,7 +137,8 @@ def _print(report: dict[str, Any], outcome: _Outcome) -> None:
                       f"by {outcome.plan.planner}")
     elif isinstance(outcome.run, ClosedLoopExecution):
         console.print(_make_decision_table(outcome.run))
-    end = "escaped" if report["escaped"] else "reached" if report["reached"] else "not reached"
+    decided = outcome.run.end in (EpisodeEnd.ESCAPED, EpisodeEnd.FAILED)
+    end = outcome.run.end.words if decided else "reached" if report["reached"] else "not reached"
     exact = ", every state as predicted" if outcome.plan is not None and outcome.is_reached else ""
     console.print(f"run: [bold]{end}[/bold] after {report['primitives']} primitives, return {report['return']:g}"
                   + exact)

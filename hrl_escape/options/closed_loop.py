@@ -11,6 +11,7 @@ from typing import Any
 
 import gymnasium
 
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.options.meta_actions import list_goals, make_meta_options, make_option
 from hrl_escape.options.option import Option
@@ -33,16 +34,19 @@ class ClosedLoopExecution:
         states: states, the first one included.
         rewards: one a primitive.
         is_reached: the goal was reached.
-        terminated: the robot escaped, or the puzzle was failed.
-        truncated: the episode was cut off.
+        end: how the episode ended; `STOPPED` where it can go on.
     """
 
     decisions: tuple[dict[str, Any], ...]
     states: tuple[RoomState, ...]
     rewards: tuple[float, ...]
     is_reached: bool
-    terminated: bool
-    truncated: bool
+    end: EpisodeEnd
+
+    @property
+    def escaped(self) -> bool:
+        """True where the robot escaped."""
+        return self.end is EpisodeEnd.ESCAPED
 
 
 def pursue(env: gymnasium.Env, goal: Goal | str | None = None, planner: RoomPlanner | None = None
@@ -72,13 +76,14 @@ def pursue(env: gymnasium.Env, goal: Goal | str | None = None, planner: RoomPlan
     wrapped.resume()
     decisions: list[dict[str, Any]] = []
     states, rewards = [room.get_state()], []
-    failures, is_reached, terminated, truncated = 0, False, False, False
-    while not (is_reached or terminated or truncated) and failures < MOST_FAILURES:
+    failures, is_reached, end = 0, False, EpisodeEnd.STOPPED
+    while not (is_reached or end.is_over) and failures < MOST_FAILURES:
         following = planner.order_goals(states[-1])[0] if goal is None else goal
         _, _, terminated, truncated, info = wrapped.step(goals.index(following))
+        end = EpisodeEnd.of_step(planner.rules.has_escaped(room.get_state()), terminated, truncated)
         decisions.append(info["option"] | {"duration": info["duration"]})
         states += [step.next_state for step in info["trace"]]
         rewards += info["rewards"]
         failures = 0 if info["option"]["ended"] == "reached" else failures + 1
         is_reached = planner.rules.has_escaped(states[-1]) if goal is None else info["option"]["ended"] == "reached"
-    return ClosedLoopExecution(tuple(decisions), tuple(states), tuple(rewards), is_reached, terminated, truncated)
+    return ClosedLoopExecution(tuple(decisions), tuple(states), tuple(rewards), is_reached, end)

@@ -16,6 +16,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import EscapeError
@@ -49,16 +50,19 @@ class Execution(NamedTuple):
     Attributes:
         states: states, the first one included.
         rewards: one a primitive that ran.
-        terminated: the robot escaped.
-        truncated: the episode was cut off.
+        end: how the episode ended; `STOPPED` where it can go on.
         as_predicted: every state was the predicted one.
     """
 
     states: tuple[RoomState, ...]
     rewards: tuple[float, ...]
-    terminated: bool
-    truncated: bool
+    end: EpisodeEnd
     as_predicted: bool
+
+    @property
+    def escaped(self) -> bool:
+        """True where the robot escaped."""
+        return self.end is EpisodeEnd.ESCAPED
 
 
 @dataclasses.dataclass(frozen=True)
@@ -132,15 +136,16 @@ class Plan:
         if strip(states[0]) != strip(self.states[0]):
             raise EscapeError(f"this plan starts at {_describe_pose(self.states[0])}, the environment is at "
                               f"{_describe_pose(states[0])}: plan from env.unwrapped.get_state()")
-        terminated = truncated = False
+        end = EpisodeEnd.STOPPED
         for primitive in self.primitives:
             _, reward, terminated, truncated, _ = env.step(primitive)
             states.append(room.get_state())
             rewards.append(float(reward))
-            if terminated or truncated:
+            end = EpisodeEnd.of_step(room.rules.has_escaped(states[-1]), terminated, truncated)
+            if end.is_over:
                 break
         exact = len(states) == len(self.states) and all(map(_is_same, states, self.states))
-        return Execution(tuple(states), tuple(rewards), terminated, truncated, exact)
+        return Execution(tuple(states), tuple(rewards), end, exact)
 
     def draw(self, path: str | Path | None = None) -> Any:
         """Draw the plan on the room's map.

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 
 from hrl_escape.agents.training.evaluation import play_episode
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.errors import UnsupportedError
@@ -28,7 +29,7 @@ class Recording:
         states: one more than rewards.
         rewards: one a primitive.
         decisions: name and number of primitives of each decision, in order.
-        end: `escaped`, `out of time` or `still inside`.
+        end: how it ended.
         driver: name of the driver, or of the file.
     """
 
@@ -36,7 +37,7 @@ class Recording:
     states: tuple[RoomState, ...]
     rewards: tuple[float, ...]
     decisions: tuple[tuple[str, int], ...]
-    end: str
+    end: EpisodeEnd
     driver: str
 
 
@@ -78,7 +79,6 @@ def _make(instance: RoomInstance, steps: list[PrimitiveStep], decisions: list[tu
           driver: str) -> Recording:
     if not steps:
         raise UnsupportedError("there is nothing to record: no primitive ran")
-    last = steps[-1]
-    end = "escaped" if last.terminated else "out of time" if last.truncated else "still inside"
     return Recording(instance, (steps[0].before, *(step.after for step in steps)),
-                     tuple(step.reward for step in steps), tuple(decisions), end, driver)
+                     tuple(step.reward for step in steps), tuple(decisions), steps[-1].end,
+                     driver)

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import gymnasium
 import numpy as np
 
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.kinematics import RoomState
 
 __all__ = ["PrimitiveStep", "StepHooks"]
@@ -25,8 +26,7 @@ class PrimitiveStep(NamedTuple):
     after: RoomState
     reward: float
     pressed: tuple[int, ...]
-    terminated: bool
-    truncated: bool
+    end: EpisodeEnd
 
 
 class StepHooks(gymnasium.Wrapper):
@@ -60,8 +60,8 @@ class StepHooks(gymnasium.Wrapper):
         if self.on_step is not None:
             _, reward, terminated, truncated, info = result
             pressed = tuple(np.flatnonzero(info["pressed"]).tolist())
-            self.on_step(PrimitiveStep(before, int(action), self._get_state(), float(reward), pressed, terminated,
-                                       truncated))
+            self.on_step(PrimitiveStep(before, int(action), self._get_state(), float(reward), pressed,
+                                       EpisodeEnd.of_step(bool(info["success"]), terminated, truncated)))
         return result
 
     def _get_state(self) -> RoomState:

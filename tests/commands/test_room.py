@@ -117,7 +117,8 @@ def test_driving_nine_strafes_left_escapes_with_return_91(capsys, tmp_path):
     code, out, _ = call(capsys, "room", "--preset", "paper-one-button", "--drive", "strafe-left*20", "--json",
                         "--draw", tmp_path / "drive.gif", tmp_path / "end.png", "--camera", "overhead")
     drive = json.loads(out)["drive"]
-    assert code == 0 and drive["return"] == 91 and drive["terminated"] and drive["primitives"] == ["strafe-left"] * 9
+    assert code == 0 and drive["return"] == 91 and drive["end"] == "escaped"
+    assert drive["primitives"] == ["strafe-left"] * 9
     assert drive["pressed"] == [{"primitive": 9, "targets": ["button-1"]}]
     assert Image.open(tmp_path / "drive.gif").n_frames == 10
     end = np.asarray(Image.open(tmp_path / "end.png")).astype(int)

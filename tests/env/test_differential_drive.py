@@ -140,7 +140,7 @@ def test_escapes_come_true_and_take_longer_than_with_a_base_that_strafes():
         env = EscapeRoomEnv(instance=room)
         env.reset(options={"state": plan.states[0]})
         run = plan.execute(env)
-        assert run.terminated and run.as_predicted
+        assert run.escaped and run.as_predicted
         costs[drive] = plan.cost
         env.close()
     assert costs["differential"] > costs["strafing"]

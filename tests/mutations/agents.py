@@ -221,4 +221,25 @@ MUTATIONS = [
         "evaluation.mean_return >= earlier.mean_return for",
         "agents/training/test_resuming.py::test_of_equally_good_evaluations_the_first_is_kept",
     ),
+    Mutation(
+        "a run's folder runs whatever code it names",
+        "agents/training/env_description.py",
+        "if not trust and (foreign := list_foreign(description)):",
+        "if foreign := []:",
+        "agents/training/test_hostile_runs.py",
+    ),
+    Mutation(
+        "an archive's parts are not held against their hashes",
+        "agents/training/run_archive.py",
+        "if found != part:",
+        "if False:",
+        "agents/training/test_run_archive.py",
+    ),
+    Mutation(
+        "an archive may hold files of any name",
+        "agents/training/run_archive.py",
+        "if member.orig_filename not in (MANIFEST, *RUN_FILES) or kind not in (0, stat.S_IFREG):",
+        "if False:",
+        "agents/training/test_run_archive.py",
+    ),
 ]

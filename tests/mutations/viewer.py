@@ -76,7 +76,7 @@ MUTATIONS = [
     Mutation(
         "a replay that does not escape passes for one that did",
         "viewer/play/episode.py",
-        "if self.escaped != saved.escaped:",
+        "if saved.end is not None and self.end is not saved.end:",
         "if False:",
         "viewer/play/test_episode.py viewer/play/test_commands.py",
     ),
@@ -121,5 +121,12 @@ MUTATIONS = [
         "if len(hosts) != 1 or not",
         "if not hosts or not",
         "viewer/test_guard.py::test_a_request_with_two_hosts_is_refused_though_the_first_is_right",
+    ),
+    Mutation(
+        "a failed puzzle is an escape",
+        "env/episode_end.py",
+        "return cls.ESCAPED if success else cls.FAILED",
+        "return cls.ESCAPED",
+        "viewer/test_episode_ends.py",
     ),
 ]

@@ -26,13 +26,13 @@ def escape(env, seed):
 def test_the_way_out_leaves_the_block_on_its_plate(seed):
     """The straight way from the last push to the exit of these rooms leads through the block."""
     run, undone = escape(EscapeRoomEnv("push-block", instance_seed=seed), seed)
-    assert run.terminated and not any(undone)
+    assert run.escaped and not any(undone)
 
 
 def test_a_second_push_goes_round_the_first_block():
     config = dataclasses.replace(get_preset("push-block"), puzzle=PushBlockConfig(count=2))
     run, undone = escape(EscapeRoomEnv(config, instance_seed=17), 17)
-    assert run.terminated and not any(undone)
+    assert run.escaped and not any(undone)
 
 
 def test_a_plan_never_crosses_a_block_that_must_stay():

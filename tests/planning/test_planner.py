@@ -75,7 +75,7 @@ def test_solve_escapes_and_every_state_is_the_predicted_one(name, method):
     env.reset(seed=1)
     plan = RoomPlanner(env.instance, method).solve(env.get_state())
     run = plan.execute(env)
-    assert run.terminated and run.as_predicted
+    assert run.escaped and run.as_predicted
     assert run.states == plan.states, "to the last bit"
     assert sum(run.rewards) == plan.compute_return()
     assert [part.start for part in plan.parts] == [0, *(part.stop for part in plan.parts[:-1])]
@@ -99,7 +99,7 @@ def test_solve_escapes_at_the_extremes_of_the_knobs(name):
     env = EscapeRoomEnv(EXTREMES[name], instance_seed=0)
     env.reset(seed=0)
     run = RoomPlanner(env.instance, time_limit=60).solve(env.get_state()).execute(env)
-    assert run.terminated and run.as_predicted
+    assert run.escaped and run.as_predicted
     env.close()
 
 
@@ -130,7 +130,7 @@ def test_pursuit_escapes_under_noise_and_slip():
     env = EscapeRoomEnv(noisy)
     env.reset(seed=0)
     run = pursue(env)
-    assert run.terminated and run.is_reached and sum(run.rewards) == 100 - len(run.rewards)
+    assert run.escaped and run.is_reached and sum(run.rewards) == 100 - len(run.rewards)
     assert all(decision["ended"] == "reached" for decision in run.decisions)
 
 
@@ -138,7 +138,7 @@ def test_pursuit_of_one_goal_ends_there():
     env = EscapeRoomEnv("paper-two-button")
     env.reset(seed=0)
     run = pursue(env, "button-2")
-    assert run.is_reached and not run.terminated and env.get_state().touching == 2
+    assert run.is_reached and not run.escaped and env.get_state().touching == 2
     assert len(run.states) == len(run.rewards) + 1
 
 

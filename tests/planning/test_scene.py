@@ -171,7 +171,7 @@ def test_a_room_with_an_added_block_and_plate_is_escaped_by_pushing_both():
     env = EscapeRoomEnv(instance=scene.instance)
     env.reset(seed=14)
     run = pursue(env)
-    assert run.terminated and env.instance.puzzle.is_solved(run.states[-1].puzzle)
+    assert run.escaped and env.instance.puzzle.is_solved(run.states[-1].puzzle)
     later = Scene.of(scene.instance, run.states[-1]).instance.props
     assert math.hypot(later[2].x - x, later[2].y - y) > 0.1, "the scene of a state has its blocks where they are"
     env.close()

@@ -41,7 +41,7 @@ def test_fast_downward_minimises_the_primitives_of_all_legs():
     env = EscapeRoomEnv(instance=room)
     env.reset(options={"state": start})
     run = plan.execute(env)
-    assert run.terminated and run.as_predicted
+    assert run.escaped and run.as_predicted
     env.close()
 
 

@@ -41,6 +41,7 @@ class Transitions(NamedTuple):
         next_action_mask: the actions legal there, bool (rooms, actions).
         terminated: the robot escaped, or the puzzle was failed, bool (rooms,).
         truncated: the horizon was reached, bool (rooms,); bootstrap from the state reached.
+        success: the robot escaped, bool (rooms,).
         ended: its ending, an index into `ENDINGS`, int8 (rooms,).
         pressed: bit i is set if target i was pressed by any of the k primitives, int64 (rooms,).
         primitives: primitives of the episode so far, int32 (rooms,).
@@ -57,6 +58,7 @@ class Transitions(NamedTuple):
     next_action_mask: Tensor
     terminated: Tensor
     truncated: Tensor
+    success: Tensor
     ended: Tensor
     pressed: Tensor
     primitives: Tensor

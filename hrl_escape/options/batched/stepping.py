@@ -126,7 +126,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     primitive = torch.where(has_failed, layout.actions.wait, primitive)
     running = _watch_progress(running, choice, is_wasting)
 
-    after, reward, terminated, truncated, pressed, _ = step(layout, tables, state, primitive)
+    after, reward, terminated, truncated, pressed, escaped = step(layout, tables, state, primitive)
     after = TensorState(*(torch.where(is_over, old, new) for old, new in zip(state, after, strict=True)))
     running = running._replace(
         reward=running.reward + reward, discounted_reward=running.discounted_reward + running.discount * reward,
@@ -161,7 +161,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     decisions = Transitions(
         where, running.observation, running.action, running.reward, running.discounted_reward, running.duration,
         running.discount, final.observation, final.mask, terminated & ~is_over, truncated & ~is_over,
-        ended.to(torch.int8), running.pressed, after.primitives,
+        escaped & ~is_over, ended.to(torch.int8), running.pressed, after.primitives,
     )
     if settings.autoreset:
         after = restart(layout, tables, after, has_ended)

@@ -149,7 +149,7 @@ class OptionsVectorEnv(VectorEnv):
         idle = action < 0
         return done._replace(reward=torch.where(idle, 0.0, done.reward),
                              terminated=done.terminated & ~idle, truncated=done.truncated & ~idle,
-                             duration=torch.where(idle, 0, done.duration))
+                             success=done.success & ~idle, duration=torch.where(idle, 0, done.duration))
 
     # --- in and out --------------------------------------------------------------------
 
@@ -158,7 +158,7 @@ class OptionsVectorEnv(VectorEnv):
         if done is not None:
             pressed = unpack_bits(done.pressed, self._batch.room.layout.targets, torch.int8).T
             infos |= {name: self._give(getattr(done, name)) for name in _TOLD} | {
-                "success": self._give(done.terminated), "pressed": self._give(pressed)}
+                "success": self._give(done.success), "pressed": self._give(pressed)}
         every = self._give(torch.ones(self.num_envs, dtype=torch.bool, device=self.device))
         return infos | {f"_{name}": every for name in infos} | more
 

@@ -143,9 +143,8 @@ class PlayPage:
         facts = (("primitives", str(steps)), ("return", f"{episode.total:g}"),
                  ("best known", "\N{HORIZONTAL ELLIPSIS}" if best is None else f"{best:g}"),
                  ("moves", str(len(episode.moves))))
-        state = "escaped" if episode.escaped else "over" if episode.is_over else "inside"
         room = f"{episode.instance.name}, room {episode.instance.seed}: "
-        self._facts.content = make_facts(facts, room + self._note, steps=steps, state=state,
+        self._facts.content = make_facts(facts, room + self._note, steps=steps, state=episode.end.value,
                                          waiting=self._waiting.qsize(), room=episode.instance.id)
 
     # --- playing ---------------------------------------------------------------------------------

@@ -90,5 +90,5 @@ def _collect(recording: Recording) -> dict[str, Any]:
         decisions.append((name, count + (decisions[-1][1] if decisions else 0)))
     return {
         "stride": REPLAY_STRIDE, "returns": [f"{value:g}" for value in returns], "decisions": decisions,
-        "graphs": list(graphs), "graph": chosen, "end": recording.end,
+        "graphs": list(graphs), "graph": chosen, "end": recording.end.words,
     }

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.viewer.play.controls import Command
 from hrl_escape.viewer.play.episode import Episode, Move
 from hrl_escape.viewer.play.saved_episode import save_episode
@@ -57,10 +58,10 @@ def _act(action: int, episode: Episode, best: float | None) -> str:
     move = episode.do(action)
     if move is None:
         return f"{episode.names[action]} cannot start here"
-    if episode.escaped:
+    if episode.end is EpisodeEnd.ESCAPED:
         praise = " \N{EM DASH} the best known!" if best is not None and episode.total >= best - 1e-9 else ""
         return f"Escaped with a return of {episode.total:g}{praise}"
-    return "Out of time" if episode.is_over else _describe(move, episode)
+    return episode.end.words.capitalize() if episode.is_over else _describe(move, episode)
 
 
 def _describe(move: Move, episode: Episode) -> str:

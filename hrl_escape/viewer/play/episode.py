@@ -10,6 +10,7 @@ import dataclasses
 from collections.abc import Callable
 
 from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -128,9 +129,8 @@ class Episode:
             self.moves.append(Move(name, tuple(steps), ended))
         if abs(self.total - saved.total) > 1e-6:
             raise EpisodeFileError(f"the replay returns {self.total:g}, the file says {saved.total:g}")
-        if self.escaped != saved.escaped:
-            raise EpisodeFileError(f"the replay {'escapes' if self.escaped else 'does not escape'}, the file says it "
-                                   f"{'does' if saved.escaped else 'does not'}")
+        if saved.end is not None and self.end is not saved.end:
+            raise EpisodeFileError(f"the replay ends {self.end.value}, the file says {saved.end.value}")
 
     def close(self) -> None:
         """Free the engine."""
@@ -165,14 +165,13 @@ class Episode:
 
     @property
     def is_over(self) -> bool:
-        """The robot escaped, or the horizon is reached."""
-        last = self._last
-        return last is not None and (last.terminated or last.truncated)
+        """The robot escaped, the puzzle was failed, or the horizon is reached."""
+        return self.end.is_over
 
     @property
-    def escaped(self) -> bool:
-        """The robot escaped."""
-        return self._last is not None and self._last.terminated
+    def end(self) -> EpisodeEnd:
+        """How the episode ended; `STOPPED` while it goes on."""
+        return EpisodeEnd.STOPPED if self._last is None else self._last.end
 
     @property
     def _last(self) -> PrimitiveStep | None:
@@ -185,4 +184,4 @@ class Episode:
     def to_saved(self) -> SavedEpisode:
         """Content of this episode's file."""
         moves = tuple((m.name, tuple(step.primitive for step in m.steps), m.ended) for m in self.moves)
-        return SavedEpisode(self.instance, self.seed, moves, self.total, self.escaped)
+        return SavedEpisode(self.instance, self.seed, moves, self.total, self.end)

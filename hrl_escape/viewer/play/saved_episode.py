@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import EpisodeFileError, EscapeError, FileReadError
 from hrl_escape.files import read_json, write_json
@@ -16,7 +17,7 @@ from hrl_escape.names import make_file_name
 
 __all__ = ["SavedEpisode", "load_episode", "save_episode"]
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 @dataclasses.dataclass(frozen=True)
@@ -28,14 +29,14 @@ class SavedEpisode:
         seed: of the episode.
         moves: name, primitives and ending of each move, in order.
         total: undiscounted return.
-        escaped: the episode ended in the exit.
+        end: how the episode ended; None in a file of schema 1, which only says whether the robot escaped.
     """
 
     instance: RoomInstance
     seed: int
     moves: tuple[tuple[str, tuple[int, ...], str], ...]
     total: float
-    escaped: bool
+    end: EpisodeEnd | None
 
     @property
     def primitives(self) -> tuple[int, ...]:
@@ -57,7 +58,7 @@ def save_episode(path: str | Path, saved: SavedEpisode) -> None:
         {"name": name, "primitives": list(primitives), "ended": ended} for name, primitives, ended in saved.moves
     ]
     write_json(path, {"schema": SCHEMA, "kind": "episode", "seed": saved.seed, "return": saved.total,
-                      "escaped": saved.escaped, "primitives": len(saved.primitives), "moves": moves,
+                      "end": saved.end and saved.end.value, "primitives": len(saved.primitives), "moves": moves,
                       "instance": saved.instance.to_dict()})
 
 
@@ -72,15 +73,16 @@ def load_episode(path: str | Path) -> SavedEpisode:
     try:
         if not isinstance(content, dict) or content.get("kind") != "episode":
             raise EpisodeFileError("no recorded episode: save one with the Save button of hrl-escape play")
-        if content["schema"] != SCHEMA:
-            raise EpisodeFileError(f"it has schema {content['schema']!r}, this version reads {SCHEMA}")
+        if content["schema"] not in (1, SCHEMA):
+            raise EpisodeFileError(f"it has schema {content['schema']!r}, this version reads 1 to {SCHEMA}")
         instance = RoomInstance.from_dict(content["instance"])
         count = len(instance.robot.actions)
         moves = tuple((str(m["name"]), tuple(int(p) for p in m["primitives"]), str(m["ended"]))
                       for m in content["moves"])
         if any(not primitives or not all(0 <= p < count for p in primitives) for _, primitives, _ in moves):
             raise EpisodeFileError(f"its primitives are not all numbers from 0 to {count - 1}")
-        return SavedEpisode(instance, int(content["seed"]), moves, float(content["return"]), bool(content["escaped"]))
+        end = None if content["schema"] == 1 else EpisodeEnd(content["end"])
+        return SavedEpisode(instance, int(content["seed"]), moves, float(content["return"]), end)
     except FileReadError:
         raise
     except (EscapeError, KeyError, TypeError, ValueError, OverflowError) as error:

@@ -67,12 +67,11 @@ def _show(console: Console, episode: Episode, note: str, best: float, live: bool
     rows = min(size.lines - 6, MOST_ROWS)
     rules = Kinematics(episode.instance)
     picture = draw_map(episode.instance, episode.states, rules, size.columns - 1, rows)
-    state = "escaped" if episode.escaped else "out of time" if episode.is_over else "inside"
     if live:
         console.clear()
     console.print(picture, end="", soft_wrap=True)
     console.print(f"[bold]{len(episode.steps)}[/bold] primitives, return [bold]{episode.total:g}[/bold], best known "
-                  f"{best:g}: {state}", soft_wrap=True)
+                  f"{best:g}: {episode.end.words}", soft_wrap=True)
     console.print(make_console_text(note, 1000), soft_wrap=True)
     if live:
         console.print(Text("  ".join(f"{keys}: {meaning}" for keys, meaning in HELP) + "  Q: quit", "dim"))

@@ -6,6 +6,7 @@ import time
 
 from rich.console import Console
 
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.viewer.play.controls import Command, Controls
@@ -40,12 +41,12 @@ def play_in_window(instance: RoomInstance, seed: int = 0) -> None:
                     left = 1 if command.verb == "reset" else len(past) - 1
                     past, rewards, over = past[:left], rewards[:left], False
                 elif _is_primitive(command, len(env.rules.actions)) and not over:
-                    _, reward, terminated, truncated, _ = env.step(command.action)
+                    _, reward, terminated, truncated, info = env.step(command.action)
                     past.append(env.get_state())
                     rewards.append(float(reward))
-                    over = terminated or truncated
-                    end = "escaped" if terminated else "out of time" if truncated else "inside"
-                    console.print(f"{len(past) - 1} primitives, return {sum(rewards):g}: {end}")
+                    end = EpisodeEnd.of_step(bool(info["success"]), terminated, truncated)
+                    over = end.is_over
+                    console.print(f"{len(past) - 1} primitives, return {sum(rewards):g}: {end.words}")
             time.sleep(1 / KEY_RATE)
     finally:
         env.close()

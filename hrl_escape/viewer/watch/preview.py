@@ -65,7 +65,9 @@ class Previewer:
                 states.append(step.state)
                 pressed += [self._instance.targets[i].name for i in step.pressed]
                 if step.terminated or run.ends_at(step.state):
-                    return Preview(name, tuple(states), tuple(pressed), step.terminated)
+                    escapes = rules.has_escaped(step.state)
+                    problem = "the puzzle is failed" if step.terminated and not escapes else ""
+                    return Preview(name, tuple(states), tuple(pressed), escapes, problem)
         except EscapeError as error:
             return Preview(name, tuple(states), tuple(pressed), problem=str(error))
         return Preview(name, tuple(states), tuple(pressed), problem=f"no end within {MOST} primitives")

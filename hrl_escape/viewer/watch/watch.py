@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, make_transition
 from hrl_escape.agents.training.evaluation import compute_episode_seed, play_episode
 from hrl_escape.agents.training.train import train
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.viewer.step_hooks import PrimitiveStep
 from hrl_escape.viewer.watch.drivers import Driver
@@ -211,8 +212,9 @@ class Watch:
                                    transition.summed_reward, option["ended"]))
         if option["ended"] != "reached":
             self._log(f"{name}: {option['ended']}" + (f", {option['reason']}" if option["reason"] else ""))
-        if transition.terminated or transition.truncated:
-            self._log(f"{'escaped' if transition.terminated else 'out of time'}, return {self.total:g}")
+        end = EpisodeEnd.of_step(bool(info["success"]), transition.terminated, transition.truncated)
+        if end.is_over:
+            self._log(f"{end.words}, return {self.total:g}")
         self.gate.end_decision()
 
     def _note_reset(self, state: RoomState) -> None:

@@ -124,7 +124,7 @@ def test_the_planner_knows_the_rule_and_makes_each_stone_in_one_press_a_feature(
         room.reset(seed=seed)
         plan = planner.solve(room.get_state())
         assert len([part for part in plan.parts if part.name != "exit"]) == 2 * 5
-        assert plan.execute(room).terminated
+        assert plan.execute(room).escaped
 
 
 def test_potions_keep_the_contract():

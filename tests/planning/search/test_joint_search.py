@@ -107,7 +107,7 @@ def test_joint_escapes_come_true_and_are_no_longer_than_leg_after_leg(preset, se
     env = EscapeRoomEnv(instance=planner.instance)
     env.reset(options={"state": start})
     run = plan.execute(env)
-    assert run.terminated and run.as_predicted
+    assert run.escaped and run.as_predicted
     env.close()
 
 

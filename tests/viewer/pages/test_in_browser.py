@@ -83,7 +83,7 @@ def test_play_escapes_by_key_presses_alone_and_undo_returns_the_exact_state(one_
         assert lit == "1", "the graph's node lights up"
 
         page.press("z")
-        wait_for(page, steps=plan.cost - 1, state="inside")
+        wait_for(page, steps=plan.cost - 1, state="stopped")
         assert game.episode.state == plan.states[-2]._replace(noise_key=start.noise_key)
         for _ in range(plan.cost - 1):
             page.press("z")

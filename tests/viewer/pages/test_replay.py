@@ -49,7 +49,7 @@ def test_a_saved_episode_is_recorded_as_it_was_played(two_buttons, tmp_path: Pat
         episode.do(episode.names.index(name))
     save_episode(tmp_path / "mine.json", episode.to_saved())
     recording = record_saved(load_episode(tmp_path / "mine.json"), "mine")
-    assert list(recording.states) == episode.states and recording.end == "still inside"
+    assert list(recording.states) == episode.states and recording.end == "stopped"
 
 
 def test_a_page_holds_everything_and_asks_for_nothing(two_buttons):

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.env.config import DynamicsConfig
+from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import EpisodeFileError, FileReadError, UnsupportedError
@@ -28,7 +29,7 @@ def test_undo_returns_the_exact_state_before_each_move(two_buttons):
     for name in ("forward", "turn-left", "meta-01", "strafe-left", "meta-02", "meta-exit"):
         play(episode, [name])
         states.append(episode.state)
-    assert episode.escaped
+    assert episode.end is EpisodeEnd.ESCAPED
     for state in reversed(states[:-1]):
         assert episode.undo() is not None
         assert episode.state == state
@@ -79,7 +80,7 @@ def test_a_saved_episode_replays_to_the_same_state_and_can_be_undone(two_buttons
     saved = load_episode(tmp_path / "mine.json")
     again = Episode(saved.instance, seed=saved.seed)
     again.replay(saved)
-    assert again.state == episode.state and again.escaped and again.total == episode.total
+    assert again.state == episode.state and again.end is EpisodeEnd.ESCAPED and again.total == episode.total
     assert [move.name for move in again.moves] == ["forward", "meta-01", "meta-02", "meta-exit"]
     again.undo()
     assert again.state == episode.moves[-1].steps[0].before
@@ -134,10 +135,26 @@ def test_an_episode_that_does_not_escape_as_it_says_is_refused(two_buttons, tmp_
     episode = Episode(two_buttons)
     play(episode, ["meta-01"])
     save_episode(tmp_path / "mine.json", episode.to_saved())
-    _spoil(tmp_path / "mine.json", escaped=True)
+    _spoil(tmp_path / "mine.json", end="escaped")
     saved = load_episode(tmp_path / "mine.json")
-    with pytest.raises(EpisodeFileError, match="does not escape, the file says it does"):
+    with pytest.raises(EpisodeFileError, match="the replay ends stopped, the file says escaped"):
         Episode(saved.instance, seed=saved.seed).replay(saved)
+    _spoil(tmp_path / "mine.json", end="fled")
+    with pytest.raises(EpisodeFileError, match="'fled' is not a valid EpisodeEnd"):
+        load_episode(tmp_path / "mine.json")
+
+
+def test_a_file_from_before_ends_had_names_is_replayed(two_buttons, tmp_path: Path):
+    episode = Episode(two_buttons)
+    play(episode, ["meta-01", "meta-02", "meta-exit"])
+    save_episode(tmp_path / "mine.json", episode.to_saved())
+    content = json.loads((tmp_path / "mine.json").read_text())
+    del content["end"]
+    (tmp_path / "mine.json").write_text(json.dumps(content | {"schema": 1, "escaped": True}))
+    saved = load_episode(tmp_path / "mine.json")
+    again = Episode(saved.instance, seed=saved.seed)
+    again.replay(saved)
+    assert saved.end is None and again.end is EpisodeEnd.ESCAPED
 
 
 def test_a_truncated_episode_names_file_and_place(tmp_path: Path):

@@ -120,7 +120,7 @@ def test_what_is_kept_of_a_long_watch_is_bounded(one_button):
 def test_the_planner_drives_out_of_the_room(clutter):
     watch = Watch(open_driver("planner", clutter), Gate(None))
     choices, steps = watch_steps(watch)
-    assert steps[-1].terminated
+    assert steps[-1].end == "escaped"
     assert [watch.driver.names[choice.action] for choice in choices][-1] == "meta-exit"
 
 

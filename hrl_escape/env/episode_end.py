@@ -1,0 +1,37 @@
+"""Ends of an episode: one value that the rules decide and every page, file and command shows."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+__all__ = ["EpisodeEnd"]
+
+
+class EpisodeEnd(str, Enum):
+    """How an episode ended, or that it has not."""
+
+    ESCAPED = "escaped"
+    """The puzzle is solved, and the robot stands in the exit."""
+    FAILED = "failed"
+    """The puzzle was failed, as in a deep sea whose last row is reached without its treasure."""
+    TRUNCATED = "truncated"
+    """The horizon was reached."""
+    STOPPED = "stopped"
+    """No primitive ended the episode; whoever drove stopped."""
+
+    @classmethod
+    def of_step(cls, success: bool, terminated: bool, truncated: bool) -> EpisodeEnd:
+        """The end that a step's flags tell of; `success` is `info["success"]`, which alone means an escape."""
+        if terminated:
+            return cls.ESCAPED if success else cls.FAILED
+        return cls.TRUNCATED if truncated else cls.STOPPED
+
+    @property
+    def is_over(self) -> bool:
+        """True where the episode cannot go on."""
+        return self is not EpisodeEnd.STOPPED
+
+    @property
+    def words(self) -> str:
+        """The end in words for people."""
+        return {"truncated": "out of time", "stopped": "still inside"}.get(self.value, self.value)

@@ -1,0 +1,104 @@
+"""A failed episode is called failed on every page, in every file and by every command, whatever puzzle it is."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+
+import numpy as np
+import pytest
+
+from hrl_escape.cli import main
+from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.episode_end import EpisodeEnd
+from hrl_escape.env.escape_room import EscapeRoomEnv
+from hrl_escape.env.presets import PRESETS, get_preset
+from hrl_escape.env.puzzles.base import Puzzle, get_puzzle_kind, list_puzzles
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.options.batched.vector_env import OptionsVectorEnv
+from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.viewer.pages.replay import make_replay
+from hrl_escape.viewer.play.commands import carry_out
+from hrl_escape.viewer.play.controls import Command
+from hrl_escape.viewer.play.episode import Episode
+from hrl_escape.viewer.play.saved_episode import load_episode, save_episode
+from hrl_escape.viewer.play.terminal import play_in_terminal
+from hrl_escape.viewer.recording import record_saved
+
+FAILING = [kind for kind in list_puzzles() if get_puzzle_kind(kind).puzzle_type.is_failed is not Puzzle.is_failed]
+"""Puzzles that can be failed."""
+
+
+def make_room(kind: str):
+    """Small room of a puzzle: that of its preset where it has one."""
+    preset = next((get_preset(name) for name in PRESETS if get_preset(name).puzzle.kind == kind), None)
+    return generate(preset or RoomConfig(puzzle=get_puzzle_kind(kind).config_type()), 0)
+
+
+def fail(episode: Episode, chance: np.random.Generator) -> str:
+    """Press targets at random until the puzzle is failed; what the page says of the last move."""
+    said = ""
+    while not episode.is_over:
+        legal = [action for action in range(episode.primitive_count, len(episode.names)) if episode.is_legal(action)]
+        said = carry_out(Command("act", int(chance.choice(legal))), episode, None)
+    return said
+
+
+@pytest.fixture(scope="module", params=FAILING)
+def failed(request):
+    """An episode whose puzzle was failed, and what play said of it."""
+    room = make_room(request.param)
+    for seed in range(50):
+        episode = Episode(room)
+        said = fail(episode, np.random.default_rng(seed))
+        if episode.end is EpisodeEnd.FAILED:
+            return episode, said
+    raise AssertionError(f"no random episode of {request.param} fails")
+
+
+def test_some_puzzle_can_be_failed():
+    assert "deep-sea" in FAILING
+
+
+def test_play_its_file_and_the_recorded_page_say_failed(failed, tmp_path, capsys, monkeypatch):
+    episode, said = failed
+    assert said == "Failed" and episode.is_over
+    save_episode(tmp_path / "mine.json", episode.to_saved())
+    assert json.loads((tmp_path / "mine.json").read_text())["end"] == "failed"
+    recording = record_saved(load_episode(tmp_path / "mine.json"), "mine")
+    assert recording.end is EpisodeEnd.FAILED
+    page = make_replay(recording)
+    assert json.loads(re.search(r'id="r-data">(\{.*?\})</script>', page, re.S)[1])["end"] == "failed"
+    assert main(["record", str(tmp_path / "mine.json"), "--out", str(tmp_path / "mine.html")]) == 0
+    assert "mine: failed after" in capsys.readouterr().out
+    monkeypatch.setattr(sys, "stdin", open(os.devnull))  # no key: the episode is shown as it is
+    play_in_terminal(episode, tmp_path)
+    assert ": failed" in capsys.readouterr().out
+
+
+def test_driving_and_solving_say_failed(failed, tmp_path, capsys):
+    episode, _ = failed
+    room = tmp_path / "room.json"
+    episode.instance.save(room)
+    primitives = " ".join(str(step.primitive) for step in episode.steps)
+    assert main(["room", "--load", str(room), "--drive", primitives]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert ", failed" in shown and "escaped" not in shown
+    assert main(["room", "--load", str(room), "--drive", primitives, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["drive"]["end"] == "failed"
+
+
+def test_agents_over_options_are_told_of_no_success(failed):
+    episode, _ = failed
+    chosen = [episode.names.index(move.name) for move in episode.moves]
+    one = OptionsEnv(EscapeRoomEnv(instance=episode.instance))
+    many = OptionsVectorEnv(2, instance=episode.instance)
+    one.reset(seed=0)
+    many.reset(seed=0)
+    for action in chosen:
+        _, _, terminated, _, info = one.step(action)
+        _, _, ended, _, infos = many.step(np.array([action, action]))
+    assert terminated and not info["success"]
+    assert np.asarray(ended).all() and not np.asarray(infos.get("final_info", infos)["success"]).any()
