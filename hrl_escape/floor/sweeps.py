@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from hrl_escape.env import geometry
 from hrl_escape.env.bases import BASES, Base
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
+from hrl_escape.errors import UnsupportedError
 from hrl_escape.floor.clearance import CollisionMap, list_cells
 from hrl_escape.kernels import add_sources, kernel_part
 
@@ -46,7 +47,7 @@ def compile_geometry() -> tuple[Any, Any]:
 def _compile_choice(name: str) -> Any:
     """Compile one of the functions that bases state, to be called with the number of a base in `BASES` and its size."""
     chosen = None
-    for number, base in reversed(list(enumerate(BASES.values()))):
+    for number, base in reversed(list(enumerate(_BASES))):
         chosen = _choose(number, _compile(getattr(base, name)), chosen)
     return chosen
 
@@ -61,7 +62,8 @@ def _choose(number: int, own: Any, others: Any) -> Any:
     return kernel_part(choose)
 
 
-add_sources(Path(inspect.getfile(base)) for base in BASES.values())
+_BASES = tuple(BASES.values())
+add_sources(Path(inspect.getfile(base)) for base in _BASES)
 _COMPILED: dict[FunctionType, Any] = {}
 first_contact, measure_distance = compile_geometry()
 _base_contact, _base_gap = _compile_choice("contact"), _compile_choice("gap")
@@ -88,8 +90,17 @@ POINT = Presser(-1, np.zeros(1), 0.0, 0.0)
 
 
 def number_base(base: Base) -> int:
-    """Number by which compiled code knows a base; -1 for one that turns anywhere, of which a radius says all."""
-    return -1 if base.turns_anywhere else list(BASES.values()).index(type(base))
+    """Number by which compiled code knows a base; -1 for one that turns anywhere, of which a radius says all.
+
+    Raises:
+        UnsupportedError: the base came into `BASES` after its compiled code was made.
+    """
+    if base.turns_anywhere:
+        return -1
+    if type(base) not in _BASES:
+        raise UnsupportedError(f"planners do not know the base {type(base).__name__}: add it to "
+                               "hrl_escape.env.bases.BASES before they are imported")
+    return _BASES.index(type(base))
 
 
 def make_presser(base: Base) -> Presser:

@@ -1,0 +1,81 @@
+"""A base of a stranger: a square that points ahead with a corner."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from typing_extensions import Self
+
+from hrl_escape.env.bases.base import Base
+from hrl_escape.env.bases.link import make_box_link
+from hrl_escape.env.bases.rectangle import (
+    TensorRectangle,
+    compute_base_contact,
+    compute_base_distance,
+    is_turn_blocked,
+    measure_base_gap,
+)
+
+HALF = math.sqrt(0.5)  # cosine and sine of the eighth of a turn between its corner and its side
+
+
+def meet(x, y, cos, sin, size, dx, dy, shape):
+    return compute_base_contact(x, y, HALF * (cos - sin), HALF * (sin + cos), size, dx, dy, shape)
+
+
+def leave(x, y, cos, sin, size, shape):
+    return measure_base_gap(x, y, HALF * (cos - sin), HALF * (sin + cos), size, shape)
+
+
+def part(x, y, cos, sin, size, shape):
+    return compute_base_distance(x, y, HALF * (cos - sin), HALF * (sin + cos), size, shape)
+
+
+def bar(x, y, cos, sin, to_cos, to_sin, turn, size, shape):
+    return is_turn_blocked(x, y, HALF * (cos - sin), HALF * (sin + cos), HALF * (to_cos - to_sin),
+                           HALF * (to_sin + to_cos), turn, size, shape)
+
+
+class TensorDiamond(TensorRectangle):
+    def is_turn_blocked(self, to_cos, to_sin, turn, shapes):
+        return super().is_turn_blocked(HALF * (to_cos - to_sin), HALF * (to_sin + to_cos), turn, shapes)
+
+
+class Diamond(Base):
+    """Its corners are `body_radius` from its axis."""
+
+    front_field = width_field = "body_radius"
+    contact, gap, distance, blocks_turn = staticmethod(meet), staticmethod(leave), staticmethod(part), staticmethod(bar)
+    symmetry = 4
+
+    @classmethod
+    def measure(cls, robot: Any) -> Self:
+        return cls((HALF * robot.body_radius, HALF * robot.body_radius))
+
+    @property
+    def inner_radius(self):
+        return self.size[0]
+
+    @property
+    def outer_radius(self):
+        return self.size[0] / HALF
+
+    front = outer_radius
+
+    @property
+    def corners(self):
+        reach = self.size[0] / HALF
+        return (reach, 0.0), (0.0, reach), (-reach, 0.0), (0.0, -reach)
+
+    def describe(self):
+        return f"a diamond of {2 * self.outer_radius:g} m"
+
+    def make_link(self, name, mass, height):
+        link = make_box_link(name, mass, (2 * self.size[0], 2 * self.size[1], height), f"0 0 {height / 2!r}")
+        for origin in link.iter("origin"):
+            origin.set("rpy", f"0 0 {math.pi / 4!r}")
+        return link
+
+    def place(self, x, y, cos, sin):
+        return TensorDiamond(x, y, HALF * (cos - sin), HALF * (sin + cos), self.size)
