@@ -9,7 +9,7 @@ def _trap(bug: str, file: str, old: str, new: str, test: str) -> tuple[str, str,
     return bug, f"{folder}/{file}.py", old, new, f"{GIVEN}/{test}"
 
 
-HIERARCHY = ("feudal", "machine", "macros", "task_graph")
+HIERARCHY = ("machine", "task_graph")
 
 MUTATIONS = [
     # terminal means: for that task
@@ -87,7 +87,7 @@ MUTATIONS = [
     ("a task that is over may be called", "agents/hierarchy/task_graph.py",
      "if self.until(seen):\n            return False", "if False:\n            return False",
      "agents/hierarchy/test_task_graph.py::test_a_task_that_is_over_is_not_legal_for_it_would_take_no_primitive"),
-    _trap("a macro ends before its first primitive", "macros",
+    _trap("a macro ends before its first primitive", "macro_q",
           "float(frame.primitives > 0 and self._until(seen))", "float(self._until(seen))",
           "test_macro_q.py::test_random_walks_last_as_long_as_the_paper_s_room_makes_them"),
     _trap("a subgoal seen at the start of a turn hands over", "hq_learning",
@@ -107,10 +107,10 @@ MUTATIONS = [
           "if not (returned.terminated or task", "if not (returned.terminated or returned.truncated or task",
           "test_feudal_rl.py::test_the_last_level_obeys_every_order_by_the_shortest_way"),
     # pay, optimism, planning
-    _trap("the world pays every level", "feudal",
+    _trap("the world pays every level", "feudal_rl",
           "if frame.context is None:\n            return step.reward", "if True:\n            return step.reward",
           "test_feudal_rl.py::test_pay_is_for_obeying_and_the_environment_pays_the_top_alone"),
-    _trap("leaving in any direction is obeying", "feudal",
+    _trap("leaving in any direction is obeying", "feudal_rl",
           "frame.context < SEARCH and way == DIRECTIONS[frame.context]", "frame.context < SEARCH",
           "test_feudal_rl.py::test_the_last_level_obeys_every_order_by_the_shortest_way"),
     _trap("an unknown primitive is worth nothing", "r_maxq",

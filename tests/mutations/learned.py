@@ -17,7 +17,8 @@ def _discovery(bug: str, file: str, old: str, new: str, test: str) -> tuple[str,
 
 def _meteorologists(bug: str, old: str, new: str, test: str) -> tuple[str, str, str, str, str]:
     """The same for forecasters of structure."""
-    return bug, "agents/factored/meteorologists.py", old, new, f"{ALGORITHMS}/structure/test_met_r_max.py::{test}"
+    file = "algorithms/structure/met_r_max.py"
+    return bug, f"agents/{file}", old, new, f"{ALGORITHMS}/structure/test_met_r_max.py::{test}"
 
 
 def _growth(bug: str, file: str, old: str, new: str, test: str) -> tuple[str, str, str, str, str]:
@@ -237,16 +238,16 @@ MUTATIONS = [
                     "alive[np.argsort(np.round(self._code[alive], 6), kind=\"stable\")]", "alive",
                     "test_two_forecasts_by_hand"),
     # sets of parents that grow, and options of bits
-    _growth("parents cost nothing", "factored/growing_sets",
+    _growth("parents cost nothing", "algorithms/structure/vigorito_barto",
             "return likelihood - parameters / 2 * np.log(max(self.count_samples(action), 1))", "return likelihood",
             "test_a_parent_is_taken_in_where_the_history_is_worth_its_parameters_and_dropped_again"),
-    _growth("a parent is never dropped", "factored/growing_sets",
+    _growth("a parent is never dropped", "algorithms/structure/vigorito_barto",
             "near = np.r_[smaller[believed], believed, larger[believed]]",
             "near = np.r_[believed, larger[believed]]", "test_a_parent_that_others_explain_away_is_dropped"),
-    _growth("sets that explain much less are tried for ever", "factored/growing_sets",
+    _growth("sets that explain much less are tried for ever", "algorithms/structure/vigorito_barto",
             "return tried[likelihoods >= likelihoods[0] - STRONG]", "return tried",
             "test_a_set_that_explains_much_less_is_tried_no_further"),
-    _growth("nothing beside the present set is tried", "factored/growing_sets",
+    _growth("nothing beside the present set is tried", "algorithms/structure/vigorito_barto",
             "return tried[likelihoods >= likelihoods[0] - STRONG]", "return tried[:1]",
             "test_a_set_that_explains_much_less_is_tried_no_further"),
     _growth("an option does not care for its parents", "algorithms/structure/vigorito_barto",
@@ -263,10 +264,10 @@ MUTATIONS = [
          "test_an_action_counts_as_tried_only_where_all_that_was_chosen_is_on_and_anew_when_nothing_is_left"),
     _hrc("an action that failed is never tried again", "self._tried.clear()", "pass",
          "test_an_action_counts_as_tried_only_where_all_that_was_chosen_is_on_and_anew_when_nothing_is_left"),
-    ("a subgoal of an AND needs any parent", "agents/discovery/interventions.py",
+    ("a subgoal of an AND needs any parent", "agents/algorithms/structure/hrc.py",
      'test = all if gate == "and" else any', "test = any",
      f"{ALGORITHMS}/structure/test_hrc.py::test_expected_costs_are_those_of_a_simulation"),
-    ("others are chosen the more the later", "agents/discovery/interventions.py",
+    ("others are chosen the more the later", "agents/algorithms/structure/hrc.py",
      "made / (made + 1)", "1 / (made + 1)",
      f"{ALGORITHMS}/structure/test_hrc.py::test_expected_costs_are_those_of_a_simulation"),
     # initiation connected to its target

@@ -345,7 +345,7 @@ MUTATIONS = [
     ),
     Mutation(
         "meteorologists forecast from the first visit on",
-        "agents/factored/meteorologists.py",
+        "agents/algorithms/structure/met_r_max.py",
         "known = totals >= self._visits",
         "known = totals >= 1",
         "agents/algorithms/structure/test_met_r_max.py::test_a_context_forecasts_from_its_third_visit_on",

@@ -9,21 +9,60 @@ soonest open outcome while one is in reach, then to the best known end of the ta
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, Any, ClassVar
 
-from hrl_escape.agents.factored.optimistic_planner import OptimisticPlanner, OptimisticSettings
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.factored.planning_agent import PlanningAgent, PlanningSettings
+from hrl_escape.agents.factored.search import ModelPlan
+from hrl_escape.settings import Range
 
 __all__ = ["FactoredRMax", "FactoredRMaxSettings"]
 
 
 @dataclass(frozen=True)
-class FactoredRMaxSettings(OptimisticSettings):
+class FactoredRMaxSettings(PlanningSettings):
     """Settings of `factored-r-max`."""
 
+    visits: Annotated[int, Range(1)] = 1
+    """Samples that make a context known; 1 is enough where outcomes have no chance in them."""
 
-class FactoredRMax(OptimisticPlanner):
+
+class FactoredRMax(PlanningAgent):
     """Believes every set of parents that leaves the fewest samples unexplained, and looks where two of them differ."""
 
     name: ClassVar[str] = "factored-r-max"
     Settings: ClassVar[type] = FactoredRMaxSettings
     settings: FactoredRMaxSettings
+
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: FactoredRMaxSettings | None = None,
+    ) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        self._careful = self.model.make_belief(self.model.get_alive, self.settings.visits)
+        self._bold = self.model.make_belief(self.model.get_likeliest, self.settings.visits)
+
+    def get_graph(self) -> frozenset[tuple[int, int]]:
+        """Edges (parent, child) of the smallest hypotheses alive; see `FactoredModel.find_graph`."""
+        return self.model.find_graph(self._bold.choose)
+
+    def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
+        """The way to the soonest open outcome; if none is in reach, to the end of the task."""
+        plan = self._search(self._careful, observation, action_mask, seek_gaps=True)
+        self._is_exploring = bool(plan.actions)
+        return plan if plan.actions else self._find_escape(observation, action_mask)
+
+    def _find_escape(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
+        """The way to the end of the task by what is known, else by what is likeliest."""
+        plan = self._search(self._careful, observation, action_mask, seek_gaps=False)
+        return plan if plan.actions else self._search(self._bold, observation, action_mask, seek_gaps=False)
+
+    def compute_plan_value(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
+        """Discounted return of the best known way to the end of the task; -inf if none is known."""
+        return -np.inf if self.model.is_empty else self._find_escape(observation, action_mask).value

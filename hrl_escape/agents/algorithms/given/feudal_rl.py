@@ -1,7 +1,8 @@
 """Feudal learning: managers over cells within cells, each paid for obeying its own manager.
 
-Dayan and Hinton (1993), Feudal reinforcement learning. A manager sees the world at its own grain
-(information hiding), and whoever obeys is paid, also if the order was no good (reward hiding).
+Dayan and Hinton (1993), Feudal reinforcement learning. A manager sees the cell of its level that the agent is in, and
+orders its sub-manager to leave that cell in a direction, or to search inside (information hiding); whoever obeys is
+paid, also if the order was no good (reward hiding).
 """
 
 from __future__ import annotations
@@ -24,13 +25,130 @@ from hrl_escape.agents.components.exploration import (
 )
 from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.call_stack import Return
-from hrl_escape.agents.hierarchy.feudal import FeudalTask, make_feudal_hierarchy
-from hrl_escape.agents.hierarchy.regions import Quadtree
+from hrl_escape.agents.hierarchy.regions import DIRECTIONS, Quadtree
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
-from hrl_escape.agents.hierarchy.task import Seen, Stack, Step
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step, allow_only
 from hrl_escape.settings import Range
 
-__all__ = ["FeudalRl", "FeudalRlSettings"]
+__all__ = ["FeudalRl", "FeudalRlSettings", "FeudalTask", "SEARCH", "make_feudal_hierarchy"]
+
+
+SEARCH = len(DIRECTIONS)
+"""The command to search inside the cell; commands below it are directions."""
+
+
+ORDER_NAMES = ("north", "south", "west", "east", "search")
+"""Names of the commands."""
+
+
+class FeudalTask(BaseTask):
+    """The manager of one level; the last one chooses primitives.
+
+    A call is an order from the level above, about the cell of that level in which it is given: the cell to be left, or
+    to be searched. The root has no order and is paid by the environment.
+
+    Args:
+        tree: the division.
+        level: of the cells that it sees and gives orders about; below the tree's depth it sees the observation and
+            chooses primitives.
+        primitives: of the environment.
+        penalty: what leaving the cell other than ordered costs.
+        patience: primitives after which an order to the last level is given up, and twice as many a level higher; 0
+            never gives up.
+    """
+
+    def __init__(self, tree: Quadtree, level: int, primitives: int, penalty: float, patience: int) -> None:
+        self.tree, self.level = tree, level
+        self.is_last = level > tree.depth
+        super().__init__(f"level {level}", primitives if self.is_last else SEARCH + 1)
+        # An order that a policy obeys is obeyed at last; what lies between may have been ordered in vain.
+        is_obeyed = self.is_last and tree.policy is not None
+        self._patience = 0 if is_obeyed else patience * 2 ** (tree.depth + 1 - level)
+        self._penalty = penalty
+        self.below: FeudalTask | None = None
+
+    def view(self, seen: Seen, stack: Stack) -> Any:
+        """The cell of its level, row and column, and the phase; the last level sees the observation."""
+        if self.is_last:
+            return seen.observation
+        phase = self.tree.phase
+        cell = self.tree.find_cell(seen.observation, self.level)
+        return np.array(cell if phase is None else (*cell, *phase(seen.observation)))
+
+    def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
+        """Directions that do not lead out of the square, and the search; primitives on the last level.
+
+        Where a policy obeys, its primitive, and the orders that it can obey.
+        """
+        if self.is_last:
+            return seen.mask if self.tree.policy is None else self._obey(seen, context)
+        cell = self.tree.find_cell(seen.observation, self.level)
+        inside = [self.tree.has_neighbour(cell, self.level, direction) for direction in range(SEARCH)]
+        legal = np.array([*inside, True], np.bool_)
+        if self.tree.policy is not None and self.below is not None:
+            if not self.below.is_last:  # its choices are the same whatever its order
+                return legal & self.below.legal(seen, None).any()
+            for order in legal.nonzero()[0].tolist():
+                legal[order] = self.below.legal(seen, order).any()
+        return legal
+
+    def _obey(self, seen: Seen, order: int | None) -> NDArray[np.bool_]:
+        policy, cell = self.tree.policy, self.tree.find_cell(seen.observation, self.tree.depth)
+        chosen = None if policy is None or order is None else policy(seen.observation, cell, order)
+        return allow_only(chosen, seen.mask)
+
+    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
+        """The order to the level below; a primitive on the last level."""
+        return Call(choice) if self.below is None else Call(self.below, int(choice))
+
+    def list_calls(self) -> Mapping[str, Any]:
+        """One an order."""
+        return {f"{self.name} {order}": number for number, order in enumerate(ORDER_NAMES)}
+
+    def find_exit(self, frame: Frame, seen: Seen) -> tuple[int, int] | None:
+        """Row and column by which the call's cell was left; None inside it."""
+        if frame.context is None:
+            return None
+        (top, left), (row, column) = (self.tree.find_cell(each.observation, self.level - 1)
+                                      for each in (frame.start, seen))  # fmt: skip
+        return None if (top, left) == (row, column) else (row - top, column - left)
+
+    def is_settled(self, frame: Frame, seen: Seen) -> bool:
+        """The cell was left, or what was searched for was found."""
+        return self.find_exit(frame, seen) is not None or self._has_found(frame, seen)
+
+    def _has_found(self, frame: Frame, seen: Seen) -> bool:
+        found = self.tree.has_found
+        is_search = frame.context is not None and frame.context == SEARCH
+        return is_search and found is not None and found(frame.start.observation, seen.observation)
+
+    def ends(self, frame: Frame, seen: Seen) -> float:
+        """Certain where the cell is left, in whatever direction, a search has found, or patience has run out."""
+        given_up = frame.context is not None and 0 < self._patience <= frame.primitives
+        return float(given_up or self.is_settled(frame, seen))
+
+    def pay(self, step: Step, frame: Frame) -> float:
+        """1 for leaving as ordered, for finding, for an episode's end in a search; else the penalty for leaving."""
+        if frame.context is None:
+            return step.reward
+        if self._has_found(frame, step.next_seen):
+            return step.arrival
+        way = self.find_exit(frame, step.next_seen)
+        if way is not None:
+            was_ordered = frame.context < SEARCH and way == DIRECTIONS[frame.context]
+            return step.arrival * (1.0 if was_ordered else -self._penalty)
+        return step.arrival * (frame.context == SEARCH and step.terminated)
+
+
+def make_feudal_hierarchy(tree: Quadtree, primitives: int, penalty: float, patience: int) -> Hierarchy:
+    """Managers of the levels 1 to the tree's depth, and one of primitives below."""
+    levels = [FeudalTask(tree, level, primitives, penalty, patience) for level in range(1, tree.depth + 2)]
+    for above, below in zip(levels, levels[1:], strict=False):
+        above.below = below
+    root, *others = levels
+    source = "given" if tree.phase is None else "synthesised"
+    told = ("cells",) if tree.depth else ()
+    return Hierarchy(root, tuple(others), source=source, privileges=told)
 
 
 @dataclass(frozen=True)

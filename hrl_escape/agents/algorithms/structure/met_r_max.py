@@ -1,7 +1,9 @@
 """Met-R-MAX: factored R-MAX whose sets of parents are judged by a statistical test, so that actions may fail.
 
-Diuk, Li and Leffler (2009), The adaptive k-meteorologists problem. Exploration and plans are those of `factored-r-max`;
-a set of parents is dropped when another has forecast better by more than chance allows, not at its first miss.
+Diuk, Li and Leffler (2009), The adaptive k-meteorologists problem. Exploration and plans are those of `factored-r-max`.
+A set of parents forecasts the chance of an outcome by its counts, once a context has enough of them. Where two
+forecasts differ, the sample tells for one of the two; squared errors are summed until the difference is larger than
+chance makes it, and the worse is dropped, not at its first miss.
 """
 
 from __future__ import annotations
@@ -12,15 +14,126 @@ from typing import Annotated, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.factored.meteorologists import Meteorologists
-from hrl_escape.agents.factored.optimistic_planner import OptimisticPlanner, OptimisticSettings
+from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRMaxSettings
+from hrl_escape.agents.factored.structure import StructureLearner
 from hrl_escape.settings import Range
 
-__all__ = ["MetRMax", "MetRMaxSettings"]
+__all__ = ["MetRMax", "MetRMaxSettings", "Meteorologists"]
+
+
+class Meteorologists(StructureLearner):
+    """Hypotheses that no other one has beaten.
+
+    Of hypotheses i, j that forecast p_i, p_j for a sample y (one-hot), half the squared errors differ by
+
+        d = (|p_i - y|^2 - |p_j - y|^2) / 2,   of range 2 c with c = max over values of |p_i - p_j|
+
+    If i were right, sum d > sqrt(2 sum c^2 log(1/delta)) would have probability delta at most (Hoeffding 1963, for the
+    ranges that came); i is dropped then. The first of those left, which predicts, has the shortest code: the sum of
+    -log of its forecasts (Krichevsky and Trofimov 1981), so that a larger set must earn its contexts. An outcome counts
+    as what an action does in a context where it has at least
+    `least_share` of the samples: an action that fails half of the time still does it.
+
+    Args:
+        sizes: (factors,), values of each factor.
+        actions: how many.
+        max_parents: largest set of parents.
+        all_on: see `StructureLearner`.
+        visits: samples of a context before its forecasts count.
+        delta: error probability of one comparison.
+        least_share: see above.
+    """
+
+    def __init__(
+        self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool = False, visits: int = 3,
+        delta: float = 0.05, least_share: float = 0.25,
+    ) -> None:
+        super().__init__(sizes, actions, max_parents, all_on)
+        self._visits, self._log, self._share = visits, float(np.log(1 / delta)), least_share
+        self._samples: dict[int, list[tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]]] = {}
+        """By action, of each sample: the context of every hypothesis, own values and results of the outcomes."""
+        self._tests: dict[tuple[int, int], _Tests] = {}
+
+    def add(self, before: NDArray[np.int64], action: int, after: NDArray[np.int64], over: bool, bonus: int) -> None:
+        """Take in one transition, and hold every forecast of what this action changes against it."""
+        super().add(before, action, after, over, bonus)
+        contexts, own, result = self.read_sample(before, after, over, bonus)
+        samples = self._samples.setdefault(action, [])
+        samples.append((contexts, own, result))
+        for outcome in self.list_active(action).tolist():
+            key = action, outcome
+            if key not in self._tests:  # the first time that it does something: all samples count
+                is_binary = outcome == self.over or (outcome < self.over and self.sizes[outcome] == 2)
+                values = 2 if is_binary else self._shape[-1]
+                self._tests[key] = _Tests(len(self.hypotheses), self._shape, self._visits, values)
+                for sample in samples[:-1]:
+                    self._tests[key].add(sample[0], int(sample[1][outcome]), int(sample[2][outcome]))
+            self._tests[key].add(contexts, int(own[outcome]), int(result[outcome]))
+
+    def get_alive(self, action: int, outcome: int) -> NDArray[np.int64]:
+        """Hypotheses that no other has beaten, those of the shortest code first."""
+        tests = self._tests.get((action, outcome))
+        if tests is None:
+            return np.arange(len(self.hypotheses))
+        return tests.find_alive(self._log)
+
+    def get_samples(self, action: int, hypotheses: NDArray[np.int64], outcome: int) -> NDArray[np.int32]:
+        """Samples in which a change outweighs staying, so that the largest number is what the action does."""
+        return self._weigh(super().get_samples(action, hypotheses, outcome), outcome)
+
+    def get_counts(self, action: int, hypothesis: int, outcome: int) -> NDArray[np.int32]:
+        """The same for one hypothesis."""
+        return self._weigh(super().get_counts(action, hypothesis, outcome), outcome)
+
+    def _weigh(self, counts: NDArray[np.int32], outcome: int) -> NDArray[np.int32]:
+        """Weigh what an action changes so that it is the largest number from `least_share` of the samples on."""
+        if outcome < self.over and self.sizes[outcome] != 2:
+            return counts
+        stays = np.zeros((2, counts.shape[-1]), np.bool_)
+        stays[:, 0] = True
+        if outcome < self.over:
+            stays[1, 0], stays[1, 1] = False, True
+        share = self._share
+        return np.where(stays, np.rint(1_000 * share * counts), np.rint(1_000 * (1 - share) * counts)).astype(np.int32)
+
+
+class _Tests:
+    """Comparisons of all hypotheses about one outcome of one action, pair by pair."""
+
+    def __init__(self, hypotheses: int, shape: tuple[int, ...], visits: int, values: int) -> None:
+        self._visits, self._values = visits, values
+        self._code = np.zeros(hypotheses)
+        self._counts = np.zeros((hypotheses, shape[1], 2, shape[-1]))
+        self._rows = np.arange(hypotheses)
+        self._worse = np.zeros((hypotheses, hypotheses))
+        """Sum of d: by how much i has erred more than j."""
+        self._ranges = np.zeros((hypotheses, hypotheses))
+        """Sum of c^2."""
+
+    def add(self, contexts: NDArray[np.int64], own: int, result: int) -> None:
+        """Take in one sample; hypotheses whose context is known forecast it first."""
+        cells = self._counts[self._rows, contexts, own]
+        totals = cells.sum(axis=1)
+        self._code -= np.log((cells[:, result] + 0.5) / (totals + 0.5 * self._values))
+        known = totals >= self._visits
+        if known.sum() > 1:
+            forecasts = cells[known] / totals[known, None]
+            miss = forecasts - np.eye(cells.shape[1])[result]
+            errors = (miss * miss).sum(axis=1) / 2
+            pairs = np.ix_(known, known)
+            self._worse[pairs] += errors[:, None] - errors
+            self._ranges[pairs] += np.abs(forecasts[:, None] - forecasts).max(axis=2) ** 2
+        self._counts[self._rows, contexts, own, result] += 1
+
+    def find_alive(self, log: float) -> NDArray[np.int64]:
+        """Hypotheses that none has beaten; should all be beaten, those beaten by the least."""
+        beaten = (self._worse - np.sqrt(2 * log * self._ranges)).max(axis=1)
+        alive = np.flatnonzero(beaten <= max(float(beaten.min()), 0.0))
+        return alive[np.argsort(np.round(self._code[alive], 6), kind="stable")]
 
 
 @dataclass(frozen=True)
-class MetRMaxSettings(OptimisticSettings):
+class MetRMaxSettings(FactoredRMaxSettings):
     """Settings of `met-r-max`."""
 
     visits: Annotated[int, Range(1)] = 3
@@ -31,7 +144,7 @@ class MetRMaxSettings(OptimisticSettings):
     """Share of the samples of a context from which on a change is what the action does there."""
 
 
-class MetRMax(OptimisticPlanner):
+class MetRMax(FactoredRMax):
     """Believes every set of parents that none has beaten, and looks where two of them differ."""
 
     name: ClassVar[str] = "met-r-max"

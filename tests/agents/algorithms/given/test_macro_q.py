@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from hrl_escape.agents.agent import make_transition
-from hrl_escape.agents.algorithms.given.macro_q import MacroQ
-from hrl_escape.agents.hierarchy.macros import Macro
+from hrl_escape.agents.algorithms.given.macro_q import Macro, MacroQ
 from hrl_escape.agents.training.evaluation import evaluate
 from hrl_escape.checks import check_agent
 from tests.agents.hierarchy.wall_macros import make_wall_macros

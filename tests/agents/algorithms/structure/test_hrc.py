@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from hrl_escape.agents.algorithms.structure.hrc import END, Hrc, HrcSettings
-from hrl_escape.agents.discovery.interventions import compute_expected_cost, find_causes
+from hrl_escape.agents.algorithms.structure.hrc import END, Hrc, HrcSettings, compute_expected_cost, find_causes
 from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 from tests.agents.puzzle_envs import make_button_env

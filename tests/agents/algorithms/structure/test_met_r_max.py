@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from hrl_escape.agents.factored.meteorologists import Meteorologists
+from hrl_escape.agents.algorithms.structure.met_r_max import Meteorologists
 from tests.agents.puzzle_envs import learn_puzzle, make_button_env
 
 

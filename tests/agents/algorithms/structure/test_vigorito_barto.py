@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from hrl_escape.agents.factored.growing_sets import GrowingSets
+from hrl_escape.agents.algorithms.structure.vigorito_barto import GrowingSets
 from hrl_escape.agents.registry import make_agent
 from tests.agents.puzzle_envs import learn_puzzle, make_button_env
 from tests.agents.running import learn
