@@ -53,8 +53,7 @@ class CompareArgs(LaunchArgs):
     """Options of `hrl-escape compare`."""
 
     what: Annotated[str, tyro.conf.Positional] = DEFAULT
-    """quickstart, paper, ladder, hierarchies, learned-hierarchies, intra-option or paper-figure-1 to -3; or a .toml or
-    .json file with your own grid."""
+    """quickstart, paper, ladder or paper-figure-1 to -3; or a .toml or .json file with your own grid."""
     agents: tuple[str, ...] = ()
     """Other agents: names, smdp- in front for those that choose options, @paper behind for another recipe, +objects,
     +memory, +gru, +no-primitives or +markov behind for what they see and choose, +three-parents for what learners of

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from hrl_escape.agents.registry import find_agent_module
-from hrl_escape.comparison.presets import GRIDS, HIERARCHICAL, HIERARCHY_LEARNERS
+from hrl_escape.synthesis.kinds import KINDS
 from studies.__main__ import main
 from studies.baseline import BaselineRun
 from studies.learned.dial import DialLine
@@ -19,6 +19,7 @@ from studies.twins import analyse, compare_twins, conclude_contrasts, list_quest
 from tests.studies.pages import load, save
 
 GIVEN_HIERARCHIES, LEARNED_HIERARCHIES, INTRA_OPTION = map(find_study, ("hierarchies", "learned", "intra-option"))
+HIERARCHY_LEARNERS = [agent.algorithm for agent in LEARNED_HIERARCHIES.grids[0].agents if agent.learns]
 ROOMS = ("near", "far")
 STUDIES = pytest.mark.parametrize("study", [GIVEN_HIERARCHIES, LEARNED_HIERARCHIES, INTRA_OPTION],
                                   ids=lambda study: study.name)
@@ -52,7 +53,7 @@ def test_every_learner_of_the_grid_is_asked_about_or_a_twin_and_nobody_else(stud
 
 
 def test_questions_ask_about_every_hierarchy():
-    assert [len(question.pairs) for question in list_questions(GIVEN_HIERARCHIES)] == [len(HIERARCHICAL)] * 3
+    assert [len(question.pairs) for question in list_questions(GIVEN_HIERARCHIES)] == [len(KINDS)] * 3
     asked = sum(len(question.pairs) for question in list_questions(LEARNED_HIERARCHIES)[:3])
     assert asked == len(HIERARCHY_LEARNERS) - 3, "all but three twins"
 
@@ -206,11 +207,10 @@ def test_the_command_runs_and_writes_the_page_again_from_its_lines(study, agent,
                                                                    capsys):
     grid = study.grids[0]
     agents = tuple(spec for spec in grid.agents if spec.label in (agent, "planner"))
-    monkeypatch.setitem(GRIDS, grid.name, dataclasses.replace(grid, agents=agents, rooms=grid.rooms[:1],
-                                                              eval_every=60))
+    small = dataclasses.replace(grid, agents=agents, rooms=grid.rooms[:1], eval_every=60).to_dict()
     few = {"room": "layered-2-ignore#1", "algorithms": ["hrc"], "shares": [1.0], "failures": [0.0, 1.0], "draws": 1,
            "calls": 1, "longest": 200}
-    monkeypatch.setattr("studies.study.read_toml", lambda *_: {**study.data, "dial": few})
+    monkeypatch.setattr("studies.study.read_toml", lambda *_: {**study.data, "grid": [small], "dial": few})
     arguments = [study.name, "--docs", str(tmp_path)]
     assert main([*arguments, "--runs", "1", "--primitives", "60", "--workers", "1",
                  "--out", str(tmp_path / "runs")]) == 0
