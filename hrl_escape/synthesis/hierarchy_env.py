@@ -69,6 +69,6 @@ class HierarchyEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return self._situations.pack(self._room.get_state()), info
 
     def step(self, action: Any) -> tuple[NDArray[Any], Any, bool, bool, dict[str, Any]]:
-        """Run one primitive."""
+        """Run one primitive; the observation is the situation of the state reached."""
         _, reward, terminated, truncated, info = self.env.step(action)
         return self._situations.pack(self._room.get_state()), reward, terminated, truncated, info

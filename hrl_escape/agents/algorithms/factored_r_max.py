@@ -24,7 +24,7 @@ __all__ = ["FactoredRMax", "FactoredRMaxSettings"]
 
 @dataclass(frozen=True)
 class FactoredRMaxSettings(PlanningSettings):
-    """Settings of `factored-r-max`."""
+    """Samples that settle a context of `factored-r-max`, beside hypotheses and search."""
 
     visits: Annotated[int, Range(1)] = 1
     """Samples that make a context known; 1 is enough where outcomes have no chance in them."""

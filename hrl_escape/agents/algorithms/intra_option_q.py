@@ -21,7 +21,7 @@ __all__ = ["IntraOptionQ", "IntraOptionQSettings"]
 
 @dataclass(frozen=True)
 class IntraOptionQSettings(TabularAgentSettings):
-    """Settings of `intra-option-q`."""
+    """Those of every agent with a table, for `intra-option-q`."""
 
 
 class IntraOptionQ(TabularAgent):

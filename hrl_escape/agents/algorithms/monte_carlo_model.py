@@ -27,7 +27,7 @@ __all__ = ["MonteCarloModel", "MonteCarloModelSettings"]
 
 @dataclass(frozen=True)
 class MonteCarloModelSettings(PlanningSettings):
-    """Settings of `monte-carlo-model`."""
+    """Draws of `monte-carlo-model` and what makes a structure likely, beside hypotheses and search."""
 
     samples: Annotated[int, Range(1)] = 2
     """Structures drawn for each action; the first predicts, a context that any of them has not met is open."""

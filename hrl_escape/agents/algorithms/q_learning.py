@@ -21,7 +21,7 @@ __all__ = ["QLearning", "QLearningSettings"]
 
 @dataclass(frozen=True)
 class QLearningSettings(BonusSettings, TabularAgentSettings):
-    """Settings of `q-learning`."""
+    """Those of every agent with a table, and a bonus by counts, for `q-learning`."""
 
 
 class QLearning(TabularAgent):
@@ -43,6 +43,6 @@ class QLearning(TabularAgent):
         self._bonus = CountBonus(observation_space, self.settings, self.name)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """One backup."""
+        """Back up the decision, with the bonus of the state reached."""
         error = self.back_up(transition, self._bonus.visit(transition.next_observation))
         return self.finish_decision(transition, error)

@@ -31,7 +31,7 @@ SWEEPS = 20_000
 
 @dataclass(frozen=True)
 class RMaxSettings(AgentSettings):
-    """Settings of `r-max`."""
+    """States as `r-max` tells them apart, samples that make a pair known, and the worth of the unknown."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive."""

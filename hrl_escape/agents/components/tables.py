@@ -25,7 +25,7 @@ __all__ = ["QTable", "ResolutionSettings", "TabularSettings", "make_cell_finder"
 
 @dataclass(frozen=True)
 class ResolutionSettings(AgentSettings):
-    """Resolution of states."""
+    """Rounding by which observations with and without bounds become states."""
 
     bins: Annotated[int, Range(2)] = 11
     """A component with bounds low, high is rounded to the nearest of this many evenly spaced points, both ends

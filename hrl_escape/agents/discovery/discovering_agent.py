@@ -240,7 +240,7 @@ class DiscoveringAgent(TabularAgent):
         return self.table.update(key, transition.action, reward + bootstrap * best)
 
     def after_load(self) -> None:
-        """No evaluation runs."""
+        """Forget the evaluation that ran, which is no part of the state."""
         self._evaluation = None
 
 

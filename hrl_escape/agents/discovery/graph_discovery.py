@@ -45,7 +45,7 @@ class GraphDiscovery(Stateful, ABC):
         self._decisions = 0
 
     def observe(self, transition: SMDPTransition, before: int, after: int) -> None:
-        """Count."""
+        """Count the decision; the graph holds the rest."""
         self._decisions += 1
 
     def propose(self, graph: StateGraph) -> Mapping[int, TableSkill]:

@@ -37,7 +37,7 @@ class StateGraph:
         return self._numbers.setdefault(key, len(self._numbers))
 
     def add(self, before: bytes, action: int, after: bytes) -> None:
-        """Count one decision."""
+        """Count one decision, between states by key."""
         edge = self.number(before), action, self.number(after)
         self._counts[edge] = self._counts.get(edge, 0) + 1
 

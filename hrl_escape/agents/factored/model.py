@@ -89,7 +89,7 @@ class PendingPlan(Stateful):
         self._states, self._actions = list(plan.states), list(plan.actions)
 
     def drop(self) -> None:
-        """Follow none."""
+        """Follow no plan until one begins."""
         self._states, self._actions = [], []
 
     def take(self, state: int, legal: NDArray[np.bool_]) -> int | None:
@@ -293,7 +293,7 @@ class FactoredModel:
         return frozenset(edges)
 
     def state_dict(self) -> StateTree:
-        """The history."""
+        """Decisions in columns, in the order they were made; the model follows from them."""
         names = ("action", "duration", "reward", "over", "previous", "again")
         columns = zip(*self._rows, strict=True) if self._rows else ([] for _ in names)
         return {

@@ -54,7 +54,7 @@ class Return(NamedTuple):
 
     @property
     def decision(self) -> Decision:
-        """The decision."""
+        """The decision, paid up to the moment reached."""
         decision = self.stack[-1].decision
         assert decision is not None
         return decision

@@ -146,7 +146,7 @@ class Worker(BaseTask):
         return seen.mask if policy is None else allow_only(policy(seen.observation, context), seen.mask)
 
     def list_calls(self) -> Mapping[str, Any]:
-        """One a goal."""
+        """One a goal, under the goal's name."""
         names = self._goals.names or tuple(f"goal {goal}" for goal in range(self._goals.count))
         return {name: goal for goal, name in enumerate(names)}
 

@@ -71,7 +71,7 @@ class StatefulEnv(Protocol):
     """An environment whose state can be read and set."""
 
     def get_state(self) -> Any:
-        """The full state."""
+        """Everything that decides what follows, as `set_state` takes it."""
         ...
 
     def set_state(self, state: Any) -> None:

@@ -204,15 +204,15 @@ class BaseTask:
         self.space = gymnasium.spaces.Discrete(choices)
 
     def view(self, seen: Seen, stack: Stack) -> Any:
-        """The observation."""
+        """The whole observation, as the environment gave it."""
         return seen.observation
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        """The legal primitives."""
+        """The primitives that are legal at the moment, bool (primitives,)."""
         return seen.mask
 
     def find_place(self, context: Any) -> tuple[float, float] | None:
-        """None."""
+        """None: it has no place on the floor."""
         return None
 
     def is_callable(self, seen: Seen, context: Any) -> bool:
@@ -228,15 +228,15 @@ class BaseTask:
         return Call(int(choice))
 
     def ends(self, frame: Frame, seen: Seen) -> float:
-        """Never."""
+        """0, so that only a caller or the episode ends it."""
         return 0.0
 
     def pay(self, step: Step, frame: Frame) -> float:
-        """The environment's reward."""
+        """The reward of the environment, as the step brought it."""
         return step.reward
 
     def final(self, frame: Frame, seen: Seen) -> float:
-        """Nothing."""
+        """0: its end earns nothing beside its pay."""
         return 0.0
 
     def decide(self, seen: Seen, context: Any, rng: np.random.Generator) -> int:

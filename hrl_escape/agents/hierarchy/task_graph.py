@@ -91,7 +91,7 @@ class GraphTask(BaseTask):
         return float(self.until(seen))
 
     def final(self, frame: Frame, seen: Seen) -> float:
-        """The pseudo-reward."""
+        """The pseudo-reward of the state reached, 0 without one."""
         return 0.0 if self.pseudo is None else self.pseudo(seen)
 
 

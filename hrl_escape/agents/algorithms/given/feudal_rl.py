@@ -102,7 +102,7 @@ class FeudalTask(BaseTask):
         return Call(choice) if self.below is None else Call(self.below, int(choice))
 
     def list_calls(self) -> Mapping[str, Any]:
-        """One an order."""
+        """One a direction, and one to search."""
         return {f"{self.name} {order}": number for number, order in enumerate(ORDER_NAMES)}
 
     def find_exit(self, frame: Frame, seen: Seen) -> tuple[int, int] | None:
@@ -153,7 +153,7 @@ def make_feudal_hierarchy(tree: Quadtree, primitives: int, penalty: float, patie
 
 @dataclass(frozen=True)
 class FeudalRlSettings(StackSettings, TabularSettings, ExplorationSettings):
-    """Settings of `feudal-rl`."""
+    """Pay and patience of orders in `feudal-rl`, beside rates, exploration and discount."""
 
     penalty: Annotated[float, Range(0)] = 0.2
     """Cost to a manager of leaving its cell otherwise than it was ordered to."""

@@ -44,7 +44,7 @@ Simulator = Callable[[Any, int, np.random.Generator], Sampled]
 
 @dataclass(frozen=True)
 class HUctSettings(StackSettings):
-    """Settings of `h-uct`."""
+    """Size of the searches of `h-uct`, and how they explore."""
 
     polled: Literal["never", "evaluation", "always"] = "always"
     """Plan from the root again at each primitive, instead of letting calls come to their end: never, in evaluation

@@ -54,7 +54,7 @@ MOST_INTERNAL = 10_000
 
 @dataclass(frozen=True)
 class HamqSettings(TabularSettings, ExplorationSettings):
-    """Settings of `hamq`."""
+    """Rates, exploration and discount of `hamq`, and whether choices without a primitive between share a value."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive."""

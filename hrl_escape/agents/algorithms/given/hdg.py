@@ -36,7 +36,7 @@ __all__ = ["Hdg", "HdgSettings"]
 
 @dataclass(frozen=True)
 class HdgSettings(EpsilonSettings):
-    """Settings of `hdg`."""
+    """Rates of distances in `hdg`, and where it aims on far ways."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive of what is logged; distances are counted in primitives, without discount."""

@@ -98,7 +98,7 @@ def make_macro_hierarchy(primitives: int, macros: Sequence[Macro]) -> Hierarchy:
 
 @dataclass(frozen=True)
 class MacroQSettings(StackSettings, TabularSettings, ExplorationSettings):
-    """Settings of `macro-q`."""
+    """Rates, exploration and discount of `macro-q`; macros are given, not set."""
 
 
 class MacroQ(CallRunner):

@@ -36,7 +36,7 @@ __all__ = ["MaxqQ", "MaxqQSettings"]
 
 @dataclass(frozen=True)
 class MaxqQSettings(StackSettings, TabularSettings, ExplorationSettings):
-    """Settings of `maxq-q`."""
+    """Completions that `maxq-q` learns, beside rates, exploration and discount."""
 
     pseudo_rewards: bool = True
     """Choose by completions with the pseudo-rewards of the task graph; without them it is MAXQ-0."""

@@ -36,7 +36,7 @@ LEAK = 1e-10
 
 @dataclass(frozen=True)
 class RMaxqSettings(StackSettings):
-    """Settings of `r-maxq`."""
+    """Samples that make a pair known to `r-maxq`, and bounds of its models."""
 
     visits: Annotated[int, Range(1)] = 1
     """Samples that make a pair of state and primitive known (m); 1 is enough where outcomes have no chance in them."""

@@ -23,7 +23,7 @@ __all__ = ["CoveringDiscovery", "CoveringOptions", "CoveringOptionsSettings"]
 
 @dataclass(frozen=True)
 class CoveringOptionsSettings(GraphDiscoverySettings):
-    """Settings of `covering-options`."""
+    """Edges that `covering-options` adds, and the share of exploration that runs their options."""
 
     option_share: Annotated[float, Range(0, 1)] = 1.0
     """Share of exploratory choices that begin an option where one may begin, which is in a few states only."""

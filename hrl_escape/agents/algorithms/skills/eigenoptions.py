@@ -27,7 +27,7 @@ __all__ = ["EigenoptionDiscovery", "Eigenoptions", "EigenoptionsSettings"]
 
 @dataclass(frozen=True)
 class EigenoptionsSettings(GraphDiscoverySettings):
-    """Settings of `eigenoptions`."""
+    """Directions that `eigenoptions` follows, and where they come from."""
 
     directions: Annotated[int, Range(1)] = 8
     """Slow directions that have options, two each: one along it, one against it."""

@@ -25,7 +25,7 @@ __all__ = ["SkillChain", "SkillChaining", "SkillChainingSettings"]
 
 @dataclass(frozen=True)
 class SkillChainingSettings(DiscoverySettings):
-    """Settings of `skill-chaining`."""
+    """Length of the chain of `skill-chaining`, and what its initiation sets are learned from."""
 
     use: Literal["explore", "choose"] = "choose"
     """`explore`: options are run in exploration alone, and the policy is over primitives. `choose`: they are choices
@@ -176,5 +176,5 @@ class SkillChaining(DiscoveringAgent):
     settings: SkillChainingSettings
 
     def make_discovery(self) -> SkillChain:
-        """The chain."""
+        """A chain without an option yet, whose first target is the end of the task."""
         return SkillChain(self.settings)

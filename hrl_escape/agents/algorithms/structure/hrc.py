@@ -124,13 +124,13 @@ def compute_expected_cost(
     return ExpectedCost(*expect(frozenset()))
 
 
-END = -1
+TASK_END = -1
 """In place of a bit: the end of the task."""
 
 
 @dataclass(frozen=True)
 class HrcSettings(AgentSettings):
-    """Settings of `hrc`."""
+    """Tries of an action, most bits that it needs, and the choice of interventions in `hrc`."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive."""
@@ -188,16 +188,16 @@ class Hrc(Agent):
         self.interventions: list[int] = []
         self.cost = 0
         self._effects: dict[int, int] = {}
-        """Bit, or `END` -> the action that first brought it about."""
+        """Bit, or `TASK_END` -> the action that first brought it about."""
         self._parents: dict[int, list[tuple[int, ...]]] = {}
-        """Bit, or `END` -> the sets that may be its parents."""
+        """Bit, or `TASK_END` -> the sets that may be its parents."""
         self._tried: dict[tuple[int, int], int] = {}
         """(action, interventions made) -> tries."""
 
     def _read(self, observation: Any) -> int:
         flat = self._reader.flatten(observation)
         if self._reader.notice(flat):  # some numbers are no bits
-            left = {END, *self._reader.components.tolist()}
+            left = {TASK_END, *self._reader.components.tolist()}
             self._effects = {bit: action for bit, action in self._effects.items() if bit in left}
             self.interventions = [bit for bit in self.interventions if bit in left]
             self._parents = {bit: self._find_parents(bit) for bit in self._effects}
@@ -208,9 +208,9 @@ class Hrc(Agent):
     def _find_parents(self, bit: int) -> list[tuple[int, ...]]:
         """The smallest sets that were on in all successes and in the fewest failures of the bit's action."""
         action, known = self._effects[bit], sum(1 << int(component) for component in self._reader.components)
-        off = [row for row in self._samples if row[1] == action and (bit == END or not row[0] >> bit & 1)]
-        worked = [row[0] for row in off if (row[3] if bit == END else row[2] >> bit & 1)]
-        failed = [row[0] for row in off if not (row[3] if bit == END else row[2] >> bit & 1)]
+        off = [row for row in self._samples if row[1] == action and (bit == TASK_END or not row[0] >> bit & 1)]
+        worked = [row[0] for row in off if (row[3] if bit == TASK_END else row[2] >> bit & 1)]
+        failed = [row[0] for row in off if not (row[3] if bit == TASK_END else row[2] >> bit & 1)]
         common = known
         for before in worked:
             common &= before
@@ -229,7 +229,7 @@ class Hrc(Agent):
 
     def get_graph(self) -> frozenset[tuple[int, int]]:
         """Edges (parent, child) between the components of bits that can be reached."""
-        return frozenset((parent, bit) for bit, sets in self._parents.items() if bit != END for parent in sets[0])
+        return frozenset((parent, bit) for bit, sets in self._parents.items() if bit != TASK_END for parent in sets[0])
 
     def _step_towards(self, bit: int, bits: int, depth: int = 0) -> int:
         """The next action on the way to a bit, or to the end, if its parents are those of which most are on."""
@@ -246,8 +246,8 @@ class Hrc(Agent):
         return action if action_mask[action] else sample_legal(action_mask, self._rng)
 
     def _choose(self, bits: int, mask: NDArray[np.bool_]) -> int:
-        if END in self._effects:
-            return self._step_towards(END, bits)
+        if TASK_END in self._effects:
+            return self._step_towards(TASK_END, bits)
         while True:
             for bit in self.interventions:
                 if not bits >> bit & 1 and bit in self._effects:
@@ -272,7 +272,7 @@ class Hrc(Agent):
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The next action on the way to the end; any, where none is known."""
         bits = self._read_frozen(observation)
-        action = self._step_towards(END, bits) if END in self._effects else None
+        action = self._step_towards(TASK_END, bits) if TASK_END in self._effects else None
         return sample_legal(action_mask, rng) if action is None or not action_mask[action] else action
 
     def _read_frozen(self, observation: Any) -> int:
@@ -296,7 +296,7 @@ class Hrc(Agent):
         if all(before >> bit & 1 for bit in self.interventions):
             self._tried[action, made] = self._tried.get((action, made), 0) + 1
         turned = after & ~before
-        found = [n for n in range(turned.bit_length()) if turned >> n & 1] + [END] * over
+        found = [n for n in range(turned.bit_length()) if turned >> n & 1] + [TASK_END] * over
         for bit in found:
             if bit not in self._effects:
                 self._effects[bit] = action

@@ -134,7 +134,7 @@ class _Tests:
 
 @dataclass(frozen=True)
 class MetRMaxSettings(FactoredRMaxSettings):
-    """Settings of `met-r-max`."""
+    """Samples and error probability of the tests of `met-r-max`, beside hypotheses and search."""
 
     visits: Annotated[int, Range(1)] = 3
     """Samples that make a context known, and its forecasts count."""

@@ -104,7 +104,7 @@ class GrowingSets(StructureLearner):
 
 @dataclass(frozen=True)
 class VigoritoBartoSettings(FactoredRMaxSettings):
-    """Settings of `vigorito-barto`."""
+    """Samples of a context after which `vigorito-barto` makes options, beside hypotheses and search."""
 
     visits: Annotated[int, Range(1)] = 3
     """Samples of a context after which no more are needed; a variable then gets its option."""
@@ -124,7 +124,7 @@ class VigoritoBarto(FactoredRMax):
     def make_learner(
         self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool
     ) -> GrowingSets:
-        """Sets that grow."""
+        """New sets of parents, each empty at first."""
         return GrowingSets(sizes, actions, max_parents, all_on)
 
     def find_skills(self) -> dict[int, tuple[int, tuple[int, ...]]]:

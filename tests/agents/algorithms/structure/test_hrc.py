@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from hrl_escape.agents.algorithms.structure.hrc import END, Hrc, HrcSettings, compute_expected_cost, find_causes
+from hrl_escape.agents.algorithms.structure.hrc import TASK_END, Hrc, HrcSettings, compute_expected_cost, find_causes
 from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 from tests.agents.puzzle_envs import make_button_env
@@ -100,7 +100,7 @@ def test_its_cost_lies_below_that_of_subgoals_tried_one_by_one():
         parents = count_parents(env.puzzle)
         agent = Hrc(env.observation_space, env.action_space, seed, HrcSettings())
         play(agent, env, 150, seed)
-        assert END in agent._effects
+        assert TASK_END in agent._effects
         spent.append(agent.cost)
         expected.append(compute_expected_cost(parents, len(parents) - 1, "uniform").cost)
     assert 0.4 * np.mean(expected) < np.mean(spent) < 0.9 * np.mean(expected)
