@@ -9,14 +9,14 @@ from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.observations.base import list_observations, make_observer
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import UnknownNameError, UnsupportedError
+from tests.covering import cover
 from tests.env.rooms import all_schematics
 
 KINDS = sorted(observation.name for observation in list_observations() if observation.observe_batch)
 NAMES = ["paper-two-button", "arm-two-button", "clutter", "bit-flip", "noisy", "door", "sixty-four-buttons"]
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize(("name", "kind"), cover(NAMES, KINDS))
 def test_observations_are_those_of_the_scalar_rules(name, kind):
     instances = [generate(all_schematics()[name], seed) for seed in range(2)]
     room = TensorRoom(instances, 8, observation=kind)
