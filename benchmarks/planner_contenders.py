@@ -197,7 +197,7 @@ def make_queries(floor: str, seeds: Iterable[int], each: int, config: RoomConfig
         cells = space.get_cells(space.find_label(begin.x, begin.y))
         goals: list[Goal] = [*(PressGoal(i) for i in range(len(instance.targets))), ExitGoal()]
         if kind.goals == "places":
-            goals = [PoseGoal(*place) for place in space.get_centres(rng.choice(cells, each + 1)).tolist()]
+            goals = [PoseGoal(*place) for place in space.grid.get_centres(rng.choice(cells, each + 1)).tolist()]
         for number in range(each):
             goal, other = goals[number % len(goals)], goals[(number + 1) % len(goals)]
             state = _draw_state(rules, space, cells, begin, goal, rng)
@@ -213,7 +213,7 @@ def _draw_state(rules: Kinematics, space: FreeSpace, cells: np.ndarray, begin: R
                 rng: np.random.Generator) -> RoomState:
     """Draw a free place and a heading at which the goal is not reached yet."""
     while True:
-        x, y = space.get_centres(cells[rng.integers(len(cells))]).tolist()
+        x, y = space.grid.get_centres(cells[rng.integers(len(cells))]).tolist()
         heading = int(rng.integers(rules.headings))
         touching = rules.compute_touching(x, y, heading, 0.0, begin.joint_steps, ())
         state = begin._replace(x=x, y=y, heading_steps=heading, touching=touching)

@@ -19,31 +19,20 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.bases.rectangle import TOUCH
 from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.floor_grid import FloorGrid, label_parts
 from hrl_escape.env.geometry import (
     Footprint,
     compute_distance,
-    compute_distance_many,
     compute_first_contact,
     stack_footprints,
 )
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.poses import RobotPoses
 
-__all__ = ["CollisionMap", "compute_extent_radius", "list_cells"]
+__all__ = ["CollisionMap"]
 
 FINEST = 0.02
 MOST_CELLS = 1_000_000
-
-
-def list_cells(low: Any, high: Any) -> NDArray[np.int64]:
-    """List the cells (n, 2) from a corner (i, j) up to, and without, another one, row-major."""
-    sides = np.maximum(np.subtract(high, low), 0)
-    return np.indices(tuple(sides)).reshape(2, -1).T + np.asarray(low)
-
-
-def compute_extent_radius(shape: Footprint) -> float:
-    """Radius of the smallest circle round a footprint's centre that holds it, m."""
-    return shape.half_x if shape.is_disc else math.hypot(shape.half_x, shape.half_y)
 
 
 class CollisionMap:
@@ -58,6 +47,7 @@ class CollisionMap:
         inner: that of the largest disc within the base: where it does not fit, no heading does. A base that is a disc
             has one radius.
         base: the base, plus contact skin.
+        grid: its cells.
         low: corner of the grid with the smallest coordinates, shape (2,), m.
         resolution: side of a cell, m: a sixth of the inner radius, at most 0.125, coarser in
             rooms of more than a million such cells.
@@ -85,12 +75,12 @@ class CollisionMap:
         self.resolution = max(finest, math.sqrt(width * depth / MOST_CELLS))
         self.slack = self.resolution * math.sqrt(0.5) + 1e-5  # and the rounding of float32
         self.horizon = self.radius + max(reach, self.resolution) + 2 * self.slack
-        self.low = np.array([-instance.reach_x, -instance.reach_y])
+        self.grid = FloorGrid.cover(instance.reach_x, instance.reach_y, self.resolution)
+        self.low = self.grid.low
         self._low_x, self._low_y, self._per_metre = -instance.reach_x, -instance.reach_y, 1.0 / self.resolution
-        shape = tuple(max(1, math.ceil(side / self.resolution)) for side in (width, depth))
-        self.distance = np.full(shape, self.horizon, dtype=np.float32)
+        self.distance = np.full(self.grid.shape, self.horizon, dtype=np.float32)
         for footprint in self.footprints:
-            self._lower(footprint, (0, 0), self.distance.shape)
+            self._lower(footprint)
         self._index()
 
     def _take_solids(self, instance: RoomInstance, door_shut: bool) -> None:
@@ -115,37 +105,20 @@ class CollisionMap:
         new.__dict__.pop("_labels", None)
         new._take_solids(instance, door_shut)
         new.distance = self.distance.copy()
-        windows = [self._find_window(shape) for shape in changed]
+        windows = [self.grid.find_window(shape, self.horizon) for shape in changed]
         for low, high in windows:
             new.distance[low[0] : high[0], low[1] : high[1]] = self.horizon
         for low, high in windows:
             for footprint in new.footprints:
-                new._lower(footprint, low, high)
+                new._lower(footprint, (low, high))
         new._index()
         return new
 
-    def _find_window(self, shape: Footprint) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
-        """Corners of the cells whose distance a footprint can lower."""
-        middle, extent = np.array([shape.x, shape.y]), compute_extent_radius(shape) + self.horizon
-        low = np.maximum(np.floor((middle - extent - self.low) / self.resolution).astype(int), 0)
-        high = np.minimum(np.ceil((middle + extent - self.low) / self.resolution).astype(int), self.distance.shape)
-        return low, np.maximum(low, high)
-
-    def _lower(self, footprint: Footprint, low: Any, high: Any) -> None:
-        """Lower the distances of cells between two corners to those from a footprint."""
-        first, last = self._find_window(footprint)
-        i0, j0 = np.maximum(first, low)
-        i1, j1 = np.minimum(last, high)
-        if i0 >= i1 or j0 >= j1:
-            return
-        part = self.distance[i0:i1, j0:j1]
-        points = self.get_centres(list_cells((i0, j0), (i1, j1)))
-        away = compute_distance_many(points, stack_footprints([footprint])).reshape(part.shape)
+    def _lower(self, footprint: Footprint, within: tuple[Any, Any] | None = None) -> None:
+        """Lower the distances of cells, in a window or everywhere, to those from a footprint."""
+        window, away = self.grid.measure(footprint, self.horizon, within)
+        part = self.distance[window]
         np.minimum(part, away, out=part, casting="same_kind")
-
-    def get_centres(self, cells: NDArray[np.int_]) -> NDArray[np.float64]:
-        """Centres (n, 2) of cells (n, 2), m."""
-        return np.add(self.low, (cells + 0.5) * self.resolution, dtype=np.float64)
 
     def _find_cell(self, x: float, y: float) -> int:
         """Index of the cell that holds a place; -1 off the floor."""
@@ -222,21 +195,15 @@ class CollisionMap:
     @cached_property
     def _labels(self) -> NDArray[np.int32]:
         """Connected parts of the cells that may hold a free place; no path leads from one part to another."""
-        from scipy import ndimage  # takes 0.1 s, and only tests of reachability need it
-
-        labels = np.zeros(self.distance.shape, dtype=np.int32)
-        ndimage.label(self.distance >= self.inner - self.slack, structure=np.ones((3, 3)), output=labels)
-        return labels
+        return label_parts(self.distance >= self.inner - self.slack, corners=True)
 
     def get_parts(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
         """Part of the floor of each of the points (n, 2); 0 where the body does not fit.
 
         No path connects different parts; within a part one usually exists.
         """
-        cells = np.floor((points.reshape(-1, 2) - self.low) / self.resolution).astype(int)
-        inside = ((cells >= 0) & (cells < self.distance.shape)).all(axis=1)
-        cells[~inside] = 0
-        return np.where(inside, self._labels[cells[:, 0], cells[:, 1]], 0)
+        cells = self.grid.find_numbers(points.reshape(-1, 2))
+        return np.where(cells >= 0, self._labels.ravel()[cells], 0)
 
     def find_proof(self, x: float, y: float, goal: Footprint, reach: float) -> Literal["solid", "apart"] | None:
         """Prove that the body cannot get from a place to within `reach` of a footprint, if the grid can.
@@ -244,15 +211,10 @@ class CollisionMap:
         Returns:
             `"solid"` if the body fits nowhere there, `"apart"` if no path leads there, None without a proof.
         """
-        around = (goal.half_x if goal.is_disc else math.hypot(goal.half_x, goal.half_y)) + reach + self.slack
-        middle = np.array([goal.x, goal.y])
-        low = np.maximum(np.floor((middle - around - self.low) / self.resolution).astype(int), 0)
-        high = np.minimum(np.ceil((middle + around - self.low) / self.resolution).astype(int), self.distance.shape)
-        if reach < 0.0 or (low >= high).any():
+        window, away = self.grid.measure(goal, reach + self.slack)
+        if reach < 0.0:
             return "solid"
-        points = self.get_centres(list_cells(low, high))
-        near = compute_distance_many(points, stack_footprints([goal])) <= reach + self.slack
-        there = self._labels[low[0] : high[0], low[1] : high[1]].ravel()[near]
+        there = self._labels[window][away <= reach + self.slack]
         if not there.any():
             return "solid"
         here = int(self.get_parts(np.array([x, y]))[0])

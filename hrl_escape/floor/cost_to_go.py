@@ -20,14 +20,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.clock import NO_LIMIT, Clock
+from hrl_escape.env.floor_grid import FloorGrid, compute_extent_radius
 from hrl_escape.env.geometry import Footprint, compute_distance_many, make_footprint, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.floor import dijkstra
-from hrl_escape.floor.clearance import CollisionMap, compute_extent_radius, list_cells
+from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.floor.sweeps import POINT, Presser, make_sweep_scene
 
-__all__ = ["FieldMaker", "FloorGrid", "Seeds", "lay_grid", "make_collision"]
+__all__ = ["FieldMaker", "Seeds", "count_classes", "lay_grid", "make_collision"]
 
 MOST_STATES = 1_500_000
 CACHE_BYTES = 64_000_000
@@ -60,32 +61,17 @@ class Seeds(NamedTuple):
                 and np.array_equal(self.costs, other.costs))
 
 
-class FloorGrid(NamedTuple):
-    """Cells over a floor.
-
-    Attributes:
-        classes: heading classes.
-        size: side of a cell, m.
-        shape: (columns, rows) of cells.
-    """
-
-    classes: int
-    size: float
-    shape: tuple[int, int]
-
-    @property
-    def states(self) -> int:
-        """Number of (cell, class) states."""
-        return self.classes * self.shape[0] * self.shape[1]
+def count_classes(rules: Rules) -> int:
+    """Headings that moves distinguish: those of a quarter or half a turn, or more where that is no whole number."""
+    return rules.headings // math.gcd(rules.headings, rules.symmetry)
 
 
 def lay_grid(instance: RoomInstance, rules: Rules, refinement: int = 0) -> FloorGrid:
     """Lay a grid over a room's floor; `FieldMaker` says how, and `refinement` halves its cells."""
-    classes = rules.headings // math.gcd(rules.headings, rules.symmetry)
     area = 4 * instance.reach_x * instance.reach_y
     step = rules.actions.stride
-    size = max(min(step / 4, 0.25), math.sqrt(area * classes / MOST_STATES)) / 2**refinement
-    return FloorGrid(classes, size, (math.ceil(2 * instance.reach_x / size), math.ceil(2 * instance.reach_y / size)))
+    size = max(min(step / 4, 0.25), math.sqrt(area * count_classes(rules) / MOST_STATES)) / 2**refinement
+    return FloorGrid.cover(instance.reach_x, instance.reach_y, size)
 
 
 class _KeptField(NamedTuple):
@@ -109,6 +95,7 @@ class FieldMaker:
         door_shut: True if there is a door and it is shut.
         collision: clearances of the room.
         headings: turn steps of a full turn.
+        grid: its cells.
         low: corner of the grid, shape (2,), m.
         size: side of a cell, m.
         macro: primitives of a link.
@@ -141,14 +128,14 @@ class FieldMaker:
         step = rules.actions.stride
         self.door_shut = door_shut and instance.door is not None
         self.headings = rules.headings
-        self.classes, self.size, self.shape = lay_grid(instance, rules, refinement)
+        self.classes, self.grid = count_classes(rules), lay_grid(instance, rules, refinement)
+        self.low, self.size, self.shape = self.grid
         self.macro = max(1, round(4 * self.size / step))
         self.bin_size = min(self.size / 2, step / 4)
         self._turn_step = rules.turn_step
         self.targets = stack_footprints([target.footprint for target in instance.targets])
         self.span = self.macro * rules.actions.longest
         self.collision = collision or make_collision(instance, door_shut)
-        self.low = self.collision.low
         door = len(instance.solids) if self.door_shut else -1
         self.scene = make_sweep_scene(self.collision, door, self.span)
         angles = np.arange(self.classes) * rules.turn_step
@@ -177,8 +164,7 @@ class FieldMaker:
             make_footprint(x, y, math.hypot(dx, dy) / 2, 0.0, math.atan2(dy, dx))
             for (x, y), (dx, dy) in zip((path[:-1] + legs / 2).tolist(), legs.tolist(), strict=True)
         ])
-        centres = np.add(self.low, (list_cells((0, 0), self.shape) + 0.5) * self.size, dtype=np.float64)
-        return compute_distance_many(centres, shapes) <= width
+        return compute_distance_many(self.grid.get_centres(), shapes) <= width
 
     def _choose_points(self, begin: int, end: int, clock: Clock) -> None:
         """Choose the places of some columns of cells."""
@@ -392,10 +378,9 @@ class FieldMaker:
 
     def get_cost(self, field: NDArray[np.int16], state: RoomState) -> int:
         """Cost-to-go of a pose by a field; -1 if the goal cannot be reached from there."""
-        low_x, low_y = self.low.tolist()
-        i, j = math.floor((state.x - low_x) / self.size), math.floor((state.y - low_y) / self.size)
-        if not (0 <= i < self.shape[0] and 0 <= j < self.shape[1]):
+        cell = self.grid.find_number(state.x, state.y)
+        if cell < 0:
             return -1
         layers = len(field) // len(self.points)
         layer = (state.heading_steps + round(state.heading_offset / self._turn_step)) % layers
-        return int(field[(i * self.shape[1] + j) * layers + layer])
+        return int(field[cell * layers + layer])

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from hrl_escape.env import geometry
 from hrl_escape.env.bases import BASES, Base
-from hrl_escape.env.geometry import compute_distance_many, stack_footprints
+from hrl_escape.env.floor_grid import FloorGrid
 from hrl_escape.errors import UnsupportedError
-from hrl_escape.floor.clearance import CollisionMap, list_cells
+from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import add_sources, kernel_part
 
 __all__ = ["POINT", "Presser", "SweepScene", "can_turn_body", "compile_geometry", "does_fit", "first_contact",
@@ -282,30 +282,21 @@ def make_sweep_scene(collision: CollisionMap, door: int, span: float) -> SweepSc
     """
     width, depth = collision.resolution * np.array(collision.distance.shape)
     size = max(min(span, 2.0), 0.5, width / 128, depth / 128)
-    shape = (math.ceil(width / size), math.ceil(depth / size))
+    grid = FloorGrid(collision.low, size, (math.ceil(width / size), math.ceil(depth / size)))
     limit = collision.radius + span + size * math.sqrt(0.5) + 1e-6
     cells: list[NDArray[np.int64]] = []
     items: list[NDArray[np.int32]] = []
     for number, footprint in enumerate(collision.footprints):
-        around = footprint.half_x if footprint.is_disc else math.hypot(footprint.half_x, footprint.half_y)
-        middle = np.array([footprint.x, footprint.y])
-        i0, j0 = np.maximum(np.floor((middle - around - limit - collision.low) / size).astype(int), 0)
-        i1, j1 = np.minimum(np.ceil((middle + around + limit - collision.low) / size).astype(int), shape)
-        if i0 >= i1 or j0 >= j1:
-            continue
-        grid = list_cells((i0, j0), (i1, j1))
-        centres = np.add(collision.low, (grid + 0.5) * size, dtype=np.float64)
-        away = compute_distance_many(centres, stack_footprints([footprint]))
-        near = grid[away <= limit]
-        cells.append(near[:, 0] * shape[1] + near[:, 1])
-        items.append(np.full(len(near), number, dtype=np.int32))
+        (columns, rows), away = grid.measure(footprint, limit)
+        i, j = np.nonzero(away <= limit)
+        cells.append((i + columns.start) * grid.shape[1] + j + rows.start)
+        items.append(np.full(len(i), number, dtype=np.int32))
     flat = np.concatenate(cells) if cells else np.zeros(0, dtype=np.int64)
     order = np.argsort(flat, kind="stable")
-    starts = np.searchsorted(flat[order], np.arange(shape[0] * shape[1] + 1))
+    starts = np.searchsorted(flat[order], np.arange(grid.cells + 1))
     return SweepScene(
         collision.solids, door, collision.radius, collision.inner, number_base(collision.base),
-        np.array(collision.base.size), collision.low, size,
-        np.array(shape), starts.astype(np.int64),
+        np.array(collision.base.size), collision.low, size, np.array(grid.shape), starts.astype(np.int64),
         (np.concatenate(items) if items else np.zeros(0, dtype=np.int32))[order], collision.distance,
         collision.resolution, collision.slack,
     )

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import dijkstra
 
+from hrl_escape.env.floor_grid import FloorGrid, spread_waves
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_distance_many, make_footprint, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
@@ -63,16 +63,14 @@ class PushField:
         solids = (*instance.solids, *((instance.door,) if instance.door else ()))
         self._solids = stack_footprints(
             [make_footprint(s.x, s.y, s.half_x, s.half_y, s.yaw, s.shape == "cylinder") for s in solids])
-        self._low = np.array([-instance.reach_x, -instance.reach_y])
-        self._shape = (math.ceil(2 * instance.reach_x / CELL), math.ceil(2 * instance.reach_y / CELL))
+        self._grid = FloorGrid.cover(instance.reach_x, instance.reach_y, CELL)
 
     @cached_property
     def costs(self) -> NDArray[np.float64]:
         """Cost-to-go of each cell, shape (cells,), primitives; infinity where there is no way."""
-        columns, rows = self._shape
-        cells = columns * rows
-        i, j = (n.ravel() for n in np.mgrid[:columns, :rows])
-        points = self._low + (np.stack([i, j], axis=1) + 0.5) * CELL
+        (columns, rows), cells = self._grid.shape, self._grid.cells
+        i, j = self._grid.list_cells().T
+        points = self._grid.get_centres()
         fits = compute_distance_many(points, self._solids) > self.half
         sources, sinks, costs = [], [], []
         for side, (di, dj) in enumerate(SIDES):
@@ -92,13 +90,12 @@ class PushField:
         graph = coo_array((np.concatenate(costs), (np.concatenate(sinks), np.concatenate(sources))), (size, size))
         away = np.abs(points - self.goal).max(axis=1)
         seeds = np.flatnonzero(away <= max(CELL, self.goal_half / 2))
-        return dijkstra(graph.tocsr(), indices=seeds, min_only=True)[:cells]
+        return spread_waves(graph.tocsr(), seeds, weighted=True)[:cells]
 
     def get_cost(self, x: float, y: float) -> float:
         """Cost-to-go of a place; infinity outside the floor."""
-        i, j = (math.floor((v - low) / CELL) for v, low in zip((x, y), self._low.tolist(), strict=True))
-        inside = 0 <= i < self._shape[0] and 0 <= j < self._shape[1]
-        return float(self.costs[i * self._shape[1] + j]) if inside else math.inf
+        cell = self._grid.find_number(x, y)
+        return float(self.costs[cell]) if cell >= 0 else math.inf
 
     def find_push(self, x: float, y: float, headings: int, others: Sequence[Footprint] = ()) -> _Push | None:
         """Find the best next push of the block from a place, among the headings of the base.

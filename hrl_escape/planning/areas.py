@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.clock import NO_LIMIT, Clock
 from hrl_escape.env.config import CONTACT_SKIN
+from hrl_escape.env.floor_grid import compute_extent_radius
 from hrl_escape.env.geometry import (
     Footprint,
     compute_distance,
@@ -23,7 +24,7 @@ from hrl_escape.env.geometry import (
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.errors import GoalError, UnsupportedError
-from hrl_escape.floor.clearance import CollisionMap, compute_extent_radius
+from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.floor.sweeps import POINT, Presser, make_presser
 from hrl_escape.planning.goals import (
     ExitGoal,

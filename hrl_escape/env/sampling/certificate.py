@@ -176,7 +176,7 @@ def _can_touch_by_hand(instance: RoomInstance, target: Target, space: FreeSpace,
     lengths, bearings = np.hypot(hands[:, 0], hands[:, 1]), np.arctan2(hands[:, 1], hands[:, 0])
     reach = float(lengths.max()) + limit
     cells = space.get_cells_near(label, target.x, target.y, reach + math.hypot(target.half_x, target.half_y))
-    centres = space.get_centres(cells)
+    centres = space.grid.get_centres(cells)
     shape = stack_footprints([target.footprint])
     away = compute_distance_many(centres, shape)
     near = centres[away <= reach]

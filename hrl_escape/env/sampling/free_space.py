@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.config import CONTACT_SKIN, PASSAGE_SLACK, compute_resolution
+from hrl_escape.env.floor_grid import FloorGrid, label_parts
 from hrl_escape.env.geometry import (
     Footprint,
     Neighbourhood,
@@ -22,7 +23,6 @@ from hrl_escape.env.geometry import (
     compute_distance,
     compute_distance_many,
     compute_first_contact,
-    stack_footprints,
 )
 from hrl_escape.env.sampling.work import Work
 
@@ -35,7 +35,8 @@ class FreeSpace:
     Attributes:
         radius: body radius plus clearance, m.
         resolution: cell size, m.
-        free: shape (columns, rows), bool; cell (i, j) has its centre at `get_centres`.
+        grid: its cells.
+        free: those in which the body fits, shape (columns, rows), bool.
         work: budget that everything asked of it is counted in.
         labels: shape (columns, rows), int32; connected cells share a positive number.
     """
@@ -44,11 +45,11 @@ class FreeSpace:
                  work: Work | None = None) -> None:
         self.radius = body_radius + CONTACT_SKIN
         self.resolution = compute_resolution(reach_x, reach_y)
-        self._low = np.array([-reach_x, -reach_y])
+        self.grid = FloorGrid.cover(reach_x, reach_y, self.resolution)
+        self._low = self.grid.low
         self.footprints: list[Footprint] = []
         self.work = work or Work(math.inf)
-        shape = tuple(max(1, math.ceil(2 * reach / self.resolution)) for reach in (reach_x, reach_y))
-        self.free = np.ones(shape, dtype=bool)
+        self.free = np.ones(self.grid.shape, dtype=bool)
         self._add(solids)
 
     def extend(self, solids: Sequence[Solid]) -> FreeSpace:
@@ -64,38 +65,13 @@ class FreeSpace:
             self._carve(solid.footprint)
         self._neighbourhood = Neighbourhood(self.footprints)
         self.work.spend(self.free.size / 100)
-        self.labels = self._label()
+        self.labels = label_parts(self.free, corners=False)
 
     def _carve(self, footprint: Footprint) -> None:
         need = self.radius + PASSAGE_SLACK + self.resolution / 2
-        around = math.hypot(footprint.half_x, footprint.half_y) if not footprint.is_disc else footprint.half_x
-        box = [footprint.x - around - need, footprint.x + around + need]
-        i0, i1 = ((np.array(box) - self._low[0]) / self.resolution).astype(int)
-        box = [footprint.y - around - need, footprint.y + around + need]
-        j0, j1 = ((np.array(box) - self._low[1]) / self.resolution).astype(int)
-        i0, j0 = max(i0, 0), max(j0, 0)
-        i1, j1 = min(i1 + 1, self.free.shape[0]), min(j1 + 1, self.free.shape[1])
-        if i0 >= i1 or j0 >= j1:
-            return
-        self.work.spend((i1 - i0) * (j1 - j0) / 15)
-        cells = np.indices((i1 - i0, j1 - j0)).reshape(2, -1).T + (i0, j0)
-        points = self.get_centres(cells)
-        far = compute_distance_many(points, stack_footprints([footprint])) >= need
-        self.free[i0:i1, j0:j1] &= far.reshape(i1 - i0, j1 - j0)
-
-    def _label(self) -> NDArray[np.int32]:
-        columns, rows = np.flatnonzero(self.free.any(axis=1)), np.flatnonzero(self.free.any(axis=0))
-        if len(columns) and self.free[columns[0] : columns[-1] + 1, rows[0] : rows[-1] + 1].all():
-            return self.free.astype(np.int32)  # an empty room: one rectangle
-        from scipy import ndimage  # only rooms with something in the way pay for this import
-
-        labels = np.zeros(self.free.shape, dtype=np.int32)
-        ndimage.label(self.free, output=labels)
-        return labels
-
-    def get_centres(self, cells: NDArray[np.int_]) -> NDArray[np.float64]:
-        """Positions (n, 2) of cells (n, 2)."""
-        return np.asarray(self._low + (np.asarray(cells) + 0.5) * self.resolution, dtype=np.float64)
+        window, away = self.grid.measure(footprint, need)
+        self.work.spend(away.size / 15)
+        self.free[window] &= away >= need
 
     def find_cell(self, x: float, y: float) -> tuple[int, int]:
         """Cell of a place, or the nearest one at the rim."""
@@ -128,7 +104,7 @@ class FreeSpace:
     def find_labels(self, points: NDArray[np.float64]) -> NDArray[np.int32]:
         """`find_label` of many positions (n, 2); those in the middle of free cells are looked up at once."""
         cells = ((points - self._low) / self.resolution).astype(int).clip(0, np.array(self.free.shape) - 1)
-        is_centre = (self.get_centres(cells) == points).all(axis=1) & self.free[cells[:, 0], cells[:, 1]]
+        is_centre = (self.grid.get_centres(cells) == points).all(axis=1) & self.free[cells[:, 0], cells[:, 1]]
         labels = np.where(is_centre, self.labels[cells[:, 0], cells[:, 1]], 0).astype(np.int32)
         for number in np.flatnonzero(~is_centre):
             labels[number] = self.find_label(*points[number].tolist())
@@ -152,7 +128,7 @@ class FreeSpace:
         inside = ((cells >= 0) & (cells < self.free.shape)).all(axis=1)
         cells = cells[inside]
         cells = cells[self.free[cells[:, 0], cells[:, 1]]]
-        moves = self.get_centres(cells) - (x, y)
+        moves = self.grid.get_centres(cells) - (x, y)
         lengths = np.hypot(*moves.T)
         near = self._neighbourhood.list_near(x, y, self.radius + lengths.max(initial=0.0))
         if not len(cells) or any(compute_distance(x, y, f) < self.radius - 1e-9 for f in near):
@@ -165,7 +141,7 @@ class FreeSpace:
 
     def keeps_link(self, x: float, y: float, cell: tuple[int, int], solids: Sequence[Solid]) -> bool:
         """Say whether a link that there was remains with more solids on the floor."""
-        dx, dy = (self.get_centres(np.array([cell]))[0] - (x, y)).tolist()
+        dx, dy = (self.grid.get_centres(np.array([cell]))[0] - (x, y)).tolist()
         return bool(self.free[cell]) and all(
             compute_distance(x, y, solid.footprint) >= self.radius - 1e-9
             and compute_first_contact(x, y, dx, dy, self.radius, solid.footprint) > 1.0 for solid in solids)

@@ -235,7 +235,7 @@ def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace, d
     labels, counts = np.unique(space.labels[space.labels > 0], return_counts=True)
     if not len(labels):
         raise Rejected("the body must fit somewhere")
-    centres = space.get_centres(space.get_cells(int(labels[counts.argmax()])))
+    centres = space.grid.get_centres(space.get_cells(int(labels[counts.argmax()])))
     centres = centres[doors.is_at_start(centres)]
     if not len(centres):
         raise Rejected("the body must fit into the room of the starts")

@@ -24,6 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.config import CONTACT_SKIN, PASSAGE_SLACK
+from hrl_escape.env.floor_grid import coarsen, join_cells, spread_waves
 from hrl_escape.env.geometry import compute_distance, compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
@@ -302,9 +303,9 @@ class _Search:
         """Waves from a target (or the exit, -1) over the coarse grid; remembered."""
         if index not in self._distances:
             space = self._floors.opened if index < 0 else self._floors.shut
-            free = _coarsen(space.free, self._stride)
+            free = coarsen(space.free, self._stride)
             cells = np.argwhere(np.ones_like(free)) * self._stride + self._stride // 2
-            centres = space.get_centres(cells)
+            centres = space.grid.get_centres(cells)
             links = self._floors.touches.get(index)
             if links:
                 near = np.zeros(len(cells), dtype=bool)
@@ -317,7 +318,7 @@ class _Search:
                 near = compute_distance_many(centres, shape) <= reach + PASSAGE_SLACK + 2 * space.resolution
             is_open = index < 0
             if is_open not in self._graphs:
-                self._graphs[is_open] = _join(free)
+                self._graphs[is_open] = join_cells(free)
             self._work.spend(len(cells) / 2)
             self._distances[index] = _spread(self._graphs[is_open], free, near.reshape(free.shape))
         return self._distances[index]
@@ -365,32 +366,12 @@ class _Search:
         return max(waves * stride * space.resolution, goal.measure(x, y))
 
 
-def _coarsen(free: NDArray[np.bool_], stride: int) -> NDArray[np.bool_]:
-    """Blocks of cells that have a free one among them."""
-    columns, rows = (-(-side // stride) * stride for side in free.shape)
-    whole = np.zeros((columns, rows), dtype=bool)
-    whole[: free.shape[0], : free.shape[1]] = free
-    return np.any(whole.reshape(columns // stride, stride, rows // stride, stride), axis=(1, 3))
-
-
-def _join(free: NDArray[np.bool_]) -> Any:
-    """Graph of free cells and their neighbours, a sparse matrix."""
-    from scipy import sparse  # only rooms that are searched pay for this import
-
-    numbers = np.arange(free.size).reshape(free.shape)
-    across, along = free[1:] & free[:-1], free[:, 1:] & free[:, :-1]
-    one = np.concatenate([numbers[1:][across], numbers[:, 1:][along]])
-    other = np.concatenate([numbers[:-1][across], numbers[:, :-1][along]])
-    return sparse.csr_matrix((np.ones(len(one)), (one, other)), shape=(free.size, free.size))
-
-
 def _spread(graph: Any, free: NDArray[np.bool_], near: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Waves from cells `near` a goal over free cells; the others have those of the nearest cell that was reached."""
     from scipy import ndimage
-    from scipy.sparse import csgraph
 
     seeds = near & free
     begun = np.flatnonzero(seeds if seeds.any() else near)
-    waves = csgraph.dijkstra(graph, directed=False, indices=begun, unweighted=True, min_only=True).reshape(free.shape)
+    waves = spread_waves(graph, begun).reshape(free.shape)
     nearest: Any = ndimage.distance_transform_edt(np.isinf(waves), return_distances=False, return_indices=True)
     return waves[tuple(nearest)]

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
-from hrl_escape.floor.cost_to_go import lay_grid, make_collision
+from hrl_escape.floor.cost_to_go import count_classes, lay_grid, make_collision
 from hrl_escape.floor.dijkstra import choose_points
 from hrl_escape.floor.sweeps import make_sweep_scene
 from hrl_escape.options.batched.value_iteration import AT_GOAL, UNREACHABLE, encode_values, iterate_values, trace_moves
@@ -44,15 +44,14 @@ class FieldGrid:
     def __init__(self, instance: RoomInstance, rules: Kinematics, offset: float, door_shut: bool) -> None:
         self._instance, exit_, step = instance, instance.exit, rules.actions.longest
         by_hand = instance.dynamics.press_with == "hand"
-        coarse = lay_grid(instance, rules)
-        headings = rules.headings if by_hand else coarse.classes  # a hand points one way
-        states = coarse.states * headings // coarse.classes
+        headings = rules.headings if by_hand else count_classes(rules)  # a hand points one way
+        states = lay_grid(instance, rules).cells * headings
         refinement = min(int(math.log(max(_FINE_STATES / states, 1.0), 4)), 2)
-        _, self.size, self.shape = lay_grid(instance, rules, refinement)
+        grid = lay_grid(instance, rules, refinement)
+        self.low, self.size, self.shape = grid
         collision = make_collision(instance, door_shut)
         scene = make_sweep_scene(collision, len(instance.solids) if door_shut and instance.door else -1, step)
-        self.low = collision.low
-        self._points, self._standing = np.empty((math.prod(self.shape), 2)), np.zeros(math.prod(self.shape), np.bool_)
+        self._points, self._standing = np.empty((grid.cells, 2)), np.zeros(grid.cells, np.bool_)
         self.states = headings * len(self._points)
         choose_points(scene, self.low, self.size, self.shape[1], 0, self.shape[0],
                       np.ones_like(self._standing), self._points, self._standing)

@@ -18,11 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hrl_escape.clock import Clock, OutOfTime
+from hrl_escape.env.floor_grid import FloorGrid
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
 from hrl_escape.env.state_checks import check_fields
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
-from hrl_escape.floor.clearance import CollisionMap, list_cells
+from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
 from hrl_escape.planning.motion.path import MotionPath
@@ -369,21 +370,17 @@ def map_reach(instance: RoomInstance, rules: Rules, point: tuple[float, float, f
     samples = make_halton(CONFIGURATIONS, len(low_angles))
     hands = rules.robot.compute_hand(low_angles + (high_angles - low_angles) * samples)
     hands = hands[np.abs(hands[:, 2] - point[2]) <= tolerance, :2]
-    low = np.array([-instance.reach_x, -instance.reach_y])
-    shape = tuple(np.ceil(2 * np.array([instance.reach_x, instance.reach_y]) / cell).astype(int).tolist())
-    counts = np.zeros(shape)
+    grid = FloorGrid.cover(instance.reach_x, instance.reach_y, cell)
+    counts = np.zeros(grid.cells)
     for heading in range(rules.headings):
         cos, sin = rules.get_rotation(heading, 0.0)
         places = np.array(point[:2]) - hands @ np.array([[cos, sin], [-sin, cos]])
-        cells = np.floor((places - low) / cell).astype(int)
-        cells = cells[((cells >= 0) & (cells < shape)).all(axis=1)]
-        reached = np.zeros(shape, dtype=bool)
-        reached[cells[:, 0], cells[:, 1]] = True
+        cells = grid.find_numbers(places)
+        reached = np.zeros(grid.cells, dtype=bool)
+        reached[cells[cells >= 0]] = True
         counts += reached
-    grid = list_cells((0, 0), shape)
-    centres = np.add(low, (grid + 0.5) * cell, dtype=np.float64)
-    free = floor.are_free(centres).reshape(shape)
-    return ReachMap(instance, point, low, cell, np.where(free, counts / rules.headings, 0.0))
+    share = np.where(floor.are_free(grid.get_centres()), counts / rules.headings, 0.0)
+    return ReachMap(instance, point, grid.low, cell, share.reshape(grid.shape))
 
 
 def make_halton(count: int, dimensions: int) -> NDArray[np.float64]:

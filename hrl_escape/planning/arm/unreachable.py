@@ -131,7 +131,7 @@ def _search_places(reacher: Reacher, room: CollisionMap, target: int, hands: NDA
 def _list_places(reacher: Reacher, room: CollisionMap, target: int) -> tuple[list[tuple[float, float]], float]:
     """Places within the arm's length of a target, from near to far, and the least distance, m."""
     starts = np.array([(start.x, start.y) for start in reacher.instance.starts])
-    points = np.concatenate([room.get_centres(np.argwhere(room.distance >= room.inner)), starts])
+    points = np.concatenate([room.grid.get_centres(np.argwhere(room.distance >= room.inner)), starts])
     away = compute_distance_many(points, stack_footprints([reacher.instance.targets[target].footprint]))
     order = np.argsort(away, kind="stable")
     stands = [n for n in order[away[order] <= reacher.reach + reacher.limit].tolist()

@@ -177,10 +177,8 @@ class HandSearch(JointSearch):
     def _add_onward(self, table: ReachTable, onward: NDArray[np.int16]) -> ReachTable:
         """The joint steps of a press, and what comes after it."""
         maker = self._shut
-        i, j = np.moveaxis(np.floor((table.get_centres() - maker.low) / maker.size).astype(int), 2, 0)
-        inside = (i >= 0) & (i < maker.shape[0]) & (j >= 0) & (j < maker.shape[1])
-        cells = np.where(inside, i * maker.shape[1] + j, 0)
-        after = np.where(inside[..., None], onward.reshape(-1, maker.headings)[cells], -1)
+        cells = maker.grid.find_numbers(table.get_centres())
+        after = np.where(cells[..., None] >= 0, onward.reshape(-1, maker.headings)[cells], -1)
         costs = np.where((table.costs < 0) | (after < 0), -1, table.costs + after).astype(np.int16)
         return dataclasses.replace(table, costs=costs)
 

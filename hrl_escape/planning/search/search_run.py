@@ -277,8 +277,7 @@ class SearchRun:
         """Cost-to-go after the press at a goal node; 0 where only the press counts."""
         if self.problem.onward is None:
             return 0
-        i, j = np.floor((self.frontier.places[node] - self._maker.low) / self._maker.size).astype(int)
-        cell = int(i) * self._maker.shape[1] + int(j)
+        cell = self._maker.grid.find_number(*self.frontier.places[node].tolist())
         return int(self.problem.onward[cell * self._maker.headings + int(self.frontier.facts[node, 0])])
 
     def _complete(self, node: int) -> tuple[int, ...] | None:

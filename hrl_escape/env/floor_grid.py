@@ -1,0 +1,152 @@
+"""The grid over a room's floor: cells and their clearances, connected parts, and waves from a goal.
+
+Every part that cuts the floor into cells does so with a `FloorGrid`, each with cells of its own size: the certificate
+(`sampling/free_space.py`), clearances and cost-to-go (`hrl_escape.floor`), batched options, pushes and maps of reach.
+Nothing here knows a robot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.geometry import Footprint, compute_distance_many, stack_footprints
+
+__all__ = ["FloorGrid", "coarsen", "compute_extent_radius", "join_cells", "label_parts", "spread_waves"]
+
+
+def compute_extent_radius(shape: Footprint) -> float:
+    """Radius of the smallest circle round a footprint's centre that holds it, m."""
+    return shape.half_x if shape.is_disc else math.hypot(shape.half_x, shape.half_y)
+
+
+class FloorGrid(NamedTuple):
+    """Square cells over a floor's bounding box, the alcove behind a door included; cell (i, j) is i * rows + j.
+
+    Attributes:
+        low: corner with the smallest coordinates, shape (2,), m.
+        size: side of a cell, m.
+        shape: columns and rows.
+    """
+
+    low: NDArray[np.float64]
+    size: float
+    shape: tuple[int, int]
+
+    @classmethod
+    def cover(cls, reach_x: float, reach_y: float, size: float) -> FloorGrid:
+        """Cover a floor that reaches as far as this from the room's centre along x and y, m."""
+        columns, rows = (max(1, math.ceil(2 * reach / size)) for reach in (reach_x, reach_y))
+        return cls(np.array([-reach_x, -reach_y]), size, (columns, rows))
+
+    @property
+    def cells(self) -> int:
+        """Number of cells."""
+        return self.shape[0] * self.shape[1]
+
+    def list_cells(self, low: Any = (0, 0), high: Any = None) -> NDArray[np.int64]:
+        """List the cells (n, 2) from a corner (i, j) up to, and without, another one, row-major; by default all."""
+        sides = np.maximum(np.subtract(self.shape if high is None else high, low), 0)
+        return np.indices(tuple(sides)).reshape(2, -1).T + np.asarray(low)
+
+    def get_centres(self, cells: Any = None) -> NDArray[np.float64]:
+        """Centres (n, 2) of cells (n, 2), m; by default of all, row-major."""
+        cells = self.list_cells() if cells is None else np.asarray(cells)
+        return np.add(self.low, (cells + 0.5) * self.size, dtype=np.float64)
+
+    def find_number(self, x: float, y: float) -> int:
+        """Number of the cell that holds a place; -1 off the grid."""
+        low_x, low_y = self.low.tolist()
+        i, j = math.floor((x - low_x) / self.size), math.floor((y - low_y) / self.size)
+        return i * self.shape[1] + j if 0 <= i < self.shape[0] and 0 <= j < self.shape[1] else -1
+
+    def find_numbers(self, points: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Numbers of the cells that hold places (..., 2); -1 off the grid."""
+        i, j = np.moveaxis(np.floor((points - self.low) / self.size).astype(int), -1, 0)
+        inside = (i >= 0) & (i < self.shape[0]) & (j >= 0) & (j < self.shape[1])
+        return np.where(inside, i * self.shape[1] + j, -1)
+
+    def find_window(self, shape: Footprint, around: float) -> tuple[NDArray[np.int_], NDArray[np.int_]]:
+        """Corners (first cell, cell to stop before) of a window that holds all cells within a distance of a footprint.
+
+        The distance, in m, is to the cells' centres.
+        """
+        middle, extent = np.array([shape.x, shape.y]), compute_extent_radius(shape) + around
+        low = np.maximum(np.floor((middle - extent - self.low) / self.size).astype(int), 0)
+        high = np.minimum(np.floor((middle + extent - self.low) / self.size).astype(int) + 1, self.shape)
+        return low, np.maximum(low, high)
+
+    def measure(self, shape: Footprint, around: float, within: tuple[Any, Any] | None = None
+                ) -> tuple[tuple[slice, slice], NDArray[np.float64]]:
+        """Distances from a footprint to the centres of all cells that may be near it.
+
+        Args:
+            shape: the footprint.
+            around: distance that the window must hold, m.
+            within: corners of cells to which the window is cut.
+
+        Returns:
+            The window, as an index of arrays of the grid's shape, and the distance of each of its cells, m.
+        """
+        low, high = self.find_window(shape, around)
+        if within is not None:
+            low, high = np.maximum(low, within[0]), np.minimum(high, within[1])
+        sides = np.maximum(high - low, 0)
+        away = np.zeros(sides)
+        if away.size:
+            centres = self.get_centres(self.list_cells(low, high))
+            away = compute_distance_many(centres, stack_footprints([shape])).reshape(sides)
+        return (slice(low[0], low[0] + sides[0]), slice(low[1], low[1] + sides[1])), away
+
+
+def label_parts(free: NDArray[np.bool_], corners: bool) -> NDArray[np.int32]:
+    """Number the connected parts of free cells from 1 on; 0 elsewhere.
+
+    Args:
+        free: shape (columns, rows).
+        corners: cells that share only a corner are connected, too.
+    """
+    columns, rows = np.flatnonzero(free.any(axis=1)), np.flatnonzero(free.any(axis=0))
+    if len(columns) and free[columns[0] : columns[-1] + 1, rows[0] : rows[-1] + 1].all():
+        return free.astype(np.int32)  # an empty room: one rectangle
+    from scipy import ndimage  # only rooms with something in the way pay for this import
+
+    labels = np.zeros(free.shape, dtype=np.int32)
+    ndimage.label(free, structure=np.ones((3, 3)) if corners else None, output=labels)
+    return labels
+
+
+def coarsen(free: NDArray[np.bool_], stride: int) -> NDArray[np.bool_]:
+    """Blocks of `stride` by `stride` cells that have a free one among them."""
+    columns, rows = (-(-side // stride) * stride for side in free.shape)
+    whole = np.zeros((columns, rows), dtype=bool)
+    whole[: free.shape[0], : free.shape[1]] = free
+    return np.any(whole.reshape(columns // stride, stride, rows // stride, stride), axis=(1, 3))
+
+
+def join_cells(free: NDArray[np.bool_]) -> Any:
+    """Graph of free cells and their neighbours, a sparse matrix (cells, cells)."""
+    from scipy import sparse  # only rooms that are searched pay for this import
+
+    numbers = np.arange(free.size).reshape(free.shape)
+    across, along = free[1:] & free[:-1], free[:, 1:] & free[:, :-1]
+    one = np.concatenate([numbers[1:][across], numbers[:, 1:][along]])
+    other = np.concatenate([numbers[:-1][across], numbers[:, :-1][along]])
+    return sparse.csr_matrix((np.ones(len(one)), (one, other)), shape=(free.size, free.size))
+
+
+def spread_waves(graph: Any, seeds: NDArray[np.int_] | Sequence[int], weighted: bool = False) -> NDArray[np.float64]:
+    """Least cost from any of the seeds to every node of a graph, (nodes,); infinity where none can be reached.
+
+    Args:
+        graph: sparse matrix, such as that of `join_cells`; its edges run both ways unless it is weighted.
+        seeds: nodes at cost 0.
+        weighted: edges cost what the matrix says, and run from row to column; else one each.
+    """
+    from scipy.sparse import csgraph
+
+    return csgraph.dijkstra(graph, directed=weighted, indices=seeds, unweighted=not weighted, min_only=True)
