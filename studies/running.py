@@ -88,7 +88,7 @@ def run_study(study: Study, args: Any) -> Page:
 
 
 def analyse(study: Study, lines: list[Any]) -> Page:
-    """What a study finds in lines.
+    """Findings of a study in these lines.
 
     Raises:
         ComparisonError: runs are missing without which it says nothing.

@@ -35,7 +35,7 @@ DEFINITION = "study.toml"
 
 
 class Page(NamedTuple):
-    """What an analysis finds.
+    """Findings of an analysis, for the template, the figures and the command.
 
     Attributes:
         values: names in the template -> their values.
@@ -99,7 +99,7 @@ class Study:
 
 
 def list_studies() -> dict[str, Study]:
-    """Studies by name."""
+    """All studies of the project, by name."""
     found = (_load(path.parent) for path in sorted(ROOT.glob(f"*/{DEFINITION}")))
     return {study.name: study for study in found}
 

@@ -50,7 +50,7 @@ class Question:
 
     @property
     def labels(self) -> set[str]:
-        """Everybody in it."""
+        """Labels of all agents and twins in it."""
         return {*self.agents, *self.twins}
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 import pytest
 from packaging.specifiers import SpecifierSet
 
+from hrl_escape.files import read_toml
 from tests.command_line import run_python
 from tests.forks import run_fork
 from tests.random_state import find_global_random_state
@@ -21,6 +22,7 @@ from tests.random_state import find_global_random_state
 ROOT = Path(__file__).parents[1]
 PACKAGE = ROOT / "hrl_escape"
 SOURCES = {path: path.read_text(encoding="utf-8") for path in sorted(PACKAGE.rglob("*.py"))}
+STUDIES = {path: path.read_text(encoding="utf-8") for path in sorted((ROOT / "studies").rglob("*.py"))}
 
 
 # --- which way imports run -------------------------------------------------------------
@@ -191,7 +193,7 @@ def list_docstrings(source: str) -> list[str]:
 
 
 def test_no_docstring_opens_with_a_question_word():
-    assert [(module, line) for module, source in SOURCES.items() for line in list_docstrings(source)
+    assert [(module, line) for module, source in (SOURCES | STUDIES).items() for line in list_docstrings(source)
             if QUESTION.match(line)] == []
 
 
@@ -199,7 +201,8 @@ def test_no_docstring_opens_with_a_question_word():
 
 
 def test_no_module_uses_global_random_state():
-    assert {module: found for module, source in SOURCES.items() if (found := find_global_random_state(source))} == {}
+    assert {module: found for module, source in (SOURCES | STUDIES).items()
+            if (found := find_global_random_state(source))} == {}
 
 
 @pytest.mark.parametrize(
@@ -274,6 +277,12 @@ def find_one(pattern: str, file: str) -> str:
     found = re.search(pattern, (ROOT / file).read_text(), re.MULTILINE)
     assert found, f"{file} has no line {pattern}"
     return found[1]
+
+
+def test_studies_are_in_the_source_and_not_in_the_wheel():
+    targets = read_toml(ROOT / "pyproject.toml")["tool"]["hatch"]["build"]["targets"]
+    assert targets["wheel"] == {"packages": ["hrl_escape"]}
+    assert {"hrl_escape", "studies", "benchmarks"} <= set(targets["sdist"]["include"])
 
 
 def test_versions_agree():

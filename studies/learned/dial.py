@@ -124,7 +124,7 @@ def _list_wanted(settings: DialSettings, agents: Iterable[str], seeds: Sequence[
 
 
 def _list_agents(settings: DialSettings, grid: Grid) -> dict[str, AgentSpec]:
-    """Agents by label."""
+    """Learners whose options are placed, by label."""
     every = {agent.algorithm: agent for agent in grid.agents if agent.learns}
     return {every[name].label: every[name] for name in settings.algorithms}
 

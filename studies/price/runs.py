@@ -41,7 +41,7 @@ _LEAST_COMPILED = 64
 
 @dataclass(frozen=True)
 class PriceRun:
-    """One run.
+    """Result of one contestant in one room.
 
     Attributes:
         agent: label of the contestant.

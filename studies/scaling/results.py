@@ -18,7 +18,7 @@ __all__ = ["RoomKind", "ScalingRun", "collect_scaling_runs", "compute_edge_depth
 
 
 class RoomKind(NamedTuple):
-    """Kind of room.
+    """Kind of room: graph, number of buttons, rule.
 
     Attributes:
         graph: family of the dependency graph.
