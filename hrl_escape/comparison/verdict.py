@@ -131,17 +131,17 @@ def _compare_with_chance(summary: Summary) -> list[str]:
             continue
         best = find_leader(learners)
         start = (f"Choosing among the options at random (`{chance.label}`) already {_describe_escapes(chance)}: that "
-                 "much their planners know" if chance.success.value > 0 else
+                 "much comes from their planners" if chance.success.value > 0 else
                  f"Choosing among the options at random (`{chance.label}`) never escapes")
         if _beats(summary, best, chance):
             both = min(chance.success.value, best.success.value) >= SETTLED
             gain = f"shortens that to {best.length.value:.0f}" if both else _describe_escapes(best)
             sentences.append(f"{start}. Learning adds to it: `{best.label}` {gain}.")
         elif _beats(summary, chance, best):
-            sentences.append(f"{start}. No learner comes up to it: the best, `{best.label}`, "
+            sentences.append(f"{start}. No learner matches it: the best, `{best.label}`, "
                              f"{_describe_escapes(best)}.")
         else:
-            sentences.append(f"{start}. That learning adds anything is not shown: `{best.label}` has an "
+            sentences.append(f"{start}. These runs do not show that learning adds anything: `{best.label}` has an "
                              f"efficiency of {_describe_efficiency(best)}, chance {_describe_efficiency(chance)}.")
         worse = [agent for agent in learners if agent is not best and _beats(summary, chance, agent)]
         if worse:
@@ -164,9 +164,9 @@ def _compare_with_index_order(summary: Summary) -> list[str]:
         if _beats(summary, best, reference):
             sentences.append(f"{start}; `{best.label}` is better.")
         elif _beats(summary, reference, best):
-            sentences.append(f"{start}; no learner comes up to it.")
+            sentences.append(f"{start}; no learner matches that.")
         else:
-            sentences.append(f"{start}; that any learner is better is not shown.")
+            sentences.append(f"{start}; these runs do not show that any learner does better.")
     return sentences
 
 
@@ -191,14 +191,14 @@ def _describe_gap(summary: Summary) -> list[str]:
         return [f"{way}; of the rest, {leader.gap.options:.3f} is out of reach of its options and "
                 f"{max(leader.gap.learning, 0):.3f} is left to learn."]
     if leader.spec.leaves == "planned":
-        return [f"{way}; how much of the rest its planned leaves put out of reach is not measured."]
+        return [f"{way}; how much of the rest its planned leaves put out of reach was not measured."]
     return [f"{way}; its actions can reach that."]
 
 
 def _describe_stuck(summary: Summary) -> list[str]:
     some = [f"{round(agent.stuck * agent.runs)} of {agent.runs} runs of `{agent.label}`"
             for agent in _prefer_learners(summary.agents) if 0 < agent.stuck and agent.success.value > 0]
-    return [f"Stuck, without any escape in the last fifth of training: {join_words(some)}."] if some else []
+    return [f"No escape in the last fifth of training: {join_words(some)}."] if some else []
 
 
 def _describe_generalisation(summary: Summary) -> list[str]:
@@ -207,7 +207,7 @@ def _describe_generalisation(summary: Summary) -> list[str]:
     if not learners:
         return []
     words = [f"`{agent.label}` {agent.efficiency.value:.2f} against {seen.value:.2f}" for agent, seen in learners]
-    return [f"Efficiency in rooms tested in against rooms trained in: {join_words(words)}."]
+    return [f"Efficiency in test rooms against training rooms: {join_words(words)}."]
 
 
 def _describe_trials(summary: Summary) -> list[str]:
@@ -254,18 +254,18 @@ def _write_cautions(summary: Summary) -> list[str]:
               if agent.spec.chooses_options and agent.spec.algorithm == "random"]
     unmatched = [f"`{agent.label}`" for agent in learners if _get_choices(agent) not in chance]
     if unmatched:
-        cautions.append(f"No random policy over the same options was run beside {join_words(unmatched)}, so how much "
-                        "of the score the options' planners bring is not known.")
+        cautions.append(f"No random policy over the same options was run beside {join_words(unmatched)}, so the "
+                        "share of the score that the options' planners bring is unknown.")
     if learners and not any(agent.spec.name == references.INDEX_ORDER for agent in summary.agents):
         cautions.append(f"`{references.INDEX_ORDER}` was not run beside the learners, so what pressing all buttons in "
-                        "the order of their numbers brings is not known.")
+                        "the order of their numbers would bring is unknown.")
     for room in summary.rooms:
         if room.place.split is not None and (known := room.place.split.room_overlap):
-            cautions.append(f"{known:.0%} of the rooms tested in by {room.name} are trained in too, so that efficiency "
-                            "there is not that in unseen rooms.")
+            cautions.append(f"{known:.0%} of the test rooms of {room.name} are training rooms too, so efficiency there "
+                            "is not efficiency in unseen rooms.")
         if CEILING in room.source.split(", "):
             cautions.append(f"No plan is known for {room.name}: its scores are measured by an escape at once, which no "
-                            "agent can do, so that efficiency there is near 0.")
+                            "agent can do, so efficiency there is near 0.")
         elif PLANNER not in room.source.split(", ") and room.source == "nothing":
             cautions.append(f"No run in {room.name} has a result.")
     mixed = [name for name, version in summary.versions.items() if ", " in version]

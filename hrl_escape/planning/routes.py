@@ -125,7 +125,7 @@ class Routes:
 
     @property
     def settings(self) -> SearchSettings:
-        """Settings of searches for which no others are given."""
+        """Default search settings."""
         return SearchSettings(self.method, self.budget)
 
     def check_query(self, state: RoomState, *goals: Goal) -> None:

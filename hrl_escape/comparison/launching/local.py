@@ -58,7 +58,7 @@ class Listener(Protocol):
         ...
 
     def tick(self, progress: Mapping[str, int], workers: int) -> None:
-        """Take note, now and then, of the primitives that running runs have trained for, and of how many can run.
+        """Called periodically with each run's progress, in primitives, and the number of runs that can run at once.
 
         Args:
             progress: primitives by folder.

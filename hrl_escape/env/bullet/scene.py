@@ -33,7 +33,7 @@ _MARK = 0.005  # height of paint on the floor
 
 @dataclass(frozen=True)
 class SceneBodies:
-    """Bullet's numbers for the things of a room.
+    """PyBullet body and joint ids of a room.
 
     Attributes:
         robot: body of the robot.
