@@ -76,6 +76,7 @@ class Base(ABC):
         size: distances of its sides from its axis, m; they all grow with a clearance.
         turns_anywhere: it covers the same floor at every heading. Only such bases carry what knows no headings: puzzles
             with inner doors or props, batched options, paths of places and their smoothing, repaired fields.
+        symmetry: number of headings, evenly spread over a full turn, at which it covers the same; 0 if all do.
         front_field: setting of the robot that is the distance to its side ahead, for messages.
         width_field: setting that says how wide it is.
         contact: (x, y, cos, sin, size, dx, dy, footprint) -> share in [0, 1) of a displacement at which it first meets
@@ -89,6 +90,7 @@ class Base(ABC):
 
     size: tuple[float, ...]
     turns_anywhere: ClassVar[bool] = False
+    symmetry: ClassVar[int] = 1
     front_field: ClassVar[str]
     width_field: ClassVar[str]
     contact: ClassVar[Callable[..., float]]
@@ -115,11 +117,6 @@ class Base(ABC):
     @abstractmethod
     def front(self) -> float:
         """Distance from the axis to its side ahead, m."""
-
-    @property
-    @abstractmethod
-    def symmetry(self) -> int:
-        """Number of headings, evenly spread over a full turn, at which it covers the same; 0 if all do."""
 
     @property
     @abstractmethod

@@ -49,7 +49,7 @@ class Disc(Base):
     front_field = width_field = "body_radius"
     contact, gap = staticmethod(compute_disc_contact), staticmethod(measure_disc_gap)
     distance, blocks_turn = staticmethod(compute_disc_distance), staticmethod(does_disc_turn_meet)
-    symmetry, corners = 0, ()
+    symmetry = 0
 
     @classmethod
     def measure(cls, robot: Any) -> Self:
@@ -61,7 +61,20 @@ class Disc(Base):
         """Its radius, m."""
         return self.size[0]
 
-    inner_radius = front = outer_radius
+    @property
+    def inner_radius(self) -> float:
+        """Its radius, m."""
+        return self.size[0]
+
+    @property
+    def front(self) -> float:
+        """Its radius, m."""
+        return self.size[0]
+
+    @property
+    def corners(self) -> tuple[tuple[float, float], ...]:
+        """Nothing: it is round."""
+        return ()
 
     def stands_in(self, x: float, y: float, rotation: tuple[float, float], shape: Footprint) -> bool:
         """Return whether it overlaps a footprint by more than `STANDS_IN`."""
