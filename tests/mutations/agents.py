@@ -223,9 +223,9 @@ MUTATIONS = [
     ),
     Mutation(
         "a run's folder runs whatever code it names",
-        "agents/training/env_description.py",
-        "if not trust and (foreign := list_foreign(description)):",
-        "if foreign := []:",
+        "agents/training/known_parts.py",
+        "if known == name), None)",
+        "if known == name), lambda: import_part(name))",
         "agents/training/test_hostile_runs.py",
     ),
     Mutation(
