@@ -209,6 +209,9 @@ class InstanceSet(Sequence[RoomInstance]):
 class InstanceSetEnv(EscapeRoomEnv):
     """`EscapeRoomEnv` whose every reset draws a room of a set from the episode's stream.
 
+    `info["instance"]` is a number, from 0 in the order in which rooms first appear: it tells rooms apart, and names
+    none of a published set, whose graph could be looked up by its content hash.
+
     Args:
         rooms: the set, or the content of its description.
         arguments: arguments of `EscapeRoomEnv` beside the room.
@@ -216,8 +219,18 @@ class InstanceSetEnv(EscapeRoomEnv):
 
     def __init__(self, rooms: InstanceSet | Mapping[str, Any], **arguments: Any) -> None:
         self.rooms = rooms if isinstance(rooms, InstanceSet) else InstanceSet.from_description(rooms)
+        self._numbers: dict[str, int] = {}
         super().__init__(instances=self.rooms, **arguments)
         EzPickle.__init__(self, self.rooms, **arguments)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Arguments, running episode, and the numbers that rooms have been given."""
+        state = super().__getstate__()
+        return state | {"episode": state["episode"] | {"_numbers": dict(self._numbers)}}
+
+    def _inform(self, pressed: tuple[int, ...], success: bool) -> dict[str, Any]:
+        number = self._numbers.setdefault(self.instance.id, len(self._numbers))
+        return super()._inform(pressed, success) | {"instance": number}
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments that decide this environment's numbers, as JSON values."""

@@ -235,6 +235,7 @@ class RoomDomain(OptionDomain):
             raise UnsupportedError(f"options choose primitives by number, but a wrapper below changed the action "
                                    f"space to {env.action_space}. Apply that wrapper after OptionsEnv")
         self._count = int(env.action_space.n)
+        self._numbers: dict[Any, int] = {}  # of rooms, in the order in which they first appear
 
     @property
     def subject(self) -> RoomInstance:
@@ -284,8 +285,13 @@ class RoomDomain(OptionDomain):
         return [state.noise_key, state.primitives, TERMINATIONS, *([self.level] if self.level else [])]
 
     def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None) -> None:
-        """Add `pressed`, and to `option` the names of the targets `pressed`, in order, and those `also_pressed`."""
+        """Add `pressed`, and to `option` the names of the targets `pressed`, in order, and those `also_pressed`.
+
+        `instance` becomes a number, by which no agent can look up the room's graph.
+        """
         targets = self.room.instance.targets
+        if "instance" in info:
+            info["instance"] = self._numbers.setdefault(info["instance"], len(self._numbers))
         pressed = [target for step in steps for target in self._list_pressed(step)]
         info["pressed"] = np.zeros(len(targets), dtype=np.int8)
         info["pressed"][pressed] = 1

@@ -63,6 +63,7 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
     | `pressed` | in a room: 1 for each target pressed by any of the k primitives, int8 (targets,) |
     | `action_mask` | int8 (n,), the legal actions at the state reached; for `action_space.sample(mask)` |
     | `option` | the option that ran and how it ended, see below |
+    | `instance` | in a room: its number among those seen here, from 0, in place of its content hash |
     | `trace` | tuple of `TraceStep`, one a step of the wrapped environment, with `trace=True` |
     | `calls` | tuple of `OptionCall`, the runs of options that ended, nested ones first, with `trace=True` |
 

@@ -50,13 +50,21 @@ def test_a_filter_keeps_what_it_says(rooms):
 def test_resets_draw_rooms_by_the_episodes_seed(rooms, options):
     env = rooms.make_env(options=options, observation="features")
     assert isinstance(env, OptionsEnv) == bool(options)
-    space, seen = env.observation_space, []
+    space, seen, told, copy = env.observation_space, [], {}, None
     for _ in range(2):
         env.reset(seed=0)
-        seen.append([env.reset()[1]["instance"] for _ in range(12)])
+        seen.append([])
+        for _ in range(12):
+            number = env.reset()[1]["instance"]
+            seen[-1].append(env.unwrapped.instance.id)
+            assert told.setdefault(seen[-1][-1], number) == number and type(number) is int, "a number names no room"
+            copy = pickle.loads(pickle.dumps(env)) if len(told) == 3 and copy is None else copy
         assert env.observation_space == space
     assert seen[0] == seen[1] and 4 < len(set(seen[0])) and set(seen[0]) <= {room.id for room in rooms}
-    assert env.reset(options={"instance_index": 7})[1]["instance"] == rooms[7].id
+    assert len(set(told.values())) == len(told)
+    env.reset(options={"instance_index": 7})
+    assert env.unwrapped.instance.id == rooms[7].id
+    assert copy.reset(options={"instance_index": 7})[1]["instance"] <= 3, "a copy knows the rooms seen before"
     with pytest.raises(ConfigError, match="12 instances"):
         env.reset(options={"instance_index": 12})
     env.close()
