@@ -34,7 +34,7 @@ def escape(seed: int, blocks: int) -> dict[str, Any]:
                 "why": str(failure)}
     finally:
         env.close()
-    facts = [env.instance.puzzle.get_facts(state.puzzle) for state in run.states]
+    facts = [env.instance.puzzle.symbolic.get_facts(state.puzzle) for state in run.states]
     undone = sum(not before <= after for before, after in zip(facts[:-1], facts[1:], strict=True))
     why = "" if run.escaped else "; ".join(f"{d['name']} {d['ended']} {d['reason']}" for d in run.decisions[-3:])
     return {"escaped": run.escaped, "undone": undone, "primitives": len(run.rewards),

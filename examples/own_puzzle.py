@@ -15,7 +15,8 @@ from hrl_escape.checks import check_puzzle
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig, register_puzzle
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
+from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.settings import Range
@@ -40,7 +41,7 @@ class LightRowConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class LightRow(Puzzle):
+class LightRow(Graphed, Modelled, Puzzle):
     """The state is a tuple of bools, one a light; all are off at first."""
 
     kind = "light-row"
@@ -48,7 +49,6 @@ class LightRow(Puzzle):
     """Number of lights."""
 
     target_names = property(lambda self: tuple(f"light-{i + 1}" for i in range(self.count)))
-    bounds = property(lambda self: ((0.0, 1.0),) * self.count)
     goal_targets = property(lambda self: tuple(range(self.count)))
 
     def make_state(self):

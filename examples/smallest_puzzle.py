@@ -20,7 +20,7 @@ class TogglesConfig(PuzzleConfig):
 class Toggles(Puzzle):
     """The state is a number whose bits are the lights."""
 
-    kind, target_names, bounds = "toggles", ("a", "b", "c"), ((0.0, 1.0),) * 3
+    kind, target_names = "toggles", ("a", "b", "c")
     make_state = lambda self: 0
     update = lambda self, state, contacts: state ^ sum(1 << target for target in contacts.pressed)
     is_solved = lambda self, state: state == 7

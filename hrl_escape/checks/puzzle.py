@@ -12,6 +12,7 @@ import numpy as np
 from hrl_escape.checks.claims import Claims
 from hrl_escape.env.puzzles.base import Contacts, Puzzle
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.traits import Doored, Graphed, Propped, get_trait
 from hrl_escape.planning.goals import GripAction
 
 __all__ = ["check_puzzle"]
@@ -40,8 +41,8 @@ class _PuzzleCheck(Claims):
         super().__init__(f"puzzle {puzzle.kind!r}")
         self.puzzle, self.rng = puzzle, rng
         self.targets = {name: i for i, name in enumerate(puzzle.target_names)}
-        self.props = {prop.name: i for i, prop in enumerate(puzzle.props)}
-        self.model: SymbolicModel = puzzle.make_symbolic_model()
+        self.props = {prop.name: i for i, prop in enumerate(get_trait(puzzle, Propped).props)}
+        self.model: SymbolicModel = puzzle.symbolic.make_symbolic_model()
 
     def run(self, steps: int) -> None:
         self.check_names()
@@ -63,10 +64,10 @@ class _PuzzleCheck(Claims):
 
     def check_names(self) -> None:
         puzzle = self.puzzle
-        names = (*puzzle.target_names, *(prop.name for prop in puzzle.props))
+        names, graph = (*puzzle.target_names, *self.props), get_trait(puzzle, Graphed)
         self.require(all(isinstance(n, str) and n for n in names), "names of targets and props are text", names)
         self.require(len(set(names)) == len(names), "no two targets or props have one name", names)
-        numbers = (*(end for edge in puzzle.edges for end in edge), *puzzle.goal_targets)
+        numbers = (*(end for edge in graph.edges for end in edge), *graph.goal_targets)
         self.require(all(0 <= n < len(self.targets) for n in numbers), "edges and goal_targets name targets", numbers)
         chances = (0.0, *puzzle.chances, 1.0)
         self.require(all(low < high for low, high in zip(chances, chances[1:], strict=False)),
@@ -91,11 +92,11 @@ class _PuzzleCheck(Claims):
                 self.require(op.action == "push" and op.target in self.props and op.destination in self.props,
                              f"operator {op.name!r} presses, grips or releases at a target, or pushes a prop to a prop",
                              (op.action, op.target, op.destination))
-        for fact in self.puzzle.door_facts:
+        for fact in get_trait(self.puzzle, Doored).door_facts:
             closes = [op.name for op in model.operators if fact in op.may_change - op.may_add]
             self.require(fact in known and not closes, "facts that open doors are propositions that nothing deletes",
                          (fact, closes))
-        again = self.puzzle.make_symbolic_model()
+        again = self.puzzle.symbolic.make_symbolic_model()
         self.require(again == model, "make_symbolic_model gives the same model each time", again)
 
     def check_round_trip(self) -> None:
@@ -115,12 +116,13 @@ class _PuzzleCheck(Claims):
         lit = puzzle.get_lit(state)
         self.require(len(lit) == len(self.targets) and all(isinstance(is_on, bool) for is_on in lit),
                      "get_lit gives a bool for each target", lit)
-        facts = puzzle.get_facts(state)
+        facts = puzzle.symbolic.get_facts(state)
         unknown = facts - frozenset(self.model.propositions)
         self.require(not unknown, "facts are propositions of the symbolic model", unknown)
-        shut = sum(1 << door for door, fact in enumerate(puzzle.door_facts) if fact not in facts)
-        self.require(not puzzle.door_facts or puzzle.get_shut(state) == shut,
-                     "get_shut gives the doors whose fact does not hold", puzzle.get_shut(state))
+        doors = get_trait(puzzle, Doored)
+        shut = sum(1 << door for door, fact in enumerate(doors.door_facts) if fact not in facts)
+        self.require(doors.get_shut(state) == shut, "get_shut gives the doors whose fact does not hold",
+                     doors.get_shut(state))
         progress = puzzle.compute_progress(state)
         self.require(isinstance(progress, float) and 0.0 <= progress <= 1.0, "progress is a share", progress)
         solved = puzzle.is_solved(state)
@@ -128,17 +130,17 @@ class _PuzzleCheck(Claims):
                      "is_solved exactly where the symbolic goal holds", (state, solved, facts))
 
     def check_operators(self, state: Hashable, poses: Poses) -> None:
-        facts = self.puzzle.get_facts(state)
+        facts = self.puzzle.symbolic.get_facts(state)
         for op in self.model.operators:
             if op.is_applicable(facts):
-                after = self.puzzle.get_facts(self.perform(op, state, poses)[0])
+                after = self.puzzle.symbolic.get_facts(self.perform(op, state, poses)[0])
                 expected = op.apply(facts)
                 self.require(after == expected, f"operator {op.name!r} predicts what update does",
                              {"state": state, "predicted": sorted(expected), "really": sorted(after)})
 
     def check_reach(self, state: Hashable) -> None:
         """The goal must be reachable under delete relaxation."""
-        reached, before = self.puzzle.get_facts(state), None
+        reached, before = self.puzzle.symbolic.get_facts(state), None
         while reached != before:
             before, reached = reached, reached.union(*(op.relax(reached) for op in self.model.operators))
         missing = sorted(self.model.goal - reached)
@@ -154,7 +156,7 @@ class _PuzzleCheck(Claims):
     def finish(self, state: Hashable, poses: Poses) -> None:
         """Follow operators that add something, as far as that leads, so that solved states are seen."""
         for _ in range(2 * len(self.model.operators)):
-            facts = self.puzzle.get_facts(state)
+            facts = self.puzzle.symbolic.get_facts(state)
             useful = [op for op in self.model.operators if op.is_applicable(facts) and not op.apply(facts) <= facts]
             if not useful or self.model.goal <= facts:
                 break
@@ -163,7 +165,7 @@ class _PuzzleCheck(Claims):
 
     def play(self, state: Hashable, poses: Poses) -> tuple[Hashable, Poses]:
         """One primitive: an applicable operator, or anything."""
-        facts = self.puzzle.get_facts(state)
+        facts = self.puzzle.symbolic.get_facts(state)
         applicable = [op for op in self.model.operators if op.is_applicable(facts)]
         if applicable and self.rng.random() < 0.5:
             return self.perform(applicable[int(self.rng.integers(len(applicable)))], state, poses)
@@ -182,7 +184,7 @@ class _PuzzleCheck(Claims):
     def perform(self, op: Operator, state: Hashable, poses: Poses) -> tuple[Hashable, Poses]:
         """Do physically what an operator means."""
         if op.action != "push":
-            return self.follow(state, self.puzzle.make_contacts(op)._replace(prop_poses=poses)), poses
+            return self.follow(state, self.puzzle.symbolic.make_contacts(op)._replace(prop_poses=poses)), poses
         moved = list(poses)
         moved[self.props[op.target]] = poses[self.props[op.destination or ""]]
         return self.update(state, (), tuple(moved)), tuple(moved)

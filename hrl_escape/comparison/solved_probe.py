@@ -21,6 +21,7 @@ from hrl_escape.comparison.score_range import ScoreRange
 from hrl_escape.comparison.statistics import compute_score
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.puzzles.graphs import find_ancestors
+from hrl_escape.env.puzzles.traits import Graphed, get_trait
 
 __all__ = ["EdgeSet", "Solution", "SolvedProbe", "compare_graphs", "find_edges_that_matter"]
 
@@ -59,9 +60,10 @@ class SolvedProbe:
     def __init__(
         self, rule: SolvedRule, env: gymnasium.Env, instance: RoomInstance, spec: AgentSpec, score_range: ScoreRange
     ) -> None:
-        self._rule, self._env, self._range, self._goals = rule, env, score_range, instance.puzzle.goal_targets
+        graph = get_trait(instance.puzzle, Graphed)
+        self._rule, self._env, self._range, self._goals = rule, env, score_range, graph.goal_targets
         self._learns = spec.algorithm != "random"
-        self._true = find_edges_that_matter(instance.puzzle.edges, self._goals)
+        self._true = find_edges_that_matter(graph.edges, self._goals)
         shape: Any = env.observation_space.shape
         self._first_bit = int(shape[0]) - len(instance.targets)  # the puzzle's bits end the observation
         self._has_escaped = False

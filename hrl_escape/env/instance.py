@@ -22,6 +22,7 @@ from hrl_escape.env.geometry import LARGEST_LENGTH, Footprint, Solid, make_footp
 from hrl_escape.env.puzzles.base import Prop, Puzzle
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
+from hrl_escape.env.puzzles.traits import Doored, Mapped, Propped, Pushing, get_trait
 from hrl_escape.env.room_checks import check_room
 from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError, EscapeError, InstanceFileError, show_value
@@ -199,19 +200,20 @@ class RoomInstance(Schematic):
         names = tuple(target.name for target in self.targets)
         if names != self.puzzle.target_names:
             raise ConfigError("instance.targets", names, f"the puzzle's targets {self.puzzle.target_names}")
-        if tuple(placed.prop for placed in self.props) != self.puzzle.props:
+        if tuple(placed.prop for placed in self.props) != get_trait(self.puzzle, Propped).props:
             raise ConfigError("instance.props", len(self.props), "the puzzle's props, in its order")
-        doors = len(self.puzzle.blockable_cells) or len(self.puzzle.door_facts)
+        door_facts = get_trait(self.puzzle, Doored).door_facts
+        doors = len(get_trait(self.puzzle, Mapped).blockable_cells) or len(door_facts)
         if len(self.inner_doors) != doors:
             raise ConfigError("instance.inner_doors", len(self.inner_doors), f"{doors}, as many as the puzzle has")
-        if self.puzzle.door_facts:
+        if door_facts:
             self._check_ways()
         if self.inner_doors and self.dynamics.kind != "kinematic":
             raise ConfigError("dynamics.kind", self.dynamics.kind, "'kinematic' where the puzzle opens inner doors")
-        if self.puzzle.can_push and (self.dynamics.blocked != "stay" or self.dynamics.noise):
+        if isinstance(self.puzzle, Pushing) and (self.dynamics.blocked != "stay" or self.dynamics.noise):
             raise ConfigError("dynamics", (self.dynamics.blocked, self.dynamics.noise),
                               "blocked 'stay' and no noise where things are pushed from cell to cell")
-        if self.puzzle.can_push and self.robot.moves:
+        if isinstance(self.puzzle, Pushing) and self.robot.moves:
             raise ConfigError("robot.moves", tuple(move.name for move in self.robot.moves),
                               "none where things are pushed from cell to cell")
         if not self.robot.base.turns_anywhere and (self.inner_doors or self.props):
@@ -253,7 +255,7 @@ class RoomInstance(Schematic):
     @cached_property
     def symbolic_model(self) -> SymbolicModel:
         """The puzzle's model, in which doors on the way to a target or the exit must be open, too."""
-        model, facts = self.puzzle.make_symbolic_model(), self.puzzle.door_facts
+        model, facts = self.puzzle.symbolic.make_symbolic_model(), get_trait(self.puzzle, Doored).door_facts
         if not facts:
             return model
         *ways, last = (frozenset(facts[door] for door in way) for way in self.ways)

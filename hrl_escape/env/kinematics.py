@@ -18,7 +18,8 @@ from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.noise import compute_noise, draw_chance, draw_puzzle_start
 from hrl_escape.env.poses import RobotPoses, RoomState
 from hrl_escape.env.primitives import list_slips
-from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.puzzles.base import PUSH, Contacts
+from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
 
 __all__ = ["Kinematics", "RoomState", "Rules", "Transition"]
 
@@ -68,9 +69,13 @@ class Rules(RobotPoses):
         self._target_cells: dict[tuple[int, int], tuple] = {}
         self._presser = None if self._by_hand or instance.robot.base.turns_anywhere else instance.robot.base
         self.inner_doors = None if not instance.inner_doors else InnerDoors(
-            [door.footprint for door in instance.inner_doors], self._puzzle.get_shut,
+            [door.footprint for door in instance.inner_doors], get_trait(self._puzzle, Barring).get_shut,
             instance.robot.outer_radius + CONTACT_SKIN, self.actions.stride, self.actions.longest,
-            self._puzzle.push if self._puzzle.can_push else None)
+            self._push if isinstance(self._puzzle, Pushing) else None)
+
+    def _push(self, state: Hashable, ahead: int, beyond: int) -> Hashable:
+        """State of the puzzle after a move that would push what is in one inner door's cell into another's."""
+        return self._puzzle.update(state, Contacts((), grip=PUSH, ahead=ahead, beyond=beyond))
 
     # --- touching --------------------------------------------------------------------
 

@@ -82,11 +82,11 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         for _ in range(_TRIES):
             state = begin
             for _ in range(int(rng.integers(1, self._operators + 1))):
-                facts = puzzle.get_facts(state)
+                facts = puzzle.symbolic.get_facts(state)
                 able = [op for op in model.operators if op.action != "push" and op.is_applicable(facts)]
                 if not able:
                     break
-                state = puzzle.update(state, puzzle.make_contacts(able[int(rng.integers(len(able)))]))
+                state = puzzle.update(state, puzzle.symbolic.make_contacts(able[int(rng.integers(len(able)))]))
             if puzzle.get_lit(state) != puzzle.get_lit(begin):
                 return self._make_goal(puzzle.get_lit(state), False)
         raise UnsupportedError(f"nothing that can be done in the room {self._room.name!r} changes which of its targets "

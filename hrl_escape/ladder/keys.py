@@ -62,7 +62,7 @@ def compute_task_key(puzzle: Puzzle) -> str:
         colours += [3] * len(puzzle.doors)
         links = [link for node, (a, b) in enumerate(puzzle.locks, puzzle.count) for link in ((a, node), (node, b))]
         links += [(button, node) for node, button in enumerate(puzzle.doors, puzzle.count + len(puzzle.locks))]
-        goals, edges = compute_canonical_form(colours, (*puzzle.edges, *links))
+        goals, edges = compute_canonical_form(colours, (*puzzle.edge_list, *links))
         rules |= {"goal": goals.index(1), "edge_list": edges}
         for name, colour in (("locks", 2), ("doors", 3)):  # nodes of colours of their own
             if name in rules:

@@ -12,6 +12,7 @@ import math
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import philox
+from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.errors import OptionError, PlanningFailed, PlanningReason, UnknownNameError
 from hrl_escape.options.flavours import FLAVOURS
 from hrl_escape.options.option import Option, OptionAction
@@ -243,7 +244,7 @@ def list_goals(instance: RoomInstance) -> list[Goal]:
     What is done at every target beside presses, such as gripping, stands for the frame's other targets, too.
     """
     own, every = len(instance.targets), len(instance.frame.target_names)
-    goals: list[Goal] = [PressGoal(i) for i in (() if instance.puzzle.target_cells else range(every))]
+    goals: list[Goal] = [PressGoal(i) for i in (() if isinstance(instance.puzzle, Mapped) else range(every))]
     for op in instance.symbolic_model.operators:
         goal = make_goal(op, instance)
         if goal not in goals:

@@ -159,7 +159,7 @@ class PushOption(Option):
 
     def termination(self, state: RoomState) -> float:
         """1 once the facts that the push adds hold in the puzzle."""
-        return float(self._facts <= self._room.puzzle.get_facts(state.puzzle))
+        return float(self._facts <= self._room.puzzle.symbolic.get_facts(state.puzzle))
 
     def _get_place(self, state: RoomState) -> tuple[float, float]:
         return get_prop_poses(state, self._room)[self.goal.prop][:2]

@@ -244,7 +244,7 @@ def is_reached(goal: Goal, before: RoomState, after: RoomState, rules: Rules) ->
     if isinstance(goal, (ExitGoal, RegionGoal)):
         region = get_region(goal, rules.instance)
         return region.x_min <= after.x <= region.x_max and region.y_min <= after.y <= region.y_max
-    get_facts = rules.instance.puzzle.get_facts
+    get_facts = rules.instance.puzzle.symbolic.get_facts
     if isinstance(goal, GripGoal):
         if before is after:
             return False

@@ -17,6 +17,7 @@ from hrl_escape.env.geometry import Footprint, compute_distance, make_footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.symbolic import Operator
+from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.env.robot import make_robot
 from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.goals import Goal, PressGoal
@@ -37,7 +38,7 @@ def bound_escape(instance: RoomInstance, state: RoomState) -> float:
         cost = bounds.bound_start(state, then) if last is None else bounds.bound_leg(last, then)
         return Leg(cost, then)
 
-    tasks = search.find_order(instance.puzzle.get_facts(state.puzzle), None, extend, BOUND_LEGS)
+    tasks = search.find_order(instance.puzzle.symbolic.get_facts(state.puzzle), None, extend, BOUND_LEGS)
     return math.inf if tasks is None else max(1.0, tasks.lower_bound)
 
 
@@ -56,7 +57,7 @@ class LegBounds:
     def _compute_reach(self) -> float:
         """Largest distance between the body's axis and a target that it presses, m."""
         robot, margin = self._instance.robot, self._instance.dynamics.press_margin
-        if self._instance.puzzle.target_cells:
+        if isinstance(self._instance.puzzle, Mapped):
             return robot.actions.stride  # from the cell before it
         if self._instance.dynamics.press_with == "body":
             return robot.outer_radius + margin
@@ -107,7 +108,7 @@ class LegBounds:
 
     def _is_anywhere(self, op: Operator) -> bool:
         """Return whether an operator may be carried out anywhere: a push, or on a map putting down what is held."""
-        return op.action == "push" or (op.action == "release" and bool(self._instance.puzzle.target_cells))
+        return op.action == "push" or (op.action == "release" and isinstance(self._instance.puzzle, Mapped))
 
     def _get_place(self, op: Operator | None) -> tuple[Footprint, float]:
         if op is None:

@@ -50,8 +50,8 @@ class Orders:
             PlanningFailed: there is no escape; its reason says why.
         """
         began = read_clock()
-        doors = self._routes.rules.inner_doors
-        known = self._instance.puzzle.plan(state.puzzle, -1 if doors is None else doors.find_at(state.x, state.y))
+        doors, puzzle = self._routes.rules.inner_doors, self._instance.puzzle
+        known = puzzle.symbolic.plan(state.puzzle, -1 if doors is None else doors.find_at(state.x, state.y))
         if known is not None:
             return (*(make_goal(op, self._instance) for op in known), ExitGoal())
         tasks = self._find_order(state, TaskSearch(self._model, lower_bound=self.bounds.bound_leg), clock, settings)
@@ -66,7 +66,7 @@ class Orders:
             PlanningFailed: the preconditions cannot be met.
         """
         self._routes.check_query(state, goal)
-        facts = self._instance.puzzle.get_facts(state.puzzle)
+        facts = self._instance.puzzle.symbolic.get_facts(state.puzzle)
         ways = [op for op in self._model.operators if make_goal(op, self._instance) == goal]
         if not ways or any(op.preconditions <= facts for op in ways):
             return [goal]
@@ -87,7 +87,7 @@ class Orders:
 
         The last ones are those of a press that opens the exit with its ancestors, as one meta-action does it.
         """
-        facts = self._instance.puzzle.get_facts(state.puzzle)
+        facts = self._instance.puzzle.symbolic.get_facts(state.puzzle)
         search = TaskSearch(self._model, lower_bound=self.bounds.bound_leg, relevant_only=False)
         extend = self._make_extend(state, clock, settings, None, None, most_nodes)
         for task in search.find_orders(facts, state, extend, count, REAL_LEGS * count):
@@ -103,7 +103,7 @@ class Orders:
         Up to `REAL_LEGS` legs are each planned from the true end of the one before. Beyond that, costs are
         computed pair by pair, each from the place where the first operator ends if it comes first of all.
         """
-        facts = self._instance.puzzle.get_facts(state.puzzle)
+        facts = self._instance.puzzle.symbolic.get_facts(state.puzzle)
         extend = self._make_extend(state, clock, settings, last, report)
         if search.count_legs(facts, REAL_LEGS + 1) <= REAL_LEGS:
             return search.find_order(facts, state, extend)
@@ -156,7 +156,7 @@ class Orders:
                 return None
             left -= route.expansions
             end = self._routes.follow(here, route)
-            return Leg(len(route.primitives), end, puzzle.get_facts(end.puzzle))
+            return Leg(len(route.primitives), end, puzzle.symbolic.get_facts(end.puzzle))
 
         return extend
 
@@ -170,20 +170,21 @@ class Orders:
     @cached_property
     def solved_puzzle(self) -> Any:
         """State of the puzzle in which the exit is open."""
-        tasks = TaskSearch(self._model).find_order(
-            self._instance.puzzle.get_facts(self._instance.puzzle.make_state()), None, lambda place, op: Leg(1.0, None))
-        puzzle = self._instance.puzzle.make_state()
+        puzzle = self._instance.puzzle
+        state = puzzle.make_state()
+        facts = puzzle.symbolic.get_facts(state)
+        tasks = TaskSearch(self._model).find_order(facts, None, lambda place, op: Leg(1.0, None))
         for op in tasks.operators if tasks else ():
-            puzzle = self._instance.puzzle.update(puzzle, self._instance.puzzle.make_contacts(op))
-        return puzzle
+            state = puzzle.update(state, puzzle.symbolic.make_contacts(op))
+        return state
 
     @cached_property
     def _opened_puzzle(self) -> Any:
         """State of the puzzle after every operator that can be carried out: all doors between rooms are open."""
         puzzle, state = self._instance.puzzle, self._instance.puzzle.make_state()
         for op in list(self._model.operators) * len(self._model.operators):
-            if op.is_applicable(puzzle.get_facts(state)):
-                state = puzzle.update(state, puzzle.make_contacts(op))
+            if op.is_applicable(puzzle.symbolic.get_facts(state)):
+                state = puzzle.update(state, puzzle.symbolic.make_contacts(op))
         return state
 
     def find_exit(self, here: RoomState, has_moved: bool, clock: Clock, settings: SearchSettings) -> Route:

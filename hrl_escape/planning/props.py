@@ -72,6 +72,6 @@ def meets(x: float, y: float, to_x: float, to_y: float, keep_out: Sequence[Footp
 
 def _list_done(state: RoomState, instance: RoomInstance) -> set[str]:
     """Names of the blocks that stand where the puzzle wants them."""
-    facts = instance.puzzle.get_facts(state.puzzle)
+    facts = instance.puzzle.symbolic.get_facts(state.puzzle)
     return {op.target for op in instance.symbolic_model.operators
             if op.action == "push" and op.add <= facts}

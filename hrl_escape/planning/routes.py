@@ -20,6 +20,7 @@ from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.env.state_checks import check_fields
 from hrl_escape.errors import ActionError, ConfigError, EscapeError, PlanningFailed, PlanningReason, UnknownNameError
 from hrl_escape.floor.cost_to_go import FieldMaker
@@ -173,7 +174,7 @@ class Routes:
             if not is_way_open(self.rules, state, goal):
                 return False
             if isinstance(goal, GripGoal):
-                facts, ways = self.instance.puzzle.get_facts(state.puzzle), find_grips(goal, self.instance)
+                facts, ways = self.instance.puzzle.symbolic.get_facts(state.puzzle), find_grips(goal, self.instance)
                 return any(op.is_applicable(facts) for op in ways) and self._doors.can_walk(state, goal)
             return isinstance(goal, PressGoal) or not is_reached(goal, state, state, self.rules)
 
@@ -325,7 +326,7 @@ class Routes:
                      ) -> Route | PlanningFailed:
         """Route to the target, unless it is touched already, and a primitive whose effect the puzzle decides."""
         route: Route | PlanningFailed = Route((), (get_pose(state),), (), 0)
-        if self.instance.puzzle.target_cells:
+        if isinstance(self.instance.puzzle, Mapped):
             route = self._search_place(state, goal, clock, settings)
         elif not state.touching >> goal.target & 1:
             route = self._search_round_props(state, PressGoal(goal.target), clock, settings)
@@ -353,8 +354,8 @@ class Routes:
         way, planner = (method, DEFAULT_PLANNER) if method in METHODS else ("corridor", method)
         way = self.search.choose_method(goal, keep_out) if way == "auto" else way
         result = self._doors.choose(state).search(
-            begin, goal, method=way, planner=planner, avoid=not self.instance.puzzle.target_cells, refine=refine,
-            keep_out=keep_out, budget_expansions=settings.budget, clock=clock, seed=settings.seed,
+            begin, goal, method=way, planner=planner, avoid=not isinstance(self.instance.puzzle, Mapped),
+            refine=refine, keep_out=keep_out, budget_expansions=settings.budget, clock=clock, seed=settings.seed,
             effort=settings.effort)
         if not result.is_reached:
             return self.make_failure(

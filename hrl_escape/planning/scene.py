@@ -22,6 +22,7 @@ from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Solid, compute_distance, make_footprint
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.puzzles.traits import Propped, get_trait
 from hrl_escape.env.robot import BASE_LINK, make_robot
 from hrl_escape.env.room_checks import check_room
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
@@ -207,7 +208,7 @@ class Scene:
     def _place_props(self, pairs: Sequence[PlacedProp], loose: Sequence[PlacedProp]) -> Scene:
         """Other props, and the puzzle that is about them."""
         room, props = self.instance, (*pairs, *loose)
-        puzzle = room.puzzle.with_props(tuple(placed.prop for placed in props))
+        puzzle = get_trait(room.puzzle, Propped).with_props(tuple(placed.prop for placed in props))
         shared = room.shared
         if shared is not None and len(shared.bounds) < len(puzzle.bounds):
             shared = dataclasses.replace(shared, bounds=puzzle.bounds)

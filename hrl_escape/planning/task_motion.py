@@ -129,7 +129,7 @@ class TaskMotionPlanner:
             lines += [f"  (:action {name}-from-{before}", "    :parameters ()",
                       f"    :precondition (and {at} {needs[5:-1]})",
                       f"    :effect (and {effect} (increase (total-cost) {cost})))"]
-        facts = " ".join(sorted(map(write_atom, self.planner.instance.puzzle.get_facts(state.puzzle))))
+        facts = " ".join(sorted(map(write_atom, self.planner.instance.puzzle.symbolic.get_facts(state.puzzle))))
         goal = "(and (escaped))" if goals is None else write_all(wanted)
         problem = (f"(define (problem room-{self.planner.instance.id})\n  (:domain task-and-motion)\n"
                    f"  (:init (at place-{START}) (= (total-cost) 0) {facts})\n  (:goal {goal})\n"
@@ -160,7 +160,7 @@ class TaskMotionPlanner:
         """
         names = _list_names(actions)
         goals = [self._find_goal(name) for name in names]
-        facts = self.planner.instance.puzzle.get_facts(state.puzzle)
+        facts = self.planner.instance.puzzle.symbolic.get_facts(state.puzzle)
         for name, goal in zip(names, goals, strict=True):
             if isinstance(goal, ExitGoal):
                 continue

@@ -99,7 +99,7 @@ class Situations:
 
     def pack(self, state: RoomState) -> NDArray[np.float64]:
         """The observation of a state, float64 (numbers,)."""
-        facts = self.instance.puzzle.get_facts(state.puzzle)
+        facts = self.instance.puzzle.symbolic.get_facts(state.puzzle)
         targets = range(len(self.instance.targets))
         return np.array([
             state.x, state.y, state.heading_steps, state.heading_offset, *state.joint_steps,

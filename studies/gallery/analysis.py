@@ -154,7 +154,7 @@ def count_fewest(room: RoomInstance) -> int:
     state = Kinematics(room).make_state(room.starts[0]).puzzle
     model = room.symbolic_model
     relevant = SymbolicModel(model.propositions, find_relevant_operators(model), model.goal)
-    return len(room.puzzle.plan(state) or relevant.find_fewest(room.puzzle.get_facts(state)) or ())
+    return len(room.puzzle.symbolic.plan(state) or relevant.find_fewest(room.puzzle.symbolic.get_facts(state)) or ())
 
 
 def _play_room(preset: str, room: RoomInstance, agent: str, seed: int, primitives: int, episodes: int) -> PlayedRun:

@@ -13,6 +13,7 @@ from hrl_escape.comparison.comparison import Comparison
 from hrl_escape.comparison.runs import get_training_folder
 from hrl_escape.comparison.solved_probe import find_edges_that_matter
 from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.puzzles.traits import Graphed, get_trait
 
 __all__ = ["RoomKind", "ScalingRun", "collect_scaling_runs", "compute_edge_depth"]
 
@@ -108,8 +109,8 @@ def collect_scaling_runs(comparison: Comparison, rooms: Mapping[RoomKind, RoomIn
 
 
 def _measure_depth(room: RoomInstance) -> int:
-    goals = room.puzzle.goal_targets
-    return compute_edge_depth(find_edges_that_matter(room.puzzle.edges, goals), goals)
+    graph = get_trait(room.puzzle, Graphed)
+    return compute_edge_depth(find_edges_that_matter(graph.edges, graph.goal_targets), graph.goal_targets)
 
 
 def compute_edge_depth(edges: Iterable[tuple[int, int]], goals: Iterable[int]) -> int:

@@ -30,7 +30,8 @@ from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.graphs import GraphConfig
 from hrl_escape.env.puzzles.places import Pads
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
+from hrl_escape.env.puzzles.traits import Doored
 from hrl_escape.env.sampling.certificate import find_unmet, make_floors
 from hrl_escape.env.sampling.primitive_proof import find_unmet_constraint
 from hrl_escape.errors import ConfigError, PlanningFailed, UnsupportedError
@@ -203,7 +204,7 @@ class KeyConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class KeyPuzzle(Puzzle):
+class KeyPuzzle(Doored, Modelled, Puzzle):
     """Grip the key, which opens the door for good, then the treasure."""
 
     kind = "key-on-the-floor"

@@ -36,7 +36,7 @@ VARIED = RoomConfig(
     robot=RobotConfig(body_radius=0.5), puzzle=ButtonsConfig(count=Between(2, 5), buttons=Panels(width=1.5)),
     obstacles=ObstaclesConfig(count=Between(0, 6)), exit=ExitConfig(door=True, width=2.5, depth=1.5),
 )
-VECTORS = [observation.name for observation in list_observations() if observation.observe_batch]
+VECTORS = [observation.name for observation in list_observations() if observation.is_vector]
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from hrl_escape.errors import ConfigError, UnsupportedError
 LEFT = 2
 
 
-@pytest.mark.parametrize("kind", sorted(one.name for one in list_observations() if one.observe_batch))
+@pytest.mark.parametrize("kind", sorted(one.name for one in list_observations() if one.is_vector))
 @pytest.mark.parametrize("name", ["paper-two-button", "arm-two-button", "clutter"])
 def test_its_specs_say_what_it_does(name, kind):
     check_env_specs(EscapeRoomTorchRLEnv(6, name, num_instances=2, observation=kind), seed=0)

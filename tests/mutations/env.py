@@ -251,8 +251,8 @@ MUTATIONS = [
     Mutation(
         "levels without a solution are certified",
         "env/sampling/primitive_proof.py",
-        "if not puzzle.can_push or cells is None or puzzle.plan(",
-        "if cells is not None or puzzle.plan(",
+        "if puzzle.symbolic.plan(state.puzzle, cells",
+        "if True or puzzle.symbolic.plan(state.puzzle, cells",
         "env/test_pushed_grids.py",
     ),
     Mutation(

@@ -14,6 +14,7 @@ from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.instance import Rectangle, RoomInstance, Start, Target
 from hrl_escape.env.presets import PRESETS, get_preset
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
+from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 from hrl_escape.options.flavours import FLAVOURS
@@ -54,9 +55,9 @@ def run_meta_actions(config: RoomConfig, runs: int, seed: int = 0) -> Counter:
 @pytest.mark.parametrize("name", PRESETS)
 def test_every_preset_has_a_meta_action_for_everything_there_is_to_do(name):
     instance = generate(get_preset(name), 0)
-    grips = {(op.target, op.action) for op in instance.puzzle.make_symbolic_model().operators
+    grips = {(op.target, op.action) for op in instance.puzzle.symbolic.make_symbolic_model().operators
              if op.action not in ("press", "push")}
-    pressed = 0 if instance.puzzle.target_cells else len(instance.targets)
+    pressed = 0 if isinstance(instance.puzzle, Mapped) else len(instance.targets)
     count = pressed + len(grips) or len(instance.props) // 2
     names = [option.name for option in make_meta_options(instance)]
     assert names == [*(f"meta-{i:02d}" for i in range(1, count + 1)), "meta-exit"]

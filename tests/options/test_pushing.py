@@ -18,7 +18,7 @@ from hrl_escape.planning.props import list_blocks, list_obstacles
 def escape(env, seed):
     env.reset(seed=seed)
     run = pursue(env)
-    facts = [env.instance.puzzle.get_facts(state.puzzle) for state in run.states]
+    facts = [env.instance.puzzle.symbolic.get_facts(state.puzzle) for state in run.states]
     return run, [not before <= after for before, after in zip(facts[:-1], facts[1:], strict=True)]
 
 

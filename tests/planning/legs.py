@@ -10,7 +10,7 @@ from hrl_escape.planning.plan import Plan
 
 def assert_legs_cost_at_least_their_bounds(plan: Plan, instance: RoomInstance) -> None:
     bounds = LegBounds(instance)
-    by_goal = {make_goal(op, instance): op for op in instance.puzzle.make_symbolic_model().operators}
+    by_goal = {make_goal(op, instance): op for op in instance.puzzle.symbolic.make_symbolic_model().operators}
     last = None
     for part in plan.parts:
         then = by_goal.get(part.goal)

@@ -248,7 +248,7 @@ def test_a_puzzle_without_a_way_names_its_precondition():
     instance = generate(make_ordered_chain(), 0)
     lost = dataclasses.replace(instance, puzzle=dataclasses.replace(instance.puzzle, edge_list=((0, 3), (1, 3))))
     planner = RoomPlanner(lost)
-    model = planner.instance.puzzle.make_symbolic_model()
+    model = planner.instance.puzzle.symbolic.make_symbolic_model()
     planner.orders._model = dataclasses.replace(model, operators=model.operators[2:])
     with pytest.raises(PlanningFailed) as caught:
         planner.solve(planner.rules.make_state(lost.starts[0]))

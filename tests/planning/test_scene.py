@@ -131,10 +131,10 @@ def test_blocks_and_plates_are_added_and_removed_and_the_puzzle_follows():
     scene = Scene.of(generate(get_preset("push-block"), 0))
     first = scene.instance.puzzle.props
     loose = scene.add("crate", make_block(2.0, 2.0))
-    assert loose.instance.puzzle.make_symbolic_model() == scene.instance.puzzle.make_symbolic_model()
+    assert loose.instance.puzzle.symbolic.make_symbolic_model() == scene.instance.puzzle.symbolic.make_symbolic_model()
     assert loose.instance.puzzle.target_names == () and [p.name for p in loose.instance.puzzle.props][-1] == "crate"
     two = loose.add("goal", make_block(3.0, -2.0, "plate"))
-    model = two.instance.puzzle.make_symbolic_model()
+    model = two.instance.puzzle.symbolic.make_symbolic_model()
     assert [op.name for op in model.operators] == ["push-block-1-onto-plate-1", "push-crate-onto-goal"]
     env = EscapeRoomEnv(instance=RoomInstance.from_dict(two.instance.to_dict()))
     env.reset(seed=0)

@@ -26,10 +26,10 @@ def test_fast_downward_minimises_the_primitives_of_all_legs():
     tasks, start = make_tasks("clutter", 3)
     costs = tasks.compute_costs(start)
     room = tasks.planner.instance
-    model, least = room.puzzle.make_symbolic_model(), float("inf")
+    model, least = room.puzzle.symbolic.make_symbolic_model(), float("inf")
     for count in range(len(model.operators) + 1):
         for order in itertools.permutations(model.operators, count):
-            facts, before, total = room.puzzle.get_facts(start.puzzle), "start", 0.0
+            facts, before, total = room.puzzle.symbolic.get_facts(start.puzzle), "start", 0.0
             for op in order:
                 total += costs.get((before, op.name), float("inf")) if op.is_applicable(facts) else float("inf")
                 facts, before = op.apply(facts), op.name

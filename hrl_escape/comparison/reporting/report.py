@@ -30,6 +30,7 @@ from hrl_escape.comparison.statistics import compute_iqm
 from hrl_escape.comparison.summary import AgentSummary, RoomSummary, Summary, summarise
 from hrl_escape.comparison.verdict import find_leader, write_verdict
 from hrl_escape.env.drawing.maps import make_map
+from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.files import write_text
 from hrl_escape.templates import embed_json, render_template
 
@@ -269,7 +270,7 @@ def _describe_room(summary: Summary, number: int, agent_styles: Sequence[AgentSt
         for score in [float(compute_iqm([agent.efficiencies[number]]))]
     ]
     puzzle = instance.puzzle
-    edges = [f"{puzzle.target_names[a]} before {puzzle.target_names[b]}" for a, b in puzzle.edges]
+    edges = [f"{puzzle.target_names[a]} before {puzzle.target_names[b]}" for a, b in get_trait(puzzle, Graphed).edges]
     words = [f"{2 * instance.half_width:g} \N{MULTIPLICATION SIGN} {2 * instance.half_depth:g} m"]
     words += [", ".join(edges)] if 0 < len(edges) <= 6 else []
     ends = ("" if np.isnan(room.best) else

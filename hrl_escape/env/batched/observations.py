@@ -17,7 +17,7 @@ from hrl_escape.env.batched.rules import find_shut
 from hrl_escape.env.batched.tables import INSTEAD, Layout, Tables, pick, pick_rules
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Rules
-from hrl_escape.env.observations.base import BatchObservation, get_observation, make_observer
+from hrl_escape.env.observations.base import BatchObservation, Observer, get_observation, make_observer
 from hrl_escape.env.tensor_geometry import Shapes, cast_rays
 from hrl_escape.errors import UnsupportedError
 
@@ -37,7 +37,7 @@ def load_observation(name: str) -> BatchObservation:
         UnknownNameError: no observation of that name.
     """
     form = get_observation(name).observe_batch
-    if form is None:
+    if form is Observer.observe_batch:
         raise UnsupportedError(f"the batched engine does not show {name!r}: {INSTEAD}")
     return form
 

@@ -20,6 +20,7 @@ from hrl_escape.env.config import DynamicsConfig, RewardConfig, RobotConfig
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.primitives import ActionTable
+from hrl_escape.env.puzzles.traits import Mapped, Pushing
 from hrl_escape.env.robot import make_robot
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
@@ -265,11 +266,11 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
         targets=len(first.frame.target_names),
         has_door=any(instance.door for instance in instances),
         inner_doors=max(len(instance.inner_doors) for instance in instances),
-        has_cells=bool(first.puzzle.target_cells),
+        has_cells=isinstance(first.puzzle, Mapped),
         has_offsets=bool(noise) or any(start.heading_offset for instance in instances for start in instance.starts),
         is_shared=len(instances) == 1,
         is_watching=first.puzzle.is_watching,
-        can_push=first.puzzle.can_push,
+        can_push=isinstance(first.puzzle, Pushing),
         is_puzzle_random=is_puzzle_random,
         draws=(resample or is_puzzle_random or bool(noise or first.dynamics.slip)
                or any(len(i.starts) > 1 or len(i.puzzle.list_starts()) > 1 for i in instances)),

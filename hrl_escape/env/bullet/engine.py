@@ -20,6 +20,7 @@ from hrl_escape.env.bullet.physics import PhysicsDynamics
 from hrl_escape.env.bullet.scene import SceneBodies, build_scene, show_door, show_exit, show_inner_door, show_lit
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules, Transition
+from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.env.state_checks import check_state
 from hrl_escape.errors import ClosedError, UnsupportedError
 
@@ -291,7 +292,7 @@ class _PuzzleColours:
                 if now != before:
                     show_lit(self._client, target, now)
             self._lit = lit
-            shut = puzzle.get_shut(state.puzzle)
+            shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
             for number, door in enumerate(self._instance.inner_doors):
                 if (shut ^ self._shut) >> number & 1:
                     show_inner_door(self._client, self._scene.inner_doors[number], door, bool(shut >> number & 1))

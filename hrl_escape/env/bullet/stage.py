@@ -36,6 +36,7 @@ from hrl_escape.env.drawing.meshes import (
 )
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Target
+from hrl_escape.env.puzzles.traits import Barring, Depicted, get_trait
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.files import temporary_folder
 
@@ -128,7 +129,7 @@ class Stage:
             if shadow is not None:
                 self._place(shadow, (x, y, 0.0), _STILL)
         puzzle = self._instance.puzzle
-        shut = puzzle.get_shut(state.puzzle)
+        shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
         for number, standing in enumerate(self._inner):
             self._move(standing, (0.0, 0.0, 0.0) if shut >> number & 1 else _AWAY, _STILL)
         for lamp, is_lit in zip(self._lamps, puzzle.get_lit(state.puzzle), strict=True):
@@ -292,8 +293,8 @@ class Stage:
         shadows = [make_shadow(compute_outline(solid), solid.height, _LAYER, floor)
                    for solid in self._instance.solids for floor in floors]
         self._add(merge(shadows), _SHADE)
-        if self._instance.puzzle.puddles:
-            self._add(make_puddles(self._instance.puzzle.puddles, 1.5 * _LAYER), palette.PUDDLE)
+        if puddles := get_trait(self._instance.puzzle, Depicted).puddles:
+            self._add(make_puddles(puddles, 1.5 * _LAYER), palette.PUDDLE)
         size = max(self._instance.half_width, self._instance.half_depth)
         side = 1.0 if size <= 15 else 2.0 if size <= 30 else 5.0
         for odd, colour in ((False, _TILE), (True, _OTHER_TILE)):

@@ -15,6 +15,7 @@ from matplotlib.patches import Circle, FancyArrowPatch
 
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.puzzles.base import Puzzle
+from hrl_escape.env.puzzles.traits import Graphed, get_trait
 
 __all__ = ["compute_depths", "compute_layout", "draw_graph", "shorten"]
 
@@ -82,7 +83,8 @@ def shorten(name: str) -> str:
 
 def draw_graph(axes: Axes, puzzle: Puzzle, state: Hashable) -> None:
     """Draw the dependencies between a puzzle's targets, coloured by state; dots lock, the goal has a second ring."""
-    places = compute_layout(len(puzzle.target_names), puzzle.edges)
+    graph = get_trait(puzzle, Graphed)
+    places = compute_layout(len(puzzle.target_names), graph.edges)
     right, bottom = (max((p[i] for p in places), default=0.0) for i in (0, 1))
     inches = np.array((axes.bbox.width, axes.bbox.height)) / axes.figure.dpi
     cell = min(_LARGEST_CELL, 72 * inches[0] / (right + 1), 72 * inches[1] / (bottom + 1))  # points between nodes
@@ -90,7 +92,7 @@ def draw_graph(axes: Axes, puzzle: Puzzle, state: Hashable) -> None:
     axes.set(xlim=(-0.5, wide - 0.5), ylim=(high - 0.5, -0.5), aspect="equal")
     axes.set_axis_off()
     radius, size = 0.32, min(9.0, 0.36 * cell)
-    for parent, child in puzzle.edges:
+    for parent, child in graph.edges:
         axes.add_patch(
             FancyArrowPatch(
                 places[parent], places[child], arrowstyle="-|>", mutation_scale=min(9.0, 0.3 * cell),
@@ -98,7 +100,7 @@ def draw_graph(axes: Axes, puzzle: Puzzle, state: Hashable) -> None:
                 color=palette.MUTED, zorder=1,
             )
         )
-    for locking, locked in puzzle.locks_between:
+    for locking, locked in graph.locks_between:
         axes.add_patch(
             FancyArrowPatch(
                 places[locking], places[locked], arrowstyle="-[,widthB=0.35,lengthB=0", linestyle="dotted",
@@ -109,7 +111,7 @@ def draw_graph(axes: Axes, puzzle: Puzzle, state: Hashable) -> None:
     for node, (x, y) in enumerate(places):
         fill, edge, ink = palette.get_target_look(puzzle, state, node)
         axes.add_patch(Circle((x, y), radius, facecolor=fill, edgecolor=edge, linewidth=1.0, zorder=2))
-        if node in puzzle.goal_targets:
+        if node in graph.goal_targets:
             axes.add_patch(Circle((x, y), radius + 0.09, fill=False, edgecolor=edge, linewidth=1.2, zorder=2))
         axes.text(x, y, shorten(puzzle.target_names[node]), fontsize=size, color=ink,
                   ha="center", va="center_baseline", zorder=3)

@@ -24,6 +24,7 @@ from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.places import Capsule
+from hrl_escape.env.puzzles.traits import Barring, Depicted, Doored, Graphed, get_trait
 
 __all__ = ["Trajectory", "compute_extent", "draw_room", "get_colour"]
 
@@ -131,7 +132,7 @@ def _draw_ticks(axes: Axes, instance: RoomInstance) -> None:
 def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
     for floor in palette.compute_floors(instance):
         axes.add_patch(RectanglePatch(*_measure(floor), facecolor=palette.FLOOR, zorder=0))
-    for puddle in instance.puzzle.puddles:
+    for puddle in get_trait(instance.puzzle, Depicted).puddles:
         axes.add_patch(_make_capsule(puddle, facecolor=palette.PUDDLE, alpha=0.6, zorder=0.5))
     is_open = instance.puzzle.is_solved(state.puzzle)
     colour = palette.EXIT_OPEN if is_open else palette.EXIT_LOCKED
@@ -145,7 +146,7 @@ def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
     if instance.door is not None:
         style: dict[str, Any] = {"fill": False, "linestyle": ":"} if is_open else {"facecolor": palette.DOOR}
         axes.add_patch(_make_outline(instance.door, edgecolor=palette.DOOR, linewidth=1.2, zorder=4, **style))
-    _draw_inner_doors(axes, instance, instance.puzzle.get_shut(state.puzzle))
+    _draw_inner_doors(axes, instance, get_trait(instance.puzzle, Barring).get_shut(state.puzzle))
 
 
 def _draw_inner_doors(axes: Axes, instance: RoomInstance, shut: int) -> None:
@@ -157,7 +158,7 @@ def _draw_inner_doors(axes: Axes, instance: RoomInstance, shut: int) -> None:
             axes.add_patch(_make_outline(shape, facecolor=colour, edgecolor=colour, zorder=5))
         elif door.role == "door":
             axes.add_patch(_make_outline(shape, fill=False, edgecolor=colour, linestyle=":", linewidth=1.2, zorder=5))
-    facts = instance.puzzle.door_facts
+    facts = get_trait(instance.puzzle, Doored).door_facts
     operators = instance.symbolic_model.operators if facts else ()
     for door, fact in zip(instance.inner_doors, facts, strict=bool(facts)):
         openers = " or ".join(dict.fromkeys(op.target for op in operators if fact in op.may_add))
@@ -279,7 +280,7 @@ def _draw_names(axes: Axes, instance: RoomInstance, state: RoomState, side: str,
         fill, edge, ink = palette.get_target_look(instance.puzzle, state.puzzle, index)
         box = {"boxstyle": "round,pad=0.25", "facecolor": fill, "edgecolor": edge, "linewidth": 0.8}
         style: dict[str, Any] = {"fontsize": _LABEL_POINTS, "color": ink, "bbox": box, "zorder": 11}
-        style["weight"] = "bold" if index in instance.puzzle.goal_targets else "normal"
+        style["weight"] = "bold" if index in get_trait(instance.puzzle, Graphed).goal_targets else "normal"
         gap = 12 / scale
         if target.kind == "pad":
             axes.annotate(name, (target.x, target.y), ha="center", va="center", **style)

@@ -26,6 +26,7 @@ from hrl_escape.env.drawing.graph_inset import draw_graph
 from hrl_escape.env.drawing.map_axes import Trajectory, compute_extent, draw_room, get_colour
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.puzzles.traits import Graphed, get_trait
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.files import write_bytes
 
@@ -128,7 +129,7 @@ def _draw_panel(figure: Figure, instance: RoomInstance, state: RoomState, trajec
     handles = _make_handles(instance, trajectories)
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(left, 0.3 / high), frameon=False, fontsize=8,
                   labelcolor=palette.INK, borderpad=0, borderaxespad=0, handletextpad=0.9, labelspacing=0.6)
-    if instance.puzzle.edges:
+    if get_trait(instance.puzzle, Graphed).edges:
         used = 0.62 + 0.17 * len(lines)  # inches
         bottom = 0.45 + 0.19 * len(handles)
         box = (left - 0.1 / wide, bottom / high, (_PANEL_INCHES - 0.1) / wide, (high - used - bottom) / high)
@@ -160,7 +161,7 @@ def _make_handles(instance: RoomInstance, trajectories: Sequence[Trajectory]) ->
     if instance.targets:
         kinds = [("off", palette.OFF), ("off, waits for others", palette.WAITING), ("on", palette.LIT)]
         handles += [mark("s", label, look.fill, look.edge) for label, look in kinds
-                    if look is not palette.WAITING or instance.puzzle.edges]
+                    if look is not palette.WAITING or get_trait(instance.puzzle, Graphed).edges]
     handles.append(Patch(facecolor=palette.EXIT_OPEN, alpha=0.45, edgecolor=palette.EXIT_OPEN, label="exit"))
     if instance.door is not None:
         handles.append(Patch(facecolor=palette.DOOR, label="door, open once solved"))

@@ -14,6 +14,7 @@ from typing import NamedTuple
 from hrl_escape.env.geometry import Solid, compute_distance, make_footprint
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.puzzles.base import Puzzle
+from hrl_escape.env.puzzles.traits import Depicted, Graphed, get_trait
 
 __all__ = ["TargetLook", "compute_floors", "find_front", "get_inner_colour", "get_target_look", "name_target",
            "to_rgb"]
@@ -49,7 +50,8 @@ WAITING = TargetLook("#edcabf", "#c8553d", INK)
 
 def name_target(puzzle: Puzzle, state: Hashable, target: int) -> str:
     """Name of a target as people see it: with the text that it shows, and a star for a goal."""
-    sign, star = puzzle.get_signs(state)[target], " \N{BLACK STAR}" if target in puzzle.goal_targets else ""
+    sign = get_trait(puzzle, Depicted).get_sign(state, target)
+    star = " \N{BLACK STAR}" if target in get_trait(puzzle, Graphed).goal_targets else ""
     return puzzle.target_names[target] + (f": {sign}" if sign else "") + star
 
 
@@ -57,8 +59,8 @@ def get_target_look(puzzle: Puzzle, state: Hashable, target: int) -> TargetLook:
     """Choose the look of a target: on, off, or off while no operator on it is applicable yet."""
     if puzzle.get_lit(state)[target]:
         return LIT
-    name, facts = puzzle.target_names[target], puzzle.get_facts(state)
-    operators = [o for o in puzzle.make_symbolic_model().operators if o.target == name]
+    name, facts = puzzle.target_names[target], puzzle.symbolic.get_facts(state)
+    operators = [o for o in puzzle.symbolic.make_symbolic_model().operators if o.target == name]
     return OFF if not operators or any(operator.is_applicable(facts) for operator in operators) else WAITING
 
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.engine import Renderer
 from hrl_escape.env.kinematics import RoomState, Rules
-from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.plugins import load_entry_points
 
 if TYPE_CHECKING:
@@ -158,7 +158,6 @@ class Observer(ABC):
         name: the value of `observation=`.
         doc: one line for lists and docs.
         is_vector: the observation is a vector of named numbers, which every agent can learn from.
-        observe_batch: the same for a batch of rooms, a static method; None where there is none.
         names: name of each number, in order; empty for pictures.
         low: smallest value of each number, in the observation's shape and type.
         high: largest value of each number.
@@ -168,7 +167,6 @@ class Observer(ABC):
     name: ClassVar[str]
     doc: ClassVar[str]
     is_vector: ClassVar[bool] = True
-    observe_batch: ClassVar[BatchObservation | None] = None
     names: tuple[str, ...]
     low: NDArray[Any]
     high: NDArray[Any]
@@ -187,6 +185,11 @@ class Observer(ABC):
     @abstractmethod
     def observe(self, state: RoomState) -> NDArray[Any]:
         """Return a fresh array in the shape and type of `low`; for pictures, the renderer's room is in that state."""
+
+    @staticmethod
+    def observe_batch(rooms: BatchView) -> list[Tensor]:
+        """Parts of the observation of every room of a batch, float32 (numbers, rooms) each; none by default."""
+        raise UnsupportedError("this observation is not for batches")
 
     def _get_puzzle(self, state: RoomState) -> tuple[float, ...]:
         """The puzzle's numbers as this kind shows them; remembered, for a puzzle changes rarely."""

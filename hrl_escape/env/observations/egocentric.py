@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.engine import Renderer
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations.base import BatchView, Observer, clip, register_observation
+from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.env.sight import SIGHT_SLACK, Scanner, list_hiders
 
 if TYPE_CHECKING:
@@ -46,7 +47,8 @@ class EgocentricObserver(Observer):
         self._diagonal = 2 * math.hypot(frame.reach_x, frame.reach_y)
         self._fixed = [(t.x, t.y) for t in instance.targets]
         self._standing = [(placed.x, placed.y) for placed in instance.props]
-        half = [math.hypot(t.half_x, t.half_y) if instance.puzzle.target_cells else t.half_y for t in instance.targets]
+        are_cells = isinstance(instance.puzzle, Mapped)
+        half = [math.hypot(t.half_x, t.half_y) if are_cells else t.half_y for t in instance.targets]
         self._slack = SIGHT_SLACK + np.array([
             *half, *(placed.prop.half_size for placed in instance.props), 0.0])
         self._absent = [0.0] * (4 * (len(frame.target_names) - len(instance.targets)))

@@ -1,8 +1,7 @@
 """Puzzles: the rules that must be solved before the exit opens (paper, section 5.1).
 
-A puzzle sees contacts and keeps state; it declares its observation numbers, what is lit,
-whether it is solved, and a symbolic model that planners read and agents never see. It knows
-no engine and no geometry beyond the panels and props it asks the room to place.
+A puzzle sees contacts and keeps state; it declares its observation numbers, what is lit, and
+whether it is solved. It knows no engine and no geometry beyond the panels it asks the room to place.
 Third-party puzzles register through the entry-point group `hrl_escape.puzzles`.
 """
 
@@ -18,10 +17,10 @@ import numpy as np
 from typing_extensions import Self
 
 from hrl_escape.env.puzzles.contacts import PUSH, USE, Contacts
-from hrl_escape.env.puzzles.places import Capsule, Pads, Panels, Place, Prop
-from hrl_escape.env.puzzles.symbolic import SOLVED, Operator, SymbolicModel, derive_model, name_state
+from hrl_escape.env.puzzles.places import Pads, Panels, Place, Prop
+from hrl_escape.env.puzzles.symbolic import DerivedModel, Modelled
 from hrl_escape.env.schema import Schematic
-from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
+from hrl_escape.errors import ConfigError, UnknownNameError
 from hrl_escape.plugins import load_entry_points
 from hrl_escape.settings import Range
 
@@ -113,10 +112,11 @@ class PuzzleConfig(_OfKind):
 class Puzzle(_OfKind):
     """A concrete puzzle: the rules, as pure functions of its hashable state.
 
+    A puzzle gives `kind`, `target_names`, `make_state`, `update`, `is_solved` and `observe`. The other members have
+    defaults; what few puzzles have besides are traits (`traits.py`) and a symbolic model of its own (`Modelled`).
+
     Attributes:
         kind: registered name.
-        target_names: names of the things that can be pressed, in index order.
-        props: things on the floor.
     """
 
     @classmethod
@@ -134,62 +134,8 @@ class Puzzle(_OfKind):
         return ()
 
     @property
-    def props(self) -> tuple[Prop, ...]:
-        """Things on the floor that the room must place."""
-        return ()
-
-    def with_props(self, props: tuple[Prop, ...]) -> Puzzle:
-        """The same puzzle with other things on the floor; for those that have any.
-
-        Raises:
-            ConfigError: the puzzle cannot be one with these.
-            UnsupportedError: nothing stands on this puzzle's floor.
-        """
-        raise UnsupportedError(f"the puzzle {self.kind!r} has no blocks or plates; push-block has")
-
-    @property
-    def puddles(self) -> tuple[Capsule, ...]:
-        """Stretches of floor that the rules speak of, for maps."""
-        return ()
-
-    @property
-    def map_rows(self) -> tuple[str, ...]:
-        """Rows of a grid world's map that the puzzle has drawn, see `maps.py`; empty if it has none."""
-        return ()
-
-    @property
-    def target_cells(self) -> tuple[int, ...]:
-        """Cell of each target on that map."""
-        return ()
-
-    @property
-    def blockable_cells(self) -> tuple[int, ...]:
-        """Cells of that map that can be blocked, by doors or things: the room's inner doors, in order."""
-        return ()
-
-    @property
-    def door_facts(self) -> tuple[str, ...]:
-        """Fact of the model from which each door between two rooms, in a puzzle without a map, is open, for good."""
-        return ()
-
-    def get_shut(self, state: PuzzleState) -> int:
-        """Bits of the inner doors that are shut."""
-        facts = self.get_facts(state) if self.door_facts else frozenset[str]()
-        return sum(1 << door for door, fact in enumerate(self.door_facts) if fact not in facts)
-
-    @property
-    def can_push(self) -> bool:
-        """A move into a cell that is blocked calls `update` with `PUSH`, and goes ahead if that frees the cell."""
-        return False
-
-    @property
     def is_watching(self) -> bool:
         """`update` is called after every primitive; else only after those that press or grip."""
-        return False
-
-    @property
-    def has_dead_ends(self) -> bool:
-        """Some presses lead to states from which the puzzle can no longer be solved."""
         return False
 
     @property
@@ -249,96 +195,34 @@ class Puzzle(_OfKind):
         Puzzles with dependencies count what the goal depends on as well, and facts that must be off count as others do.
         """
         goal = self._goal
-        return len(goal & self.get_facts(state)) / len(goal) if goal else float(self.is_solved(state))
+        return len(goal & self.symbolic.get_facts(state)) / len(goal) if goal else float(self.is_solved(state))
 
     @cached_property
     def _goal(self) -> frozenset[str]:
         """Goal of a model of its own; empty where it would be derived, for that can take long and says no more."""
-        is_derived = type(self).make_symbolic_model is Puzzle.make_symbolic_model
-        return frozenset() if is_derived else self.make_symbolic_model().goal
+        return self.make_symbolic_model().goal if isinstance(self, Modelled) else frozenset()
 
     @property
-    @abstractmethod
     def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest value of each of the N_p observation numbers."""
+        """Lowest and highest value of each of the N_p observation numbers; by default 0 and 1."""
+        return ((0.0, 1.0),) * len(self.observe(self.make_state()))
 
     @abstractmethod
     def observe(self, state: PuzzleState) -> tuple[float, ...]:
         """Return the N_p observation numbers, within `bounds`."""
 
-    @abstractmethod
     def get_lit(self, state: PuzzleState) -> tuple[bool, ...]:
-        """Say for each target whether it is on."""
+        """Say for each target whether it is on; by default none is."""
+        return (False,) * len(self.target_names)
 
-    def get_signs(self, state: PuzzleState) -> tuple[str, ...]:
-        """Text that each target shows to people besides its name, such as what lies there; empty for none."""
-        return ("",) * len(self.target_names)
-
-    # --- for planners --------------------------------------------------------------------
-
-    def get_facts(self, state: PuzzleState) -> frozenset[str]:
-        """Return the propositions of the symbolic model that hold; override it with `make_symbolic_model`.
-
-        Raises:
-            ConfigError: no presses lead to this state, and the model is derived.
-        """
-        number = self._derived[1].get(state)
-        if number is None:
-            raise ConfigError("puzzle.state", state, "a state that presses lead to from a start")
-        return frozenset({name_state(number), *([SOLVED] if self.is_solved(state) else [])})
-
-    def make_symbolic_model(self) -> SymbolicModel:
-        """Return the model that planners, option synthesis and PDDL export read.
-
-        By default it is derived from the rules, by visiting every state that presses lead to.
-
-        Raises:
-            UnsupportedError: there are too many states for that.
-        """
-        return self._derived[0]
-
-    def push(self, state: PuzzleState, ahead: int, beyond: int) -> PuzzleState:
-        """State after a move that would push what is in one inner door's cell into another's, -1 for no cell."""
-        return self.update(state, Contacts((), grip=PUSH, ahead=ahead, beyond=beyond))
-
-    def list_cells(self, state: PuzzleState, action: str, target: int) -> tuple[int, ...]:
-        """Numbers of the inner doors' cells in which an action at a target can be carried out now, on a map."""
-        return ()
-
-    def make_contacts(self, operator: Operator) -> Contacts:
-        """Contacts of the primitive that carries out an operator at a target, by the most likely outcome."""
-        target = self.target_names.index(operator.target)
-        if operator.action == "press":
-            return Contacts((target,), touching=(target,))
-        return Contacts((), touching=(target,), grip=1 if operator.action == "grip" else -1)
-
-    def plan(self, state: PuzzleState, place: int = -1) -> tuple[Operator, ...] | None:
-        """Return the operators that solve the puzzle from here, if it knows better than a search; else None.
-
-        `place` is the number of the inner door in whose cell the robot stands, on a map; -1 where there is none.
-        """
-        return None
+    @property
+    def symbolic(self) -> Modelled:
+        """The symbolic model that planners, option synthesis and PDDL export read: the puzzle's own, or derived."""
+        return self if isinstance(self, Modelled) else self._derived
 
     @cached_property
-    def _derived(self) -> tuple[SymbolicModel, dict[PuzzleState, int]]:
-        return derive_model(
-            self.kind, self.list_starts(), self.target_names, self.is_solved, is_random=self.is_random,
-            press=lambda state, target, chance: self.update(state, Contacts((target,), uniform=chance)))
-
-    @property
-    def edges(self) -> tuple[tuple[int, int], ...]:
-        """Dependencies (parent, child) between targets, for drawings."""
-        return ()
-
-    @property
-    def locks_between(self) -> tuple[tuple[int, int], ...]:
-        """Pairs (a, b) of targets of which a, once it is on, keeps b from being turned on, for drawings."""
-        return ()
-
-    @property
-    def goal_targets(self) -> tuple[int, ...]:
-        """Targets that must be on in the end, for drawings."""
-        return ()
+    def _derived(self) -> DerivedModel:
+        return DerivedModel(self)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -19,6 +19,7 @@ import numpy as np
 from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.bits import BitPuzzle
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.settings import Range
 
 __all__ = ["BitFlipConfig", "BitFlipPuzzle"]
@@ -50,7 +51,7 @@ class BitFlipConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class BitFlipPuzzle(BitPuzzle):
+class BitFlipPuzzle(Graphed, BitPuzzle):
     """A concrete BitFlip puzzle. Bit i is called `bit-<i+1>`."""
 
     kind = "bit-flip"

@@ -8,14 +8,15 @@ from typing import Annotated, Any
 
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.graphs import ButtonNumber, compute_order, find_ancestors
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
+from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
 __all__ = ["BitPuzzle", "GraphPuzzle"]
 
 
-class BitPuzzle(Puzzle):
+class BitPuzzle(Modelled, Puzzle):
     """Base of such puzzles: a subclass gives names, rules, the symbolic model, and `count` as a field."""
 
     count: int
@@ -48,7 +49,7 @@ class BitPuzzle(Puzzle):
 
 
 @dataclasses.dataclass(frozen=True)
-class GraphPuzzle(BitPuzzle):
+class GraphPuzzle(Graphed, BitPuzzle):
     """Base of puzzles whose targets depend on each other along a DAG with one goal; subclasses give names and rules."""
 
     count: Annotated[int, Range(1, 64)] = 1

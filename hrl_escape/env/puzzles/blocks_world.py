@@ -17,7 +17,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
 from hrl_escape.env.puzzles.towers import (
     IN_HAND,
     MOST_BLOCKS,
@@ -29,6 +29,7 @@ from hrl_escape.env.puzzles.towers import (
     read_towers,
     sample_towers,
 )
+from hrl_escape.env.puzzles.traits import Depicted, Graphed
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -72,7 +73,7 @@ class BlocksWorldConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class BlocksWorldPuzzle(Puzzle):
+class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
     """A concrete problem. The place of block `a` is called `place-a`."""
 
     kind = "blocks-world"
@@ -125,11 +126,6 @@ class BlocksWorldPuzzle(Puzzle):
     def goal_targets(self) -> tuple[int, ...]:
         """Places on which a tower stands in the end, as far as the goal says."""
         return tuple(block for block, below in self.goal if block == below)
-
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is 0 or 1."""
-        return ((0.0, 1.0),) * (2 * len(self.names) * (len(self.names) + 1))
 
     # --- states ------------------------------------------------------------------------
 
@@ -187,17 +183,14 @@ class BlocksWorldPuzzle(Puzzle):
         """Places on which a tower stands."""
         return tuple(below == block for block, below in enumerate(self.decode(state)))
 
-    def get_signs(self, state: int) -> tuple[str, ...]:
-        """The tower on each place, from the table up."""
+    def get_sign(self, state: int, target: int) -> str:
+        """The tower on a place, from the table up."""
         towers = self.decode(state)
         above = {below: block for block, below in enumerate(towers) if below != block}
-        signs = list[str]()
-        for base, below in enumerate(towers):
-            tower = [base] if below == base else []
-            while tower and tower[-1] in above:
-                tower.append(above[tower[-1]])
-            signs.append(" ".join(self.names[block] for block in tower))
-        return tuple(signs)
+        tower = [target] if towers[target] == target else []
+        while tower and tower[-1] in above:
+            tower.append(above[tower[-1]])
+        return " ".join(self.names[block] for block in tower)
 
     # --- for planners ------------------------------------------------------------------
 

@@ -24,6 +24,7 @@ from hrl_escape.env.puzzles.graphs import (
     sample_relabelled,
 )
 from hrl_escape.env.puzzles.symbolic import SymbolicModel
+from hrl_escape.env.puzzles.traits import Doored
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -95,7 +96,7 @@ class ButtonsConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class ButtonsPuzzle(GraphPuzzle):
+class ButtonsPuzzle(Doored, GraphPuzzle):
     """A concrete button puzzle. Button i is called `button-<i+1>`."""
 
     kind = "buttons"

@@ -15,7 +15,7 @@ import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.codes import CodePuzzle
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -59,7 +59,7 @@ class CodeLockConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class CodeLockPuzzle(CodePuzzle):
+class CodeLockPuzzle(Modelled, CodePuzzle):
     """A concrete lock. Digit i is called `digit-<i+1>`."""
 
     kind = "code-lock"

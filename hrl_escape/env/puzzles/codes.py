@@ -15,11 +15,6 @@ class CodePuzzle(Puzzle):
     code: tuple[int, ...]
     """Numbers of the targets in order."""
 
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is 0 or 1."""
-        return ((0.0, 1.0),) * len(self.code)
-
     def make_state(self) -> int:
         """Nothing entered."""
         return 0

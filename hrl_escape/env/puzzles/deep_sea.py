@@ -76,11 +76,6 @@ class DeepSeaPuzzle(Puzzle):
         """`dive-1` and `dive-2`."""
         return ("dive-1", "dive-2")
 
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is 0 or 1."""
-        return ((0.0, 1.0),) * (2 * self.size)
-
     def make_state(self) -> int:
         """The top left cell."""
         return 0

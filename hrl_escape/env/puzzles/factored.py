@@ -18,7 +18,8 @@ import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, Success, register_puzzle
 from hrl_escape.env.puzzles.places import Panels
-from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
+from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -79,7 +80,7 @@ class FactoredConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class FactoredPuzzle(Puzzle):
+class FactoredPuzzle(Graphed, Modelled, Puzzle):
     """A concrete domain. Factor i, whose value is the digit of weight arity^i of a state, is called `factor-<i+1>`."""
 
     kind = "factored"
@@ -127,11 +128,6 @@ class FactoredPuzzle(Puzzle):
     def edges(self) -> tuple[tuple[int, int], ...]:
         """Each factor's parents."""
         return tuple((other, factor) for factor, others in enumerate(self.parents) for other in others)
-
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is 0 or 1."""
-        return ((0.0, 1.0),) * (2 * self.count * self.arity)
 
     def decode(self, state: int) -> tuple[int, ...]:
         """Value of each factor."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.places import Pads
-from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
 from hrl_escape.settings import Range
 
 __all__ = ["CORRIDOR_COUNT", "ForagingConfig", "ForagingPuzzle"]
@@ -50,7 +50,7 @@ class ForagingConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class ForagingPuzzle(Puzzle):
+class ForagingPuzzle(Modelled, Puzzle):
     """Concrete worms; the ends of the corridors are called `corridor-1` to `corridor-3`."""
 
     kind = "foraging"
@@ -71,11 +71,6 @@ class ForagingPuzzle(Puzzle):
     def pad_names(self) -> tuple[str, ...]:
         """All ends are pads."""
         return self.target_names
-
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is between 0 and 1."""
-        return ((0.0, 1.0),) * (CORRIDOR_COUNT + 1)
 
     def list_starts(self) -> tuple[int, ...]:
         """The first worm is in any corridor."""

@@ -13,7 +13,8 @@ from typing import Annotated, Any
 import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
+from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.settings import Range
 
 __all__ = ["HAND", "PEGS", "HanoiConfig", "HanoiPuzzle"]
@@ -48,7 +49,7 @@ class HanoiConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class HanoiPuzzle(Puzzle):
+class HanoiPuzzle(Graphed, Modelled, Puzzle):
     """A concrete puzzle. Pegs are called `peg-1` to `peg-3`; all discs begin on the first."""
 
     kind = "hanoi"
@@ -64,11 +65,6 @@ class HanoiPuzzle(Puzzle):
     def goal_targets(self) -> tuple[int, ...]:
         """The last peg."""
         return (PEGS - 1,)
-
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is 0 or 1."""
-        return ((0.0, 1.0),) * (4 * self.discs)
 
     def encode(self, places: tuple[int, ...]) -> int:
         """The state in which each disc, smallest first, is on a peg from 0 or in the `HAND`."""

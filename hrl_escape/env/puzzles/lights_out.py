@@ -17,6 +17,7 @@ import numpy as np
 from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.bits import BitPuzzle
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.traits import Graphed
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -88,7 +89,7 @@ class LightsOutConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class LightsOutPuzzle(BitPuzzle):
+class LightsOutPuzzle(Graphed, BitPuzzle):
     """A concrete board. Light i, row by row, is called `light-<i+1>`."""
 
     kind = "lights-out"

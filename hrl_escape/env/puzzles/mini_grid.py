@@ -17,7 +17,8 @@ import numpy as np
 from hrl_escape.env.puzzles.base import USE, Contacts, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.grid_levels import draw_door_key, draw_key_corridor, draw_multi_room
 from hrl_escape.env.puzzles.maps import GridMap
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
+from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -66,7 +67,7 @@ class MiniGridConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class MiniGridPuzzle(Puzzle):
+class MiniGridPuzzle(Mapped, Modelled, Puzzle):
     """A concrete level. Doors are called `door-1`, ..., things `key-1` and `ball-1`."""
 
     kind = "mini-grid"
@@ -112,11 +113,6 @@ class MiniGridPuzzle(Puzzle):
     def blockable_cells(self) -> tuple[int, ...]:
         """Cells of the doors, and with things on the map all others that are no walls."""
         return self.grid.blockable
-
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is within 0 and 1."""
-        return ((0.0, 1.0),) * (2 * len(self.grid.doors) + 3 * len(self.grid.things))
 
     # --- states ------------------------------------------------------------------------
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.places import Panels
-from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
 from hrl_escape.settings import Range
 
 __all__ = ["RULE_SHIFT", "TRIAL_SHIFT", "Brew", "PotionsConfig", "PotionsPuzzle", "list_rules"]
@@ -70,7 +70,7 @@ class PotionsConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class PotionsPuzzle(Puzzle):
+class PotionsPuzzle(Modelled, Puzzle):
     """Concrete potions. Potion i is called `potion-<i+1>`."""
 
     kind = "potions"
@@ -83,11 +83,6 @@ class PotionsPuzzle(Puzzle):
     def target_names(self) -> tuple[str, ...]:
         """`potion-1` to `potion-<2 features>`."""
         return tuple(f"potion-{i + 1}" for i in range(2 * self.features))
-
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is between 0 and 1."""
-        return ((0.0, 1.0),) * (self.features + 1)
 
     def encode(self, brew: Brew) -> int:
         """State of a brew."""

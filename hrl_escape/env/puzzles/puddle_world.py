@@ -13,6 +13,7 @@ import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.places import Capsule, Pads, Place
+from hrl_escape.env.puzzles.traits import Depicted
 from hrl_escape.settings import Range
 
 __all__ = ["PUDDLES", "PuddleWorldConfig", "PuddleWorldPuzzle"]
@@ -52,7 +53,7 @@ class PuddleWorldConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class PuddleWorldPuzzle(Puzzle):
+class PuddleWorldPuzzle(Depicted, Puzzle):
     """Concrete puddles; the only target is the pad `goal`."""
 
     kind = "puddle-world"
@@ -80,11 +81,6 @@ class PuddleWorldPuzzle(Puzzle):
     def is_watching(self) -> bool:
         """Every primitive may end in a puddle."""
         return True
-
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """0 or 1."""
-        return ((0.0, 1.0),)
 
     def make_state(self) -> int:
         """The goal has not been entered."""

@@ -16,7 +16,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Prop, Puzzle, PuzzleConfig, register_puzzle
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
+from hrl_escape.env.puzzles.traits import Propped
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -68,7 +69,7 @@ class PushBlockConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class PushBlockPuzzle(Puzzle):
+class PushBlockPuzzle(Propped, Modelled, Puzzle):
     """A concrete pushing puzzle: each block belongs onto the plate that follows it."""
 
     kind = "push-block"

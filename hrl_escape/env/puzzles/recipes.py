@@ -15,7 +15,8 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
-from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
+from hrl_escape.env.puzzles.traits import Depicted, Graphed
 
 __all__ = ["COUNT_BITS", "MATERIALS", "MOST_KEPT", "NAMES", "RECIPES", "Recipe", "RecipesConfig", "RecipesPuzzle"]
 
@@ -83,7 +84,7 @@ class RecipesConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class RecipesPuzzle(Puzzle):
+class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
     """The recipe game with one goal."""
 
     kind = "recipes"
@@ -105,11 +106,6 @@ class RecipesPuzzle(Puzzle):
     def goal_targets(self) -> tuple[int, ...]:
         """The goal."""
         return (NAMES.index(self.goal),)
-
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is within 0 and 1."""
-        return ((0.0, 1.0),) * len(NAMES)
 
     def count(self, state: int, name: str) -> int:
         """Number of a material in store; 1 or 0 for a thing."""
@@ -151,10 +147,10 @@ class RecipesPuzzle(Puzzle):
         """Materials in store and things that are there."""
         return tuple(self.count(state, name) > 0 for name in NAMES)
 
-    def get_signs(self, state: int) -> tuple[str, ...]:
-        """Number of each material in store."""
-        counts = (self.count(state, name) for name in NAMES[:MATERIALS])
-        return (*(str(count) if count else "" for count in counts), *[""] * (len(NAMES) - MATERIALS))
+    def get_sign(self, state: int, target: int) -> str:
+        """Number of a material in store."""
+        count = self.count(state, NAMES[target]) if target < MATERIALS else 0
+        return str(count) if count else ""
 
     # --- for planners ------------------------------------------------------------------
 

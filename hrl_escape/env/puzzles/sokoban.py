@@ -16,7 +16,8 @@ import numpy as np
 
 from hrl_escape.env.puzzles.base import PUSH, Contacts, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.pushing import PUSH_SIDES, BoxMap, draw_level, find_fewest_shoves, tidy_level
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
+from hrl_escape.env.puzzles.traits import Pushing
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -45,7 +46,7 @@ class SokobanConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class SokobanPuzzle(Puzzle):
+class SokobanPuzzle(Pushing, Modelled, Puzzle):
     """A concrete level. Boxes are called `box-1`, ..., goals `goal-1`, ..., row by row."""
 
     kind = "sokoban"
@@ -95,19 +96,9 @@ class SokobanPuzzle(Puzzle):
         return self.level.floor
 
     @property
-    def can_push(self) -> bool:
-        """Boxes are pushed."""
-        return True
-
-    @property
     def has_dead_ends(self) -> bool:
         """A box in a corner stays there."""
         return True
-
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is within 0 and 1."""
-        return ((0.0, 1.0),) * (3 * len(self.level.boxes))
 
     # --- states ------------------------------------------------------------------------
 

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Hashable, Iterable
+from abc import ABC, abstractmethod
+from collections.abc import Hashable
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol
 
-from hrl_escape.errors import UnsupportedError
+from hrl_escape.env.puzzles.contacts import Contacts
+from hrl_escape.errors import ConfigError, UnsupportedError
 
-__all__ = ["CHANCES", "MOST_DERIVED", "SOLVED", "Effect", "Operator", "SymbolicModel", "derive_model", "name_state"]
+__all__ = ["MOST_DERIVED", "SOLVED", "DerivedModel", "Effect", "Modelled", "Operator", "SymbolicModel"]
 
 MOST_DERIVED = 20_000
 """Most states of a puzzle whose symbolic model is derived."""
-CHANCES = 64
-"""Outcomes of a press of a random puzzle that are looked at, equally likely."""
 SOLVED = "solved"
 """Proposition of a derived model that holds in the solved states."""
 
@@ -134,62 +134,128 @@ class SymbolicModel:
         return None
 
 
-def name_state(number: int) -> str:
-    """Proposition of a derived model that the puzzle is in the state of this number."""
-    return f"state({number})"
+class Modelled(ABC):
+    """A symbolic model, which a puzzle has of its own by naming this class among its bases."""
+
+    if TYPE_CHECKING:  # the puzzle's own
+        @property
+        def target_names(self) -> tuple[str, ...]:
+            """Names of the targets."""
+            ...
+
+    @property
+    def has_dead_ends(self) -> bool:
+        """Some presses lead to states from which the puzzle can no longer be solved."""
+        return False
+
+    @abstractmethod
+    def make_symbolic_model(self) -> SymbolicModel:
+        """The same model each time."""
+
+    @abstractmethod
+    def get_facts(self, state: Any) -> frozenset[str]:
+        """Propositions of the model that hold.
+
+        Raises:
+            ConfigError: the model knows no such state.
+        """
+
+    def make_contacts(self, operator: Operator) -> Contacts:
+        """Contacts of the primitive that carries out an operator at a target, by the most likely outcome."""
+        target = self.target_names.index(operator.target)
+        if operator.action == "press":
+            return Contacts((target,), touching=(target,))
+        return Contacts((), touching=(target,), grip=1 if operator.action == "grip" else -1)
+
+    def plan(self, state: Any, place: int = -1) -> tuple[Operator, ...] | None:
+        """Return the operators that solve the puzzle from here, if it knows better than a search; else None.
+
+        `place` is the number of the inner door in whose cell the robot stands, on a map; -1 where there is none.
+        """
+        return None
 
 
-def derive_model(kind: str, starts: Iterable[Hashable], targets: tuple[str, ...],
-                 is_solved: Callable[[Any], bool], press: Callable[[Any, int, float], Hashable],
-                 is_random: bool = False) -> tuple[SymbolicModel, dict[Hashable, int]]:
-    """Derive the model of a puzzle from its rules, by visiting every state that presses lead to.
+class _Rules(Protocol):
+    """The part of a puzzle from which a model is derived."""
+
+    kind: ClassVar[str]
+
+    @property
+    def target_names(self) -> tuple[str, ...]: ...
+
+    @property
+    def chances(self) -> tuple[float, ...]: ...
+
+    def list_starts(self) -> tuple[Any, ...]: ...
+
+    def update(self, state: Any, contacts: Contacts) -> Any: ...
+
+    def is_solved(self, state: Any) -> bool: ...
+
+
+class DerivedModel(Modelled):
+    """The model of a puzzle's rules, by visiting every state that presses lead to, once it is asked for.
 
     There is one proposition a state, and one operator a target with a conditional effect a state. Effects are those of
-    the most likely outcome; other outcomes, down to a probability of one in `CHANCES`, lead to states as well.
+    the most likely outcome; other outcomes lead to states as well.
 
     Args:
-        kind: name of the puzzle, for errors.
-        starts: its first states.
-        targets: names of its targets.
-        is_solved: test of a state.
-        press: (state, target, uniform number) -> the state after a press; 0 is its most likely outcome.
-        is_random: a press has several outcomes.
-
-    Returns:
-        The model, and the number of each state.
-
-    Raises:
-        UnsupportedError: there are more than `MOST_DERIVED` states.
+        puzzle: the puzzle.
     """
-    numbers: dict[Hashable, int] = {}
-    for state in starts:
-        numbers.setdefault(state, len(numbers))
-    queue = list(numbers)
-    chances = [(number + 0.5) / CHANCES for number in range(CHANCES)] if is_random else []
-    changes: list[list[tuple[Hashable, Hashable]]] = [[] for _ in targets]
-    for state in queue:
-        for target, changed in enumerate(changes):
-            likely = press(state, target, 0.0)
-            if likely != state:
-                changed.append((state, likely))
-            for after in (likely, *(press(state, target, chance) for chance in chances)):
-                if after not in numbers:
-                    if len(numbers) == MOST_DERIVED:
-                        raise UnsupportedError(f"puzzle {kind!r} has more than {MOST_DERIVED:,} states: give it "
-                                               "make_symbolic_model and get_facts of its own")
-                    numbers[after] = len(numbers)
-                    queue.append(after)
 
-    def list_facts(state: Hashable) -> frozenset[str]:
-        return frozenset({name_state(numbers[state]), *([SOLVED] if is_solved(state) else [])})
+    def __init__(self, puzzle: _Rules) -> None:
+        self._puzzle = puzzle
 
-    none: frozenset[str] = frozenset()
-    facts = {state: list_facts(state) for state in numbers}
-    operators = tuple(
-        Operator(f"press-{name}", name, "press", none, none, none, none, when=tuple(
-            Effect(frozenset({name_state(numbers[before])}), none, facts[after] - facts[before],
-                   facts[before] - facts[after])
-            for before, after in changed))
-        for name, changed in zip(targets, changes, strict=True))
-    propositions = (*(name_state(number) for number in range(len(numbers))), SOLVED)
-    return SymbolicModel(propositions, operators, frozenset({SOLVED})), numbers
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Names of the puzzle's targets."""
+        return self._puzzle.target_names
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """The model.
+
+        Raises:
+            UnsupportedError: there are more than `MOST_DERIVED` states.
+        """
+        return self._derived[0]
+
+    def get_facts(self, state: Hashable) -> frozenset[str]:
+        """The state's own proposition, and `SOLVED`."""
+        number = self._derived[1].get(state)
+        if number is None:
+            raise ConfigError("puzzle.state", state, "a state that presses lead to from a start")
+        return self._list_facts(state, number)
+
+    def _list_facts(self, state: Hashable, number: int) -> frozenset[str]:
+        return frozenset({f"state({number})", *([SOLVED] if self._puzzle.is_solved(state) else [])})
+
+    @cached_property
+    def _derived(self) -> tuple[SymbolicModel, dict[Hashable, int]]:
+        """The model, and the number of each state."""
+        puzzle, numbers = self._puzzle, dict[Hashable, int]()
+        for state in puzzle.list_starts():
+            numbers.setdefault(state, len(numbers))
+        queue = list(numbers)
+        changes: list[list[tuple[Hashable, Hashable]]] = [[] for _ in self.target_names]
+        for state in queue:
+            for target, changed in enumerate(changes):
+                outcomes = [puzzle.update(state, Contacts((target,), uniform=chance))
+                            for chance in (0.0, *puzzle.chances)]
+                if outcomes[0] != state:
+                    changed.append((state, outcomes[0]))
+                for after in outcomes:
+                    if after not in numbers:
+                        if len(numbers) == MOST_DERIVED:
+                            raise UnsupportedError(f"puzzle {puzzle.kind!r} has more than {MOST_DERIVED:,} states: "
+                                                   "make it Modelled, with make_symbolic_model and get_facts")
+                        numbers[after] = len(numbers)
+                        queue.append(after)
+        none: frozenset[str] = frozenset()
+        facts = {state: self._list_facts(state, number) for state, number in numbers.items()}
+        operators = tuple(
+            Operator(f"press-{name}", name, "press", none, none, none, none, when=tuple(
+                Effect(facts[before] - {SOLVED}, none, facts[after] - facts[before], facts[before] - facts[after])
+                for before, after in changed))
+            for name, changed in zip(self.target_names, changes, strict=True))
+        propositions = (*(f"state({number})" for number in range(len(numbers))), SOLVED)
+        return SymbolicModel(propositions, operators, frozenset({SOLVED})), numbers

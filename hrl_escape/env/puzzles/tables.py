@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.puzzles.base import USE, Contacts, Puzzle
+from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
 from hrl_escape.errors import UnsupportedError
 
 __all__ = ["GRIPS", "MOST_TABULATED", "PuzzleTable", "tabulate"]
@@ -88,7 +89,8 @@ def _touch(targets: Sequence[int], grip: int, chance: float) -> Contacts:
     """Contacts of presses (grip 0) or of a grip that touches targets, at a chance."""
     if not grip:
         return Contacts(tuple(targets), uniform=chance, **_UNSEEN)
-    return Contacts((), uniform=chance, grip=grip, **(_UNSEEN | {"touching": tuple(targets)}))
+    unseen: dict[str, Any] = _UNSEEN | {"touching": tuple(targets)}
+    return Contacts((), uniform=chance, grip=grip, **unseen)
 
 
 def _list_events(targets: int) -> Iterator[tuple[int, tuple[int, ...]]]:
@@ -109,7 +111,7 @@ def tabulate(puzzle: Puzzle) -> PuzzleTable:
     try:
         if puzzle.is_watching:
             raise _UnseenError("they watch every primitive")
-        if puzzle.can_push:
+        if isinstance(puzzle, Pushing):
             raise _UnseenError("moves push things")
         if puzzle.is_random and not puzzle.chances:
             raise _UnseenError("they read contacts.uniform and list no chances")
@@ -150,7 +152,7 @@ def _tabulate(puzzle: Puzzle) -> PuzzleTable:
         np.array([puzzle.observe(state) for state in states], dtype=np.float32).reshape(
             len(states), len(puzzle.bounds)).T,
         np.array([_pack(puzzle.get_lit(state)) for state in states], dtype=np.uint64).view(np.int64),
-        np.array([puzzle.get_shut(state) for state in states], dtype=np.uint64).view(np.int64),
+        np.array([get_trait(puzzle, Barring).get_shut(state) for state in states], dtype=np.uint64).view(np.int64),
         np.array([puzzle.is_solved(state) for state in states]),
         np.array([puzzle.is_failed(state) for state in states]))
     _check_pairs(puzzle, table, chances)

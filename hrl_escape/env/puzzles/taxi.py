@@ -14,7 +14,7 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 
 from hrl_escape.env.puzzles.base import Contacts, Pads, Puzzle, PuzzleConfig, register_puzzle
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
@@ -71,7 +71,7 @@ class TaxiConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class TaxiPuzzle(Puzzle):
+class TaxiPuzzle(Modelled, Puzzle):
     """A concrete ride; the depots are called `red`, `green`, `yellow` and `blue`."""
 
     kind = "taxi"
@@ -98,11 +98,6 @@ class TaxiPuzzle(Puzzle):
     def pad_names(self) -> tuple[str, ...]:
         """All depots are pads."""
         return DEPOTS
-
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is 0 or 1."""
-        return ((0.0, 1.0),) * (2 * len(DEPOTS) + 1)
 
     def encode(self, ride: Ride) -> int:
         """State of a ride."""

@@ -19,6 +19,7 @@ from hrl_escape.env.config import CONTACT_SKIN, RoomConfig
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle, Target
 from hrl_escape.env.puzzles.base import Puzzle
+from hrl_escape.env.puzzles.traits import Doored, get_trait
 from hrl_escape.env.sampling.floorplan import Floorplan, Rejected
 from hrl_escape.errors import ConfigError
 
@@ -111,7 +112,7 @@ def sample_doors(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, rng: np.ra
         ConfigError: there are fewer doorways than doors, or the puzzle cannot open them all.
         Rejected: the fixed start is in no room.
     """
-    count = len(puzzle.door_facts)
+    count = len(get_trait(puzzle, Doored).door_facts)
     if not count:
         return DoorPlan()
     if config.room.rooms <= count:
@@ -152,7 +153,8 @@ def _draw_order(puzzle: Puzzle, rng: np.random.Generator) -> tuple[list[int], di
     Raises:
         ConfigError: operators do not open all doors.
     """
-    model, facts, doors = puzzle.make_symbolic_model(), puzzle.get_facts(puzzle.make_state()), puzzle.door_facts
+    model, facts = puzzle.symbolic.make_symbolic_model(), puzzle.symbolic.get_facts(puzzle.make_state())
+    doors = get_trait(puzzle, Doored).door_facts
     opened: dict[str, frozenset[int]] = {}
     order: list[int] = []
     while True:

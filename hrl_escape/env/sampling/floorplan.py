@@ -16,6 +16,7 @@ from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.maps import GridMap
+from hrl_escape.env.puzzles.traits import Mapped, get_trait
 
 __all__ = ["Doorway", "Face", "Floorplan", "Rejected", "compute_cell", "sample_floorplan"]
 
@@ -84,7 +85,8 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzl
     gates: dict[int, tuple[float, float]] = {}
     alcove: list[Solid] = []
     door = None
-    goal = GridMap(puzzle.map_rows).goal if puzzle.map_rows else None
+    rows = get_trait(puzzle, Mapped).map_rows
+    goal = GridMap(rows).goal if rows else None
     if goal is not None:
         exit_area = _rectangle(*compute_cell(config, goal), config.room.cell / 2, config.room.cell / 2)
     elif config.exit.door:
@@ -105,7 +107,7 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzl
             solids.append(_wall_piece(config, side, low, high, corner=True))
             faces.append(Face(*_along(side, low), side.yaw, high - low))
     inner, inner_faces, rooms, doors = _sample_interior(config, gates, sides, rng)
-    given = (*_build_map(config, puzzle.map_rows or config.room.map), *_build_walls(config))
+    given = (*_build_map(config, get_trait(puzzle, Mapped).map_rows or config.room.map), *_build_walls(config))
     doorways = tuple(Doorway(gap, _find_joined(gap, rooms)) for gap in doors)
     return Floorplan((*solids, *alcove, *inner, *given), door, (*faces, *inner_faces), exit_area, rooms, doorways)
 

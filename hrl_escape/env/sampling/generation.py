@@ -18,6 +18,7 @@ from hrl_escape.env.geometry import Solid, compute_distance, compute_distance_ma
 from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target
 from hrl_escape.env.puzzles.base import Pads, Panels, Place, Puzzle
 from hrl_escape.env.puzzles.maps import GridMap
+from hrl_escape.env.puzzles.traits import Mapped, Propped, get_trait
 from hrl_escape.env.room_checks import does_base_fit
 from hrl_escape.env.sampling.certificate import find_unmet, has_arm_free, make_floors
 from hrl_escape.env.sampling.doors import DoorPlan, sample_doors
@@ -80,7 +81,8 @@ def _sample(config: RoomConfig, seed: int, puzzle: Puzzle, rng: np.random.Genera
         wall_height=config.room.wall_height, solids=plan.solids, door=plan.door,
         inner_doors=_list_inner_doors(config, puzzle) or doors.solids,
         ways=doors.list_ways(targets, plan.exit, config.robot.outer_radius), targets=targets,
-        props=tuple(PlacedProp(prop) for prop in puzzle.props), exit=plan.exit, starts=(_fixed_start(config, puzzle),),
+        props=tuple(map(PlacedProp, get_trait(puzzle, Propped).props)), exit=plan.exit,
+        starts=(_fixed_start(config, puzzle),),
         robot=config.robot, puzzle=puzzle, reward=config.reward, dynamics=config.dynamics, horizon=config.horizon,
     )
     floors = make_floors(instance, work)
@@ -98,23 +100,24 @@ def _sample(config: RoomConfig, seed: int, puzzle: Puzzle, rng: np.random.Genera
 
 def _list_inner_doors(config: RoomConfig, puzzle: Puzzle) -> tuple[Solid, ...]:
     """One box for each cell of the puzzle's map that can be blocked: as high as the walls for a door, else low."""
-    if not puzzle.map_rows:
+    level = get_trait(puzzle, Mapped)
+    if not level.map_rows:
         return ()
-    grid, side = GridMap(puzzle.map_rows), config.room.cell
+    grid, side = GridMap(level.map_rows), config.room.cell
     size = grid.columns * side, len(grid.rows) * side
     if size != (config.room.width, config.room.depth):
         raise ConfigError("room.width, room.depth", (config.room.width, config.room.depth),
                           f"{size[0]:g} and {size[1]:g} m: cells of {side:g} m for all of the puzzle's map")
     thing = Solid("box", half_x=side / 2, half_y=side / 2, height=_THING_HEIGHT)
     door = dataclasses.replace(thing, height=config.room.wall_height, role="door")
-    places = ((cell, *compute_cell(config, cell)) for cell in puzzle.blockable_cells)
+    places = ((cell, *compute_cell(config, cell)) for cell in level.blockable_cells)
     return tuple(dataclasses.replace(door if cell in grid.doors else thing, x=x, y=y) for cell, x, y in places)
 
 
 def _fixed_start(config: RoomConfig, puzzle: Puzzle) -> Start:
     turns = round(360 / config.robot.turn_step_deg)
-    if puzzle.map_rows:
-        grid = GridMap(puzzle.map_rows)
+    if rows := get_trait(puzzle, Mapped).map_rows:
+        grid = GridMap(rows)
         return Start(*compute_cell(config, grid.start), grid.heading * turns // 4)
     heading = config.start.heading_deg / config.robot.turn_step_deg
     offset = math.radians((heading - round(heading)) * config.robot.turn_step_deg)
@@ -123,10 +126,10 @@ def _fixed_start(config: RoomConfig, puzzle: Puzzle) -> Start:
 
 def _place_targets(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, doors: DoorPlan, rng: np.random.Generator
                    ) -> tuple[Target, ...]:
-    if puzzle.target_cells:
+    if cells := get_trait(puzzle, Mapped).target_cells:
         pads = Pads(config.room.cell, config.room.cell)
         return tuple(_make_pad(pads, name, *compute_cell(config, cell), 0.0)
-                     for name, cell in zip(puzzle.target_names, puzzle.target_cells, strict=True))
+                     for name, cell in zip(puzzle.target_names, cells, strict=True))
     names = tuple(name for name in puzzle.target_names if name not in puzzle.pad_names)
     hung = _hang_panels(config, names, plan, doors, rng)
     if not puzzle.pad_names:
@@ -228,7 +231,7 @@ def _make_pad(pads: Pads, name: str, x: float, y: float, yaw: float) -> Target:
 
 def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace, doors: DoorPlan,
                  rng: np.random.Generator) -> RoomInstance:
-    if config.start.place == "fixed" or instance.puzzle.map_rows:
+    if config.start.place == "fixed" or get_trait(instance.puzzle, Mapped).map_rows:
         return instance
     if config.start.place == "cells":
         return dataclasses.replace(instance, starts=_list_cell_starts(config, instance, space, doors))

@@ -31,6 +31,7 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.env.puzzles.symbolic import Operator
+from hrl_escape.env.puzzles.traits import Pushing
 from hrl_escape.env.robot import sample_joint_steps
 from hrl_escape.env.sampling.certificate import Floors, find_unmet, make_floors
 from hrl_escape.env.sight import list_hiders
@@ -92,7 +93,7 @@ def meets_condition(instance: RoomInstance) -> bool:
         robot.base.turns_anywhere and instance.dynamics.press_with == "body" and instance.door is None
         and not list_hiders(instance)
         and isinstance(puzzle, ButtonsPuzzle) and puzzle.on_violation == "ignore" and not puzzle.allow_off
-        and not puzzle.has_dead_ends
+        and not puzzle.symbolic.has_dead_ends
         and (robot.drive == "strafing" or (360 / robot.turn_step_deg) % 4 == 0)
         and robot.turn_step_deg <= _FINEST_TURN_DEG and robot.actions.stride <= min(free_x, free_y)
         and min(exit_x, exit_y) >= needed
@@ -188,7 +189,9 @@ class _Search:
     def _find_unsolvable(self, state: RoomState) -> str | None:
         """Say that things cannot be pushed as they must; of what is gripped, the geometry is all that is certified."""
         puzzle, cells = self._instance.puzzle, self._rules.inner_doors
-        if not puzzle.can_push or cells is None or puzzle.plan(state.puzzle, cells.find_at(state.x, state.y)):
+        if not isinstance(puzzle, Pushing) or cells is None:
+            return None
+        if puzzle.symbolic.plan(state.puzzle, cells.find_at(state.x, state.y)):
             return None
         return "the puzzle must be solvable by pushes from the start"
 
@@ -197,10 +200,11 @@ class _Search:
         puzzle = self._instance.puzzle
         model, names = self._instance.symbolic_model, puzzle.target_names
         if any(operator.when for operator in model.operators):
-            path = puzzle.plan(puzzle_state) or model.find_fewest(puzzle.get_facts(puzzle_state)) or tuple[Operator]()
+            known = puzzle.symbolic.plan(puzzle_state)
+            path = known or model.find_fewest(puzzle.symbolic.get_facts(puzzle_state)) or tuple[Operator]()
             is_short = 0 < len(path) <= _MOST_PRESSES * len(names)
             return names.index(path[0].target) if is_short and path[0].action == "press" else None
-        first = {fact: None for fact in puzzle.get_facts(puzzle_state)}
+        first = {fact: None for fact in puzzle.symbolic.get_facts(puzzle_state)}
         layer = True
         while layer and not model.goal <= first.keys():
             known = frozenset(first)
@@ -216,8 +220,8 @@ class _Search:
             if operator is not None and operator not in needed:
                 needed.append(operator)
                 open_facts += operator.preconditions
-        facts = puzzle.get_facts(puzzle_state)
-        locking = [op.forbidden - op.add for op in needed] if puzzle.has_dead_ends else []
+        facts = puzzle.symbolic.get_facts(puzzle_state)
+        locking = [op.forbidden - op.add for op in needed] if puzzle.symbolic.has_dead_ends else []
         spoils = frozenset[str]().union(*locking)
         for operator in model.operators:
             if operator in needed and operator.is_applicable(facts) and operator.action == "press" and not (
@@ -230,11 +234,11 @@ class _Search:
     def _make_press(self, index: int, before: RoomState) -> _Goal:
         instance, target = self._instance, self._instance.targets[index]
         puzzle, footprint = instance.puzzle, target.footprint
-        expected, facts = puzzle.update(before.puzzle, Contacts((index,))), puzzle.get_facts(before.puzzle)
+        expected, facts = puzzle.update(before.puzzle, Contacts((index,))), puzzle.symbolic.get_facts(before.puzzle)
 
         def is_better(now: Hashable) -> bool:
             """Pressing another button on the way is no harm where nothing is undone or locked."""
-            return now == expected or (not puzzle.has_dead_ends and puzzle.get_facts(now) > facts)
+            return now == expected or (not puzzle.symbolic.has_dead_ends and puzzle.symbolic.get_facts(now) > facts)
 
         reach, fan = instance.compute_press_reach(target), math.pi
         if self._hands is not None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.puzzles.traits import Pushing
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.planning.plan import Plan
 
@@ -39,7 +40,7 @@ def check_presses(plan: Plan, places: NDArray[np.float64]) -> None:
     if [target for together in wanted for target in together] == [target for one in found for target in one]:
         return
     grips = any(plan.instance.robot.actions.primitives[action].grip for action in plan.primitives)
-    if not (grips or puzzle.is_watching or puzzle.is_random or puzzle.can_push):
+    if not (grips or puzzle.is_watching or puzzle.is_random or isinstance(puzzle, Pushing)):
         state = first.puzzle
         for together in found:
             state = puzzle.update(state, Contacts(together))

@@ -13,7 +13,9 @@ from collections.abc import Iterator
 from functools import cached_property
 from typing import TypeAlias
 
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.puzzles.traits import Mapped, get_trait
 from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PoseGoal, PressGoal, is_reached
 from hrl_escape.planning.search.primitive_search import PrimitiveSearch
 
@@ -69,7 +71,7 @@ class DoorSearches:
         if doors is None or not side:
             return True
         behind = (list(_SIDES).index(side) + 2) % 4
-        cells = self._room.puzzle.list_cells(state.puzzle, goal.action, goal.target)
+        cells = list_cells(self._room, state, goal)
         wanted, shut = {self._beside[cell][behind] for cell in cells}, doors.get_shut(state.puzzle)
         queue = [doors.find_at(state.x, state.y)]
         reached = {-1, *queue}
@@ -89,9 +91,12 @@ class DoorSearches:
 
     def make_key(self, state: RoomState, goal: Goal) -> DoorKey:
         """All that a route to a goal depends on of the inner doors."""
-        cells = () if not isinstance(goal, GripGoal) else self._room.puzzle.list_cells(
-            state.puzzle, goal.action, goal.target)
-        return self.find_walls(state), cells
+        return self.find_walls(state), list_cells(self._room, state, goal) if isinstance(goal, GripGoal) else ()
+
+
+def list_cells(room: RoomInstance, state: RoomState, goal: GripGoal) -> tuple[int, ...]:
+    """Numbers of the inner doors' cells in which a goal's action can be carried out now, on a map."""
+    return get_trait(room.puzzle, Mapped).list_cells(state.puzzle, goal.action, goal.target)
 
 
 def is_way_open(rules: Kinematics, state: RoomState, goal: Goal) -> bool:
@@ -111,7 +116,7 @@ def list_places(goal: GripGoal, state: RoomState, rules: Kinematics) -> Iterator
     ones come first.
     """
     room, step = rules.instance, rules.actions.stride
-    cells = [room.inner_doors[number] for number in room.puzzle.list_cells(state.puzzle, goal.action, goal.target)]
+    cells = [room.inner_doors[number] for number in list_cells(room, state, goal)]
     cells.sort(key=lambda cell: math.hypot(cell.x - state.x, cell.y - state.y))
     side = goal.action.partition("push-")[2]
     any_heading = bool(side) and rules.headings == rules.actions.symmetry  # some move leads to that side from each

@@ -104,7 +104,7 @@ def export_pddl(instance: RoomInstance, state: RoomState | None = None) -> tuple
     """
     puzzle = instance.puzzle
     model = instance.symbolic_model
-    facts = puzzle.get_facts(puzzle.make_state() if state is None else state.puzzle)
+    facts = puzzle.symbolic.get_facts(puzzle.make_state() if state is None else state.puzzle)
     domain = f"escape-{puzzle.kind}"
     return make_domain(model, domain), make_problem(model, facts, f"room-{instance.id}", domain)
 
@@ -137,7 +137,7 @@ def solve_pddl(instance: RoomInstance, state: RoomState | None = None, engine: s
         PlanningFailed: the planner found none.
     """
     model = instance.symbolic_model
-    if state is not None and model.goal <= instance.puzzle.get_facts(state.puzzle):
+    if state is not None and model.goal <= instance.puzzle.symbolic.get_facts(state.puzzle):
         read_problem(*export_pddl(instance, state))  # says if the extra is missing
         return ()
     plan, status = run_engine(read_problem(*export_pddl(instance, state)), engine, time_limit)

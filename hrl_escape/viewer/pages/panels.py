@@ -10,6 +10,7 @@ from markupsafe import escape
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.graph_inset import compute_layout, shorten
 from hrl_escape.env.puzzles.base import Puzzle
+from hrl_escape.env.puzzles.traits import Graphed, get_trait
 
 __all__ = ["make_bars", "make_facts", "make_graph", "make_keys", "make_lines", "make_table"]
 
@@ -19,7 +20,8 @@ _STYLE = "font-family:Inter,system-ui,sans-serif;font-size:13px;color:#22262e;ma
 
 def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH) -> str:
     """The puzzle's graph as SVG: edges of precedence, lit targets lit, a second ring round the goal."""
-    places = compute_layout(len(puzzle.target_names), puzzle.edges)
+    graph = get_trait(puzzle, Graphed)
+    places = compute_layout(len(puzzle.target_names), graph.edges)
     columns = max((x for x, _ in places), default=0.0) + 1
     rows = max((y for _, y in places), default=0.0) + 1
     cell = min(62.0, (width - 20) / columns)
@@ -28,7 +30,7 @@ def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH) -> str:
     at = [(left + cell * x, top + cell * y) for x, y in places]
     lit = puzzle.get_lit(state)
     parts = []
-    for parent, child in puzzle.edges:
+    for parent, child in graph.edges:
         (x0, y0), (x1, y1) = at[parent], at[child]
         length = max(((x1 - x0) ** 2 + (y1 - y0) ** 2) ** 0.5, 1.0)
         gap = (radius + 4) / length
@@ -40,7 +42,7 @@ def make_graph(puzzle: Puzzle, state: Hashable, width: int = WIDTH) -> str:
         name = puzzle.target_names[node]
         if lit[node]:
             parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius + 7:.1f}" fill="{fill}" opacity="0.3"/>')
-        if node in puzzle.goal_targets:
+        if node in graph.goal_targets:
             parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius + 4:.1f}" fill="none" stroke="{edge}" '
                          'stroke-width="1.5"/>')
         parts.append(f'<circle class="node" data-name="{escape(name)}" data-lit="{int(lit[node])}" cx="{x:.1f}" '

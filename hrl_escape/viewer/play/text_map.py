@@ -10,6 +10,7 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.geometry import compute_distance
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
+from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.planning.props import get_prop_poses
 
 __all__ = ["draw_map"]
@@ -67,7 +68,7 @@ def draw_map(instance: RoomInstance, states: list[RoomState], rules: Rules, colu
                 target.y + n / 8 * target.half_x * math.sin(target.yaw), " ", f"{look.ink} on {look.fill}")
         for n, character in enumerate(target.name.rpartition("-")[2]):
             put(target.x + n * size / 2, target.y, character, f"bold {look.ink} on {look.fill}")
-    shut = puzzle.get_shut(state.puzzle)
+    shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
     for number, door in enumerate(instance.inner_doors):
         if shut >> number & 1:
             put(door.x, door.y, *(_DOOR if door.role == "door" else _BLOCK))

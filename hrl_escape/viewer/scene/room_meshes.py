@@ -23,6 +23,7 @@ from hrl_escape.env.drawing.meshes import (
 )
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target
+from hrl_escape.env.puzzles.traits import Depicted, get_trait
 
 __all__ = ["LAYER", "Painted", "make_exit", "make_fixtures", "make_target"]
 
@@ -59,11 +60,12 @@ def make_fixtures(instance: RoomInstance) -> list[Painted]:
         for mesh, kind in _make_faces(wall, floors):
             faces[kind].append(mesh)
     tops = [make_flat(compute_outline(wall), wall.height) for wall in walls]
+    puddles = get_trait(instance.puzzle, Depicted).puddles
     found = [
         Painted("floor/even", make_tiles(floors, side, False), TILE),
         Painted("floor/odd", make_tiles(floors, side, True), OTHER_TILE),
         Painted("floor/shadows", merge(shadows), SHADE),
-        Painted("floor/puddles", make_puddles(instance.puzzle.puddles, 1.5 * LAYER), palette.PUDDLE),
+        Painted("floor/puddles", make_puddles(puddles, 1.5 * LAYER), palette.PUDDLE),
         Painted("walls/inside", merge(faces["inside"]), WALL_FACE),
         Painted("walls/between", merge(faces["between"]), WALL_FACE, HAZY),
         Painted("walls/outside", merge(faces["outside"]), GLASS, CLEAR),

@@ -18,6 +18,7 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.meshes import make_flat, make_prism, rotate_box
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
+from hrl_escape.env.puzzles.traits import Barring, get_trait
 from hrl_escape.env.robot import Robot
 from hrl_escape.viewer.extra import SO3, viser
 from hrl_escape.viewer.scene.poses import RoomPose, make_pose
@@ -101,7 +102,7 @@ class RoomScene:
             lamp.color = _to_bytes(palette.get_target_look(puzzle, state.puzzle, i).fill)
             if name.text != (text := palette.name_target(puzzle, state.puzzle, i)):
                 name.text = text
-        shut = puzzle.get_shut(state.puzzle)
+        shut = get_trait(puzzle, Barring).get_shut(state.puzzle)
         for i, node in enumerate(self._inner_doors):
             node.visible = bool(shut >> i & 1)
         colour = palette.EXIT_OPEN if puzzle.is_solved(state.puzzle) else palette.EXIT_LOCKED

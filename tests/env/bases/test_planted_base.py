@@ -120,7 +120,7 @@ for drive, seed in (("strafing", 0), ("differential", 2)):
     env = OptionsEnv(EscapeRoomEnv(instance=room))
     env.reset(seed=0)
     names = room.puzzle.target_names
-    order = [names.index(op.target) for op in room.symbolic_model.find_fewest(room.puzzle.get_facts(
+    order = [names.index(op.target) for op in room.symbolic_model.find_fewest(room.puzzle.symbolic.get_facts(
         room.puzzle.make_state()))]
     ends = [env.step(len(room.robot.actions) + number)[2] for number in (*order, len(names))]
     assert ends[-1], ends

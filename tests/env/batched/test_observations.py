@@ -12,7 +12,7 @@ from hrl_escape.errors import UnknownNameError, UnsupportedError
 from tests.covering import cover
 from tests.env.rooms import all_schematics
 
-KINDS = sorted(observation.name for observation in list_observations() if observation.observe_batch)
+KINDS = sorted(observation.name for observation in list_observations() if observation.is_vector)
 NAMES = ["paper-two-button", "arm-two-button", "clutter", "bit-flip", "noisy", "door", "sixty-four-buttons"]
 
 

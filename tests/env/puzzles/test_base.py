@@ -44,7 +44,7 @@ import dataclasses
 from typing import Annotated
 
 from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig
-from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
 from hrl_escape.settings import Range
 
 
@@ -63,7 +63,7 @@ class LockConfig(PuzzleConfig):
 
 
 @dataclasses.dataclass(frozen=True)
-class Lock(Puzzle):
+class Lock(Modelled, Puzzle):
     kind = "combination-lock"
     code: tuple[Annotated[int, Range(0, 9)], ...] = (0,)
     "Order in which the targets must be pressed."

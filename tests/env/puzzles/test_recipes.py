@@ -52,7 +52,7 @@ def test_presses_do_what_the_rules_say(presses):
         state, store = puzzle.update(state, Contacts((NAMES.index(name),))), play(store, name)
         assert {key: puzzle.count(state, key) for key in NAMES} == store
         assert puzzle.is_state(state) and puzzle.is_solved(state) == (store["diamond"] > 0)
-        assert puzzle.get_signs(state)[:2] == tuple(str(store[key] or "") for key in ("wood", "stone"))
+        assert [puzzle.get_sign(state, n) for n in (0, 1)] == [str(store[key] or "") for key in ("wood", "stone")]
         assert puzzle.get_lit(state) == tuple(store[key] > 0 for key in NAMES)
 
 

@@ -16,6 +16,7 @@ from hrl_escape.env.puzzles import tables as table_module
 from hrl_escape.env.puzzles.base import USE, Contacts, Puzzle
 from hrl_escape.env.puzzles.hanoi import HanoiConfig
 from hrl_escape.env.puzzles.tables import tabulate
+from hrl_escape.env.puzzles.traits import Barring
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import StateError, UnsupportedError
 from hrl_escape.ranges import Between
@@ -24,7 +25,7 @@ from hrl_escape.ranges import Between
 
 
 @dataclasses.dataclass(frozen=True)
-class Kegs(Puzzle):
+class Kegs(Barring, Puzzle):
     """States (levels, keg in the hand): a press draws from a keg, `use` refills one, unless that spills."""
 
     kind = "kegs"

@@ -105,7 +105,7 @@ def test_each_room_does_what_options_env_does(kind):
 
 def sort_targets(room):
     """Targets of a chain, from the first to be pressed to the last."""
-    operators = room.puzzle.make_symbolic_model().operators
+    operators = room.puzzle.symbolic.make_symbolic_model().operators
     known, order = frozenset(), []
     while len(order) < len(operators):
         order.append(next(n for n, op in enumerate(operators) if op.preconditions <= known and not op.add <= known))

@@ -21,8 +21,8 @@ from tests.env.rooms import make_ordered_chain
 @pytest.mark.parametrize("name", PRESETS)
 def test_an_independent_planner_solves_every_preset_by_what_is_exported(name):
     instance = generate(get_preset(name), 0)
-    model = instance.puzzle.make_symbolic_model()
-    facts = instance.puzzle.get_facts(instance.puzzle.make_state())
+    model = instance.puzzle.symbolic.make_symbolic_model()
+    facts = instance.puzzle.symbolic.get_facts(instance.puzzle.make_state())
     for operator in solve_pddl(instance):
         assert operator.is_applicable(facts)
         facts = operator.apply(facts)

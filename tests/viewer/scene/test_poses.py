@@ -68,8 +68,8 @@ def test_the_door_opens_outwards_when_the_puzzle_is_solved():
     assert make_pose(rules, state).door == 0.0
     puzzle = state.puzzle
     for _ in instance.targets:
-        for operator in instance.puzzle.make_symbolic_model().operators:
-            if operator.is_applicable(instance.puzzle.get_facts(puzzle)):
+        for operator in instance.puzzle.symbolic.make_symbolic_model().operators:
+            if operator.is_applicable(instance.puzzle.symbolic.get_facts(puzzle)):
                 target = instance.puzzle.target_names.index(operator.target)
                 puzzle = instance.puzzle.update(puzzle, Contacts((target,)))
     assert instance.puzzle.is_solved(puzzle)

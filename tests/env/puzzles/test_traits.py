@@ -1,0 +1,83 @@
+"""The contract of puzzles: six members make one, and what few puzzles have are traits that the others do without."""
+
+import dataclasses
+
+import pytest
+import torch
+
+from hrl_escape import RoomConfig, RoomPlanner, generate
+from hrl_escape.checks import check_puzzle
+from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.drawing.palette import name_target
+from hrl_escape.env.kinematics import Kinematics
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig
+from hrl_escape.env.puzzles.symbolic import DerivedModel, Modelled
+from hrl_escape.env.puzzles.traits import Barring, Depicted, Doored, Graphed, Mapped, Propped, Pushing, get_trait
+from hrl_escape.errors import UnsupportedError
+
+
+@dataclasses.dataclass(frozen=True)
+class PairConfig(PuzzleConfig):
+    kind, panels = "pair", Panels(width=1.5)
+
+    def make_puzzle(self, rng):
+        return Pair()
+
+
+@dataclasses.dataclass(frozen=True)
+class Pair(Puzzle):
+    """Press a, then b."""
+
+    kind, target_names = "pair", ("a", "b")
+
+    def make_state(self):
+        return ""
+
+    def update(self, state, contacts):
+        for pressed in contacts.pressed:
+            state = ("ab" if state == "a" else state) if pressed else state or "a"
+        return state
+
+    def is_solved(self, state):
+        return state == "ab"
+
+    def observe(self, state):
+        return (len(state) / 2,)
+
+
+def test_six_members_make_a_puzzle_that_is_checked_planned_drawn_and_run_in_a_batch():
+    assert Puzzle.__abstractmethods__ == {"target_names", "make_state", "update", "is_solved", "observe"}  # and `kind`
+    check_puzzle(Pair())
+    room = generate(RoomConfig(name="pair", puzzle=PairConfig()), 0)
+    rules, batch = Kinematics(room), TensorRoom([room], 1)
+    batch.reset(torch.tensor([0]))
+    plan = RoomPlanner(room).solve(rules.make_state(room.starts[0], batch.get_room_state(0).noise_key))
+    for number, primitive in enumerate(plan.primitives):
+        batch.step(torch.tensor([primitive]))
+        if number + 1 < len(plan.primitives):
+            assert batch.get_room_state(0).puzzle == plan.states[number + 1].puzzle
+    assert name_target(room.puzzle, "", 0) == "a" and room.puzzle.get_lit("ab") == (False, False)
+
+
+def test_a_puzzle_without_a_trait_has_nothing_of_it():
+    pair = Pair()
+    graph, level = get_trait(pair, Graphed), get_trait(pair, Mapped)
+    assert (graph.edges, graph.locks_between, graph.goal_targets) == ((), (), ())
+    assert (level.map_rows, level.target_cells, level.blockable_cells, level.list_cells("", "grip", 0)) == ((),) * 4
+    assert get_trait(pair, Barring).get_shut("") == get_trait(pair, Doored).get_shut("") == 0
+    assert get_trait(pair, Depicted).puddles == get_trait(pair, Propped).props == ()
+    with pytest.raises(UnsupportedError, match="no blocks or plates"):
+        get_trait(pair, Propped).with_props(())
+    assert isinstance(pair.symbolic, DerivedModel) and pair.symbolic is pair.symbolic
+
+
+@pytest.mark.parametrize(("preset", "traits"), [
+    ("paper-two-button", {Graphed, Doored, Barring}), ("sokoban", {Mapped, Pushing, Barring}), ("deep-sea", set()),
+    ("push-block", {Propped}), ("recipes", {Graphed, Depicted}), ("puddle-world", {Depicted})])
+def test_a_puzzle_with_a_trait_is_asked_itself(preset, traits):
+    puzzle = generate(get_preset(preset), 0).puzzle
+    every = {Graphed, Depicted, Barring, Doored, Mapped, Pushing, Propped}
+    assert {trait for trait in every if get_trait(puzzle, trait) is puzzle} == traits
+    assert isinstance(puzzle, Modelled) == (preset not in ("deep-sea", "puddle-world"))
+    assert (puzzle.symbolic is puzzle) == isinstance(puzzle, Modelled)
