@@ -22,7 +22,7 @@ from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
 from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, freeze, get_graph
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept
 from hrl_escape.settings import Range
 
 __all__ = ["HUct", "HUctSettings", "Sampled", "Simulator"]
@@ -40,6 +40,10 @@ class Sampled(NamedTuple):
 
 Simulator = Callable[[Any, int, np.random.Generator], Sampled]
 """Draws the outcome of a primitive: (observation, primitive, rng) -> sample."""
+
+
+_Met = dict[tuple[bytes, int], list[Sampled]]
+"""(state, primitive) -> outcomes met, where no simulator is given."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +75,21 @@ class HUctSettings(StackSettings):
     """A component without bounds is rounded to multiples of this."""
 
 
+def _save_met(met: _Met) -> list[Any]:
+    return [[np.frombuffer(state, np.uint8), primitive, [list(each) for each in samples]]
+            for (state, primitive), samples in met.items()]
+
+
+def _load_met(saved: list[Any]) -> _Met:
+    return {
+        (np.asarray(key, np.uint8).tobytes(), int(primitive)): [
+            Sampled(float(reward), seen, np.asarray(mask, np.bool_), bool(terminated), int(duration))
+            for reward, seen, mask, terminated, duration in samples
+        ]
+        for key, primitive, samples in saved
+    }
+
+
 class HUct(CallRunner):
     """Upper confidence bounds at every task of a graph.
 
@@ -93,6 +112,7 @@ class HUct(CallRunner):
     """
 
     Settings: ClassVar[type] = HUctSettings
+    STATE = (Kept("_met", pack=_save_met, unpack=_load_met), "_search_rng")
 
     def __init__(
         self,
@@ -109,8 +129,7 @@ class HUct(CallRunner):
         table = TabularSettings(bins=settings.bins, resolution=settings.resolution)
         self._discretise = make_discretiser(observation_space, table, "h-uct")
         self._simulator = simulator
-        self._met: dict[tuple[bytes, int], list[Sampled]] = {}
-        """(state, primitive) -> outcomes met, where no simulator is given."""
+        self._met: _Met = {}
         self._search_rng = make_rng(seed, "search")
 
     @property
@@ -163,24 +182,6 @@ class HUct(CallRunner):
             sample = Sampled(step.reward, after, mask, step.terminated, step.duration)
             self._met.setdefault(key, []).append(sample)
         return {"states": len({state for state, _ in self._met})}
-
-    def state_dict(self) -> StateTree:
-        """Outcomes met, generators, running calls."""
-        met = [[np.frombuffer(state, np.uint8), primitive, [list(each) for each in samples]]
-               for (state, primitive), samples in self._met.items()]  # fmt: skip
-        return {**super().state_dict(), "met": met, "search_rng": self._search_rng.bit_generator.state}
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore what `state_dict` gave."""
-        super().load_state_dict(state)
-        self._met = {
-            (np.asarray(key, np.uint8).tobytes(), int(primitive)): [
-                Sampled(float(reward), seen, np.asarray(mask, np.bool_), bool(terminated), int(duration))
-                for reward, seen, mask, terminated, duration in samples
-            ]
-            for key, primitive, samples in state["met"]
-        }
-        self._search_rng.bit_generator.state = state["search_rng"]
 
 
 class _Run(NamedTuple):
