@@ -64,7 +64,7 @@ WILD_GROWTH, GROWTH_EVERY = 100.0, 50
 
 @dataclass(frozen=True)
 class NetworkSettings(AgentSettings):
-    """What deep agents have in common; initial weights, step size and bound on gradients are each algorithm's own."""
+    """Settings that deep agents have in common; initial weights, step size and clipping are each algorithm's own."""
 
     hidden: tuple[Annotated[int, Range(1)], ...] = (64, 64)
     """Units of each hidden layer."""

@@ -171,7 +171,7 @@ class PPOC(StreamOptionAgent):
                          for option, samples in self._waiting.items()}
 
     def after_load(self) -> None:
-        """What waits for updates lies on the networks' device."""
+        """Move samples that wait for updates to the networks' device."""
         device = self.heads.policy.weights.device
         self._waiting = {option: OptionSamples(*(field.to(device) for field in samples))
                          for option, samples in self._waiting.items()}
