@@ -8,7 +8,7 @@ __all__ = ["EpisodeEnd"]
 
 
 class EpisodeEnd(str, Enum):
-    """How an episode ended, or that it has not."""
+    """End of an episode; `STOPPED` stands for one that nothing has ended."""
 
     ESCAPED = "escaped"
     """The puzzle is solved, and the robot stands in the exit."""

@@ -70,7 +70,7 @@ class Part:
 
 @dataclasses.dataclass(frozen=True)
 class RunSummary:
-    """What a run's folder or archive holds.
+    """Content of a run's folder or archive.
 
     Attributes:
         described: the description of the run, see `read_run`.

@@ -1,4 +1,4 @@
-"""What a page from disk may do: run the scripts it was written with, and ask nobody for anything.
+"""Policy of a page from disk: it runs the scripts it was written with, and asks nobody for anything.
 
 A page that is handed on carries names and numbers from rooms, agents and saved episodes. They are escaped where they
 stand; should one slip through, its script has no hash in this policy and is not run, and no address can be asked.

@@ -170,7 +170,7 @@ class Episode:
 
     @property
     def end(self) -> EpisodeEnd:
-        """How the episode ended; `STOPPED` while it goes on."""
+        """End of the episode; `STOPPED` while it goes on."""
         return EpisodeEnd.STOPPED if self._last is None else self._last.end
 
     @property
