@@ -19,6 +19,7 @@ from typing import Literal
 
 import numpy as np
 
+from benchmarks.reference_search import find_fewest_primitives
 from hrl_escape.env.config import ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.base import Panels
@@ -35,7 +36,6 @@ from hrl_escape.planning.paths.navigator import PathResult
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
 from hrl_escape.planning.paths.registry import list_planners
 from hrl_escape.planning.search.primitive_search import METHODS, PrimitiveSearch, SearchResult
-from hrl_escape.planning.search.reference import find_fewest_primitives
 
 __all__ = ["AUTO", "FIELDS", "FLOORS", "PATH", "Floor", "Query", "QueryResult", "Score", "draw_scores",
            "list_contenders", "make_queries", "measure", "score_contenders", "write_csv"]

@@ -11,6 +11,7 @@ import torch
 
 from benchmarks.conformance import compare
 from benchmarks.options_conformance import compare_options
+from benchmarks.reference_search import find_fewest_primitives
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import DynamicsConfig, ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
@@ -29,7 +30,6 @@ from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.trajectory import make_trajectory
 from hrl_escape.planning.planner import RoomPlanner
-from hrl_escape.planning.search.reference import find_fewest_primitives
 
 SMALL = RoomConfig(room=ShapeConfig(width=8, depth=8), robot=RobotConfig(body_radius=0.4, turn_step_deg=15,
                                                                          drive="differential"),

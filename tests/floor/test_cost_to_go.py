@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.planner_contenders import make_queries
+from benchmarks.reference_search import find_fewest_primitives
 from hrl_escape.env.config import ExitConfig, ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
@@ -15,7 +16,6 @@ from hrl_escape.floor.cost_to_go import FieldMaker
 from hrl_escape.floor.sweeps import measure_clearance, sweep
 from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.goals import ExitGoal, PressGoal
-from hrl_escape.planning.search.reference import find_fewest_primitives
 
 
 def make_maker(config, seed=0, *, door_shut=True, refinement=0):

@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from benchmarks.conformance import compare
+from benchmarks.reference_search import find_fewest_primitives
 from hrl_escape import OptionsEnv, RoomPlanner
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import DynamicsConfig, ExitConfig, RobotConfig, RoomConfig, ShapeConfig
@@ -27,7 +28,6 @@ from hrl_escape.options.batched.env import BatchedOptionsEnv
 from hrl_escape.planning.goals import PoseGoal, PressGoal, is_reached
 from hrl_escape.planning.lower_bounds import LegBounds, bound_escape
 from hrl_escape.planning.requests import PlanningRequest
-from hrl_escape.planning.search.reference import find_fewest_primitives
 from tests.planning.legs import assert_legs_cost_at_least_their_bounds
 
 LEAP = Move("leap", forward=2.0)

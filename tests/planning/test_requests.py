@@ -12,6 +12,7 @@ import time
 import numpy as np
 import pytest
 
+from benchmarks.reference_search import find_fewest_primitives
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.geometry import Solid, compute_distance
 from hrl_escape.env.instance import RoomInstance
@@ -24,7 +25,6 @@ from hrl_escape.planning.goals import ExitGoal, PressGoal
 from hrl_escape.planning.motion.limits import MotionLimits, compute_rest_to_rest
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.requests import PlanningRequest, compute_lacking_clearance, compute_plan_cost
-from hrl_escape.planning.search.reference import find_fewest_primitives
 
 
 @pytest.fixture(scope="module")

@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from benchmarks.options_conformance import compare_options
+from benchmarks.reference_search import find_fewest_primitives
 from hrl_escape.env.batched import compilation
 from hrl_escape.env.config import DynamicsConfig, ExitConfig, RobotConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
@@ -20,7 +21,6 @@ from hrl_escape.options.batched.env import ENDINGS, BatchedOptionsEnv
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.goals import PressGoal
-from hrl_escape.planning.search.reference import find_fewest_primitives
 from tests.env.rooms import all_schematics
 
 FORWARD, TURN_LEFT = 0, 4
