@@ -251,6 +251,8 @@ class Kinematics(Rules):
         """Share in [0, 1] of a displacement that the body, turned like that, can make with its clearance kept."""
         near = self._get_near_solids(x, y) if abs(dx) + abs(dy) <= 1.5 * self._span else self.footprints
         fraction = self._base.find_free_fraction(x, y, rotation, dx, dy, near)
+        if self._door is None and self.inner_doors is None:
+            return fraction
         shut = self._list_shut(x, y, puzzle, rotation)
         return min(fraction, self._base.find_free_fraction(x, y, rotation, dx, dy, shut)) if shut else fraction
 

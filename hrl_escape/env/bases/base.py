@@ -132,8 +132,8 @@ class Base(ABC):
         """Make its link of a URDF, upright on the floor; kg, m."""
 
     @abstractmethod
-    def place(self, x: Tensor, y: Tensor, cos: Tensor, sin: Tensor) -> TensorBase:
-        """Place it in each room of a batch; all tensors are float64 (rooms,)."""
+    def place(self, x: Tensor, y: Tensor, find_rotation: Callable[[], tuple[Tensor, Tensor]]) -> TensorBase:
+        """Place it in each room of a batch, at the heading of a cosine and sine; all tensors are float64 (rooms,)."""
 
     def grow(self, margin: float) -> Self:
         """The base with a clearance on all sides, m."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -76,6 +77,16 @@ class Disc(Base):
         """Nothing: it is round."""
         return ()
 
+    def find_free_fraction(self, x: float, y: float, rotation: tuple[float, float], dx: float, dy: float,
+                           shapes: Iterable[Footprint]) -> float:
+        """Share in [0, 1] of a displacement until the first contact with any of some footprints."""
+        radius, least = self.size[0], 1.0
+        for shape in shapes:
+            met = compute_first_contact(x, y, dx, dy, radius, shape)
+            if met < least:
+                least = met
+        return least
+
     def stands_in(self, x: float, y: float, rotation: tuple[float, float], shape: Footprint) -> bool:
         """Return whether it overlaps a footprint by more than `STANDS_IN`."""
         return compute_distance(x, y, shape) < self.size[0] - STANDS_IN
@@ -88,8 +99,8 @@ class Disc(Base):
         """Make its link of a URDF, upright on the floor; kg, m."""
         return make_cylinder_link(name, mass, self.size[0], height, f"0 0 {height / 2!r}", "0 0 0")
 
-    def place(self, x: Tensor, y: Tensor, cos: Tensor, sin: Tensor) -> TensorDisc:
-        """Place it in each room of a batch."""
+    def place(self, x: Tensor, y: Tensor, find_rotation: Callable[[], tuple[Tensor, Tensor]]) -> TensorDisc:
+        """Place it in each room of a batch, at whatever heading."""
         return TensorDisc(x, y, self.size[0])
 
 

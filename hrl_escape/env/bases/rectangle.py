@@ -13,6 +13,7 @@ rectangles touch walls along whole sides.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -220,9 +221,9 @@ class Rectangle(Base):
         """Make its link of a URDF, upright on the floor; kg, m."""
         return make_box_link(name, mass, (2 * self.size[0], 2 * self.size[1], height), f"0 0 {height / 2!r}")
 
-    def place(self, x: Tensor, y: Tensor, cos: Tensor, sin: Tensor) -> TensorRectangle:
+    def place(self, x: Tensor, y: Tensor, find_rotation: Callable[[], tuple[Tensor, Tensor]]) -> TensorRectangle:
         """Place it in each room of a batch."""
-        return TensorRectangle(x, y, cos, sin, self.size)
+        return TensorRectangle(x, y, *find_rotation(), self.size)
 
 
 class TensorRectangle(NamedTuple):

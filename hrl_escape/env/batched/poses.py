@@ -85,7 +85,7 @@ def compute_angles(layout: Layout, state: TensorState) -> Tensor:
 
 def place_base(layout: Layout, tables: Tables, state: TensorState, margin: float) -> TensorBase:
     """Bases where they stand, grown on all sides by a margin, m."""
-    return layout.robot.base.grow(margin).place(state.x, state.y, *compute_rotation(layout, tables, state))
+    return layout.robot.base.grow(margin).place(state.x, state.y, lambda: compute_rotation(layout, tables, state))
 
 
 def compute_touching(layout: Layout, tables: Tables, state: TensorState) -> Tensor:

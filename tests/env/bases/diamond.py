@@ -77,5 +77,6 @@ class Diamond(Base):
             origin.set("rpy", f"0 0 {math.pi / 4!r}")
         return link
 
-    def place(self, x, y, cos, sin):
+    def place(self, x, y, find_rotation):
+        cos, sin = find_rotation()
         return TensorDiamond(x, y, HALF * (cos - sin), HALF * (sin + cos), self.size)
