@@ -71,7 +71,7 @@ _base_distance, _is_turn_blocked = _compile_choice("distance"), _compile_choice(
 
 
 class Presser(NamedTuple):
-    """What must touch a goal: a base at a heading, or a point.
+    """The thing that must touch a goal: a base at a heading, or a point.
 
     Attributes:
         kind: number of the base in `BASES`; -1 for a point, and for bases that the distance of their axis decides for.

@@ -78,7 +78,7 @@ def compute_goal_area(goal: Goal, instance: RoomInstance) -> Area:
 
 
 def get_presser(goal: Goal, instance: RoomInstance) -> Presser:
-    """What must touch a goal; a point where its area says all."""
+    """Return the thing that must touch a goal; a point where its area says all."""
     is_touch = isinstance(goal, PressGoal) and instance.targets[goal.target].kind == "panel"
     by_base = is_touch and instance.dynamics.press_with == "body" and not instance.robot.base.turns_anywhere
     return make_presser(instance.robot.base) if by_base else POINT

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 from hrl_escape.env.bases.base import Base, TensorBase
 from hrl_escape.env.bases.disc import Disc
-from hrl_escape.env.bases.rectangle import Rectangle
+from hrl_escape.env.bases.rectangle import RectangularBase
 
-__all__ = ["BASES", "Base", "Disc", "Rectangle", "TensorBase"]
+__all__ = ["BASES", "Base", "Disc", "RectangularBase", "TensorBase"]
 
-BASES: dict[str, type[Base]] = {"disc": Disc, "rectangle": Rectangle}
+BASES: dict[str, type[Base]] = {"disc": Disc, "rectangle": RectangularBase}
 """Bases by the name that `robot.footprint` has."""

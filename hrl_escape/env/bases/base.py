@@ -1,4 +1,4 @@
-"""What a base must be able to say of itself: the contract of all bases, and what follows from it.
+"""The contract of all bases, and what follows from it.
 
 A base is stated by four pure functions of numbers, which planners also compile as they stand, and by their twins in
 tensors. Poses are those of its axis. Metres, radians.
@@ -22,13 +22,13 @@ if TYPE_CHECKING:
 
     from hrl_escape.env.tensor_geometry import Shapes, SplitShapes
 
-__all__ = ["STANDS_IN", "Base", "RoomSolids", "TensorBase"]
+__all__ = ["STANDS_IN", "Base", "TensorSolids", "TensorBase"]
 
 STANDS_IN = 1e-6
 """Depth in metres from which on a base stands in a shut door, which then lets it out."""
 
 
-class RoomSolids(Protocol):
+class TensorSolids(Protocol):
     """Walls and obstacles of each room of a batch."""
 
     def list_all(self) -> Shapes:
@@ -47,7 +47,7 @@ class RoomSolids(Protocol):
 class TensorBase(Protocol):
     """A base where it stands in each room of a batch; shapes come first, rooms last."""
 
-    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: RoomSolids) -> Tensor:
+    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: TensorSolids) -> Tensor:
         """Share in [0, 1] of displacements until the first contact with any solid, float64 (rooms,)."""
         ...
 

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 from typing_extensions import Self
 
-from hrl_escape.env.bases.base import STANDS_IN, Base, RoomSolids
+from hrl_escape.env.bases.base import STANDS_IN, Base, TensorSolids
 from hrl_escape.env.bases.link import make_cylinder_link
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 
@@ -117,7 +117,7 @@ class TensorDisc(NamedTuple):
     y: Tensor
     radius: float
 
-    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: RoomSolids) -> Tensor:
+    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: TensorSolids) -> Tensor:
         """Share in [0, 1] of displacements until the first contact with any solid, float64 (rooms,).
 
         The first solid is found in single precision; the contact with it is computed again in double, so that

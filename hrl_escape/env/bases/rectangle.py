@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 
 from typing_extensions import Self
 
-from hrl_escape.env.bases.base import STANDS_IN, Base, RoomSolids
+from hrl_escape.env.bases.base import STANDS_IN, Base, TensorSolids
 from hrl_escape.env.bases.link import make_box_link
 from hrl_escape.env.geometry import Footprint, compute_distance, compute_first_contact
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     from hrl_escape.env.tensor_geometry import Shapes
 
-__all__ = ["TOUCH", "Rectangle", "compute_base_contact", "compute_base_distance", "is_turn_blocked",
+__all__ = ["TOUCH", "RectangularBase", "compute_base_contact", "compute_base_distance", "is_turn_blocked",
            "measure_base_gap"]
 
 TOUCH = 1e-9
@@ -179,7 +179,7 @@ def is_turn_blocked(x: float, y: float, cos: float, sin: float, to_cos: float, t
     return (bearing - corner) % math.pi <= turn or (bearing + corner) % math.pi <= turn
 
 
-class Rectangle(Base):
+class RectangularBase(Base):
     """A rectangle round the axis; `size` is half its length along its heading and half its width."""
 
     front_field, width_field = "body_length / 2", "body_width"
@@ -298,7 +298,7 @@ class TensorRectangle(NamedTuple):
                                             shapes.y + shapes.sin * a + shapes.cos * b, base))
         return torch.where(self.measure_gap(shapes) <= 0.0, 0.0, torch.stack(corners).amin(0))
 
-    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: RoomSolids) -> Tensor:
+    def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: TensorSolids) -> Tensor:
         """Share in [0, 1] of displacements until the first contact with any solid, float64 (rooms,)."""
         return self.compute_first_contact(dx, dy, solids.list_all()).amin(0)
 

@@ -13,10 +13,10 @@ from hrl_escape.env.puzzles.traits import Pushing
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.planning.plan import Plan
 
-__all__ = ["check_presses"]
+__all__ = ["check_same_presses"]
 
 
-def check_presses(plan: Plan, places: NDArray[np.float64]) -> None:
+def check_same_presses(plan: Plan, places: NDArray[np.float64]) -> None:
     """Check that a motion leaves the puzzle as its plan does.
 
     A press is the first moment of touching a target. A motion may press more than its plan where the puzzle does not

@@ -30,7 +30,7 @@ from hrl_escape.files import write_json, write_text
 from hrl_escape.planning.areas import grow_solids
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.path import MotionPath, round_corners
-from hrl_escape.planning.motion.presses import check_presses
+from hrl_escape.planning.motion.presses import check_same_presses
 from hrl_escape.planning.plan import Plan
 
 __all__ = ["TimedTrajectory", "make_trajectory", "smooth_plan"]
@@ -41,7 +41,7 @@ GRID_DISTANCE = 0.02
 """Largest distance of toppra's grid points along a path, in metres of motion."""
 LEAST_POINTS = 12
 """Fewest grid points on each line and each rounded corner."""
-END = 1e-4
+LATE = 1e-4
 """Share of a line or corner before its end at which the limits are held once more."""
 
 
@@ -170,7 +170,7 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
     trajectory = TimedTrajectory(paths[0].names, np.concatenate(times), _unwind(paths, knots), np.concatenate(speeds),
                                  method, limits)
     if isinstance(motion, Plan):
-        check_presses(motion, trajectory.evaluate(_list_looks(trajectory)))
+        check_same_presses(motion, trajectory.evaluate(_list_looks(trajectory)))
     return trajectory
 
 
@@ -273,7 +273,7 @@ def _time_by_toppra(path: MotionPath, limits: MotionLimits) -> _Timed:
         sides[:, 1], discretization_scheme=constraint.DiscretizationType.Interpolation)]
     ends = zip(curve.x, curve.x[1:], strict=False)
     grid = np.unique(np.concatenate([  # a piece's own curvature must hold up to its end, where the next one's begins
-        np.append(np.linspace(a, b, max(LEAST_POINTS, 2 + math.ceil((b - a) / GRID_DISTANCE))), b - END * (b - a))
+        np.append(np.linspace(a, b, max(LEAST_POINTS, 2 + math.ceil((b - a) / GRID_DISTANCE))), b - LATE * (b - a))
         for a, b in ends]))
     search = algorithm.TOPPRA(wanted, Curve(), gridpoints=grid, parametrizer="ParametrizeConstAccel")
     rates_squared = search.compute_parameterization(0.0, 0.0)

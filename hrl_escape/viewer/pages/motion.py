@@ -26,7 +26,7 @@ __all__ = ["make_motion", "save_motion"]
 
 FRAME_RATE = 30.0
 """Frames a second."""
-MOST_POSES = 12_000
+MOST_SAMPLES = 12_000
 """Number of frames above which there are fewer a second, so that pages stay small."""
 PAUSE = 2.0
 """Rest at the end before the page plays again, s."""
@@ -58,7 +58,7 @@ def make_motion(trajectory: TimedTrajectory, instance: RoomInstance, state: Room
     try:
         scene = RoomScene(server, instance)
         state = scene.rules.make_state(instance.starts[0]) if state is None else state
-        times, positions, _ = trajectory.sample(min(FRAME_RATE, MOST_POSES / trajectory.duration))
+        times, positions, _ = trajectory.sample(min(FRAME_RATE, MOST_SAMPLES / trajectory.duration))
         still = make_pose(scene.rules, state)
         poses = [_move(still, trajectory.names, row, scene.rules) for row in positions.tolist()]
         scene.show(state)

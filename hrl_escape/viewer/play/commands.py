@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hrl_escape.env.episode_end import EpisodeEnd
 from hrl_escape.viewer.play.controls import Command
-from hrl_escape.viewer.play.episode import Episode, Move
+from hrl_escape.viewer.play.episode import Episode, PlayedMove
 from hrl_escape.viewer.play.saved_episode import save_episode
 
 __all__ = ["carry_out"]
@@ -64,7 +64,7 @@ def _act(action: int, episode: Episode, best: float | None) -> str:
     return episode.end.words.capitalize() if episode.is_over else _describe(move, episode)
 
 
-def _describe(move: Move, episode: Episode) -> str:
+def _describe(move: PlayedMove, episode: Episode) -> str:
     """Name of a move, its length, why it failed, and the targets that it pressed."""
     if move.ended == "planning-failed":
         return f"{move.name}: {move.reason}"

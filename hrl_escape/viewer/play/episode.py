@@ -20,11 +20,11 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.viewer.play.saved_episode import SavedEpisode
 from hrl_escape.viewer.step_hooks import PrimitiveStep, StepHooks
 
-__all__ = ["Episode", "Move"]
+__all__ = ["Episode", "PlayedMove"]
 
 
 @dataclasses.dataclass(frozen=True)
-class Move:
+class PlayedMove:
     """One decision: a primitive, or a meta-action that ran to its end.
 
     Attributes:
@@ -76,7 +76,7 @@ class Episode:
     def reset(self) -> None:
         """Begin the same episode again."""
         self._options.reset(seed=self.seed)
-        self.moves: list[Move] = []
+        self.moves: list[PlayedMove] = []
         self.running: list[PrimitiveStep] = []
         self.start = self._env.get_state()
 
@@ -92,7 +92,7 @@ class Episode:
         self._env.close()
         self._open(following)
 
-    def do(self, action: int) -> Move | None:
+    def do(self, action: int) -> PlayedMove | None:
         """Run a primitive, or a meta-action to its end; None if it is not legal now."""
         if not self.is_legal(action):
             return None
@@ -100,10 +100,10 @@ class Episode:
         *_, info = self._options.step(action)
         option, steps = info["option"], tuple(self.running)
         self.running = []
-        self.moves.append(Move(option["name"], steps, option["ended"], option["reason"]))
+        self.moves.append(PlayedMove(option["name"], steps, option["ended"], option["reason"]))
         return self.moves[-1]
 
-    def undo(self) -> Move | None:
+    def undo(self) -> PlayedMove | None:
         """Take the last move back, to the exact state before it; None if there is none."""
         if not self.moves:
             return None
@@ -126,7 +126,7 @@ class Episode:
                 self.running = steps
                 self._options.step(primitive)
             self.running = []
-            self.moves.append(Move(name, tuple(steps), ended))
+            self.moves.append(PlayedMove(name, tuple(steps), ended))
         if abs(self.total - saved.total) > 1e-6:
             raise EpisodeFileError(f"the replay returns {self.total:g}, the file says {saved.total:g}")
         if saved.end is not None and self.end is not saved.end:

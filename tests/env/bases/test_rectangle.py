@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from scipy import optimize
 
-from hrl_escape.env.bases import Disc, Rectangle
+from hrl_escape.env.bases import Disc, RectangularBase
 from hrl_escape.env.bases.rectangle import (
     TensorRectangle,
     compute_base_contact,
@@ -140,6 +140,7 @@ def test_a_side_that_only_grazes_a_corner_is_no_contact():
 def test_a_disc_has_no_corners_and_a_rectangle_those_of_its_settings():
     assert RobotConfig().base == Disc((0.75,)) and not RobotConfig().base.corners
     robot = RobotConfig(footprint="rectangle", body_length=1.2, body_width=0.6)
-    assert robot.base == Rectangle(SIZE) and robot.base.corners == ((-0.6, -0.3), (0.6, -0.3), (0.6, 0.3), (-0.6, 0.3))
+    assert robot.base == RectangularBase(SIZE)
+    assert robot.base.corners == ((-0.6, -0.3), (0.6, -0.3), (0.6, 0.3), (-0.6, 0.3))
     assert robot.base.grow(0.1).size == pytest.approx((0.7, 0.4))
     assert (robot.inner_radius, robot.outer_radius) == (0.3, math.hypot(0.6, 0.3))
