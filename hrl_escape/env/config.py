@@ -60,13 +60,13 @@ class Wall(Schematic):
 
     _section = "wall"
     x: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """Begin."""
+    """First end, along x."""
     y: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """Begin."""
+    """First end, along y."""
     to_x: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """End."""
+    """Other end, along x; equal to `x` for a wall along y."""
     to_y: Annotated[float, Range(-110, 110, "m")] = 1.0
-    """End."""
+    """Other end, along y; equal to `y` for a wall along x."""
 
     def check(self) -> None:
         """Check that it has one direction."""
@@ -97,7 +97,7 @@ class ShapeConfig(Schematic):
     map: tuple[str, ...] = ()
     """Rows of a grid world from the top, one character a cell: # is wall, anything else floor."""
     walls: tuple[Wall, ...] = ()
-    """Explicit interior walls."""
+    """Interior walls at given places, besides those that `rooms` generates."""
 
     def check(self) -> None:
         """Check that the map is as large as the floor."""
@@ -219,7 +219,7 @@ class ObstaclesConfig(Schematic):
     _section = "obstacles"
     _takes_ranges = True
     count: Annotated[int, Range(0, 200)] = 0
-    """Number of obstacles."""
+    """Number of obstacles that generation places."""
     cylinder_share: Annotated[float, Range(0, 1)] = 0.5
     """Share of cylinders among them; the rest are boxes."""
     size_min: Annotated[float, Range(0.05, 50, "m")] = 0.5
@@ -247,9 +247,9 @@ class StartConfig(Schematic):
     place: Literal["random", "fixed", "cells"] = "random"
     """Sampled with the instance, fixed at x, y, heading_deg, or in the middle of any free cell of the grid."""
     x: Annotated[float, Range(-100, 100, "m")] = 0.0
-    """Fixed start."""
+    """Start position along x, where `place` is fixed."""
     y: Annotated[float, Range(-100, 100, "m")] = 0.0
-    """Fixed start."""
+    """Start position along y, where `place` is fixed."""
     heading_deg: Annotated[float, Range(-360, 360, "deg")] = 0.0
     """Fixed start heading, 0 along +x, counter-clockwise."""
     choices: Annotated[int, Range(1, 10_000)] = 1
@@ -270,9 +270,9 @@ class ExitConfig(Schematic):
     place: Literal["random", "fixed"] = "random"
     """Against a random outer wall, or fixed at x, y."""
     x: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """Centre of a fixed exit."""
+    """Centre of a fixed exit along x."""
     y: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """Centre of a fixed exit."""
+    """Centre of a fixed exit along y."""
     width: Annotated[float, Range(0.1, 200, "m")] = 2.0
     """Size along x (with a door: along the wall)."""
     depth: Annotated[float, Range(0.1, 200, "m")] = 2.0
@@ -340,21 +340,21 @@ class RoomConfig(Schematic):
     name: str = "custom"
     """Name shown in reports."""
     room: ShapeConfig = ShapeConfig()
-    """Floor plan."""
+    """Floor plan: size, interior walls, doorways."""
     robot: RobotConfig = RobotConfig()
-    """Base and arm."""
+    """Robot: base, arm, and the size of its primitives."""
     puzzle: PuzzleConfig = ButtonsConfig()
     """Rules that open the exit; `kind` names them in JSON."""
     obstacles: ObstaclesConfig = ObstaclesConfig()
-    """Boxes and cylinders."""
+    """Obstacles on the floor: boxes and cylinders."""
     start: StartConfig = StartConfig()
     """Start pose of episodes."""
     exit: ExitConfig = ExitConfig()
-    """Region that ends an episode."""
+    """Exit: the region on the floor in which an episode ends."""
     reward: RewardConfig = RewardConfig()
-    """Sparse reward."""
+    """Reward of each primitive and of the exit."""
     dynamics: DynamicsConfig = DynamicsConfig()
-    """Effect of primitives."""
+    """Effect of the primitives: kinematic or rigid-body, noise and slip."""
     horizon: Annotated[int, Range(1, 100_000_000)] = 1000
     """Primitives after which an episode is truncated."""
 

@@ -238,7 +238,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
             self._episode += 1
 
     def step(self, action: np.int64 | int) -> tuple[NDArray[Any], float, bool, bool, dict[str, Any]]:
-        """Run one primitive."""
+        """Run one primitive, by its number in the action table; returns Gymnasium's five values."""
         if self._state is None or self._ended:
             self._get_room()
             raise ResetNeededError("call reset() first: " + ("the episode has ended" if self._ended

@@ -45,7 +45,7 @@ class FloorGrid(NamedTuple):
 
     @property
     def cells(self) -> int:
-        """Number of cells."""
+        """Number of cells, columns times rows."""
         return self.shape[0] * self.shape[1]
 
     def list_cells(self, low: Any = (0, 0), high: Any = None) -> NDArray[np.int64]:

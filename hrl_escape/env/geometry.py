@@ -60,11 +60,11 @@ class Solid(Schematic):
 
     _section = "solid"
     shape: Literal["box", "cylinder"] = "box"
-    """Box or cylinder."""
+    """Outline on the floor: a box's rectangle or a cylinder's disc."""
     x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Centre."""
+    """Centre along x, room frame."""
     y: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Centre."""
+    """Centre along y, room frame."""
     half_x: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.5
     """Half size along its own x; a cylinder's radius."""
     half_y: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.5
@@ -224,7 +224,7 @@ class Neighbourhood:
         return np.flatnonzero(away <= self._around + distance)
 
     def list_near(self, x: float, y: float, distance: float) -> list[Footprint]:
-        """Those footprints."""
+        """Footprints that may come within a distance of a place, m."""
         return [self.footprints[number] for number in self.find_near(x, y, distance)]
 
 

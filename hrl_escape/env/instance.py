@@ -40,19 +40,19 @@ class Target(Schematic):
 
     _section = "target"
     name: str = "button-1"
-    """Unique name."""
+    """Name that no other target of the room has."""
     x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Centre."""
+    """Centre along x, room frame."""
     y: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Centre."""
+    """Centre along y, room frame."""
     z: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.5
-    """Centre."""
+    """Height of the centre above the floor."""
     half_x: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.5
-    """Half its width (own x)."""
+    """Half its width, along its own x."""
     half_y: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.05
-    """Half its thickness (own y)."""
+    """Half its thickness, along its own y."""
     half_z: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 0.5
-    """Half its height."""
+    """Half its height, along z."""
     yaw: Annotated[float, Range(-10, 10, "rad")] = 0.0
     """Direction of its width."""
     kind: Literal["panel", "pad"] = "panel"
@@ -70,13 +70,13 @@ class Rectangle(Schematic):
 
     _section = "rectangle"
     x_min: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """West edge."""
+    """Smallest x, the west edge."""
     x_max: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 1.0
-    """East edge."""
+    """Largest x, the east edge."""
     y_min: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """South edge."""
+    """Smallest y, the south edge."""
     y_max: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 1.0
-    """North edge."""
+    """Largest y, the north edge."""
 
     def check(self) -> None:
         """Check that no edge has passed its opposite."""
@@ -90,7 +90,7 @@ class Rectangle(Schematic):
 
     @property
     def centre(self) -> tuple[float, float]:
-        """The middle."""
+        """Centre (x, y) of the rectangle, m."""
         return (self.x_min + self.x_max) / 2, (self.y_min + self.y_max) / 2
 
 
@@ -100,9 +100,9 @@ class Start(Schematic):
 
     _section = "start"
     x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Position."""
+    """Position of the base's axis along x."""
     y: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Position."""
+    """Position of the base's axis along y."""
     heading_steps: Annotated[int, Range(0, 359)] = 0
     """Heading in turn steps."""
     heading_offset: Annotated[float, Range(-math.pi, math.pi, "rad")] = 0.0
@@ -115,13 +115,13 @@ class PlacedProp(Schematic):
 
     _section = "prop"
     prop: Prop = Prop()
-    """Kind and size."""
+    """The puzzle's prop: its kind, size and mass."""
     x: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Position."""
+    """Position of its centre along x."""
     y: Annotated[float, Range(-LARGEST_LENGTH, LARGEST_LENGTH, "m")] = 0.0
-    """Position."""
+    """Position of its centre along y."""
     yaw: Annotated[float, Range(-10, 10, "rad")] = 0.0
-    """Orientation."""
+    """Direction of its own x, counter-clockwise from the room's +x."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -163,9 +163,9 @@ class RoomInstance(Schematic):
     half_depth: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 10.0
     """Half the inner size along y."""
     wall_height: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 3.0
-    """Height of walls."""
+    """Height of all walls above the floor."""
     solids: tuple[Solid, ...] = ()
-    """Walls and obstacles."""
+    """Fixed solids: walls and obstacles, without doors."""
     door: Solid | None = None
     """Stands in the exit's doorway until the puzzle is solved."""
     inner_doors: tuple[Solid, ...] = ()
@@ -181,15 +181,15 @@ class RoomInstance(Schematic):
     starts: tuple[Start, ...] = (Start(),)
     """Poses in which episodes may begin."""
     robot: RobotConfig = RobotConfig()
-    """Base and arm."""
+    """Schematic of the robot: base, arm, and the size of its primitives."""
     puzzle: Puzzle = ButtonsPuzzle()
-    """The rules."""
+    """Concrete puzzle that opens the exit."""
     reward: RewardConfig = RewardConfig()
-    """Reward."""
+    """Reward of each primitive and of the exit."""
     dynamics: DynamicsConfig = DynamicsConfig()
-    """Effect of primitives."""
+    """Effect of the primitives: kinematic or rigid-body, noise and slip."""
     horizon: Annotated[int, Range(1, 100_000_000)] = 1000
-    """Primitives until truncation."""
+    """Primitives after which an episode is truncated."""
     shared: SpaceLayout | None = None
     """Layout of the schematic, where instances differ in size (None: this room's own)."""
 

@@ -70,7 +70,7 @@ class Move(Settings):
     left: Annotated[float, Range(-20, 20, "m")] = 0.0
     """Displacement to the left of the heading."""
     turn: Annotated[int, Range(-180, 180, "turn steps")] = 0
-    """Turn, counter-clockwise positive."""
+    """Turn on the spot, counter-clockwise positive."""
 
     def check(self) -> None:
         """Check that it moves or turns, and does not do both."""

@@ -82,12 +82,12 @@ class Room(Protocol):
 
     @property
     def solids(self) -> Sequence[Solid]:
-        """Walls and obstacles."""
+        """Fixed solids: walls and obstacles, without the door."""
         ...
 
     @property
     def door(self) -> Solid | None:
-        """The exit's door."""
+        """Door that shuts the exit; None where the exit has none."""
         ...
 
     @property
@@ -97,12 +97,12 @@ class Room(Protocol):
 
     @property
     def exit(self) -> FloorRectangle:
-        """The exit's rectangle."""
+        """Rectangle on the floor that ends the episode."""
         ...
 
     @property
     def starts(self) -> Sequence[FloorPose]:
-        """Start poses."""
+        """Poses of the base in which episodes may begin."""
         ...
 
     @property

@@ -208,7 +208,7 @@ class EscapeRoomVectorEnv(VectorEnv):
         return self._cameras[key]
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Free the tensors."""
+        """Drop the room and its cameras, which frees their tensors."""
         self._cameras.clear()
         del self.room
 

@@ -209,7 +209,7 @@ class FieldMaker:
         clock.check()
 
     def _link_cells(self) -> None:
-        """Reverse the moves."""
+        """Invert the moves: for each cell, the cells from which one move lands there, and its cost."""
         self._links = dijkstra.link_cells(self._landing, self._link_cost, self.classes, self._moves.shape[1])
 
     # --- edited rooms ------------------------------------------------------------------

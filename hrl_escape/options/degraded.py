@@ -74,7 +74,7 @@ class OptionDegradation(Settings):
 
 
 class DegradedOption(Option):
-    """Another option, degraded."""
+    """An option whose controller or termination is made worse on purpose; see `degrade`."""
 
     def __init__(self, inner: Option, degradation: OptionDegradation) -> None:
         super().__init__(inner.name)

@@ -52,7 +52,7 @@ class RoomEnv(Protocol):
 
     @property
     def instance(self) -> RoomInstance:
-        """Present room."""
+        """Instance of the room that the environment is in now."""
         ...
 
     def get_state(self) -> RoomState:
@@ -239,7 +239,7 @@ class RoomDomain(OptionDomain):
 
     @property
     def subject(self) -> RoomInstance:
-        """Present instance."""
+        """Instance of the room that the options act in now."""
         return self.room.instance
 
     def has_left(self, subject: RoomInstance) -> bool:

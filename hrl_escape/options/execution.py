@@ -44,7 +44,7 @@ class OptionCall(NamedTuple):
 
     @property
     def duration(self) -> int:
-        """Primitives that ran."""
+        """Number of primitives that the call ran."""
         return len(self.rewards)
 
 

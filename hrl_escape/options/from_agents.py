@@ -26,7 +26,7 @@ class GivenRun(Protocol):
     """One run of a policy."""
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Choose an action."""
+        """Choose an action that the mask allows, for one observation."""
         ...
 
     def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
@@ -49,7 +49,7 @@ class GivenPolicy(Protocol):
 
     @property
     def begin(self) -> Callable[[], GivenRun]:
-        """Makes a run."""
+        """Factory of a run: called when the option starts."""
         ...
 
     @property
@@ -73,7 +73,7 @@ class TeachingAgent(Protocol):
     """Agent that gives what it learned; those of `hrl_escape.agents` do."""
 
     def get_options(self) -> Sequence[GivenPolicy]:
-        """Its policies."""
+        """Policies that the trained agent teaches as options, in its own order."""
         ...
 
 

@@ -212,7 +212,7 @@ class AncestorsOption(Option):
         self._order = self._planner.orders.find_ancestors(state, self.goal, self.report)
 
     def policy(self, state: RoomState) -> OptionAction:
-        """Next part."""
+        """Start the next part of the order, the option of the next ancestor that is not on."""
         goal = self._order.pop(0)
         self._part = self._parts[goal]
         return self._part
@@ -226,7 +226,7 @@ class AbsentOption(Option):
     """The option of a target that other instances of the schematic have and this one has not: always masked."""
 
     def initiation(self, state: RoomState) -> bool:
-        """Never possible."""
+        """Always false: the option is never available."""
         return False
 
     def policy(self, state: RoomState) -> OptionAction:
@@ -234,7 +234,7 @@ class AbsentOption(Option):
         raise OptionError(f"option {self.name!r} belongs to a target that this room does not have")
 
     def termination(self, state: RoomState) -> float:
-        """At once."""
+        """Always 1: the option would end at once."""
         return 1.0
 
 

@@ -153,7 +153,7 @@ class PushOption(Option):
         return self.termination(state) == 0.0 and math.isfinite(self._field.get_cost(*self._get_place(state)))
 
     def start(self, state: RoomState) -> None:
-        """Begin."""
+        """Forget the pushes, the route and the standing place of an earlier run."""
         super().start(state)
         self._count, self._route, self._standing = 0, None, None
 

@@ -93,7 +93,7 @@ class Plan:
 
     @property
     def cost(self) -> int:
-        """Number of primitives."""
+        """Number of primitives in the plan."""
         return len(self.primitives)
 
     @property

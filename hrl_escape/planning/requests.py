@@ -109,7 +109,7 @@ class PlanningResult:
 
     @property
     def seed(self) -> int:
-        """The request's seed."""
+        """Seed of the search, as the request gave it."""
         return self.request.seed
 
     @property

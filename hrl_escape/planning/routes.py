@@ -126,7 +126,7 @@ class Routes:
 
     @property
     def settings(self) -> SearchSettings:
-        """Default search settings."""
+        """Search settings of a query that brings none: the method and the budget of these routes."""
         return SearchSettings(self.method, self.budget)
 
     def check_query(self, state: RoomState, *goals: Goal) -> None:

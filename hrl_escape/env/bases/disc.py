@@ -22,24 +22,24 @@ __all__ = ["Disc"]
 
 def compute_disc_contact(x: float, y: float, cos: float, sin: float, size: tuple[float, ...], dx: float, dy: float,
                          shape: Footprint) -> float:
-    """See `Base.contact`."""
+    """Fraction of a displacement until the disc meets the footprint; arguments and value as in `Base.contact`."""
     return compute_first_contact(x, y, dx, dy, size[0], shape)
 
 
 def measure_disc_gap(x: float, y: float, cos: float, sin: float, size: tuple[float, ...], shape: Footprint) -> float:
-    """See `Base.gap`."""
+    """Signed gap to the footprint, m: negative where they overlap; arguments as in `Base.gap`."""
     return compute_distance(x, y, shape) - size[0]
 
 
 def compute_disc_distance(x: float, y: float, cos: float, sin: float, size: tuple[float, ...], shape: Footprint
                           ) -> float:
-    """See `Base.distance`."""
+    """Distance to the footprint, m: 0 where they overlap; arguments as in `Base.distance`."""
     return max(compute_distance(x, y, shape) - size[0], 0.0)
 
 
 def does_disc_turn_meet(x: float, y: float, cos: float, sin: float, to_cos: float, to_sin: float, turn: float,
                         size: tuple[float, ...], shape: Footprint) -> bool:
-    """See `Base.blocks_turn`."""
+    """Always false: a disc covers the same floor at every heading; arguments as in `Base.blocks_turn`."""
     return False
 
 
@@ -59,22 +59,22 @@ class Disc(Base):
 
     @property
     def outer_radius(self) -> float:
-        """Its radius, m."""
+        """Radius of the disc, m: its outline is its own bounding circle."""
         return self.size[0]
 
     @property
     def inner_radius(self) -> float:
-        """Its radius, m."""
+        """Radius of the disc, m: its outline is its own largest inner circle."""
         return self.size[0]
 
     @property
     def front(self) -> float:
-        """Its radius, m."""
+        """Distance from the axis to the rim ahead, m: the radius."""
         return self.size[0]
 
     @property
     def corners(self) -> tuple[tuple[float, float], ...]:
-        """Nothing: it is round."""
+        """Empty: a disc has no corners."""
         return ()
 
     def find_free_fraction(self, x: float, y: float, rotation: tuple[float, float], dx: float, dy: float,

@@ -34,7 +34,7 @@ from hrl_escape.errors import StateError, show_value
 __all__ = ["PRESS_FORCE", "RATE", "PhysicsDynamics", "PhysicsState"]
 
 RATE = 240
-"""Sub-steps a second."""
+"""Sub-steps of Bullet per second of simulated time."""
 PRESS_FORCE = 5.0
 """A target is pressed when the presser pushes against it with this normal force, N."""
 

@@ -105,7 +105,7 @@ def _make_outline(solid: Solid, **style: Any) -> Patch:
 
 
 def _get_scale(axes: Axes) -> float:
-    """Inches a metre."""
+    """Scale of the drawing: inches of paper per metre of floor."""
     wide, high = axes.bbox.width / axes.figure.dpi, axes.bbox.height / axes.figure.dpi
     (x_min, x_max), (y_min, y_max) = axes.get_xlim(), axes.get_ylim()
     return min(wide / (x_max - x_min), high / (y_max - y_min))

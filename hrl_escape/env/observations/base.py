@@ -30,12 +30,12 @@ class Outlines(Protocol):
 
     @property
     def x(self) -> Tensor:
-        """Places of the centres."""
+        """Centres along x, room frame."""
         ...
 
     @property
     def y(self) -> Tensor:
-        """Likewise."""
+        """Centres along y, room frame."""
         ...
 
     @property
@@ -45,17 +45,17 @@ class Outlines(Protocol):
 
     @property
     def sin(self) -> Tensor:
-        """Its sine."""
+        """Sine of the direction of the width."""
         ...
 
     @property
     def half_x(self) -> Tensor:
-        """Half the width."""
+        """Half sizes along the width, m."""
         ...
 
     @property
     def half_y(self) -> Tensor:
-        """Half the depth."""
+        """Half sizes across the width, m."""
         ...
 
 
@@ -64,12 +64,12 @@ class BatchView(Protocol):
 
     @property
     def x(self) -> Tensor:
-        """Places of the bases' axes, m, float64 (rooms,)."""
+        """Positions of the bases' axes along x, m, float64 (rooms,)."""
         ...
 
     @property
     def y(self) -> Tensor:
-        """Likewise."""
+        """Positions of the bases' axes along y, m, float64 (rooms,)."""
         ...
 
     @property

@@ -32,7 +32,7 @@ class PixelObserver(Observer):
         self._renderer = renderer
 
     def observe(self, state: RoomState) -> NDArray[np.uint8]:
-        """Take the picture."""
+        """Return the robot camera's picture, uint8 (height, width, 3)."""
         return self._renderer.render("robot", *PIXELS)
 
 

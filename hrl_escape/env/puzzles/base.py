@@ -135,7 +135,7 @@ class Puzzle(_OfKind):
 
     @property
     def is_watching(self) -> bool:
-        """`update` is called after every primitive; else only after those that press or grip."""
+        """True if `update` is called after every primitive, false if only after those that press or grip."""
         return False
 
     @property
@@ -148,7 +148,7 @@ class Puzzle(_OfKind):
 
     @property
     def is_random(self) -> bool:
-        """`update` reads `contacts.uniform`."""
+        """True if the outcome of a press or grip is drawn: `update` then reads `contacts.uniform`."""
         return bool(self.chances)
 
     @abstractmethod

@@ -27,12 +27,12 @@ __all__ = ["BitFlipConfig", "BitFlipPuzzle"]
 
 @dataclasses.dataclass(frozen=True)
 class BitFlipConfig(PuzzleConfig):
-    """Schematic of BitFlip."""
+    """Schematic of a BitFlip puzzle, one wall panel a bit."""
 
     kind = "bit-flip"
     _takes_ranges = True
     count: Annotated[int, Range(1, 64)] = 4
-    """Number of bits."""
+    """Number of bits, each with a panel."""
     buttons: Panels = Panels()
     """Sizes and places of the bits' panels."""
 
@@ -46,7 +46,7 @@ class BitFlipConfig(PuzzleConfig):
         return self.buttons
 
     def make_puzzle(self, rng: np.random.Generator) -> BitFlipPuzzle:
-        """Nothing is random."""
+        """Make the puzzle; the generator is not used, for nothing in it is random."""
         return BitFlipPuzzle(self.count)
 
 
@@ -56,11 +56,11 @@ class BitFlipPuzzle(Graphed, BitPuzzle):
 
     kind = "bit-flip"
     count: Annotated[int, Range(1, 64)] = 1
-    """Number of bits."""
+    """Number of bits, each with a panel."""
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """`bit-1` to `bit-<count>`."""
+        """Names of the panels, `bit-1` to `bit-<count>`."""
         return tuple(f"bit-{i + 1}" for i in range(self.count))
 
     @property
@@ -70,7 +70,7 @@ class BitFlipPuzzle(Graphed, BitPuzzle):
 
     @property
     def goal_targets(self) -> tuple[int, ...]:
-        """All bits."""
+        """Numbers of all bits: the exit opens once all are on."""
         return tuple(range(self.count))
 
     def update(self, state: int, contacts: Contacts) -> int:

@@ -20,7 +20,7 @@ class BitPuzzle(Modelled, Puzzle):
     """Base of such puzzles: a subclass gives names, rules, the symbolic model, and `count` as a field."""
 
     count: int
-    """Number of targets."""
+    """Number of targets, and of bits in the state."""
 
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
@@ -28,7 +28,7 @@ class BitPuzzle(Modelled, Puzzle):
         return ((0.0, 1.0),) * self.count
 
     def make_state(self) -> int:
-        """All targets off."""
+        """State with all targets off."""
         return 0
 
     def is_state(self, state: Any) -> bool:
@@ -53,9 +53,9 @@ class GraphPuzzle(Graphed, BitPuzzle):
     """Base of puzzles whose targets depend on each other along a DAG with one goal; subclasses give names and rules."""
 
     count: Annotated[int, Range(1, 64)] = 1
-    """Number of targets."""
+    """Number of targets, and of bits in the state."""
     edge_list: tuple[tuple[ButtonNumber, ButtonNumber], ...] = ()
-    """Dependencies (parent, child)."""
+    """Dependencies between targets, as (parent, child) pairs of their numbers."""
     goal: ButtonNumber = 0
     """Number of the target that opens the exit, from 0."""
 
@@ -75,12 +75,12 @@ class GraphPuzzle(Graphed, BitPuzzle):
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:
-        """Dependencies (parent, child)."""
+        """Dependencies between targets, as (parent, child) pairs of their numbers."""
         return self.edge_list
 
     @property
     def goal_targets(self) -> tuple[int, ...]:
-        """The goal."""
+        """Number of the one target that opens the exit."""
         return (self.goal,)
 
     def is_solved(self, state: int) -> bool:

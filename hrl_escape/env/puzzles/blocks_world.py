@@ -114,7 +114,7 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
 
     @cached_property
     def wanted(self) -> TowersGoal:
-        """The goal."""
+        """Goal that the towers must meet."""
         return TowersGoal(self.goal, self.clear, self.free_hand)
 
     @property
@@ -130,7 +130,7 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
     # --- states ------------------------------------------------------------------------
 
     def encode(self, towers: Towers) -> int:
-        """State of towers."""
+        """State in which the towers stand like that: four bits a block."""
         return sum(below << 4 * block for block, below in enumerate(towers))
 
     def decode(self, state: int) -> Towers:

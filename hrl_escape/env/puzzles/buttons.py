@@ -43,9 +43,9 @@ class ButtonsConfig(PuzzleConfig):
     kind = "buttons"
     _takes_ranges = True
     count: Annotated[int, Range(1, 64)] = 2
-    """Number of buttons."""
+    """Number of buttons, each a panel on a wall."""
     graph: GraphConfig = GraphConfig()
-    """Dependencies between buttons."""
+    """Dependencies between buttons: a button turns on only once its parents are on."""
     on_violation: ViolationRule = "ignore"
     """A press with unmet parents is ignored, or turns all buttons off."""
     allow_off: bool = False
@@ -53,7 +53,7 @@ class ButtonsConfig(PuzzleConfig):
     goal: ButtonNumber | None = None
     """Number of the goal button from 0, before `graph.relabel` (None: last in topological order)."""
     buttons: Panels = Panels()
-    """Sizes and places."""
+    """Sizes and places of the buttons' panels."""
     dead_ends: Annotated[int, Range(0, 64)] = 0
     """Locks: pairs of buttons. Once the first is on, the second, which the goal needs, cannot be turned on any more."""
     doors: Annotated[int, Range(0, 15)] = 0
@@ -76,7 +76,7 @@ class ButtonsConfig(PuzzleConfig):
 
     @property
     def panels(self) -> Panels:
-        """Sizes and places of the buttons."""
+        """Sizes and places of the buttons' panels."""
         return self.buttons
 
     def make_puzzle(self, rng: np.random.Generator) -> ButtonsPuzzle:
@@ -133,7 +133,7 @@ class ButtonsPuzzle(Doored, GraphPuzzle):
 
     @property
     def locks_between(self) -> tuple[tuple[int, int], ...]:
-        """The locks."""
+        """Pairs (a, b) of button numbers: once a is on, b cannot be turned on."""
         return self.locks
 
     @property
@@ -147,12 +147,12 @@ class ButtonsPuzzle(Doored, GraphPuzzle):
 
     @property
     def has_dead_ends(self) -> bool:
-        """There are locks."""
+        """True if there are locks: a button turned on too early may bar the goal."""
         return bool(self.locks)
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """`button-1` to `button-<count>`."""
+        """Names of the buttons, `button-1` to `button-<count>`."""
         return tuple(f"button-{i + 1}" for i in range(self.count))
 
     def update(self, state: int, contacts: Contacts) -> int:

@@ -31,7 +31,7 @@ class CodeLockConfig(PuzzleConfig):
     kind = "code-lock"
     _takes_ranges = True
     digits: Annotated[int, Range(2, 16)] = 4
-    """Number of panels."""
+    """Number of panels, one for each digit that can be entered."""
     length: Annotated[int, Range(1, 32)] = 4
     """Number of presses in the code; no digit comes twice in a row."""
     memory: LockMemory = "reset"
@@ -64,7 +64,7 @@ class CodeLockPuzzle(Modelled, CodePuzzle):
 
     kind = "code-lock"
     digits: Annotated[int, Range(2, 16)] = 2
-    """Number of panels."""
+    """Number of panels, one for each digit that can be entered."""
     code: tuple[Annotated[int, Range(0, 15)], ...] = (0,)
     """Numbers of the panels to press, in order."""
     memory: LockMemory = "reset"
@@ -95,7 +95,7 @@ class CodeLockPuzzle(Modelled, CodePuzzle):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """`digit-1` to `digit-<digits>`."""
+        """Names of the panels, `digit-1` to `digit-<digits>`."""
         return tuple(f"digit-{i + 1}" for i in range(self.digits))
 
     def update(self, state: int, contacts: Contacts) -> int:

@@ -16,7 +16,7 @@ class CodePuzzle(Puzzle):
     """Numbers of the targets in order."""
 
     def make_state(self) -> int:
-        """Nothing entered."""
+        """State 0: nothing of the code has been entered."""
         return 0
 
     def is_state(self, state: Any) -> bool:

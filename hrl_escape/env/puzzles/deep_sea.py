@@ -35,7 +35,7 @@ class DeepSeaConfig(PuzzleConfig):
 
     kind = "deep-sea"
     size: SeaSize = 10
-    """Rows and columns."""
+    """Number of rows, and of columns, of the sea."""
     mapping_seed: MappingSeed = 42
     """Seed of the panels' meanings; bsuite's is 42."""
     buttons: Panels = Panels(width=1.5)
@@ -61,7 +61,7 @@ class DeepSeaPuzzle(Puzzle):
 
     kind = "deep-sea"
     size: SeaSize = 2
-    """Rows and columns."""
+    """Number of rows, and of columns, of the sea."""
     mapping_seed: MappingSeed = 42
     """Seed of the panels' meanings."""
 
@@ -73,7 +73,7 @@ class DeepSeaPuzzle(Puzzle):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """`dive-1` and `dive-2`."""
+        """Names of the two panels, `dive-1` and `dive-2`."""
         return ("dive-1", "dive-2")
 
     def make_state(self) -> int:

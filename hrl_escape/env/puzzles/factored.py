@@ -85,7 +85,7 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
 
     kind = "factored"
     count: Annotated[int, Range(1, 12)] = 1
-    """Number of factors."""
+    """Number of factors, each with a panel."""
     arity: Arity = 2
     """Values of a factor."""
     parents: tuple[tuple[FactorNumber, ...], ...] = ((),)
@@ -121,12 +121,12 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """`factor-1` to `factor-<count>`."""
+        """Names of the panels, `factor-1` to `factor-<count>`."""
         return tuple(f"factor-{i + 1}" for i in range(self.count))
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:
-        """Each factor's parents."""
+        """Dependencies (parent, child): the parent's value decides what a press of the child does."""
         return tuple((other, factor) for factor, others in enumerate(self.parents) for other in others)
 
     def decode(self, state: int) -> tuple[int, ...]:

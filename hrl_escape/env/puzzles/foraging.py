@@ -27,7 +27,7 @@ Worms = Annotated[int, Range(1, 100)]
 
 @dataclasses.dataclass(frozen=True)
 class ForagingConfig(PuzzleConfig):
-    """Schematic of foraging."""
+    """Schematic of Foraging, with a pad at the end of each corridor."""
 
     kind = "foraging"
     worms: Worms = 4
@@ -85,7 +85,7 @@ class ForagingPuzzle(Modelled, Puzzle):
         return type(state) is int and 0 <= state < CORRIDOR_COUNT * (self.worms + 1)
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Eat the worm."""
+        """Eat the worm if a grip touches its pad; the next worm appears at one of the two other ends."""
         eaten, place = divmod(state, CORRIDOR_COUNT)
         if contacts.grip <= 0 or place not in contacts.touching or eaten == self.worms:
             return state
@@ -112,7 +112,7 @@ class ForagingPuzzle(Modelled, Puzzle):
         return tuple(state % CORRIDOR_COUNT == i for i in range(CORRIDOR_COUNT))
 
     def get_facts(self, state: int) -> frozenset[str]:
-        """`worm(corridor-i)` and `eaten(number)`."""
+        """Facts `worm(corridor-i)`, the corridor with the worm, and `eaten(number)`."""
         eaten, place = divmod(state, CORRIDOR_COUNT)
         return frozenset({f"worm({self.target_names[place]})", f"eaten({eaten})"})
 

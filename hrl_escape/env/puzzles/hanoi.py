@@ -30,7 +30,7 @@ class HanoiConfig(PuzzleConfig):
 
     kind = "hanoi"
     discs: Annotated[int, Range(1, 8)] = 3
-    """Number of discs."""
+    """Number of discs, all of different sizes."""
     buttons: Panels = Panels(width=1.5)
     """Sizes and places of the pegs' panels."""
 
@@ -44,7 +44,7 @@ class HanoiConfig(PuzzleConfig):
         return self.buttons
 
     def make_puzzle(self, rng: np.random.Generator) -> HanoiPuzzle:
-        """Nothing is random."""
+        """Make the puzzle; the generator is not used, for nothing in it is random."""
         return HanoiPuzzle(self.discs)
 
 
@@ -54,16 +54,16 @@ class HanoiPuzzle(Graphed, Modelled, Puzzle):
 
     kind = "hanoi"
     discs: Annotated[int, Range(1, 8)] = 1
-    """Number of discs."""
+    """Number of discs, all of different sizes."""
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """`peg-1` to `peg-3`."""
+        """Names of the panels, `peg-1` to `peg-3`."""
         return tuple(f"peg-{i + 1}" for i in range(PEGS))
 
     @property
     def goal_targets(self) -> tuple[int, ...]:
-        """The last peg."""
+        """Number of the last peg, on which all discs must lie."""
         return (PEGS - 1,)
 
     def encode(self, places: tuple[int, ...]) -> int:

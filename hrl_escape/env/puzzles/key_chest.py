@@ -20,7 +20,7 @@ THINGS = ("key", "chest")
 
 @dataclasses.dataclass(frozen=True)
 class KeyChestConfig(PuzzleConfig):
-    """Schematic of Key-Chest."""
+    """Schematic of Key-Chest, whose key and chest are pads."""
 
     kind = "key-chest"
     floor: Pads = Pads()
@@ -36,7 +36,7 @@ class KeyChestConfig(PuzzleConfig):
         return self.floor
 
     def make_puzzle(self, rng: np.random.Generator) -> KeyChestPuzzle:
-        """Nothing is random."""
+        """Make the puzzle; the generator is not used, for nothing in it is random."""
         return KeyChestPuzzle()
 
 
@@ -49,7 +49,7 @@ class KeyChestPuzzle(CodePuzzle):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """Key and chest."""
+        """Names of the two pads, `key` and `chest`."""
         return THINGS
 
     @property

@@ -30,11 +30,11 @@ LightCount = Annotated[int, Range(1, 63)]
 
 @dataclasses.dataclass(frozen=True)
 class LightBoxConfig(PuzzleConfig):
-    """Schematic of LightBox."""
+    """Schematic of LightBox, one wall panel a light."""
 
     kind = "light-box"
     count: LightCount = 20
-    """Number of lights."""
+    """Number of lights, each with a panel."""
     graph: GraphConfig = GraphConfig(kind="edges", edges=LIGHT_BOX)
     """Dependencies between lights; those of the published box by default."""
     success: Success = 0.9
@@ -65,7 +65,7 @@ class LightBoxPuzzle(GraphPuzzle):
 
     kind = "light-box"
     count: LightCount = 1
-    """Number of lights."""
+    """Number of lights, each with a panel."""
     success: Success = 1.0
     """Probability that a press has its effect."""
 
@@ -86,7 +86,7 @@ class LightBoxPuzzle(GraphPuzzle):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """`light-1` to `light-<count>`."""
+        """Names of the panels, `light-1` to `light-<count>`."""
         return tuple(f"light-{i + 1}" for i in range(self.count))
 
     def update(self, state: int, contacts: Contacts) -> int:

@@ -94,7 +94,7 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
 
     kind = "lights-out"
     count: Annotated[int, Range(1, 36)] = 1
-    """Number of lights."""
+    """Number of lights on the board, rows times columns."""
     columns: Annotated[int, Range(1, 36)] = 1
     """Lights in a row."""
     start: Annotated[int, Range(0, 2**36 - 1)] = 0
@@ -117,7 +117,7 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """`light-1` to `light-<count>`."""
+        """Names of the panels, `light-1` to `light-<count>`, row by row."""
         return tuple(f"light-{i + 1}" for i in range(self.count))
 
     @property
@@ -131,7 +131,7 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
         return ((0.0, 1.0),) * (2 * self.count)
 
     def make_state(self) -> int:
-        """The first pattern."""
+        """Word of the start pattern, in which episodes begin."""
         return self.start
 
     def is_state(self, state: object) -> bool:

@@ -56,7 +56,7 @@ class MiniGridConfig(PuzzleConfig):
             raise ConfigError("puzzle.size", self.size, "at least 5 for a door and a key")
 
     def make_puzzle(self, rng: np.random.Generator) -> MiniGridPuzzle:
-        """Draw the map."""
+        """Draw the level's map from the generator, or take the given `rows`."""
         if self.level == "rows":
             return MiniGridPuzzle(self.rows)
         if self.level == "door-key":
@@ -84,17 +84,17 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
 
     @cached_property
     def grid(self) -> GridMap:
-        """The map."""
+        """Cells of the map: doors, things, start and goal."""
         return GridMap(self.rows)
 
     @property
     def map_rows(self) -> tuple[str, ...]:
-        """The map."""
+        """Rows of the map from the top, without its outer walls."""
         return self.rows
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """Doors, keys, balls."""
+        """Names of the doors, then of the keys, then of the balls."""
         keys = self.grid.keys
         return (*(f"door-{i + 1}" for i in range(len(self.grid.doors))), *(f"key-{i + 1}" for i in range(keys)),
                 *(f"ball-{i + 1}" for i in range(len(self.grid.things) - keys)))

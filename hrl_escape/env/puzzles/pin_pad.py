@@ -59,7 +59,7 @@ class PinPadPuzzle(CodePuzzle):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """`pad-1` to `pad-<count>`."""
+        """Names of the pads, `pad-1` to `pad-<count>`."""
         return tuple(f"pad-{i + 1}" for i in range(len(self.code)))
 
     @property
@@ -80,7 +80,7 @@ class PinPadPuzzle(CodePuzzle):
         return tuple(float(pad in counted) for pad in range(len(self.code)))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Pads that count."""
+        """Say for each pad whether it counts: it is in the part of the code walked over so far."""
         return tuple(pad in self.code[:state] for pad in range(len(self.code)))
 
 

@@ -22,9 +22,9 @@ class Place(Schematic):
 
     _section = "place"
     x: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """Centre."""
+    """Centre along x, room frame."""
     y: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """Centre."""
+    """Centre along y, room frame."""
     yaw_deg: Annotated[float, Range(-360, 360, "deg")] = 0.0
     """Direction of the width, counter-clockwise from +x."""
     z: Annotated[float, Range(0, 50, "m")] | None = None
@@ -40,7 +40,7 @@ class Panels(Schematic):
     width: Annotated[float, Range(0.02, 200, "m")] = 1.0
     """Size along the wall."""
     height: Annotated[float, Range(0.02, 50, "m")] = 1.0
-    """Vertical size."""
+    """Vertical size of a panel."""
     thickness: Annotated[float, Range(0.005, 10, "m")] = 0.1
     """Size away from the wall."""
     centre_height: Annotated[float, Range(0, 50, "m")] = 0.75
@@ -93,13 +93,13 @@ class Capsule(Schematic):
 
     _section = "capsule"
     x1: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """One end of the segment."""
+    """One end of the segment, along x."""
     y1: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """One end of the segment."""
+    """One end of the segment, along y."""
     x2: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """Its other end."""
+    """Other end of the segment, along x."""
     y2: Annotated[float, Range(-110, 110, "m")] = 0.0
-    """Its other end."""
+    """Other end of the segment, along y."""
     radius: Annotated[float, Range(0.01, 100, "m")] = 1.0
     """Distance within which the floor belongs to it."""
 
@@ -123,12 +123,12 @@ class Prop(Schematic):
 
     _section = "prop"
     name: str = "block"
-    """Unique name."""
+    """Name that no other prop of the puzzle has."""
     kind: Literal["block", "plate"] = "block"
     """Movable solid, or flat region."""
     half_size: Annotated[float, Range(0.05, 10, "m")] = 0.3
     """Half its side; the footprint is a square."""
     height: Annotated[float, Range(0.01, 10, "m")] = 0.4
-    """Height (blocks)."""
+    """Height of a block; a plate is flat."""
     mass: Annotated[float, Range(0.01, 10_000, "kg")] = 5.0
-    """Mass (blocks)."""
+    """Mass of a block; a plate does not move."""

@@ -45,7 +45,7 @@ class Brew(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class PotionsConfig(PuzzleConfig):
-    """Schematic of potions."""
+    """Schematic of the potions, two panels for each feature of the stone."""
 
     kind = "potions"
     features: Features = 2

@@ -64,7 +64,7 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """The goal."""
+        """Name of the only target, the pad `goal`."""
         return ("goal",)
 
     @property
@@ -74,7 +74,7 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
 
     @property
     def puddles(self) -> tuple[Capsule, ...]:
-        """The puddles."""
+        """Puddles on the floor, for drawings."""
         return self.areas
 
     @property
@@ -91,7 +91,7 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
         return type(state) is int and state in (0, 1)
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Enter the goal."""
+        """Return 1 once the goal's pad has been entered, else 0."""
         return int(state or bool(contacts.pressed))
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:

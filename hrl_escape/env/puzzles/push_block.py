@@ -97,12 +97,12 @@ class PushBlockPuzzle(Propped, Modelled, Puzzle):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """Nothing is pressed."""
+        """Empty: the puzzle is solved by pushing, and nothing can be pressed."""
         return ()
 
     @property
     def props(self) -> tuple[Prop, ...]:
-        """Blocks and plates."""
+        """Blocks and plates that the room must place, in the order of `things`."""
         return self.things
 
     @property

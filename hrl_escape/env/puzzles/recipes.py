@@ -79,7 +79,7 @@ class RecipesConfig(PuzzleConfig):
         return self.buttons
 
     def make_puzzle(self, rng: np.random.Generator) -> RecipesPuzzle:
-        """Nothing is drawn."""
+        """Make the puzzle; the generator is not used, for nothing in it is random."""
         return RecipesPuzzle(self.goal)
 
 
@@ -93,7 +93,7 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """Materials, then things."""
+        """Names of the panels: five materials, then the things to place or make."""
         return NAMES
 
     @property
@@ -104,7 +104,7 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
 
     @property
     def goal_targets(self) -> tuple[int, ...]:
-        """The goal."""
+        """Number of the material or thing that opens the exit."""
         return (NAMES.index(self.goal),)
 
     def count(self, state: int, name: str) -> int:
@@ -113,7 +113,7 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
         return state >> _get_shift(number) & (2**COUNT_BITS - 1 if number < MATERIALS else 1)
 
     def make_state(self) -> int:
-        """Nothing is there."""
+        """State 0: an empty store, and nothing placed or made."""
         return 0
 
     def is_state(self, state: Any) -> bool:

@@ -60,7 +60,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
 
     @cached_property
     def level(self) -> BoxMap:
-        """The level's cells."""
+        """Cells of the level and their neighbours."""
         return BoxMap(self.rows)
 
     @property
@@ -72,7 +72,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """Boxes, goals."""
+        """Names of the boxes, `box-1` and so on, then of the goals, `goal-1` and so on."""
         return tuple(f"{what}-{number + 1}" for what in ("box", "goal") for number in range(len(self.level.boxes)))
 
     @property
@@ -82,7 +82,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
 
     @property
     def goal_targets(self) -> tuple[int, ...]:
-        """The goals."""
+        """Numbers of the goals: a box must stand on each."""
         return tuple(range(len(self.level.boxes), 2 * len(self.level.boxes)))
 
     @property
@@ -208,7 +208,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
         return SymbolicModel((*places, *filled), tuple(operators), frozenset(filled)), ends
 
     def list_cells(self, state: int, action: str, target: int) -> tuple[int, ...]:
-        """The box's cell."""
+        """Number of the cell in which the box of an operator stands now, as a tuple of one."""
         return (self.level.floor.index(self.decode(state)[target]),)
 
     def plan(self, state: int, place: int = -1) -> tuple[Operator, ...] | None:

@@ -47,7 +47,7 @@ class Ride(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class TaxiConfig(PuzzleConfig):
-    """Schematic of Taxi."""
+    """Schematic of Taxi, whose depots are pads."""
 
     kind = "taxi"
     fickleness: Fickleness = 0.0
@@ -91,7 +91,7 @@ class TaxiPuzzle(Modelled, Puzzle):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """The depots."""
+        """Names of the pads: `red`, `green`, `yellow` and `blue`."""
         return DEPOTS
 
     @property
@@ -113,7 +113,7 @@ class TaxiPuzzle(Modelled, Puzzle):
                      for destination in range(RIDING) if passenger != destination)
 
     def make_state(self) -> int:
-        """The first pair."""
+        """State of the first pair of depot and destination."""
         return self.list_starts()[0]
 
     def is_state(self, state: Any) -> bool:
@@ -154,7 +154,7 @@ class TaxiPuzzle(Modelled, Puzzle):
             float(ride.destination == depot) for depot in range(RIDING))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """The destination."""
+        """Say for each depot whether it is the destination."""
         return tuple(depot == self.decode(state).destination for depot in range(RIDING))
 
     def get_facts(self, state: int) -> frozenset[str]:

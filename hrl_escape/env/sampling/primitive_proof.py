@@ -163,7 +163,7 @@ class _Search:
             self._hands = self._rules.robot.compute_hand(angles)
 
     def find_unproven(self) -> str | None:
-        """See `find_unproven`."""
+        """Run the search from every start; the returns are those of the module's `find_unproven`."""
         for start in self._instance.starts:
             state = self._rules.make_state(start)
             for _ in range(_MOST_PRESSES * len(self._instance.targets) + 1):

@@ -102,7 +102,7 @@ class PathProblem:
         return self._collision.is_move_free(x, y, to_x, to_y)
 
     def spend(self, calls: int) -> None:
-        """Count checker calls."""
+        """Charge checker calls to the budget; raises `Spent` once calls or time are used up."""
         self.calls += calls
         if self.calls > self._budget or self._clock.is_up():
             raise Spent

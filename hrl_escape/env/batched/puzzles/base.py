@@ -224,25 +224,25 @@ class TabulatedPuzzle(TensorPuzzle):
         return self._walk(tables, before, contacts, targets)[1] if tables["rewards"].shape[-1] else None
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Look it up."""
+        """Return the `solved` flag of each state's row, bool (rooms,)."""
         return tables["solved"][tables["first"] + state]
 
     def is_failed(self, tables: PuzzleTables, state: Tensor) -> Tensor | None:
-        """Look it up; None where no state has failed."""
+        """Return the `failed` flag of each state's row, bool (rooms,); None where no state has failed."""
         return tables["failed"][tables["first"] + state] if tables["failed"].shape[-1] else None
 
     def find_shut(self, tables: PuzzleTables, state: Tensor, doors: int) -> Tensor:
-        """Look it up."""
+        """Return true where the row of the state shuts an inner door, bool (doors, rooms)."""
         if not tables["shut"].shape[-1]:
             return super().find_shut(tables, state, doors)
         return unpack_bits(tables["shut"][tables["first"] + state], doors, torch.bool)
 
     def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Look them up."""
+        """Bits of the lit targets from each state's row, int64 (rooms,)."""
         return tables["lit"][tables["first"] + state]
 
     def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
-        """Look them up, float32 (numbers, rooms)."""
+        """Observation numbers from each state's row, float32 (numbers, rooms)."""
         return tables["observed"][:, tables["first"] + state]
 
     def encode(self, puzzle: Puzzle, state: Any) -> int:

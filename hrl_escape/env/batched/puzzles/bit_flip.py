@@ -24,7 +24,7 @@ __all__ = ["BitFlipTensorPuzzle"]
 
 
 class BitFlipTensorPuzzle(TensorPuzzle):
-    """`env.puzzles.bit_flip.BitFlipPuzzle`."""
+    """Tensor form of `BitFlipPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[BitFlipPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """The word with all bits on (instances,)."""

@@ -19,7 +19,7 @@ __all__ = ["BlocksWorldTensorPuzzle"]
 
 
 class BlocksWorldTensorPuzzle(TensorPuzzle):
-    """`env.puzzles.blocks_world.BlocksWorldPuzzle`."""
+    """Tensor form of `BlocksWorldPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[BlocksWorldPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """`wanted`: what each block must stand on, -1 for anything, and `clear` (blocks, instances); `free_hand`."""

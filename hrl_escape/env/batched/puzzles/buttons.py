@@ -24,7 +24,7 @@ __all__ = ["ButtonsTensorPuzzle"]
 
 
 class ButtonsTensorPuzzle(TensorPuzzle):
-    """`env.puzzles.buttons.ButtonsPuzzle`."""
+    """Tensor form of `ButtonsPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[ButtonsPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Tables by instance.

@@ -18,7 +18,7 @@ __all__ = ["LightBoxTensorPuzzle"]
 
 
 class LightBoxTensorPuzzle(TensorPuzzle):
-    """`env.puzzles.light_box.LightBoxPuzzle`."""
+    """Tensor form of `LightBoxPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[LightBoxPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Bits of each light's parents and of its family (lights, instances), the goal and the chance (instances,)."""

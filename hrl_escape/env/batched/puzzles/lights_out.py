@@ -25,7 +25,7 @@ __all__ = ["LightsOutTensorPuzzle"]
 
 
 class LightsOutTensorPuzzle(TensorPuzzle):
-    """`env.puzzles.lights_out.LightsOutPuzzle`."""
+    """Tensor form of `LightsOutPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[LightsOutPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Flips of each press (lights, instances), and each goal (instances,)."""

@@ -20,7 +20,7 @@ __all__ = ["MiniGridTensorPuzzle"]
 
 
 class MiniGridTensorPuzzle(TensorPuzzle):
-    """`env.puzzles.mini_grid.MiniGridPuzzle`; instances of a batch have the same numbers of doors, keys and balls."""
+    """Tensor form of `MiniGridPuzzle`; all instances of a batch have equal numbers of doors, keys and balls."""
 
     def make_tables(self, puzzles: Sequence[MiniGridPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Tables by instance.

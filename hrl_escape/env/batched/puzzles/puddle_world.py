@@ -18,7 +18,7 @@ __all__ = ["PuddleWorldTensorPuzzle"]
 
 
 class PuddleWorldTensorPuzzle(TensorPuzzle):
-    """`env.puzzles.puddle_world.PuddleWorldPuzzle`."""
+    """Tensor form of `PuddleWorldPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[PuddleWorldPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Ends and radius of each puddle, of no size where there are fewer (5, puddles, instances), and the cost."""
@@ -30,7 +30,7 @@ class PuddleWorldTensorPuzzle(TensorPuzzle):
         return {"areas": areas, "cost": np.array([puzzle.cost for puzzle in puzzles], dtype=np.float64)}
 
     def update(self, tables: PuzzleTables, state: Tensor, contacts: TensorContacts, targets: int) -> Tensor:
-        """Enter the goal."""
+        """Set the word to 1 where the goal's pad has been entered."""
         return state | (contacts.pressed != 0).to(state.dtype)
 
     def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts,

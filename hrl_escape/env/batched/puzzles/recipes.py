@@ -20,7 +20,7 @@ _SHIFTS = [COUNT_BITS * min(number, MATERIALS) + max(number - MATERIALS, 0) for 
 
 
 class RecipesTensorPuzzle(TensorPuzzle):
-    """`env.puzzles.recipes.RecipesPuzzle`."""
+    """Tensor form of `RecipesPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[RecipesPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Numbers of the goals (instances,)."""

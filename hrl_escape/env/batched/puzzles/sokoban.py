@@ -21,7 +21,7 @@ _CELL = (1 << BOX_BITS) - 1
 
 
 class SokobanTensorPuzzle(TensorPuzzle):
-    """`env.puzzles.sokoban.SokobanPuzzle`."""
+    """Tensor form of `SokobanPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[SokobanPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """`cells`: cell of each inner door, -1 for none; `goals`: their cells (goals, instances); `size` of the map."""

@@ -20,7 +20,7 @@ _SETTLED, _DELIVERED = 1 << 5, 1 << 6
 
 
 class TaxiTensorPuzzle(TensorPuzzle):
-    """`env.puzzles.taxi.TaxiPuzzle`."""
+    """Tensor form of `TaxiPuzzle`."""
 
     def make_tables(self, puzzles: Sequence[TaxiPuzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """Probability of changing the destination (instances,)."""
