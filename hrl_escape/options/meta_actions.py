@@ -7,6 +7,7 @@ The puzzle's symbolic model defines the meta-actions (Menashe and Stone 2019, se
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 from hrl_escape.env.instance import RoomInstance
@@ -249,8 +250,8 @@ def list_goals(instance: RoomInstance) -> list[Goal]:
         goal = make_goal(op, instance)
         if goal not in goals:
             goals.append(goal)
-    grips = dict.fromkeys(goal.action for goal in goals if isinstance(goal, GripGoal))
-    return goals + [GripGoal(target, action) for target in range(own, every) for action in grips]
+    grips = {goal.action: goal for goal in goals if isinstance(goal, GripGoal)}
+    return goals + [dataclasses.replace(grip, target=i) for i in range(own, every) for grip in grips.values()]
 
 
 def make_option(name: str, planner: RoomPlanner, goal: Goal) -> Option:

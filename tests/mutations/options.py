@@ -172,7 +172,7 @@ MUTATIONS = [
     Mutation(
         "places that a room lacks have no options to grip there",
         "options/meta_actions.py",
-        "return goals + [GripGoal(target, action) for target in range(own, every) for action in grips]",
+        "return goals + [dataclasses.replace(grip, target=i) for i in range(own, every) for grip in grips.values()]",
         "return goals",
         "ladder/test_instance_set.py",
     ),

@@ -35,7 +35,6 @@ class FactoredRMax(PlanningAgent):
 
     name: ClassVar[str] = "factored-r-max"
     Settings: ClassVar[type] = FactoredRMaxSettings
-    settings: FactoredRMaxSettings
 
     def __init__(
         self,
