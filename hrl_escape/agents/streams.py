@@ -80,6 +80,11 @@ class EndedDecisions(Protocol):
         """Episode was cut off, bool."""
         ...
 
+    @property
+    def success(self) -> Tensor:
+        """Episode ended in success, bool; no failure is one, though it terminates too."""
+        ...
+
 
 class Streams(Protocol):
     """Many copies of an environment; `observation_space` and `action_space` are those of one."""

@@ -52,8 +52,8 @@ class EscapeRoomVectorEnv(VectorEnv):
 
     ## Information
     Arrays over rooms, as `SyncVectorEnv` would give them: `primitives` (so far, int32), `success` (bool), `pressed` and
-    `buttons_on` (int8, one a target) and `instance` (content hashes; with `output="torch"`, where there is no text,
-    `instance_index`, which of `instances`).
+    `buttons_on` (int8, one a target) and `instance`: the number of each room's in `instances`, or the
+    content hash of the only one. With `output="torch"`, where there is no text, it is `instance_index`, the number.
 
     ## Pictures
     `take_pictures(camera, width, height)` gives colours, depth and labels of what each room's camera sees, as tensors
@@ -263,7 +263,8 @@ class EscapeRoomVectorEnv(VectorEnv):
                   "buttons_on": info.buttons_on, "instance_index": info.instance}
         infos: dict[str, Any] = {name: self._give(value) for name, value in values.items()}
         if self._is_numpy:
-            infos["instance"] = self._ids[infos.pop("instance_index")]
+            index = infos.pop("instance_index")
+            infos["instance"] = index if len(self.instances) > 1 else self._ids[index]
             for array in infos.values():
                 array.setflags(write=False)  # it may be the rooms' own memory
         return infos | {f"_{name}": self._every if which is None else which for name in infos}

@@ -100,7 +100,7 @@ def test_a_batch_holds_every_room_of_the_set(rooms):
     assert isinstance(batch, EscapeRoomVectorEnv)
     _, infos = batch.reset(seed=0)
     assert [room.id for room in batch.instances] == [room.id for room in rooms]
-    assert set(infos["instance"].tolist()) == {room.id for room in rooms}
+    assert set(infos["instance"].tolist()) == set(range(len(rooms)))
     decisions = rooms[:3].make_vec(8, options={"include_primitives": False})
     assert isinstance(decisions, BatchedOptionsEnv)
     decisions.reset(torch.arange(8))

@@ -13,6 +13,7 @@ from typing import Any, cast
 import gymnasium
 import torch
 from gymnasium.vector import VectorEnv
+from torch import Tensor
 
 from hrl_escape.agents.registry import SMDP_PREFIX
 from hrl_escape.agents.state import Stateful, StateTree
@@ -94,10 +95,11 @@ class StreamRun(Run):
             asking = streams.is_waiting.nonzero().squeeze(1)
             action = torch.zeros(streams.count, dtype=torch.int64, device=streams.device)
             action[asking] = agent.act_streams(streams.observation[asking], streams.action_mask[asking], asking)
-            decisions = gather_decisions(streams.step(action), streams.gamma, agent.gamma)
+            ended = streams.step(action)
+            decisions = gather_decisions(ended, streams.gamma, agent.gamma)
             for name, value in agent.observe_streams(decisions).items():
                 sums[name], counts[name] = sums.get(name, 0.0) + value, counts.get(name, 0) + 1
-            self.primitives += tally.add(decisions)
+            self.primitives += tally.add(decisions, ended.success[decisions.stream])
             self.decisions += len(decisions.stream)
             report(self.primitives, words)
         if self.primitives == self.decisions and before == 0 and self.arguments.name.startswith(SMDP_PREFIX):
@@ -141,13 +143,13 @@ class _StreamTally(Stateful):
         self._running = torch.zeros((2, count), dtype=torch.float64, device=device)  # return and length so far
         self._sums = torch.zeros(4, dtype=torch.float64, device=device)  # returns, lengths, successes, episodes
 
-    def add(self, decisions: StreamTransitions) -> int:
-        """Add decisions; returns the primitives that they ran."""
+    def add(self, decisions: StreamTransitions, success: Tensor) -> int:
+        """Add decisions, and whether each ended an episode in success, bool (n,); returns the primitives that ran."""
         row = torch.stack((decisions.summed_reward.double(), decisions.duration.double()))
         running = self._running[:, decisions.stream] + row
         over = decisions.terminated | decisions.truncated
         self._running[:, decisions.stream] = torch.where(over, 0.0, running)
-        ended = torch.stack((*running, decisions.terminated.double(), torch.ones_like(running[0])))
+        ended = torch.stack((*running, success.double(), torch.ones_like(running[0])))
         self._sums += torch.where(over, ended, 0.0).sum(dim=1)
         return int(decisions.duration.sum())
 

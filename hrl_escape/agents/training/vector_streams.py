@@ -35,13 +35,14 @@ class VectorStep(NamedTuple):
     next_action_mask: Tensor
     terminated: Tensor
     truncated: Tensor
+    success: Tensor
 
 
 class VectorStreams:
     """Streams of a vector environment, one decision of each a step.
 
     `infos` may hold what `make_transition` reads of `info`, as arrays: `action_mask`, and for decisions of several
-    primitives `duration` and `discounted_reward`.
+    primitives `duration` and `discounted_reward`; and `success` where not every terminated episode is one.
 
     Args:
         env: numpy arrays, or tensors, which stay on their device.
@@ -97,7 +98,7 @@ class VectorStreams:
         self._was_over = over if self._mode == AutoresetMode.NEXT_STEP else torch.zeros_like(over)
         duration, discounted = self._read_rewards(reward, infos, final, over)
         return VectorStep(where, before, action, reward, discounted, duration, reached, reached_mask, terminated,
-                          truncated)
+                          truncated, self._read_success(terminated, final or infos))
 
     # --- what comes from the environment ---------------------------------------------------
 
@@ -145,6 +146,16 @@ class VectorStreams:
                 raise StepContractError("decisions ran several primitives but infos has no 'discounted_reward', so "
                                         "their discounted reward is unknown")
         return duration.clamp(min=1), discounted
+
+    def _read_success(self, terminated: Tensor, told: Mapping[str, Any]) -> Tensor:
+        """Success of the episodes that ended, as `read_success` has it; `told` is what their last `info` held."""
+        name = "is_success" if "is_success" in told else "success"
+        if name not in told:
+            return terminated
+        success, is_told = ((part if isinstance(part, Tensor) else torch.from_numpy(np.array(part, dtype=bool)))
+                            .to(self.device, torch.bool)
+                            for part in (told[name], told.get(f"_{name}", [True] * self.count)))
+        return torch.where(is_told, success, terminated)
 
     # --- checkpoints -----------------------------------------------------------------------
 

@@ -1,5 +1,7 @@
 """Many streams: returns over ragged decisions, automatic resets, budgets, and runs that resume to the same bits."""
 
+import dataclasses
+
 import gymnasium
 import numpy as np
 import pytest
@@ -12,6 +14,8 @@ from hrl_escape.agents.components.bonuses import BonusSettings, CountBonus
 from hrl_escape.agents.components.policy_gradient import compute_advantages, compute_log_policy
 from hrl_escape.agents.streams import StreamTransitions
 from hrl_escape.agents.training.vector_streams import VectorStreams
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.deep_sea import DeepSeaConfig
 from hrl_escape.env.vector_env import EscapeRoomVectorEnv
 from hrl_escape.errors import AgentSettingsError, DiscountMismatchError
 from hrl_escape.options.batched.env import BatchedOptionsEnv
@@ -174,6 +178,27 @@ def test_trap_13_no_outcome_shows_the_next_episode_whichever_way_the_environment
         assert over == (after[1] == 2 + before[0] % 3)
 
 
+class Failing(Counting):
+    """Of the episodes that terminate, every other one fails; only an episode's end tells of success."""
+
+    def step(self, action):
+        *rest, terminated, truncated, info = super().step(action)
+        told = {"success": self.episode % 4 == 0} if terminated else {}
+        return *rest, terminated, truncated, info | told
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_an_episode_that_ends_in_failure_is_no_success_whichever_way_the_environment_resets(mode):
+    streams = VectorStreams(SyncVectorEnv([Failing] * 3, autoreset_mode=mode), 0.99)
+    streams.reset(0)
+    found = []
+    for _ in range(40):
+        step = streams.step(torch.zeros(3, dtype=torch.int64))
+        rows = (step.where & (step.terminated | step.truncated)).nonzero().squeeze(1)
+        found += zip(step.observation[rows, 0].tolist(), step.success[rows].tolist(), strict=True)
+    assert len(found) > 20 and all(success == (episode % 4 == 0) for episode, success in found)
+
+
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_rooms_of_the_batched_engine_show_the_state_that_their_episode_ended_in(mode):
     room = EscapeRoomVectorEnv(8, "paper-one-button", observation="state", output="torch", autoreset_mode=mode)
@@ -256,6 +281,24 @@ def test_the_budget_is_in_primitives_of_all_streams_and_of_every_option(name):
     last = result.segments[-1]
     assert (last.primitives, last.decisions) == (result.primitives, result.decisions)
     assert len(result.evaluations) >= 2 and sum(segment.episodes for segment in result.segments) > 0
+
+
+def test_a_failed_sea_is_logged_as_no_success():
+    class Counted(BatchedOptionsEnv):
+        ends = successes = 0
+
+        def step(self, action):
+            done = super().step(action)
+            self.ends += int((done.where & (done.terminated | done.truncated)).sum())
+            self.successes += int((done.where & done.success).sum())
+            return done
+
+    sea = dataclasses.replace(get_preset("deep-sea"), puzzle=DeepSeaConfig(size=3))
+    env = Counted(8, sea, discount=0.99, include_primitives=False)
+    segments = train("smdp-ppo", env, primitives=4_000, settings=SMALL, eval_episodes=0).segments
+    assert sum(segment.episodes for segment in segments) == env.ends
+    assert sum(segment.successes for segment in segments) == env.successes
+    assert 0 < env.successes < env.ends
 
 
 def test_a_rollout_longer_than_the_time_between_evaluations_is_learned_from_and_cut_where_episodes_were_dropped():
