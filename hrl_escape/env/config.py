@@ -39,10 +39,10 @@ __all__ = [
 ]
 
 CONTACT_SKIN = 1e-3
-"""Clearance in metres that the body keeps from every solid."""
+"""Clearance that the body keeps from every solid, m."""
 
 PASSAGE_SLACK = 0.15
-"""Free metres on each side of the body in every passage that a room's certificate counts on,
+"""Free width on each side of the body, m, in every passage that a room's certificate relies on,
 so that whole primitives find their way through."""
 
 FINEST_CELL = 0.1
@@ -89,7 +89,7 @@ class ShapeConfig(Schematic):
     wall_thickness: Annotated[float, Range(0.02, 2, "m")] = 0.2
     """Thickness of all walls."""
     rooms: Annotated[int, Range(1, 16)] = 1
-    """Rooms that interior walls divide the floor into."""
+    """Number of rooms into which interior walls divide the floor."""
     doorway_width: Annotated[float, Range(0.2, 50, "m")] = 2.5
     """Width of the doorway in each interior wall."""
     cell: Annotated[float, Range(0.5, 20, "m")] = 1.0
@@ -125,15 +125,15 @@ class RobotConfig(Schematic):
     body_height: Annotated[float, Range(0.05, 10, "m")] = 1.0
     """Height of the base; the arm is mounted on top."""
     joints: Annotated[int, Range(0, 7)] = 0
-    """Arm joints that can be moved (the first ones of a named arm)."""
+    """Number of arm joints that primitives move (the first ones of a named arm)."""
     link_length: Annotated[float, Range(0.01, 20, "m")] = 0.5
     """Length of each link of the generated arm."""
     mount_forward: Annotated[float, Range(-5, 5, "m")] = 0.0
     """Offset of the arm's mount ahead of the base's axis."""
     joint_limit_deg: Annotated[float, Range(0, 180, "deg", open_low=True)] = 60.0
-    """Joints of the generated arm move within plus or minus this."""
+    """Largest angle of the generated arm's joints, to either side."""
     hand_radius: Annotated[float, Range(0.001, 1, "m")] = 0.05
-    """Radius of the sphere at the last link's end that presses."""
+    """Radius of the hand, the sphere at the end of the last link that presses."""
     move_step: Annotated[float, Range(0, 20, "m", open_low=True)] = 1.0
     """Distance of one forward, back or strafe primitive."""
     turn_step_deg: Annotated[float, Range(1, 180, "deg")] = 10.0
@@ -145,13 +145,13 @@ class RobotConfig(Schematic):
     hand_link: str | None = None
     """Link of the URDF whose origin is the hand (default: the last link)."""
     gripper: bool = False
-    """Two primitives more, grip and release, for puzzles in which things are picked up."""
+    """Adds the primitives grip and release, for puzzles in which things are picked up."""
     use: bool = False
-    """One primitive more, use, for puzzles in which things ahead are opened and shut (with `gripper`)."""
+    """Adds the primitive use, for puzzles in which things ahead are opened and shut (needs `gripper`)."""
     drive: DriveKind = "strafing"
     """The base moves along and across its heading, or (differential) along it only, and turns on the spot."""
     moves: tuple[Move, ...] = ()
-    """Further primitives of the base, beside those of its drive."""
+    """Primitives of the base in addition to those of its drive."""
     footprint: str = "disc"
     """Outline of the base on the floor, centred on its axis: a disc, which turns anywhere, or a rectangle."""
     body_length: Annotated[float, Range(0.1, 10, "m")] = 1.2
@@ -161,7 +161,7 @@ class RobotConfig(Schematic):
 
     @property
     def base(self) -> Base:
-        """The base itself, without clearance."""
+        """Base of this robot, without clearance."""
         return _measure_base(self)
 
     @property
@@ -185,7 +185,7 @@ class RobotConfig(Schematic):
         return make_action_table(self.joints, self.gripper, self.drive, self.use, self.move_step, self.moves)
 
     def check(self) -> None:
-        """Check what spans several fields."""
+        """Check the limits that relate several fields."""
         turns = 360 / self.turn_step_deg
         if abs(turns - round(turns)) > 1e-9:
             raise ConfigError("robot.turn_step_deg", self.turn_step_deg, "a divisor of 360, such as 10, 15 or 30")
@@ -214,7 +214,7 @@ def _measure_base(robot: RobotConfig) -> Base:
 
 @dataclasses.dataclass(frozen=True)
 class ObstaclesConfig(Schematic):
-    """Boxes and cylinders strewn over the floor; they may touch each other, never block the way."""
+    """Boxes and cylinders on the floor; they may touch each other but never block the way."""
 
     _section = "obstacles"
     _takes_ranges = True
@@ -229,10 +229,10 @@ class ObstaclesConfig(Schematic):
     height: Annotated[float, Range(0.05, 50, "m")] = 1.0
     """Height of all obstacles."""
     aligned: bool = False
-    """Boxes stand parallel to the walls instead of at any yaw."""
+    """Boxes stand parallel to the walls instead of at a random yaw."""
 
     def check(self) -> None:
-        """Check what spans several fields."""
+        """Check the limits that relate several fields."""
         if self.size_min > self.size_max:
             raise ConfigError("obstacles.size_min", self.size_min,
                               f"at most obstacles.size_max = {self.size_max:g}")
@@ -253,10 +253,10 @@ class StartConfig(Schematic):
     heading_deg: Annotated[float, Range(-360, 360, "deg")] = 0.0
     """Fixed start heading, 0 along +x, counter-clockwise."""
     choices: Annotated[int, Range(1, 10_000)] = 1
-    """Random places held by the instance; the episode seed picks one."""
+    """Number of random start poses in an instance; the episode seed picks one."""
 
     def check(self) -> None:
-        """Check what spans several fields."""
+        """Check the limits that relate several fields."""
         if self.place != "random" and self.choices != 1:
             raise ConfigError("start.choices", self.choices, "1 unless start.place is 'random'")
 
@@ -316,7 +316,7 @@ class DynamicsConfig(Schematic):
     """A blocked move ends at contact, or is not made at all: robots then stay on the lattice of their moves."""
 
     def check(self) -> None:
-        """Check that bodies with inertia have only the dynamics of their own."""
+        """Check that physics leaves `blocked` and `slip_kind` at their defaults."""
         if self.kind == "physics" and (self.blocked, self.slip_kind) != ("contact", "stay"):
             raise ConfigError("dynamics.blocked", (self.blocked, self.slip_kind),
                               "'contact', and slip_kind 'stay', under physics")
@@ -359,7 +359,7 @@ class RoomConfig(Schematic):
     """Primitives after which an episode is truncated."""
 
     def check(self) -> None:
-        """Check what spans several parts."""
+        """Check the limits that relate several sections."""
         body = 2 * (self.robot.inner_radius + CONTACT_SKIN + PASSAGE_SLACK + self.room.resolution)
         if self.room.rooms > 1 and self.room.doorway_width <= body:
             raise ConfigError("room.doorway_width", self.room.doorway_width,

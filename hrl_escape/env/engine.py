@@ -1,7 +1,7 @@
 """The door to the engines: the protocols that an engine and its renderer fulfil, and the factory that makes them.
 
-An engine makes one room move; `EscapeRoomEnv` runs on one. To add one, put its folder beside `bullet/` and its
-entry into `ENGINES`; the modules named there are imported when first used. Many rooms at once are the business of
+An engine makes one room move; `EscapeRoomEnv` runs on one. To add one, put its folder next to `bullet/` and its
+entry into `ENGINES`; the modules named there are imported when first used. Batches of rooms are in
 `vector_env.py` and `torchrl_env.py`.
 """
 
@@ -76,7 +76,7 @@ class Engine(Protocol):
 
 
 class Renderer(Protocol):
-    """A source of pictures of one engine's room."""
+    """Renderer of one engine's room."""
 
     def render(self, camera: str, width: int, height: int, *,
                trail: Sequence[tuple[float, float]] = ()) -> NDArray[np.uint8]:

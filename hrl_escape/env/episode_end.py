@@ -8,7 +8,7 @@ __all__ = ["EpisodeEnd"]
 
 
 class EpisodeEnd(str, Enum):
-    """End of an episode; `STOPPED` stands for one that nothing has ended."""
+    """End of an episode; `STOPPED` means that the episode could go on."""
 
     ESCAPED = "escaped"
     """The puzzle is solved, and the robot stands in the exit."""
@@ -21,7 +21,7 @@ class EpisodeEnd(str, Enum):
 
     @classmethod
     def of_step(cls, success: bool, terminated: bool, truncated: bool) -> EpisodeEnd:
-        """The end that a step's flags tell of; `success` is `info["success"]`, which alone means an escape."""
+        """Return the end by the flags of a step; `success` is `info["success"]`, and only it means an escape."""
         if terminated:
             return cls.ESCAPED if success else cls.FAILED
         return cls.TRUNCATED if truncated else cls.STOPPED
@@ -33,5 +33,5 @@ class EpisodeEnd(str, Enum):
 
     @property
     def words(self) -> str:
-        """The end in words for people."""
+        """Describe the end in words, for pages and commands."""
         return {"truncated": "out of time", "stopped": "still inside"}.get(self.value, self.value)

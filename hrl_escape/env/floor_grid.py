@@ -1,8 +1,8 @@
 """The grid over a room's floor: cells and their clearances, connected parts, and waves from a goal.
 
-Every part that cuts the floor into cells does so with a `FloorGrid`, each with cells of its own size: the certificate
+Every grid over the floor is a `FloorGrid`, each with its own size of cells: the certificate
 (`sampling/free_space.py`), clearances and cost-to-go (`hrl_escape.floor`), batched options, pushes and maps of reach.
-Nothing here knows a robot.
+This module knows no robot.
 """
 
 from __future__ import annotations

@@ -111,7 +111,7 @@ def compute_first_contact(x: float, y: float, dx: float, dy: float, radius: floa
         shape: the outline that may be hit.
 
     Returns:
-        The fraction in [0, 1), or infinity if the disc gets by. A disc that touches already
+        The fraction in [0, 1), or infinity if the disc gets by. A disc already in contact
         is stopped (0) only if it moves towards the shape; sliding along it is free. The
         set of touching centres is convex, so its boundary is met at most once.
     """
@@ -131,7 +131,7 @@ def compute_first_contact(x: float, y: float, dx: float, dy: float, radius: floa
             return _meet_circle(qx, qy, vx, vy, radius)
     elif max(qx, qy) <= radius:
         return 0.0 if (vx if qx > qy else vy) < -_GRAZE * (abs(vx) + abs(vy)) else math.inf
-    # outside: enter the box grown by the radius, then look whether it was at a rounded corner; distances are
+    # outside: enter the box grown by the radius, then test whether it was at a rounded corner; distances are
     # the ones compared above (radius - qx, not wide - ox), or rounding could take a touching disc for one inside
     wide, high = half_x + radius, half_y + radius
     enter, leave, side = 0.0, 1.0, -1
@@ -171,7 +171,7 @@ def _meet_circle(px: float, py: float, vx: float, vy: float, radius: float) -> f
         return 0.0 if along < -_GRAZE * radius * math.sqrt(square) else math.inf
     cross, most = px * vy - py * vx, square * radius * radius
     root = most - cross * cross  # along**2 - square * gap, without its cancellation
-    if root <= _TANGENT * most:  # a tangent is no hit, however it is rounded
+    if root <= _TANGENT * most:  # a tangent is no hit, whatever the rounding
         return math.inf
     fraction = gap / (-along + math.sqrt(root))
     return fraction if fraction < 1.0 else math.inf
@@ -206,7 +206,7 @@ def compute_distance_many(points: NDArray[np.float64], shapes: NDArray[np.float6
 
 
 class Neighbourhood:
-    """Footprints that can be asked which of them may be near a place.
+    """Footprints of a room, with queries for those near a place.
 
     Args:
         footprints: all of them.
@@ -229,7 +229,7 @@ class Neighbourhood:
 
 
 class InnerDoors:
-    """Inner doors of a room: those that are shut, as the puzzle's state says, and those that may be met.
+    """Inner doors of a room: which of them are shut in a state of the puzzle, and which a step may meet.
 
     A door cannot shut on the robot: one in which the body stands lets it out.
 
@@ -268,7 +268,7 @@ class InnerDoors:
         return shut
 
     def list_near(self, x: float, y: float, puzzle: Hashable) -> Iterator[Footprint]:
-        """Outlines of those that a step from a place could meet."""
+        """Outlines of the shut doors that a step from a place could meet."""
         shut = self.get_shut(puzzle)
         cell = math.floor(x), math.floor(y)
         near = self._cells.get(cell)
@@ -282,7 +282,7 @@ class InnerDoors:
                 yield door
 
     def push(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable) -> Hashable:
-        """State of the puzzle once a move from a place has pushed what it would meet, if that can be pushed."""
+        """State of the puzzle after a move from a place has pushed the thing in its way, if it can be pushed."""
         ahead = -1 if self._push is None else self.find_at(x + dx, y + dy)
         if self._push is None or ahead < 0 or not self.get_shut(puzzle) >> ahead & 1:
             return puzzle

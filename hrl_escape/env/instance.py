@@ -36,7 +36,7 @@ SCHEMA_VERSION = 1
 
 @dataclasses.dataclass(frozen=True)
 class Target(Schematic):
-    """A box on a wall that can be pressed, in kinematic mode it blocks nothing; or a pad on the floor."""
+    """A pressable box on a wall, which blocks nothing in kinematic rooms, or a pad on the floor."""
 
     _section = "target"
     name: str = "button-1"
@@ -79,13 +79,13 @@ class Rectangle(Schematic):
     """Largest y, the north edge."""
 
     def check(self) -> None:
-        """Check that no edge has passed its opposite."""
+        """Check that x_min <= x_max and y_min <= y_max."""
         if self.x_min > self.x_max or self.y_min > self.y_max:
             raise ConfigError("rectangle", (self.x_min, self.x_max, self.y_min, self.y_max),
                               "x_min of at most x_max, and y_min of at most y_max")
 
     def contains(self, x: float, y: float) -> bool:
-        """Say whether a point is inside; edges count."""
+        """Return whether a point is inside the rectangle, edges included."""
         return self.x_min <= x <= self.x_max and self.y_min <= y <= self.y_max
 
     @property
@@ -139,7 +139,7 @@ class SpaceLayout(Schematic):
     wall_height: Annotated[float, Range(0, LARGEST_LENGTH, "m")] = 3.0
     """Largest height of walls."""
     target_names: tuple[str, ...] = ()
-    """Names of the targets of the instance that has most."""
+    """Names of the targets of the instance with the most targets."""
     bounds: tuple[tuple[float, float], ...] = ()
     """Lowest and highest value of each of the puzzle's numbers."""
 
@@ -248,7 +248,7 @@ class RoomInstance(Schematic):
 
     @cached_property
     def frame(self) -> SpaceLayout:
-        """Layout and scale of what is observed here."""
+        """Layout and scale of observations in this room: the schematic's, or the room's own."""
         return self.shared or SpaceLayout(self.reach_x, self.reach_y, self.wall_height, self.puzzle.target_names,
                                           self.puzzle.bounds)
 
@@ -291,7 +291,7 @@ class RoomInstance(Schematic):
         return self.robot.outer_radius + margin if is_body else margin
 
     def compute_press_margin(self, target: Target, hand_height: float = 0.0) -> float:
-        """Largest floor distance of the body's outline (or of the hand, or of the axis over a pad); -1 for never."""
+        """Largest floor distance at which the outline (or hand, or over a pad the axis) touches, m; -1 for never."""
         if target.kind == "pad":
             return 0.0
         if self.dynamics.press_with == "hand":

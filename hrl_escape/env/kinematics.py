@@ -41,7 +41,7 @@ class Rules(RobotPoses):
 
     Args:
         instance: the room.
-        is_still: nothing is random, as planners suppose: no noise, no slip, and a puzzle's most likely outcomes.
+        is_still: no randomness, as planners assume: no noise, no slip, and a puzzle's most likely outcomes.
 
     Attributes:
         instance: the room.
@@ -74,7 +74,7 @@ class Rules(RobotPoses):
             self._push if isinstance(self._puzzle, Pushing) else None)
 
     def _push(self, state: Hashable, ahead: int, beyond: int) -> Hashable:
-        """State of the puzzle after a move that would push what is in one inner door's cell into another's."""
+        """State of the puzzle after a move that pushes the thing in one inner door's cell into another cell."""
         return self._puzzle.update(state, Contacts((), grip=PUSH, ahead=ahead, beyond=beyond))
 
     # --- touching --------------------------------------------------------------------
@@ -163,14 +163,14 @@ class Rules(RobotPoses):
         return Transition(state, reward, terminated, not terminated and count >= self._horizon, pressed)
 
     def has_escaped(self, state: RoomState) -> bool:
-        """The exit is open and the robot stands in it."""
+        """Return whether the exit is open and the robot stands in it."""
         return self._puzzle.is_solved(state.puzzle) and self._exit.contains(state.x, state.y)
 
 
 class Kinematics(Rules):
     """The kinematic MDP of an instance: exact first contact, no sliding, arms pass through.
 
-    A base does not turn at all where a solid is in the way of any part of the turn.
+    A base does not turn at all if a solid blocks any part of the turn.
     """
 
     def __init__(self, instance: RoomInstance, is_still: bool = False) -> None:
@@ -210,7 +210,7 @@ class Kinematics(Rules):
         return self.judge(state, moved, grip=primitive.grip)
 
     def _slide(self, state: RoomState, action: int, scale: float, share: float) -> int:
-        """Translation that one slips to, by a uniform number; another primitive does not slip."""
+        """Translation that a slipping one becomes, chosen by a uniform number; other primitives do not slip."""
         others = self._slips[action]
         if self._slip_kind == "neighbour":
             others = tuple(n for n in others if self._is_free(state, n, scale))
@@ -224,7 +224,7 @@ class Kinematics(Rules):
         return self.compute_free_fraction(state.x, state.y, dx, dy, state.puzzle, turned) >= 1.0
 
     def _compute_displacement(self, state: RoomState, action: int, scale: float) -> tuple[float, float]:
-        """Displacement of a translation that nothing blocks, m."""
+        """Displacement (x, y) of a translation before any contact, m."""
         steps, offset = state.heading_steps, state.heading_offset
         if offset == 0.0:
             dx, dy = self._moves[action][steps]
@@ -248,7 +248,7 @@ class Kinematics(Rules):
 
     def compute_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable,
                               rotation: tuple[float, float] = _AHEAD) -> float:
-        """Share in [0, 1] of a displacement that the body, turned like that, can make with its clearance kept."""
+        """Share in [0, 1] of a displacement that the body at this rotation can make while it keeps its clearance."""
         near = self._get_near_solids(x, y) if abs(dx) + abs(dy) <= 1.5 * self._span else self.footprints
         fraction = self._base.find_free_fraction(x, y, rotation, dx, dy, near)
         if self._door is None and self.inner_doors is None:
@@ -257,7 +257,7 @@ class Kinematics(Rules):
         return min(fraction, self._base.find_free_fraction(x, y, rotation, dx, dy, shut)) if shut else fraction
 
     def can_turn(self, state: RoomState, to: tuple[float, float], turn: float) -> bool:
-        """Say whether the base can turn by an angle in rad to a rotation where it stands."""
+        """Return whether the base can turn on the spot by an angle in rad to a rotation."""
         if self._base.turns_anywhere:
             return True
         x, y, rotation = state.x, state.y, self.get_rotation(state.heading_steps, state.heading_offset)
@@ -265,12 +265,12 @@ class Kinematics(Rules):
         return self._base.can_turn(x, y, rotation, to, turn, shapes)
 
     def _list_shut(self, x: float, y: float, puzzle: Hashable, rotation: tuple[float, float]) -> tuple[Footprint, ...]:
-        """The exit's door, if it is shut, and the inner doors near a place that are."""
+        """Shut doors near a place: the exit's door and the inner doors."""
         doors = tuple(self.inner_doors.list_near(x, y, puzzle)) if self.inner_doors else ()
         return (self._door, *doors) if self._door and self.is_door_shut(x, y, puzzle, rotation) else doors
 
     def is_door_shut(self, x: float, y: float, puzzle: Hashable, rotation: tuple[float, float] = _AHEAD) -> bool:
-        """Say whether the exit has a door that is shut; it cannot close on a robot standing in it."""
+        """Return whether the exit has a shut door; it cannot close on a robot that stands in it."""
         if self._door is None or self._puzzle.is_solved(puzzle):
             return False
         return not self._base.stands_in(x, y, rotation, self._door)

@@ -17,9 +17,9 @@ _MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
 _WEYL = (0x9E3779B9, 0xBB67AE85)
 ROUNDS = 10
 EPISODE_PURPOSE = 1
-"""Third word of the counter for draws at an episode's start, told apart from noise, whose word is 0."""
+"""Third word of the counter for draws at an episode's start; noise has the word 0."""
 CHANCE_PURPOSE = 2
-"""Third word of the counter for what is random in a puzzle."""
+"""Third word of the counter for the random outcomes of a puzzle."""
 PUZZLE_PURPOSE = 3
 """Third word of the counter for the puzzle's first state."""
 
@@ -41,7 +41,7 @@ def draw_episode(seed: int, episode: int, starts: int) -> tuple[int, int]:
     Args:
         seed: key of the environment's random numbers, 64 bits.
         episode: number of the episode since seeding, from 0.
-        starts: starts there are.
+        starts: number of starts.
     """
     counter = (episode & _MASK, episode >> 32, EPISODE_PURPOSE, 0)
     first, second, third, _ = philox(counter, (seed & _MASK, seed >> 32 & _MASK))
@@ -54,7 +54,7 @@ def draw_puzzle_start(key: int, starts: int) -> int:
 
 
 def draw_chance(key: int, primitive: int) -> float:
-    """Return the uniform number in (0, 1) that decides what is random in a puzzle at a primitive of an episode."""
+    """Return the uniform number in (0, 1) that decides a puzzle's random outcome at a primitive of an episode."""
     word, *_ = philox((primitive & _MASK, primitive >> 32, CHANCE_PURPOSE, 0), (key & _MASK, key >> 32))
     return (word + 0.5) / 2**32
 

@@ -1,7 +1,7 @@
 """Bases of robots: the outline on the floor, in numbers and in tensors, one file each.
 
-Nothing else asks what shape a robot is: rules, engines, certificate and planners ask its `Base` where it fits, what it
-meets first and what is in the way of its turns. A further base is its file and a line in `BASES`.
+No other module depends on a robot's shape: rules, engines, certificate and planners ask its `Base` where it fits,
+what it meets first and what blocks its turns. A new base is one file and one line in `BASES`.
 """
 
 from __future__ import annotations
@@ -13,4 +13,4 @@ from hrl_escape.env.bases.rectangle import RectangularBase
 __all__ = ["BASES", "Base", "Disc", "RectangularBase", "TensorBase"]
 
 BASES: dict[str, type[Base]] = {"disc": Disc, "rectangle": RectangularBase}
-"""Bases by the name that `robot.footprint` has."""
+"""Base classes, keyed by the values of `robot.footprint`."""

@@ -1,6 +1,6 @@
 """The contract of all bases, and what follows from it.
 
-A base is stated by four pure functions of numbers, which planners also compile as they stand, and by their twins in
+A base is defined by four pure functions of numbers, which planners compile unchanged, and by their counterparts in
 tensors. Poses are those of its axis. Metres, radians.
 """
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 __all__ = ["STANDS_IN", "Base", "TensorSolids", "TensorBase"]
 
 STANDS_IN = 1e-6
-"""Depth in metres from which on a base stands in a shut door, which then lets it out."""
+"""Overlap with a shut door, m, beyond which a base counts as standing in it: the door then lets it out."""
 
 
 class TensorSolids(Protocol):
@@ -45,7 +45,7 @@ class TensorSolids(Protocol):
 
 
 class TensorBase(Protocol):
-    """A base where it stands in each room of a batch; shapes come first, rooms last."""
+    """A base placed in each room of a batch; in its tensors shapes come first, rooms last."""
 
     def find_free_fraction(self, dx: Tensor, dy: Tensor, solids: TensorSolids) -> Tensor:
         """Share in [0, 1] of displacements until the first contact with any solid, float64 (rooms,)."""
@@ -60,11 +60,11 @@ class TensorBase(Protocol):
         ...
 
     def stands_in(self, shapes: Shapes) -> Tensor:
-        """Return true where it overlaps outlines by more than `STANDS_IN`, bool (shapes, rooms)."""
+        """Return true where the base overlaps outlines by more than `STANDS_IN`, bool (shapes, rooms)."""
         ...
 
     def is_turn_blocked(self, to_cos: Tensor, to_sin: Tensor, turn: Tensor, shapes: Shapes) -> Tensor:
-        """Return true where an outline is in the way of a turn by an angle in rad, bool (shapes, rooms)."""
+        """Return true where an outline blocks a turn by an angle in rad, bool (shapes, rooms)."""
         ...
 
 
@@ -73,12 +73,12 @@ class Base(ABC):
     """The outline of a robot on the floor.
 
     Attributes:
-        size: distances of its sides from its axis, m; they all grow with a clearance.
-        turns_anywhere: it covers the same floor at every heading. Only such bases carry what knows no headings: puzzles
-            with inner doors or props, batched options, paths of places and their smoothing, repaired fields.
+        size: distances of its sides from its axis, m; each grows by the clearance.
+        turns_anywhere: true if it covers the same floor at every heading. Parts that ignore headings need such a base:
+            puzzles with inner doors or props, batched options, paths of places and their smoothing, repaired fields.
         symmetry: number of headings, evenly spread over a full turn, at which it covers the same; 0 if all do.
-        front_field: setting of the robot that is the distance to its side ahead, for messages.
-        width_field: setting that says how wide it is.
+        front_field: name of the setting that gives the distance to its front, for messages.
+        width_field: name of the setting that gives its width, for messages.
         contact: (x, y, cos, sin, size, dx, dy, footprint) -> share in [0, 1) of a displacement at which it first meets
             the footprint, or infinity; one that touches already is stopped (0) only if it moves inwards.
         gap: (x, y, cos, sin, size, footprint) -> gap, negative where they overlap: it has the sign of the distance and
@@ -116,20 +116,20 @@ class Base(ABC):
     @property
     @abstractmethod
     def front(self) -> float:
-        """Distance from the axis to its side ahead, m."""
+        """Distance from the axis to the front, m."""
 
     @property
     @abstractmethod
     def corners(self) -> tuple[tuple[float, float], ...]:
-        """Its corners in its own frame, counter-clockwise, m; none if it is round."""
+        """Corners (x, y) in the base's own frame, counter-clockwise, m; empty for a round base."""
 
     @abstractmethod
     def describe(self) -> str:
-        """It and its sizes in words, for messages."""
+        """Describe shape and sizes in words, for messages."""
 
     @abstractmethod
     def make_link(self, name: str, mass: float, height: float) -> ElementTree.Element:
-        """Make its link of a URDF, upright on the floor; kg, m."""
+        """Make the base's URDF link, upright on the floor; kg, m."""
 
     @abstractmethod
     def place(self, x: Tensor, y: Tensor, find_rotation: Callable[[], tuple[Tensor, Tensor]]) -> TensorBase:
@@ -158,7 +158,7 @@ class Base(ABC):
         return self.distance(x, y, *rotation, self.size, shape)
 
     def stands_in(self, x: float, y: float, rotation: tuple[float, float], shape: Footprint) -> bool:
-        """Return whether it overlaps a footprint by more than `STANDS_IN`: a shut door then lets it out."""
+        """Return whether the base overlaps a footprint by more than `STANDS_IN`: a shut door then lets it out."""
         return self.gap(x, y, *rotation, self.size, shape) < -STANDS_IN
 
     def can_turn(self, x: float, y: float, rotation: tuple[float, float], to: tuple[float, float], turn: float,
@@ -167,6 +167,6 @@ class Base(ABC):
         return not any(self.blocks_turn(x, y, *rotation, *to, turn, self.size, shape) for shape in shapes)
 
     def find_corners_at(self, x: float, y: float, heading: float) -> Sequence[tuple[float, float]]:
-        """Its corners where it stands, counter-clockwise, m; none if it is round."""
+        """Corners (x, y) of the base at a pose, counter-clockwise, m; empty for a round base."""
         cos, sin = math.cos(heading), math.sin(heading)
         return [(x + cos * a - sin * b, y + sin * a + cos * b) for a, b in self.corners]

@@ -88,19 +88,19 @@ class Disc(Base):
         return least
 
     def stands_in(self, x: float, y: float, rotation: tuple[float, float], shape: Footprint) -> bool:
-        """Return whether it overlaps a footprint by more than `STANDS_IN`."""
+        """Return whether the disc overlaps a footprint by more than `STANDS_IN`."""
         return compute_distance(x, y, shape) < self.size[0] - STANDS_IN
 
     def describe(self) -> str:
-        """It and its sizes in words, for messages."""
+        """Describe shape and radius in words, for messages."""
         return f"a body of radius {self.size[0]:g} m"
 
     def make_link(self, name: str, mass: float, height: float) -> ElementTree.Element:
-        """Make its link of a URDF, upright on the floor; kg, m."""
+        """Make the base's URDF link, upright on the floor; kg, m."""
         return make_cylinder_link(name, mass, self.size[0], height, f"0 0 {height / 2!r}", "0 0 0")
 
     def place(self, x: Tensor, y: Tensor, find_rotation: Callable[[], tuple[Tensor, Tensor]]) -> TensorDisc:
-        """Place it in each room of a batch, at whatever heading."""
+        """Place the disc in each room of a batch; the heading does not matter."""
         return TensorDisc(x, y, self.size[0])
 
 
@@ -135,7 +135,7 @@ class TensorDisc(NamedTuple):
         nearly = torch.relu(nearly).to(torch.float64)
         exactly = refine_first_contact(*motion, solids.gather(which), nearly)[0].clamp(0.0, 1.0)
         exactly = torch.where((exactly - nearly).abs() < 1e-3, exactly, nearly)
-        return store(torch.where(nearly < 1.0, exactly, nearly))  # let by one solid, it may meet another
+        return store(torch.where(nearly < 1.0, exactly, nearly))  # it passes one solid and may still meet another
 
     def compute_first_contact(self, dx: Tensor, dy: Tensor, shapes: Shapes) -> Tensor:
         """Share in [0, 1] of displacements until the first contact with each outline, (shapes, rooms)."""
@@ -156,7 +156,7 @@ class TensorDisc(NamedTuple):
         return compute_distance(self.x, self.y, shapes) < self.radius - STANDS_IN
 
     def is_turn_blocked(self, to_cos: Tensor, to_sin: Tensor, turn: Tensor, shapes: Shapes) -> Tensor:
-        """Nothing is in the way of a turn, bool (shapes, rooms)."""
+        """All false, for a disc turns freely, bool (shapes, rooms)."""
         import torch
 
         return torch.zeros_like(shapes.x + self.x, dtype=torch.bool)

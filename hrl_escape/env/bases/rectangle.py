@@ -32,7 +32,7 @@ __all__ = ["TOUCH", "RectangularBase", "compute_base_contact", "compute_base_dis
            "measure_base_gap"]
 
 TOUCH = 1e-9
-"""Depth in metres to which a base that touches a solid may be inside it, by rounding."""
+"""Depth, m, to which rounding may put a base inside a solid that it touches."""
 _GRAZE = 1e-9
 _SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
@@ -86,10 +86,10 @@ def compute_base_contact(x: float, y: float, cos: float, sin: float, size: tuple
         away, speed = abs(place) - half, dx * axis_x + dy * axis_y
         if place < 0.0:
             speed = -speed
-        if deepest <= TOUCH:  # it touches: stopped if it moves inwards across all sides that it is at
+        if deepest <= TOUCH:  # in contact: stopped if it moves inwards across every side that it touches
             if away >= deepest - TOUCH and speed >= -graze:
                 return math.inf
-        elif away >= -TOUCH and speed >= -graze:  # a side that is grazed is no hit, however it is rounded
+        elif away >= -TOUCH and speed >= -graze:  # grazing a side is no hit, whatever the rounding
             return math.inf
         elif away > 0.0:
             enter, leave = max(enter, away / -speed), min(leave, (away + 2.0 * half) / -speed)
@@ -144,7 +144,7 @@ def _find_nearest_corner(box: Footprint, other: Footprint) -> float:
 
 def is_turn_blocked(x: float, y: float, cos: float, sin: float, to_cos: float, to_sin: float, turn: float,
                     size: tuple[float, ...], shape: Footprint) -> bool:
-    """Return whether a footprint is in the way of a rectangle, clear of it, that turns about its centre.
+    """Return whether a footprint blocks the turn of a rectangle about its centre; the two are apart before it.
 
     Args:
         x: centre of the rectangle.
@@ -214,15 +214,15 @@ class RectangularBase(Base):
         return (-long, -wide), (long, -wide), (long, wide), (-long, wide)
 
     def describe(self) -> str:
-        """It and its sizes in words, for messages."""
+        """Describe shape and sizes in words, for messages."""
         return f"a base of {2 * self.size[0]:g} x {2 * self.size[1]:g} m"
 
     def make_link(self, name: str, mass: float, height: float) -> ElementTree.Element:
-        """Make its link of a URDF, upright on the floor; kg, m."""
+        """Make the base's URDF link, upright on the floor; kg, m."""
         return make_box_link(name, mass, (2 * self.size[0], 2 * self.size[1], height), f"0 0 {height / 2!r}")
 
     def place(self, x: Tensor, y: Tensor, find_rotation: Callable[[], tuple[Tensor, Tensor]]) -> TensorRectangle:
-        """Place it in each room of a batch."""
+        """Place the rectangle in each room of a batch."""
         return TensorRectangle(x, y, *find_rotation(), self.size)
 
 
@@ -303,7 +303,7 @@ class TensorRectangle(NamedTuple):
         return self.compute_first_contact(dx, dy, solids.list_all()).amin(0)
 
     def stands_in(self, shapes: Shapes) -> Tensor:
-        """Return true where it overlaps outlines by more than `STANDS_IN`, bool (shapes, rooms)."""
+        """Return true where the rectangle overlaps outlines by more than `STANDS_IN`, bool (shapes, rooms)."""
         return self.measure_gap(shapes) < -STANDS_IN
 
     def compute_first_contact(self, dx: Tensor, dy: Tensor, shapes: Shapes) -> Tensor:
@@ -332,7 +332,7 @@ class TensorRectangle(NamedTuple):
         return torch.where(shapes.rounding > 0.0, disc, box)
 
     def is_turn_blocked(self, to_cos: Tensor, to_sin: Tensor, turn: Tensor, shapes: Shapes) -> Tensor:
-        """Return true where an outline is in the way of a turn by an angle in rad, bool (shapes, rooms)."""
+        """Return true where an outline blocks a turn by an angle in rad, bool (shapes, rooms)."""
         import torch
 
         half_length, half_width = self.size

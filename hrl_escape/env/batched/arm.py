@@ -31,8 +31,8 @@ class Link(NamedTuple):
         rotation: orientation in the parent link, rows of a matrix.
         axis: unit axis; empty for a fixed joint.
         slides: True for a prismatic joint.
-        number: which of the robot's joints it is, or -1.
-        rest: its value if it is none of them, rad or m.
+        number: index among the joints that primitives move, or -1.
+        rest: value that it keeps if no primitive moves it, rad or m.
     """
 
     offset: tuple[float, ...]
@@ -64,7 +64,7 @@ class Arm(NamedTuple):
 
 
 def make_arm(robot: Robot) -> Arm:
-    """Take the chain of joints that moves the hand from a robot."""
+    """Extract from a robot the chain of joints that moves its hand."""
     links = []
     for joint in robot.chain:
         origin = joint.origin.round(15).tolist()  # entries that are 0 or 1 up to rounding cost nothing

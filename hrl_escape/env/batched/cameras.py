@@ -33,9 +33,9 @@ from hrl_escape.errors import UnsupportedError
 
 __all__ = ["BatchedCamera", "Pictures"]
 
-_CHUNK = 100_000  # pixels that a pass on a CPU works on: its numbers stay in a core's cache
+_CHUNK = 100_000  # pixels per pass on a CPU, few enough that the intermediate values stay in a core's cache
 _FAR = 1e6
-_FACES = 5  # of a box: nobody sees its bottom
+_FACES = 5  # of a box: no camera sees its bottom
 _SUN = (-0.397, 0.258, 0.894)
 _AMBIENT, _DIFFUSE = 0.74, 0.27
 
@@ -144,7 +144,7 @@ _VIEWS = {"robot": _view_robot, "overhead": _view_overhead}
 
 
 def _aim(form: _Form, view: _View) -> list[Tensor]:
-    """Directions through the pixels' middles, (rooms, pixels) each; their length along the camera's axis is 1."""
+    """Directions through the centres of the pixels, (rooms, pixels) each; their length along the camera's axis is 1."""
     device = view.eye[0].device
     tall = math.tan(math.radians(view.field / 2))
     columns = (torch.arange(form.width, device=device) + 0.5) * (2.0 / form.width) - 1.0
@@ -163,7 +163,7 @@ def _take(layout: Layout, form: _Form, tables: Tables, scenery: Scenery, state: 
     view = _VIEWS[form.camera](layout, things, form, state, tables)
     ray = _aim(form, view)
     inverse = [1.0 / torch.where(part.abs() < 1e-9, 1e-9, part) for part in ray]
-    ground = -view.eye[2].unsqueeze(1) * inverse[2]  # where the ray comes to the floor's level
+    ground = -view.eye[2].unsqueeze(1) * inverse[2]  # where the ray reaches the level of the floor
     depth = torch.where(ray[2] < 0.0, ground, _FAR)
     floor_look = _find_floor_look(layout, tables, things, view, ray, depth, state)
     depth = torch.where(floor_look == 0, _FAR, depth)
@@ -216,7 +216,7 @@ def _tabulate(things: Scenery, looks: Tensor, rounds: int) -> Tensor:
 
 
 def _add_box_base(layout: Layout, tables: Tables, things: Scenery, state: TensorState) -> Scenery:
-    """Add the box round the robot's base as the last box, unless the base is round."""
+    """Append the robot's base to the boxes, unless it is round."""
     corners = layout.robot.base.corners
     if not corners:
         return things
@@ -256,7 +256,7 @@ def _is_within(x: Tensor, y: Tensor, area: Tensor) -> Tensor:
 
 
 def _find_looks(layout: Layout, form: _Form, tables: Tables, things: Scenery, state: TensorState) -> Tensor:
-    """Looks of all boxes now, int64 (boxes, rooms); 0 for those that are not there."""
+    """Looks of all boxes now, int64 (boxes, rooms); 0 for absent boxes."""
     puzzle, columns = pick_rules(layout, tables, state.instance)
     looks = things.looks.expand(-1, len(state.x)).clone()
     leaves, last = 2 if layout.has_door else 0, len(form.scenery.is_straight)

@@ -1,6 +1,6 @@
 """Steps of batches, fused into compiled kernels: traced once for tensors of certain shapes, then called directly.
 
-`torch.compile` looks again at every call whether its kernel still fits; for a few thousand rooms that takes as long as
+`torch.compile` checks at every call whether its kernel still fits; for a few thousand rooms that takes as long as
 the step. Here a batch keeps its shapes and types, so that comparing those is enough.
 """
 
@@ -30,17 +30,17 @@ _CPU_OPTIONS: dict[str, int] = {"unroll_reductions_threshold": 1, "realize_reads
 class CompiledStep:
     """A pure function of tensors in nested named tuples and dicts, compiled for one shape of its arguments.
 
-    It returns what the function returns; what that hands on as it is costs nothing.
+    It returns what the function returns; tensors that the function passes through unchanged cost nothing.
     """
 
     def __init__(self, step: Callable[..., Any], device: str, threads: int) -> None:
-        """Remember what to compile at the first call.
+        """Store the function; it is compiled at the first call.
 
         Args:
             step: the function.
             device: type of the device.
             threads: threads that a CPU kernel divides its rooms among. They are part of its code, but the compiler's
-                cache on disk would not know unless it is told.
+                cache on disk ignores them unless they are part of its key.
         """
         self._step = step
         self._options = _OPTIONS | (_CPU_OPTIONS | {"cpp.threads": threads} if device == "cpu" else {})
@@ -86,7 +86,7 @@ class CompiledStep:
             self._read = _make_reader(map_tensors(find, self._step(*read(inputs))))
             found = known[len(inputs):]
             self._flags = [number for number, tensor in enumerate(found) if tensor.dtype == torch.bool]
-            for number in self._flags:  # by way of words, for the compiler would write truth values byte by byte
+            for number in self._flags:  # through integer words: the compiler would write truth values byte by byte
                 found[number] = found[number].to(torch.int32).to(torch.uint8)
             return found
 
@@ -109,7 +109,7 @@ def _flatten(tree: Any, into: list[Tensor]) -> list[Tensor]:
 
 
 def _make_reader(tree: Any) -> Callable[[Sequence[Tensor]], Any]:
-    """Make the function that replaces the numbers in a tree by the tensors of these places."""
+    """Make the function that replaces each index in a tree by the tensor at that index."""
     if isinstance(tree, int):
         return itemgetter(tree)
     if tree is None:

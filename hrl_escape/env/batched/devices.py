@@ -1,4 +1,4 @@
-"""Devices of the batched engine: found by name and checked for a compiler; truth values as kernels combine them."""
+"""Devices of the batched engine: look-up by name, check for a compiler, and truth values in the form of the kernels."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ __all__ = ["as_flags", "check_compiler", "find_device"]
 
 
 def find_device(device: str | torch.device) -> torch.device:
-    """Return the device of a name.
+    """Return the torch device of a name, after a test that it holds double precision.
 
     Raises:
         ConfigError: this torch has no such device, or it lacks double precision.
@@ -25,7 +25,7 @@ def find_device(device: str | torch.device) -> torch.device:
         if found.type == "meta":
             raise TypeError("its tensors hold no numbers")
         return found
-    except (RuntimeError, AssertionError, TypeError) as error:  # each kind of device has its own way to be missing
+    except (RuntimeError, AssertionError, TypeError) as error:  # devices differ in the error for a missing one
         allowed = f"a device of this torch that has double precision ({str(error).splitlines()[0]})"
         raise ConfigError("device", str(device), allowed) from None
 

@@ -92,12 +92,12 @@ class Outcome(NamedTuple):
 
 def advance(layout: Layout, observation: BatchObservation, autoreset: Autoreset, tables: Tables, state: TensorState,
             action: Tensor) -> tuple[TensorState, Outcome]:
-    """One step of every room with its automatic reset and observation; the function that is compiled.
+    """Step every room, reset and observe it; this is the function that is compiled.
 
     With `next-step`, a room whose episode has ended ignores its action, begins anew and earns nothing;
     with `same-step`, it begins anew as soon as its episode ends; with `disabled`, it moves on.
     """
-    had_ended = state.has_ended.to(torch.int64) != 0  # as wide as what it chooses from
+    had_ended = state.has_ended.to(torch.int64) != 0  # as wide as the values it chooses between
     state, reward, terminated, truncated, pressed, escaped = step(layout, tables, state, action)
     if autoreset == "next-step":
         state = restart(layout, tables, state, had_ended)
@@ -134,7 +134,7 @@ class TensorRoom:
     """A batch of rooms, each an instance of its own choosing, that step together.
 
     Attributes:
-        instances: the instances there are; `state.instance` numbers them.
+        instances: all instances of the batch; `state.instance` indexes them.
         layout: the properties they share.
         tables: their numbers, on the device.
         count: number of rooms.
@@ -142,7 +142,7 @@ class TensorRoom:
         actions: number of primitives.
         low: smallest value of each number that a room shows, in any instance, float32.
         high: largest value of each.
-        rows: names of the objects whose rows the observation begins with, if any.
+        rows: names of the objects to which the observation's first rows belong, if any.
     """
 
     def __init__(
@@ -295,7 +295,7 @@ class TensorRoom:
         self._state = state
 
     def get_room_state(self, room: int) -> RoomState:
-        """One room's state as the scalar rules know it, for planners, cameras and the Bullet engine."""
+        """Return one room's state as a scalar `RoomState`, for planners, cameras and the Bullet engine."""
         one = map_tensors(lambda field: field[..., room].tolist(), self.state)
         word, puzzle = one.puzzle % 2**64, self.instances[one.instance].puzzle
         offsets = tuple(one.joint_offsets)
@@ -306,7 +306,7 @@ class TensorRoom:
         )
 
     def set_room_state(self, room: int, state: RoomState) -> None:
-        """Put one room into a state that the scalar rules gave; its instance and random stream stay.
+        """Put one room into a scalar `RoomState`; its instance and random stream stay.
 
         Raises:
             StateError: the state is of another robot, holds more than the kinematic rules know, or is one to which
@@ -362,7 +362,7 @@ class TensorRoom:
 
 
 def draw_seed() -> int:
-    """Draw a first seed from the system's entropy, for rooms that are given none."""
+    """Draw a first seed from the system's entropy, for rooms without a given one."""
     return secrets.randbits(62)
 
 

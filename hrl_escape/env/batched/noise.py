@@ -62,12 +62,12 @@ def compute_noise(key: Tensor, primitive: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def draw_chance(key: Tensor, primitive: Tensor) -> Tensor:
-    """Return the uniform numbers in (0, 1) that decide what is random in puzzles, float64 (rooms,)."""
+    """Return the uniform numbers in (0, 1) that decide the random outcomes of puzzles, float64 (rooms,)."""
     return (_run(key, primitive, CHANCE_PURPOSE)[0].to(torch.float64) + 0.5) / 2**32
 
 
 def draw_puzzle_start(key: Tensor, starts: Tensor) -> Tensor:
-    """Return the number of each puzzle's first state of its `starts`, int64 (rooms,)."""
+    """Return the index of each episode's first puzzle state among the puzzle's starts, int64 (rooms,)."""
     return scale_word(_run(key, torch.zeros_like(key), PUZZLE_PURPOSE)[0], starts)
 
 

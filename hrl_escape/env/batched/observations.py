@@ -1,4 +1,4 @@
-"""The rooms of a batch as its observations read them, and the observation of all of them at once."""
+"""The view of a batch that observations read, and the observation of all its rooms at once."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def observe(layout: Layout, tables: Tables, state: TensorState, observation: Bat
 
 
 def load_observation(name: str) -> BatchObservation:
-    """The form of an observation for batches.
+    """Return the batched form of an observation.
 
     Raises:
         UnsupportedError: the observation has none.
@@ -50,7 +50,7 @@ def compute_bounds(instances: Sequence[RoomInstance], name: str) -> tuple[NDArra
 
 
 class _Rooms:
-    """The `BatchView` of a batch; nothing is computed before it is asked for."""
+    """The `BatchView` of a batch; each value is computed on first use."""
 
     def __init__(self, layout: Layout, tables: Tables, state: TensorState) -> None:
         self._layout, self._tables, self._state = layout, tables, state

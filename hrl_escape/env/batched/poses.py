@@ -1,6 +1,6 @@
 """The state of many rooms as tensors, and values derived from it: headings, arm, touched targets.
 
-`TensorState` is `kinematics.RoomState` with one axis more, rooms, last in every field. Poses
+`TensorState` is `RoomState` with an additional axis, rooms, last in every field. Poses
 are double precision, headings and joints whole steps, as in the scalar rules.
 """
 
@@ -84,7 +84,7 @@ def compute_angles(layout: Layout, state: TensorState) -> Tensor:
 
 
 def place_base(layout: Layout, tables: Tables, state: TensorState, margin: float) -> TensorBase:
-    """Bases where they stand, grown on all sides by a margin, m."""
+    """Place the bases at their poses, grown on all sides by a margin, m."""
     return layout.robot.base.grow(margin).place(state.x, state.y, lambda: compute_rotation(layout, tables, state))
 
 

@@ -70,7 +70,7 @@ def step(layout: Layout, tables: Tables, state: TensorState, action: Tensor) -> 
 
 def _slide(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor, uniform: Tensor
            ) -> Tensor:
-    """The actions that are taken instead of slipping ones; -1 for none."""
+    """Actions after slips, integers (rooms,); -1 where a slip does nothing."""
     dynamics, moves = layout.dynamics, layout.actions.translations
     slips = uniform < dynamics.slip
     if dynamics.slip_kind == "stay":
@@ -131,7 +131,7 @@ def _translate(layout: Layout, tables: Tables, state: TensorState, action: Tenso
 
 
 def _push(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> TensorState:
-    """States once moves have pushed what they would meet, where that can be pushed."""
+    """States after moves have pushed the things in their way, where these can be pushed."""
     ahead, beyond = (_find_at(layout, tables, state, state.x + n * dx, state.y + n * dy) for n in (1.0, 2.0))
     is_shut = find_shut(layout, tables, state).gather(0, ahead.clamp(min=0).unsqueeze(0)).squeeze(0)
     pushes = ((dx != 0.0) | (dy != 0.0)) & (ahead >= 0) & is_shut
@@ -144,7 +144,7 @@ def _push(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Te
 
 def _compute_displacement(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor | None
                           ) -> tuple[Tensor, Tensor]:
-    """Displacements that nothing blocks, m, float64 (rooms,) each."""
+    """Displacements before any contact, m, float64 (rooms,) each."""
     unit = state.x.new_ones(()) if scale is None else scale
     forward, left = (_find_effects(layout, action, name, unit) for name in ("forward", "left"))
     cos, sin = compute_rotation(layout, tables, state)
@@ -158,7 +158,7 @@ def _is_free(layout: Layout, tables: Tables, state: TensorState, action: Tensor,
 
 
 def _find_free_fraction(layout: Layout, tables: Tables, state: TensorState, dx: Tensor, dy: Tensor) -> Tensor:
-    """Share of displacements that bodies can make, float64 (rooms,)."""
+    """Share in [0, 1] of displacements until the first contact, float64 (rooms,)."""
     base = place_base(layout, tables, state, CONTACT_SKIN)
     free = base.find_free_fraction(dx, dy, RoomSolids(layout, tables, state.instance))
     if layout.inner_doors:
@@ -180,7 +180,7 @@ def _find_door(layout: Layout, tables: Tables, state: TensorState, base: TensorB
 
 
 def _turn(layout: Layout, tables: Tables, state: TensorState, action: Tensor, scale: Tensor | None) -> TensorState:
-    """Turn where nothing is in the way of it."""
+    """Turn the base where nothing blocks the turn."""
     turned = _turn_freely(layout, state, action, scale)
     if layout.robot.base.turns_anywhere:
         return turned
@@ -264,7 +264,7 @@ def find_shut(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
 
 
 def _find_ahead(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
-    """Numbers of the inner doors one move ahead, -1 for none, int64 (rooms,)."""
+    """Index of the inner door one move ahead, -1 for none, int64 (rooms,)."""
     if not layout.inner_doors:
         return torch.full_like(state.touching, -1)
     cos, sin = compute_rotation(layout, tables, state)
@@ -273,7 +273,7 @@ def _find_ahead(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
 
 
 def _find_at(layout: Layout, tables: Tables, state: TensorState, x: Tensor, y: Tensor) -> Tensor:
-    """Numbers of the inner doors at places, -1 for none, int64 (rooms,)."""
+    """Index of the inner door at each place, -1 for none, int64 (rooms,)."""
     inner: Shapes = pick(layout, tables.inner_doors, state.instance)
     is_there = compute_distance(x, y, inner) == 0.0
     return torch.where(is_there.any(0), is_there.to(torch.int8).argmax(0), -1)

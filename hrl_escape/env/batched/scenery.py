@@ -24,7 +24,7 @@ __all__ = ["COLOURS", "LABELS", "LOOKS", "LOOK_LABELS", "Scenery", "SceneryForm"
            "find_look", "list_base_parts", "stack_scenery"]
 
 LABELS = ("nothing", "floor", "exit", "plate", "wall", "obstacle", "door", "target", "block", "robot")
-"""Kinds of things that segmentation tells apart."""
+"""Labels of a segmentation, by their number."""
 
 LOOKS: dict[str, tuple[str, str]] = {
     "sky": ("nothing", "#dfe7ef"), "tile": ("floor", palette.FLOOR), "other tile": ("floor", "#e4dfd3"),
@@ -34,24 +34,24 @@ LOOKS: dict[str, tuple[str, str]] = {
     "lit": ("target", palette.LIT.fill), "block": ("block", palette.PROP), "body": ("robot", palette.BODY),
     "arrow": ("robot", palette.BACKGROUND),
 }
-"""Label and colour of each look of a thing."""
+"""Name of each look -> its label and colour."""
 
 COLOURS = tuple(tuple(255.0 * part for part in palette.to_rgb(colour)) for _, colour in LOOKS.values())
 """Red, green and blue of each look, within [0, 255]."""
 LOOK_LABELS = tuple(LABELS.index(label) for label, _ in LOOKS.values())
-"""Number in `LABELS` of each look."""
+"""Index in `LABELS` of each look."""
 
 _ABOVE_FLOOR = 0.02  # panels and leaves begin here
 _PAINT = 0.018  # height of a plate
 
 
 def find_look(name: str) -> int:
-    """Number of a look in `LOOKS`."""
+    """Index of a look in `LOOKS`."""
     return tuple(LOOKS).index(name)
 
 
 class Scenery(NamedTuple):
-    """Prisms of every instance; the last axis is the instance. Missing ones stand out of sight.
+    """Prisms of every instance; the last axis is the instance. Absent ones stand out of sight.
 
     Boxes are in this order: solids, frames of targets, their faces, blocks and plates, inner doors, and the leaf of the
     exit's door shut and open.
@@ -97,7 +97,7 @@ def list_base_parts(radius: float, height: float) -> tuple[tuple[float, float, f
 
 def stack_scenery(instances: Sequence[RoomInstance], layout: Layout, device: torch.device
                   ) -> tuple[Scenery, SceneryForm]:
-    """Stack what there is to see in several instances."""
+    """Stack the visible prisms of several instances."""
     groups = [_list_boxes(instance, layout) for instance in instances]
     stacked = [_stack_group(rows) for rows in zip(*groups, strict=True)]
     cylinders = [[s for s in instance.solids if s.shape == "cylinder"] for instance in instances]
@@ -135,7 +135,7 @@ def _stack_group(rows: Sequence[Sequence[_Box]]) -> tuple[NDArray[np.float64], N
 
 
 def _straighten(shape: Footprint) -> Footprint:
-    """The same box with its own x along the room's, if its sides are along the axes."""
+    """The same box with its own x along the room's, if its sides are parallel to the room's axes."""
     if shape.sin == 0.0:
         return shape._replace(cos=1.0)
     return shape if shape.cos else shape._replace(cos=1.0, sin=0.0, half_x=shape.half_y, half_y=shape.half_x)

@@ -60,7 +60,7 @@ class Layout:
         has_cells: True if targets are cells of a map.
         has_offsets: True if headings can leave the lattice of turn steps (noise, or a start off it).
         is_shared: True for a single instance, so that tables need no look-up.
-        is_watching: True if puzzles are told of every primitive.
+        is_watching: True if puzzles are updated after every primitive.
         can_push: True if moves push things.
         is_puzzle_random: True if something is random in the puzzle of any room.
         draws: True if anything is random in an episode.
@@ -106,7 +106,7 @@ class Tables(NamedTuple):
     Attributes:
         solids: walls and obstacles, (solids, instances).
         split_solids: the same in single precision.
-        hiders: those of them that can stand between two places on the floor.
+        hiders: the solids that can block the sight between two places on the floor.
         doors: (1, instances), out of the way if there is none.
         inner_doors: (inner doors, instances), out of the way where there are fewer.
         inner_leaves: true for those that are doors, which hide what is behind them, bool (inner doors, instances).
@@ -167,7 +167,7 @@ InstanceSource: TypeAlias = InstanceForm | Sequence[InstanceForm]
 
 def collect_instances(config: SchematicForm, instance: InstanceSource | None = None,
                       instance_seed: int = 0, num_instances: int = 1) -> list[RoomInstance]:
-    """Collect the instances that a batch is made of.
+    """Collect the instances of a batch.
 
     Args:
         config: preset name, `RoomConfig`, or the dict form of one.
@@ -187,7 +187,7 @@ def collect_instances(config: SchematicForm, instance: InstanceSource | None = N
 
 
 def map_tensors(function: Callable[[Tensor], Any], tree: Any) -> Any:
-    """Apply a function to every tensor in nested tuples and dicts; what is None stays so."""
+    """Apply a function to every tensor in nested tuples and dicts; None stays None."""
     if isinstance(tree, Tensor):
         return function(tree)
     if tree is None:
@@ -238,7 +238,7 @@ class RoomSolids(NamedTuple):
 
 
 def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
-    """Find the properties that instances share.
+    """Derive the layout that instances share.
 
     Raises:
         UnsupportedError: physics dynamics, or instances that differ in robot, dynamics, or kind or size of puzzle.
@@ -348,7 +348,7 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
 
 
 def _list_leaves(instances: Sequence[RoomInstance], most: int) -> Tensor:
-    """Return true for the inner doors that are doors, bool (most, instances)."""
+    """Return true for inner doors proper, false for things in cells, bool (most, instances)."""
     roles = [[door.role for door in instance.inner_doors] for instance in instances]
     return torch.tensor([[number < len(row) and row[number] == "door" for row in roles] for number in range(most)])
 

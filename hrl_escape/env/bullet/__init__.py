@@ -18,7 +18,7 @@ def _drop_stderr_lines(start: bytes) -> Iterator[None]:
     try:
         written = tempfile.TemporaryFile()
         stderr = os.dup(2)
-    except OSError:  # no room for a file, or it is closed and nobody reads what is written to it
+    except OSError:  # no space for a file, or stderr is closed and nobody reads it
         yield
         return
     with written:

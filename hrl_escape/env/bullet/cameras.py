@@ -1,6 +1,6 @@
 """Pictures of a room through Bullet's software renderer (TinyRenderer), which needs no display or GPU.
 
-The cameras are those that `env/engine.py` names; the scenery that they see is built by `stage.py`. Metres, radians.
+Its cameras are those of `env/engine.py`; `stage.py` builds the scenery that they see. Metres, radians.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def _reach(room: BulletRoom) -> float:
 
 
 def _hides(standing: Standing, room: BulletRoom, eye: tuple[float, float, float]) -> bool:
-    """Say whether something stands between the eye and the near side of the robot."""
+    """Return whether something stands between the eye and the near side of the robot."""
     solid, radius = standing.solid, room.instance.robot.outer_radius
     shape = make_footprint(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
     (ex, ey, ez), x, y = eye, room.state.x, room.state.y

@@ -1,7 +1,7 @@
 """The Bullet engine: one room in its own physics client, under kinematic or physics dynamics.
 
-Kinematic rooms are moved by `Kinematics`, and Bullet's world is built and placed accordingly when somebody looks at it:
-rendering and queries always see the state, and steps, or rooms that nobody looks at, cost nothing for it. Physics rooms
+Kinematic rooms are moved by `Kinematics`, and Bullet's world is built and placed only when it is rendered or queried:
+renderings and queries always show the state, and steps, or rooms never looked at, cost nothing for it. Physics rooms
 are moved by `physics.py`. It knows no Gymnasium, no observations and no cameras.
 """
 
@@ -31,7 +31,7 @@ _ARROWS = {pybullet.B3G_UP_ARROW: "up", pybullet.B3G_DOWN_ARROW: "down", pybulle
 
 
 class BulletRoom:
-    """One room that moves. Rooms are independent; each that is looked at owns a physics client until `close`.
+    """One room that moves. Rooms are independent; a room that is rendered owns a physics client until `close`.
 
     Attributes:
         instance: the room.
@@ -72,7 +72,7 @@ class BulletRoom:
 
     @property
     def scene(self) -> SceneBodies:
-        """Pybullet's numbers of the bodies in its world."""
+        """PyBullet body and joint ids of its world."""
         return self._open().scene
 
     # --- the episode ---------------------------------------------------------------------
@@ -129,7 +129,7 @@ class BulletRoom:
             self._place()
 
     def _place(self) -> None:
-        """Put Bullet's world into the state, if it is not yet in it."""
+        """Bring Bullet's world into the present state, if it is in another one."""
         world = self._open()
         if not self._is_placed:
             try:
@@ -195,7 +195,7 @@ class BulletRoom:
     # --- its end -------------------------------------------------------------------------
 
     def close(self) -> None:
-        """Free the physics client; again is no error. Forgetting the room frees it too."""
+        """Free the physics client; safe to call twice. Deleting the room frees it too."""
         self._is_closed = True
         if self._world is not None:
             self._release()
@@ -213,8 +213,8 @@ class _World(NamedTuple):
 
     Attributes:
         client: pybullet's number of the physics client.
-        scene: pybullet's numbers of the bodies.
-        dynamics: puts the bodies where a state has them; under physics it moves them, too.
+        scene: PyBullet body and joint ids.
+        dynamics: places the bodies by a state; under physics it also moves them.
         colours: show the puzzle.
     """
 
@@ -250,7 +250,7 @@ class _KinematicPlacement:
         self.door_is_solid = True
 
     def place(self, state: RoomState) -> None:
-        """Move the parts of the robot that are not yet as the state says."""
+        """Move the parts of the robot whose pose differs from the state's."""
         pose = state.x, state.y, state.heading_steps, state.heading_offset
         if pose != self._pose:
             self._pose = pose

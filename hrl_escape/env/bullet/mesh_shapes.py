@@ -1,4 +1,4 @@
-"""Visual shapes from meshes, made without leaving memory behind.
+"""Visual shapes from meshes, made without a memory leak.
 
 pybullet never drops its references to the lists that `createVisualShape` reads: the outer lists and
 each vertex. Every shape is therefore read from the same lists, filled anew.
@@ -18,7 +18,7 @@ __all__ = ["create_mesh_shape"]
 
 
 class _Rows:
-    """A list of [x, y, z] whose lists stay the same objects for ever."""
+    """A list of [x, y, z] that reuses the same list objects for every mesh."""
 
     def __init__(self) -> None:
         self._made: list[list[float]] = []

@@ -2,7 +2,7 @@
 
 The base stands on a planar carriage (it does not tip) whose velocities are constrained to a
 trapezoid profile; joints follow position motors; walls, panels, blocks, the door and the arm
-are solid. A primitive lasts as long as its way takes at 1 m/s or 90 degrees a second, at least
+are solid. A primitive lasts as long as its motion takes at 1 m/s or 90 degrees a second, at least
 0.25 s, and 0.1 s more to settle. A push into something solid stops or slides along it, so a
 displacement is only approximately the nominal one. A target is touched once the presser pushed
 against it with `PRESS_FORCE`, until it has left the press margin. Puzzle, reward and exit are
@@ -41,16 +41,16 @@ PRESS_FORCE = 5.0
 _SPEED, _TURN_SPEED = 1.0, math.pi / 2  # mean speed of the base, m/s; of turns and joints, rad/s
 _SHORTEST, _SETTLE = 0.25, 0.1  # shortest motion and the time to come to rest after it, s
 _RAMP = 0.2  # share of a motion spent speeding up, and again slowing down
-_ACCELERATION = 20.0  # the carriage pushes with the robot's mass times this, m/s^2, and turns on a lever of 1 m
-_LIMIT_SLACK = 1e-3  # rad that a joint may be off its lattice at its limit
+_ACCELERATION = 20.0  # largest push of the carriage per robot mass, m/s^2; turning torques assume a lever of 1 m
+_LIMIT_SLACK = 1e-3  # largest offset of a joint from its lattice at its limit, rad
 _JOINT_EFFORT = 500.0  # N m, if the URDF states none
 _HINGE_FRICTION, _HINGE_CLOSER, _HINGE_LOCK = 2.0, 200.0, 1e4  # N m
 _CLOSING_SPEED = 0.5  # rad/s
 _LOCKED_WITHIN = math.radians(2)
 _FRICTION = 0.8  # of blocks and floor
-_POSITION_GAIN = 0.3  # share of a joint's error that its motor makes good in one sub-step
+_POSITION_GAIN = 0.3  # share of a joint's error that its motor corrects in one sub-step
 _AT_REST = 0.01  # m/s and rad/s, below which a block that nothing touches stays where it is
-_AWAY = 1000.0  # m; out of touch with everything
+_AWAY = 1000.0  # m; far from every contact
 _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
@@ -129,7 +129,7 @@ class PhysicsDynamics:
         return PhysicsState((0.0, 0.0, 0.0), (0.0,) * len(self._scene.joints), door, props)
 
     def check_state(self, state: RoomState) -> None:
-        """Refuse a state whose `physics` is not of this room.
+        """Raise `StateError` unless the `physics` of a state fits this room.
 
         Raises:
             StateError: it has other parts, or numbers that are not finite.
@@ -229,7 +229,7 @@ class PhysicsDynamics:
     # --- motion ----------------------------------------------------------------------------
 
     def step(self, state: RoomState, action: int) -> Transition:
-        """Run one primitive. Pure, but for leaving the world in the state it returns."""
+        """Run one primitive; a pure function, except that it leaves Bullet's world in the state it returns."""
         primitive, scale = self._rules.actions.primitives[action], 1.0
         dynamics = self._instance.dynamics
         if dynamics.noise or dynamics.slip:

@@ -70,7 +70,7 @@ class SceneBodies:
 def build_scene(client: int, instance: RoomInstance, robot: Robot) -> SceneBodies:
     """Build the room in an empty Bullet world; puzzle unsolved, everything in its first place."""
     physics = instance.dynamics.kind == "physics"
-    # 0: two things collide only where each lets the other; Bullet's default is that one does
+    # 0: two bodies collide only if both masks allow it; by Bullet's default one mask is enough
     pybullet.setPhysicsEngineParameter(collisionFilterMode=0, physicsClientId=client)
     floors = tuple(_add_floor(client, area) for area in palette.compute_floors(instance))
     solids = tuple(_add_solid(client, solid) for solid in instance.solids)
@@ -93,7 +93,7 @@ def build_scene(client: int, instance: RoomInstance, robot: Robot) -> SceneBodie
 
 
 def show_lit(client: int, target: int, is_lit: bool) -> None:
-    """Light a target, or put it out."""
+    """Switch a target's light on or off."""
     _paint(client, target, -1, palette.LIT.fill if is_lit else palette.OFF.fill)
 
 
@@ -103,7 +103,7 @@ def show_exit(client: int, scene: SceneBodies, is_open: bool) -> None:
 
 
 def show_inner_door(client: int, body: int, door: Solid, is_shut: bool) -> None:
-    """Put an inner door, or a thing, into its place, or out of sight."""
+    """Show an inner door or thing in its place, or move it out of sight."""
     height = door.height / 2 if is_shut else -door.height
     pybullet.resetBasePositionAndOrientation(
         body, (door.x, door.y, height), (0.0, 0.0, math.sin(door.yaw / 2), math.cos(door.yaw / 2)),
@@ -111,7 +111,7 @@ def show_inner_door(client: int, body: int, door: Solid, is_shut: bool) -> None:
 
 
 def show_door(client: int, instance: RoomInstance, door: int, is_open: bool) -> None:
-    """Put the door's leaf into its doorway, or swing it outwards and let the robot by (kinematics)."""
+    """Shut the door's leaf, or swing it outwards so that the robot passes (kinematics)."""
     assert instance.door is not None
     angle = math.pi / 2 * _find_outward(instance, instance.door) if is_open else 0.0
     pybullet.resetJointState(door, 0, angle, physicsClientId=client)
@@ -134,7 +134,7 @@ def _paint(client: int, body: int, link: int, colour: str) -> None:
 
 def _add_box(client: int, half: tuple[float, float, float], at: tuple[float, float, float], yaw: float,
              colour: str, group: int = 0, mask: int = 0, mass: float = 0.0) -> int:
-    """A box; without a group it is only painted."""
+    """Add a box; without a collision group it is visible only."""
     shape = -1
     if group:
         shape = pybullet.createCollisionShape(pybullet.GEOM_BOX, halfExtents=half, physicsClientId=client)
@@ -218,7 +218,7 @@ def _add_prop(client: int, placed: PlacedProp, physics: bool) -> int:
 
 
 def _add_robot(client: int, instance: RoomInstance, robot: Robot) -> dict:
-    """Load the robot; returns its part of `SceneBodies`."""
+    """Load the robot and return its fields of `SceneBodies`."""
     physics = instance.dynamics.kind == "physics"
     text = _adapt_urdf(robot, instance.robot, physics)
     flags = pybullet.URDF_USE_IMPLICIT_CYLINDER | pybullet.URDF_USE_INERTIA_FROM_FILE
@@ -238,7 +238,7 @@ def _add_robot(client: int, instance: RoomInstance, robot: Robot) -> dict:
         _paint(client, body, hand, palette.HAND)
     _paint(client, body, base, palette.BODY)
     pybullet.changeDynamics(body, base, collisionMargin=0.0, physicsClientId=client)
-    # the arm may lean on the ground; the base is carried, so its friction there would count twice
+    # the arm may lean on the ground; the carriage bears the base, whose own friction would count twice
     for link in range(-1, len(joints)):
         mask = _FREE | _FIXED | (0 if link == base else _GROUND)
         pybullet.setCollisionFilterGroupMask(body, link, _FREE, mask, physicsClientId=client)
@@ -257,7 +257,7 @@ def _add_robot(client: int, instance: RoomInstance, robot: Robot) -> dict:
 
 
 def _adapt_urdf(robot: Robot, config: RobotConfig, physics: bool) -> str:
-    """Show the hand and give massless links the little mass that Bullet wants; physics adds a carriage."""
+    """Make the hand visible and give massless links the small mass that Bullet needs; physics adds a carriage."""
     root = ElementTree.fromstring(robot.urdf)
     for link in root.findall("link"):
         if link.find("inertial") is None:

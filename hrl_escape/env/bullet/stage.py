@@ -1,7 +1,7 @@
-"""Scenery for Bullet's cameras: a copy of a room made for the eye, in a physics client of its own.
+"""Scenery for Bullet's cameras: a decorated copy of a room, in a physics client of its own.
 
-Looking at a copy keeps the simulated world free of decoration: walls can be cut open, buttons
-have frames and things cast shadows, and nothing of it can touch the robot or change a saved
+Rendering a copy keeps the simulated world free of decoration: walls can be cut open, buttons
+have frames and objects cast shadows, and none of this can touch the robot or change a saved
 state. The copy follows a `BulletRoom`; it moves nothing by itself. Metres, the room frame.
 """
 
@@ -67,7 +67,7 @@ class Standing:
         solid: its footprint and height; it stands on the floor for this purpose.
         whole: bodies that show it whole.
         cut: bodies that show its lowest part only.
-        is_cut: which of the two is shown.
+        is_cut: True while the cut form is shown.
         pose: position and quaternion of the bodies.
     """
 
@@ -112,7 +112,7 @@ class Stage:
     # --- following the room ------------------------------------------------------------
 
     def follow(self, room: BulletRoom) -> None:
-        """Bring everything into the state that the room is in now."""
+        """Bring the copy into the room's present state."""
         state, rules = room.state, room.rules
         turn = pybullet.getQuaternionFromEuler((state.roll, state.pitch, rules.get_heading(state)))
         at = (state.x, state.y, state.z)
@@ -204,7 +204,7 @@ class Stage:
 
     def _add_target(self, target: Target) -> _Lamp:
         low, high = max(0.02, target.z - target.half_z), target.z + target.half_z
-        # every face is lit as if it faced the sun: a panel shines, in whatever direction it hangs
+        # every face is lit as if it faced the sun, so panels are bright on every wall
         rim = min(0.08, 0.2 * min(target.half_x, target.half_z))
         face = rotate_box(target.x, target.y, target.half_x, target.half_y, target.yaw)
         frame = rotate_box(target.x, target.y, target.half_x + rim, 0.7 * target.half_y, target.yaw)
@@ -237,7 +237,7 @@ class Stage:
         return [self._add(mesh, colour) for mesh, colour in parts], shadow
 
     def _add_arm(self, robot: Robot) -> tuple[int, tuple[int, ...]]:
-        """The robot's own URDF without its base; round parts become meshes that Bullet shades well."""
+        """Add the robot's URDF without its base; round parts become meshes that Bullet shades smoothly."""
         with temporary_folder() as folder:
             cylinder = folder / "cylinder.obj"
             cylinder.write_text(format_obj(make_cylinder(1.0, -0.5, 0.5)))
@@ -252,7 +252,7 @@ class Stage:
         return body, tuple(numbers[name] for name in robot.joint_names)
 
     def _add_prop(self, placed: PlacedProp) -> tuple[int, int | None]:
-        """A plate, or a block and its shadow (a disc's, which suits however the block is turned)."""
+        """Add a plate, or a block and its shadow (a disc, the same at every yaw of the block)."""
         prop = placed.prop
         outline = rotate_box(0.0, 0.0, prop.half_size, prop.half_size, 0.0)
         if prop.kind == "plate":
@@ -267,7 +267,7 @@ class Stage:
         return self._add_leaf(door, leaf, palette.DOOR)
 
     def _add_inner_door(self, door: Solid) -> Standing:
-        """A door that fills its cell, or a thing that fills half of it."""
+        """Add a door that fills its cell, or a thing that fills half of it."""
         share = 0.98 if door.role == "door" else 0.5
         outline = rotate_box(door.x, door.y, share * door.half_x, share * door.half_y, door.yaw)
         return self._add_leaf(door, outline, palette.get_inner_colour(door))
@@ -302,7 +302,7 @@ class Stage:
 
 
 def _adapt_urdf(robot: Robot, config: RobotConfig, cylinder: str) -> str:
-    """Leave the arm's looks only; cylinders become slimmer, so that the hand stands out."""
+    """Keep only the visual shapes of the arm; cylinders become slimmer, so that the hand stands out."""
     root = ElementTree.fromstring(robot.urdf)
     for link in root.findall("link"):
         for part in ("collision", "inertial", *(("visual",) if link.get("name") == BASE_LINK else ())):

@@ -1,6 +1,6 @@
 """A room drawn from above on matplotlib axes: floor, solids, targets and their names, robot, paths.
 
-`draw_room` draws on axes of the caller's; whole figures and files are in `maps.py`.
+`draw_room` draws on the caller's axes; `maps.py` makes whole figures and files.
 Metres, the room frame, x to the right.
 """
 
@@ -112,7 +112,7 @@ def _get_scale(axes: Axes) -> float:
 
 
 def _draw_ticks(axes: Axes, instance: RoomInstance) -> None:
-    """Metres along the lower and left edge, out of the names' way."""
+    """Draw metres along the lower and left edge, clear of the names."""
     size = 2 * max(instance.half_width, instance.half_depth)
     step = next(step for step in (1, 2, 5, 10, 20, 50, 1e9) if size / step <= 8)
     for set_ticks, half in ((axes.set_xticks, instance.half_width), (axes.set_yticks, instance.half_depth)):
@@ -150,7 +150,7 @@ def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
 
 
 def _draw_inner_doors(axes: Axes, instance: RoomInstance, shut: int) -> None:
-    """Doors and things in cells, and beside doors between rooms the names of what opens them."""
+    """Draw doors and things in cells, and next to a door between rooms the name of the target that opens it."""
     for number, door in enumerate(instance.inner_doors):
         colour, share = palette.get_inner_colour(door), 0.9 if door.role == "door" else 0.4
         shape = dataclasses.replace(door, half_x=share * door.half_x, half_y=share * door.half_y)
@@ -168,7 +168,7 @@ def _draw_inner_doors(axes: Axes, instance: RoomInstance, shut: int) -> None:
 
 
 def _make_capsule(capsule: Capsule, **style: Any) -> Patch:
-    """Outline of a segment's surroundings, two half circles and what lies between them."""
+    """Outline of a capsule: two half circles and the straight sides between them."""
     along = math.atan2(capsule.y2 - capsule.y1, capsule.x2 - capsule.x1)
     ends = ((capsule.x2, capsule.y2, along - math.pi / 2), (capsule.x1, capsule.y1, along + math.pi / 2))
     turns = np.linspace(0.0, math.pi, 24)
@@ -178,7 +178,7 @@ def _make_capsule(capsule: Capsule, **style: Any) -> Patch:
 
 
 def _measure(area: Rectangle) -> tuple[tuple[float, float], float, float]:
-    """Corner, width and height."""
+    """Corner, width and height of a rectangle, m."""
     return (area.x_min, area.y_min), area.x_max - area.x_min, area.y_max - area.y_min
 
 
@@ -200,7 +200,7 @@ def _draw_robot(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
     rules = Kinematics(instance)
     robot, radius, scale = rules.robot, instance.robot.inner_radius, 72 * _get_scale(axes)
     at, heading = np.array([state.x, state.y]), rules.get_heading(state)
-    if 2 * radius * scale < 9:  # a robot of few points is hard to find
+    if 2 * radius * scale < 9:  # a robot drawn a few points wide is hard to find
         axes.plot(*at, "o", markersize=13, fillstyle="none", color=palette.BODY, markeredgewidth=1.0, zorder=7)
     style: dict[str, Any] = {"facecolor": palette.BODY, "edgecolor": palette.BODY_EDGE, "linewidth": 1.0, "zorder": 7}
     corners = instance.robot.base.find_corners_at(state.x, state.y, heading)
@@ -223,7 +223,7 @@ def _draw_robot(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
 
 
 def get_colour(trajectory: Trajectory, number: int) -> str:
-    """Colour of the trajectory that was given as number `number`."""
+    """Colour of trajectory `number`: its own, or the next of the palette."""
     return trajectory.colour or palette.LINES[number % len(palette.LINES)]
 
 

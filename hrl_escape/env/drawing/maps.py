@@ -2,7 +2,7 @@
 
 `make_map` gives a matplotlib figure, `save_map` a PNG, SVG or PDF file (the same bytes every
 time), `make_map_image` pixels. It opens no window and runs no engine; pictures through
-Bullet's eyes are in `cameras.py`.
+Bullet's cameras are in `bullet/cameras.py`.
 """
 
 from __future__ import annotations

@@ -49,7 +49,7 @@ WAITING = TargetLook("#edcabf", "#c8553d", INK)
 
 
 def name_target(puzzle: Puzzle, state: Hashable, target: int) -> str:
-    """Name of a target as people see it: with the text that it shows, and a star for a goal."""
+    """Name of a target in drawings: with the text that it shows, and a star for a goal."""
     sign = get_trait(puzzle, Depicted).get_sign(state, target)
     star = " \N{BLACK STAR}" if target in get_trait(puzzle, Graphed).goal_targets else ""
     return puzzle.target_names[target] + (f": {sign}" if sign else "") + star

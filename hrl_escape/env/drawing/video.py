@@ -1,6 +1,6 @@
 """Frames as files: PNG pictures, filmstrips, GIF animations (always) and MP4 videos (extra `video`).
 
-A frame is an array (height, width, 3), uint8, RGB, from whichever camera or map. Files are
+A frame is an array (height, width, 3), uint8, RGB, from any camera or map. Files are
 written atomically. Nothing here renders.
 """
 

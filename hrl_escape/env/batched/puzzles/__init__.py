@@ -1,8 +1,8 @@
-"""Puzzles in tensors: the form of all that have a table, and one file for each of those that need a form of their own.
+"""Puzzles in tensors: one form for all puzzles with a table, and one file for each puzzle that needs its own.
 
-Those are puzzles with maps, that watch every primitive, or that have too many states. Such a form repeats the rules of
+These have maps, watch every primitive, or have too many states for a table. Such a form repeats the rules of
 the puzzle's own file in `env/puzzles` without branches; conformance tests hold the two together. Importing this package
-imports every module in it; each ends with `register_tensor_puzzle`, which third parties call for theirs.
+imports every module in it; each ends with `register_tensor_puzzle`, which third parties call for their own.
 """
 
 from importlib import import_module

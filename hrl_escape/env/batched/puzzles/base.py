@@ -1,6 +1,6 @@
 """Contract and registry of tensor forms: a puzzle's rules over 64-bit words, one word a room.
 
-A puzzle of few states needs none of its own: the form of all of them reads the table of its rules.
+A puzzle with few states needs no form of its own: `TabulatedPuzzle` reads the table of its rules.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ class TensorContacts(NamedTuple):
     Attributes:
         pressed: bits of the newly touched targets, int64 (rooms,).
         uniform: numbers in (0, 1) drawn for this primitive, float64 (rooms,); 0 where no puzzle is random.
-        touching: bits of all targets touched at its end, int64 (rooms,).
+        touching: bits of all targets touched at the primitive's end, int64 (rooms,).
         grip: 1 where the primitive was `grip`, -1 where it was `release`, 2 where it was `use`, 3 where a move pushes,
             else 0, int64 (rooms,).
         has_moved: true where the body's axis has moved, bool (rooms,).
         x: places of the bodies' axes, m, float64 (rooms,).
         y: places of the bodies' axes, m, float64 (rooms,).
-        ahead: numbers of the inner doors one move ahead, -1 for none, int64 (rooms,).
-        beyond: numbers of those one more move ahead, where something is pushed, int64 (rooms,).
+        ahead: index of the inner door one move ahead, -1 for none, int64 (rooms,).
+        beyond: index of the inner door two moves ahead, where something is pushed, int64 (rooms,).
     """
 
     pressed: Tensor
@@ -68,14 +68,14 @@ class TensorPuzzle(ABC):
     """
 
     whole: ClassVar[frozenset[str]] = frozenset()
-    """Names of the tables that belong to all instances together, and not column by column."""
+    """Names of the tables that all instances share; every other table has one column per instance."""
 
     @abstractmethod
     def make_tables(self, puzzles: Sequence[Any], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
-        """Stack the tables of the puzzles that the rules read; the last axis is the instance, but for those in `whole`.
+        """Stack the tables that the rules read; the last axis is the instance, except in the tables of `whole`.
 
         Args:
-            puzzles: of the instances.
+            puzzles: one per instance.
             frame: names of the targets of the instance that has most, and bounds of its observation numbers. Targets
                 that an instance lacks are never touched, and the numbers that it lacks are 0.
         """
@@ -96,12 +96,12 @@ class TensorPuzzle(ABC):
         """Return true where the exit is open, bool (rooms,)."""
 
     def is_failed(self, tables: PuzzleTables, state: Tensor) -> Tensor | None:
-        """Return true where a press has ended the episode without an escape, bool (rooms,); None if none ever does."""
+        """Return true where the puzzle has been failed, bool (rooms,); None for a puzzle that cannot be failed."""
         return None
 
     def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts,
                        targets: int) -> Tensor | None:
-        """Reward of a primitive on top of the room's own, float32 or float64 (rooms,); None for none.
+        """Reward that the puzzle adds to the room's, float32 or float64 (rooms,); None if it adds none.
 
         It counts where something was pressed or gripped, or where puzzles watch every primitive.
         """
@@ -115,7 +115,7 @@ class TensorPuzzle(ABC):
         """Turn a puzzle's own state into an unsigned word.
 
         Raises:
-            StateError: there is no word for it.
+            StateError: the state has no word.
         """
         return state
 
@@ -144,7 +144,7 @@ def as_signed(bits: int) -> int:
 
 
 class TabulatedPuzzle(TensorPuzzle):
-    """The form of all puzzles of few states: the word is the number of the state in the puzzle's table.
+    """The form of all puzzles with few states: the word is the index of the state in the puzzle's table.
 
     Tables of different puzzles lie one after another, filled up to a power of two of rows; `first` is the row of each
     instance's first state. Of O outcomes, that of a chance is the number of an instance's `chances` up to it.
@@ -155,7 +155,7 @@ class TabulatedPuzzle(TensorPuzzle):
     def make_tables(self, puzzles: Sequence[Puzzle], frame: SpaceLayout) -> dict[str, NDArray[Any]]:
         """`after` and `rewards` (events, rows x outcomes), `observed` (numbers, rows), and one number a row.
 
-        Tables that say nothing have no rows.
+        A table without content has no rows.
         """
         made = {puzzle: tabulate(puzzle) for puzzle in puzzles}
         tables, targets = list(made.values()), len(frame.target_names)
@@ -246,7 +246,7 @@ class TabulatedPuzzle(TensorPuzzle):
         return tables["observed"][:, tables["first"] + state]
 
     def encode(self, puzzle: Puzzle, state: Any) -> int:
-        """Number of a state in the puzzle's table."""
+        """Index of a state in the puzzle's table."""
         number = tabulate(puzzle).numbers.get(state)
         if number is None:
             raise StateError(f"no presses or grips lead to the state {show_value(state)} of puzzle {puzzle.kind!r}, "
@@ -254,7 +254,7 @@ class TabulatedPuzzle(TensorPuzzle):
         return number
 
     def decode(self, puzzle: Puzzle, word: int) -> Any:
-        """The state of a number."""
+        """State at an index of the puzzle's table."""
         return tabulate(puzzle).states[word]
 
 
@@ -274,10 +274,10 @@ _TABULATED = TabulatedPuzzle()
 
 
 def register_tensor_puzzle(puzzle_type: type[Puzzle], form: TensorPuzzle) -> None:
-    """Give a puzzle a tensor form of its own: one that has no table, or that is faster without."""
+    """Register the tensor form of a puzzle that has no table, or that runs faster without one."""
     _FORMS[puzzle_type.kind] = form
 
 
 def get_tensor_puzzle(kind: str) -> TensorPuzzle:
-    """Look up the tensor form of a puzzle: the one registered for it, or that of all puzzles with tables."""
+    """Return the tensor form of a puzzle: the registered one, or else `TabulatedPuzzle`."""
     return _FORMS.get(kind, _TABULATED)

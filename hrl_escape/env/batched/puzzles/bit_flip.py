@@ -39,7 +39,7 @@ class BitFlipTensorPuzzle(TensorPuzzle):
         return state
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """All bits are on."""
+        """Return true where all bits are on, bool (rooms,)."""
         return state == tables["all_on"]
 
 

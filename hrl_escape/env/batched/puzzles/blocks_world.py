@@ -54,7 +54,7 @@ class BlocksWorldTensorPuzzle(TensorPuzzle):
         return state
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """The goal's facts hold."""
+        """Return true where the goal's facts hold, bool (rooms,)."""
         towers, blocks = self._list_towers(tables, state)
         wanted, solved = tables["wanted"], ~(tables["free_hand"] & (towers == IN_HAND).any(0))
         solved = solved & ((wanted < 0) | (wanted == towers)).all(0)

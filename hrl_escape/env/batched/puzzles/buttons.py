@@ -67,7 +67,7 @@ class ButtonsTensorPuzzle(TensorPuzzle):
         return (openers >= 0) & (state >> openers.clamp(min=0) & 1 == 0)
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """The goal button is on."""
+        """Return true where the goal button is on, bool (rooms,)."""
         return ((state >> tables["goal"]) & 1) != 0
 
 

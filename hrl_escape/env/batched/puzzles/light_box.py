@@ -41,7 +41,7 @@ class LightBoxTensorPuzzle(TensorPuzzle):
         return state
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """The goal's light is on."""
+        """Return true where the goal's light is on, bool (rooms,)."""
         return (state >> tables["goal"] & 1) != 0
 
 

@@ -43,7 +43,7 @@ class LightsOutTensorPuzzle(TensorPuzzle):
         return state
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """The board shows the goal."""
+        """Return true where the board shows the goal pattern, bool (rooms,)."""
         return state == tables["goal"]
 
     def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:

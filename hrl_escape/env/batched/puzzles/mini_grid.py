@@ -90,7 +90,7 @@ class MiniGridTensorPuzzle(TensorPuzzle):
         return is_shut
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """A ball is held; where there is none, all doors have been opened."""
+        """Return true where a ball is held or, on a map without balls, all doors have been opened, bool (rooms,)."""
         has_ball = ((self._list_places(tables, state) == HELD) & tables["is_ball"]).any(0)
         opened = torch.ones_like(state, dtype=torch.bool)
         for number in range(tables["locked"].shape[0]):

@@ -45,7 +45,7 @@ class PuddleWorldTensorPuzzle(TensorPuzzle):
         return -tables["cost"] * depth.amax(0)
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """The goal has been entered."""
+        """Return true where the goal has been entered, bool (rooms,)."""
         return state == 1
 
 

@@ -44,7 +44,7 @@ class RecipesTensorPuzzle(TensorPuzzle):
         return state
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """The goal is there."""
+        """Return true where the goal has been collected, placed or made, bool (rooms,)."""
         goal = tables["goal"].expand(state.shape).unsqueeze(0)
         return self._count(state).gather(0, goal).squeeze(0) > 0
 

@@ -70,7 +70,7 @@ class SokobanTensorPuzzle(TensorPuzzle):
         return is_shut
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """A box stands on every goal."""
+        """Return true where a box stands on every goal, bool (rooms,)."""
         return self._find_filled(tables, state).any(0).all(0)
 
     def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:

@@ -46,16 +46,16 @@ class TaxiTensorPuzzle(TensorPuzzle):
         return torch.where(self.is_solved(tables, state), state, after)
 
     def is_solved(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """The passenger is where he wanted to go."""
+        """Return true where the passenger has been delivered, bool (rooms,)."""
         return state & _DELIVERED != 0
 
     def compute_reward(self, tables: PuzzleTables, before: Tensor, after: Tensor, contacts: TensorContacts,
                        targets: int) -> Tensor:
-        """Less where gripping or releasing was in vain."""
+        """`REFUSED` where a grip or release had no effect, else 0, shape (rooms,)."""
         return torch.where((contacts.grip != 0) & (after == before), REFUSED, 0.0)
 
     def get_lit(self, tables: PuzzleTables, state: Tensor) -> Tensor:
-        """Bit of the destination, int64 (rooms,)."""
+        """Bit of the destination's depot, int64 (rooms,)."""
         return 1 << (state >> 3 & 3)
 
     def observe(self, tables: PuzzleTables, state: Tensor, targets: int) -> Tensor:
