@@ -1,7 +1,7 @@
 """The scalar state of a room, and values derived from its pose: heading, joint angles, hand.
 
-`RoomState` is what `batched/poses.py` has for many rooms at once. Headings and joints are whole steps, so that the
-same steps give the same floats, however they were made. Metres, radians.
+`batched/poses.py` has the same for many rooms at once. Headings and joints are whole steps, so that the
+same steps give the same floats, whatever led to them. Metres, radians.
 """
 
 from __future__ import annotations
@@ -57,19 +57,19 @@ class RoomState(NamedTuple):
         return self.x, self.y, self.heading_steps, self.heading_offset, self.joint_steps, self.joint_offsets
 
     def has_pose_of(self, other: RoomState) -> bool:
-        """Say whether base and arm are exactly as in another state."""
+        """Return whether base and arm are exactly as in another state."""
         return (self.x == other.x and self.y == other.y and self.heading_steps == other.heading_steps
                 and self.heading_offset == other.heading_offset and self.joint_steps == other.joint_steps
                 and self.joint_offsets == other.joint_offsets)
 
 
 class RobotPoses:
-    """Headings, joint angles and hand positions of one robot; those of whole steps are remembered.
+    """Headings, joint angles and hand positions of one robot; those of whole steps are cached.
 
     Attributes:
         robot: the robot.
         headings: turn steps of a full turn.
-        turn_step: one of them, rad.
+        turn_step: angle of one turn step, rad.
         symmetry: number of headings, evenly spread, at which the base covers and moves the same.
     """
 
@@ -85,7 +85,7 @@ class RobotPoses:
 
     @staticmethod
     def compute_heading(steps: int, offset: float, turn_step: float) -> float:
-        """Heading in [-pi, pi): the same steps give the same float, however they were made."""
+        """Heading in [-pi, pi), rad: the same steps give the same float, whatever led to them."""
         return (steps * turn_step + offset + math.pi) % math.tau - math.pi
 
     def list_rotations(self) -> tuple[tuple[float, float], ...]:
@@ -106,7 +106,7 @@ class RobotPoses:
         return math.cos(angle), math.sin(angle)
 
     def get_angles(self, state: RoomState) -> tuple[float, ...]:
-        """Joint angles in rad; whole-step configurations are remembered."""
+        """Joint angles in rad; whole-step configurations are cached."""
         if state.joint_offsets:
             return self.robot.compute_angles(state.joint_steps, state.joint_offsets)
         angles = self._arms.get(state.joint_steps)
@@ -118,7 +118,7 @@ class RobotPoses:
 
     def get_hand_in_base(self, joint_steps: tuple[int, ...],
                          joint_offsets: tuple[float, ...] = ()) -> tuple[float, float, float]:
-        """Hand position in the base frame, m; whole-step configurations are remembered."""
+        """Hand position in the base frame, m; whole-step configurations are cached."""
         if joint_offsets:
             return tuple(self.robot.compute_hand(self.robot.compute_angles(joint_steps, joint_offsets)).tolist())
         hand = self._hands.get(joint_steps)

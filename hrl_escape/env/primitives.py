@@ -1,6 +1,6 @@
 """The action table: the primitive that each action number stands for (paper, table 3).
 
-The one definition that engines, planners, options, drawings and the command line read. Nothing else knows how many
+The only definition, read by engines, planners, options, drawings and the command line. No other module knows how many
 primitives there are, in which order they stand, which of them are moves or how far these go. Lengths are metres, turns
 whole turn steps, in which headings are counted.
 """
@@ -60,11 +60,11 @@ class Primitive(NamedTuple):
 
 @dataclass(frozen=True)
 class Move(Settings):
-    """A primitive of the base beside those of its drive: one straight move, or one turn on the spot."""
+    """An additional primitive of the base: one straight move, or one turn on the spot."""
 
     _section = "move"
     name: str = "leap"
-    """Name, unlike those of all other primitives."""
+    """Name that no other primitive of the robot has."""
     forward: Annotated[float, Range(-20, 20, "m")] = 0.0
     """Displacement along the heading."""
     left: Annotated[float, Range(-20, 20, "m")] = 0.0
@@ -73,7 +73,7 @@ class Move(Settings):
     """Turn on the spot, counter-clockwise positive."""
 
     def check(self) -> None:
-        """Check that it moves or turns, and does not do both."""
+        """Check that it either moves or turns."""
         if not self.name:
             raise ConfigError("move.name", self.name, "a name")
         if bool(self.turn) == bool(self.forward or self.left):
@@ -89,7 +89,7 @@ class JointActions(NamedTuple):
 
 @dataclass(frozen=True)
 class ActionTable:
-    """The primitives of a robot in action order: translations, turns, the joints, then the gripper.
+    """The primitives of a robot in action order: translations, turns, joints, gripper.
 
     The groups hold action numbers. Those of the base come first and are the same for every robot with its drive.
 
@@ -100,9 +100,8 @@ class ActionTable:
         turns: turns of the base: one turn step to the left, one to the right, then further ones.
         base: translations and turns.
         joints: the pair of each joint.
-        gripper: grip, release, and use if there is that; empty without a gripper.
-        wait: the primitive to pass time with: it never moves the body's axis, and a disc presses nothing by it that it
-            is not touching.
+        gripper: grip, release, and use if the robot has it; empty without a gripper.
+        wait: the no-op: it never moves the base's axis, and with a disc base it never begins a press.
         symmetry: number of headings, evenly spread over a full turn, at which the base has the same moves.
     """
 
@@ -121,7 +120,7 @@ class ActionTable:
 
     @property
     def stride(self) -> float:
-        """Length of `forward`, m: what planners lay their grids by, and how far ahead a robot grips and uses."""
+        """Length of `forward`, m: planners derive their grids from it, and grip and use reach that far ahead."""
         return self.primitives[0].forward
 
     @cached_property
@@ -131,7 +130,7 @@ class ActionTable:
 
     @cached_property
     def longest(self) -> float:
-        """Length of the longest translation, m: no primitive brings the base's axis farther."""
+        """Length of the longest translation, m: no primitive moves the base's axis farther."""
         return float(self.lengths.max())
 
     @cached_property
@@ -203,7 +202,7 @@ def make_action_table(joints: int, gripper: bool = False, drive: DriveKind = "st
 
 
 def _count_symmetry(moves: tuple[Primitive, ...]) -> int:
-    """The `symmetry` of translations, of which quarter and half turns are known: 4, 2 or 1."""
+    """The `symmetry` of translations under quarter and half turns: 4, 2 or 1."""
     ways = {(move.forward, move.left) for move in moves}
     if ways == {(-left, forward) for forward, left in ways}:
         return 4
@@ -214,7 +213,7 @@ SlipKind = Literal["stay", "lateral", "lateral-if-free", "any", "neighbour"]
 
 
 def list_slips(kind: SlipKind, actions: ActionTable, action: int) -> tuple[int, ...]:
-    """Translations that one may slip to, all alike; those of `neighbour` are tried for being free.
+    """Translations that a slip may turn into, equally likely; those of `neighbour` must also be free.
 
     `lateral`: those at right angles to it; `any`: all others; `neighbour`: all; none of another primitive.
     """

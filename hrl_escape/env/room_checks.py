@@ -144,7 +144,7 @@ def check_room(instance: Room) -> None:
 
 
 def does_base_fit(robot: RobotConfig, pose: FloorPose, solids: Sequence[Footprint]) -> bool:
-    """Say whether a base is clear of solids at a heading; true of one whose heading is no matter."""
+    """Return whether a base is clear of solids at a heading; true of one whose heading is no matter."""
     heading = pose.heading_steps * math.radians(robot.turn_step_deg) + pose.heading_offset
     rotation = round(math.cos(heading), 15), round(math.sin(heading), 15)
     return robot.base.turns_anywhere or robot.base.grow(CONTACT_SKIN).measure_gap(
@@ -165,7 +165,7 @@ def _trace_rim(instance: Room, spacing: float) -> NDArray[np.float64]:
 
 
 def is_on_floor(instance: Room, x: float, y: float, slack: float = 0.0) -> bool:
-    """Say whether a point is on the floor, or in the alcove behind a door, or at most `slack` m beyond their edges."""
+    """Return whether a point is on the floor, or in the alcove behind a door, or at most `slack` m beyond their edges."""
     return any(x_min - slack <= x <= x_max + slack and y_min - slack <= y <= y_max + slack
                for x_min, x_max, y_min, y_max in _list_areas(instance))
 

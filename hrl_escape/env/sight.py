@@ -33,7 +33,7 @@ def list_hiders(instance: RoomInstance) -> list[Footprint]:
 
 
 def _reaches_into(shape: Footprint, half_width: float, half_depth: float) -> bool:
-    """Say whether the rectangle round an outline overlaps the open floor."""
+    """Return whether the rectangle round an outline overlaps the open floor."""
     if shape.is_disc:
         wide = high = shape.half_x
     else:
@@ -81,7 +81,7 @@ class Scanner:
         return self._meet(x, y, table)
 
     def see(self, x: float, y: float, points: NDArray[np.float64], slack: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Say of each point whether it is in sight.
+        """Return for each point whether it is in sight.
 
         Args:
             x: eye.

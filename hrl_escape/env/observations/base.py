@@ -60,7 +60,7 @@ class Outlines(Protocol):
 
 
 class BatchView(Protocol):
-    """The part of a batch that observations read; tensors have the rooms last."""
+    """View of a batch of rooms for observations; the last axis of every tensor is the room."""
 
     @property
     def x(self) -> Tensor:
@@ -124,7 +124,7 @@ class BatchView(Protocol):
 
     @property
     def are_cells(self) -> bool:
-        """Targets are cells of a map."""
+        """True if the targets are cells of a map."""
         ...
 
     @property
@@ -148,7 +148,7 @@ BatchObservation: TypeAlias = "Callable[[BatchView], list[Tensor]]"
 
 
 class Observer(ABC):
-    """Turns states of one instance into observations of one kind.
+    """Observer of one room: turns its states into observations of one kind.
 
     Args:
         rules: the room's rules.
@@ -192,10 +192,10 @@ class Observer(ABC):
         raise UnsupportedError("this observation is not for batches")
 
     def _get_puzzle(self, state: RoomState) -> tuple[float, ...]:
-        """The puzzle's numbers as this kind shows them; remembered, for a puzzle changes rarely."""
+        """The puzzle's numbers in the form of this observation, cached, as a puzzle changes rarely."""
         numbers = self._seen.get(state.puzzle)
         if numbers is None:
-            if len(self._seen) > 4096:  # a continuous puzzle never repeats itself
+            if len(self._seen) > 4096:  # states of a continuous puzzle never recur
                 self._seen.clear()
             numbers = self._scale_puzzle(self._puzzle.observe(state.puzzle))
             numbers += (0.0,) * (len(self._frame.bounds) - len(numbers))  # of absent targets
@@ -217,7 +217,7 @@ _REGISTRY: dict[str, type[Observer]] = {}
 
 
 def register_observation(observer: type[Observer]) -> None:
-    """Make an observation known by its name.
+    """Register an observation under its `name`.
 
     Raises:
         ConfigError: another observation has that name.
@@ -239,7 +239,7 @@ def _load_entry_points(wanted: str | None = None) -> None:
 
 
 def get_observation(name: str) -> type[Observer]:
-    """Look an observation up by name, entry points of other packages included.
+    """Return the observation of a name, entry points of other packages included.
 
     Raises:
         UnknownNameError: no observation of that name; the message lists those there are.

@@ -1,4 +1,4 @@
-"""`egocentric`: sights from the robot's own place, its joints, and a ring of lidar."""
+"""`egocentric`: what the robot sees from its place, its joints, and a ring of lidar."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ LIDAR_RAYS = 16
 
 
 class EgocentricObserver(Observer):
-    """Sights from the robot's own place, its joints, and a ring of lidar, all in [-1, 1].
+    """Ranges and bearings from the robot's place, its joints, and a ring of lidar, all in [-1, 1].
 
-    Of each target its range over the room's diagonal, sine and cosine of its bearing, and 1 if it is lit; of each
+    For each target its range over the room's diagonal, sine and cosine of its bearing, and 1 if it is lit; for each
     block, each plate and the exit range, sine and cosine. What is out of sight, or not in this instance, is all 0. Then
     joint angles over their limits, and lidar ranges over the diagonal, from straight ahead counter-clockwise.
 
@@ -61,7 +61,7 @@ class EgocentricObserver(Observer):
         self.low = -self.high
 
     def _find_scanners(self, state: RoomState) -> tuple[Scanner, Scanner | None]:
-        """Lidar, and lines of sight, among what stands: fixed solids and the doors that are shut."""
+        """Scanners for lidar and for lines of sight, among fixed solids and shut doors."""
         doors = self._rules.inner_doors
         inner = doors.get_shut(state.puzzle) & self._leaves if doors else 0
         key = (self._instance.door is not None and not self._puzzle.is_solved(state.puzzle), inner)
@@ -97,7 +97,7 @@ class EgocentricObserver(Observer):
                 if away:
                     ahead, aside = ahead / away, aside / away
                 else:
-                    ahead, aside = 1.0, 0.0  # along +x, on the point itself
+                    ahead, aside = 1.0, 0.0  # a point at the robot's own place has the bearing +x
                 numbers += away / diagonal, aside * cos - ahead * sin, ahead * cos + aside * sin
                 if is_target:
                     numbers.append(float(lit[number]))
@@ -124,7 +124,7 @@ class EgocentricObserver(Observer):
         cos, sin = rooms.rotation
 
         def look_at(x: Tensor, y: Tensor, slack: Tensor) -> tuple[Tensor, Tensor]:
-            """Range, sine and cosine of points (points, rooms), and if they are in sight."""
+            """Range, sine and cosine of the bearing of points, and whether they are in sight; each (points, rooms)."""
             away_x, away_y = x - rooms.x, y - rooms.y
             distance = torch.sqrt(away_x * away_x + away_y * away_y)
             is_here = distance == 0.0

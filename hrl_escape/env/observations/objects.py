@@ -1,4 +1,4 @@
-"""`objects`: one row of numbers an object, in no order that means anything, and the joints."""
+"""`objects`: one row of numbers for each object, in an order without meaning, and the joints."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ __all__ = ["OBJECT_WORDS", "ObjectObserver"]
 
 OBJECT_WORDS = ("present", "target", "block", "plate", "exit", "ahead", "left", "sin", "cos", "half-x", "half-y",
                 "lit")
-"""Numbers in one row of `objects`."""
+"""Names of the numbers in a row of `objects`."""
 
 
 class ObjectObserver(Observer):
-    """One row of numbers an object, whatever its number, and the joints; all in [-1, 1].
+    """One row of numbers for each object, and the joints; all in [-1, 1].
 
     Rows are those of the targets, blocks, plates and the exit. A row holds 1 where the object is present (rows of
     targets that this instance lacks are all 0: the mask), its type, its place ahead and to the left of the robot, sine
     and cosine of its direction as seen from the robot, half its sizes, and 1 if it is lit, or the exit open. Lengths
-    are shares of the floor's diagonal. The order of rows says nothing. Joint angles over their limits follow.
+    are shares of the floor's diagonal. The order of rows has no meaning. Joint angles over their limits follow.
     """
 
     name = "objects"

@@ -133,7 +133,7 @@ def ladder_room(name: str, count: int, graph: GraphConfig, size: float = 20.0, d
 
 
 def inner_doors() -> RoomConfig:
-    """Four rooms, the doors between which buttons open, one each."""
+    """Four rooms with three doors between them, each opened by a button of its own."""
     puzzle = ButtonsConfig(count=5, graph=GraphConfig(kind="tree"), buttons=Panels(width=1.5), doors=3)
     return ladder_room("inner-doors", 5, puzzle.graph, room=ShapeConfig(width=20, depth=20, rooms=4), puzzle=puzzle)
 
@@ -148,7 +148,7 @@ def clutter() -> RoomConfig:
 
 
 def arm_two_button() -> RoomConfig:
-    """Two small buttons at different heights that only the hand of a 3-joint arm presses."""
+    """Two small buttons at different heights, which only the hand of a 3-joint arm can press."""
     return RoomConfig(
         name="arm-two-button",
         room=ShapeConfig(width=12, depth=12),
@@ -201,7 +201,7 @@ def recipes(goal: Craft = "diamond") -> RoomConfig:
 
 
 def deep_sea(size: int = 10) -> RoomConfig:
-    """Deep Sea of bsuite on two panels; its rewards are the only ones.
+    """Deep Sea of bsuite on two panels; the room adds no rewards of its own.
 
     Args:
         size: rows and columns, 2 to 50.

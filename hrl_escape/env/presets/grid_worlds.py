@@ -1,4 +1,4 @@
-"""Presets of published grid worlds: rooms cell by cell, whose primitives are the moves of the domain."""
+"""Presets of published grid worlds: rooms of cells, whose primitives are the moves of the domain."""
 
 from __future__ import annotations
 
@@ -123,7 +123,7 @@ def foraging(worms: int = 4) -> RoomConfig:
 
 
 def puddle_world() -> RoomConfig:
-    """Puddle World (Boyan and Moore 1995; Sutton 1996) on the lattice of its moves, without the noise of its moves."""
+    """Puddle World (Boyan and Moore 1995; Sutton 1996) on the lattice of its moves, which are without noise here."""
     return RoomConfig(
         name="puddle-world",
         room=ShapeConfig(width=21, depth=21),

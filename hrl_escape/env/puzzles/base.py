@@ -44,12 +44,12 @@ __all__ = [
 PuzzleState: TypeAlias = Any
 """A hashable value of each puzzle's own type; its rules name that type."""
 Success = Annotated[float, Range(0, 1, open_low=True)]
-"""Type of a field: the probability that a press has its effect."""
+"""Type of a field: the probability in [0, 1] that a press has its effect."""
 
 
 @dataclasses.dataclass(frozen=True)
 class _OfKind(Schematic, ABC):
-    """Settings of one registered kind of puzzle; plain dicts name it in the field `kind`."""
+    """Settings of one registered kind of puzzle, named by the field `kind` in plain dicts."""
 
     kind: ClassVar[str]
     _section = "puzzle"
@@ -58,7 +58,7 @@ class _OfKind(Schematic, ABC):
     @classmethod
     @abstractmethod
     def _get_member(cls, kind: PuzzleKind) -> type[Self]:
-        """Return this family's class of a kind."""
+        """Return this family's class (schematic or rules) of a kind."""
 
     def to_dict(self) -> dict[str, Any]:
         """Return the kind and the fields as plain values."""
@@ -84,7 +84,7 @@ class _OfKind(Schematic, ABC):
 
 @dataclasses.dataclass(frozen=True)
 class PuzzleConfig(_OfKind):
-    """The puzzle's part of the schematic; `make_puzzle` draws what is random in it."""
+    """The puzzle's part of the schematic; `make_puzzle` draws its random parts."""
 
     needs_physics: ClassVar[bool] = False
     _default_kind = "buttons"
@@ -112,8 +112,8 @@ class PuzzleConfig(_OfKind):
 class Puzzle(_OfKind):
     """A concrete puzzle: the rules, as pure functions of its hashable state.
 
-    A puzzle gives `kind`, `target_names`, `make_state`, `update`, `is_solved` and `observe`. The other members have
-    defaults; what few puzzles have besides are traits (`traits.py`) and a symbolic model of its own (`Modelled`).
+    A puzzle defines `kind`, `target_names`, `make_state`, `update`, `is_solved` and `observe`. The other members have
+    defaults; rarer abilities are traits (`traits.py`), among them a symbolic model of its own (`Modelled`).
 
     Attributes:
         kind: registered name.
@@ -126,11 +126,11 @@ class Puzzle(_OfKind):
     @property
     @abstractmethod
     def target_names(self) -> tuple[str, ...]:
-        """Names of the things that can be pressed; the index is the target's number."""
+        """Names of the targets; a target's number is its index here."""
 
     @property
     def pad_names(self) -> tuple[str, ...]:
-        """Names of those that are pads on the floor; the others are panels on the walls."""
+        """Names of the targets that are pads on the floor; the others are panels on the walls."""
         return ()
 
     @property
@@ -140,7 +140,7 @@ class Puzzle(_OfKind):
 
     @property
     def chances(self) -> tuple[float, ...]:
-        """Numbers, ascending, at which the outcome of `contacts.uniform` changes: (0.9,) for what works 9 times in 10.
+        """Numbers, ascending, at which the outcome of `contacts.uniform` changes: (0.9,) for success 9 times in 10.
 
         Each is the first number of its outcome, so rules compare by `contacts.uniform < chance`.
         """
@@ -156,16 +156,16 @@ class Puzzle(_OfKind):
         """Return the state at the start of an episode."""
 
     def list_starts(self) -> tuple[PuzzleState, ...]:
-        """List the states in which episodes may begin; each draws one, all alike. The first is `make_state()`."""
+        """List the states in which episodes may begin, equally likely. The first is `make_state()`."""
         return (self.make_state(),)
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a state of this puzzle; by default, if its numbers are within bounds."""
+        """Return whether an untrusted value is a state of this puzzle; by default, if its numbers are within bounds."""
         try:
             numbers = self.observe(state)
             return type(state) is type(self.make_state()) and len(numbers) == len(self.bounds) and all(
                 low <= number <= high for number, (low, high) in zip(numbers, self.bounds, strict=True))
-        except Exception:  # whatever the rules raise on what is no state of theirs
+        except Exception:  # whatever the rules raise on a value that is no state of theirs
             return False
 
     @abstractmethod
@@ -174,23 +174,23 @@ class Puzzle(_OfKind):
 
     @abstractmethod
     def is_solved(self, state: PuzzleState) -> bool:
-        """Say whether the exit is open."""
+        """Return whether the exit is open."""
 
     def is_failed(self, state: PuzzleState) -> bool:
-        """Say whether the episode ends here without an escape, as the primitive that led here is over."""
+        """Return whether the puzzle is failed here: the episode then ends without an escape."""
         return False
 
     def compute_reward(self, before: PuzzleState, after: PuzzleState, contacts: Contacts) -> float:
-        """Reward of a primitive after which `update` was called, on top of the room's own."""
+        """Reward that the puzzle adds to the room's for a primitive after which `update` was called."""
         return 0.0
 
     @property
     def has_reward(self) -> bool:
-        """The puzzle has rewards of its own, so that a return does not follow from a number of primitives."""
+        """True if the puzzle adds rewards: a return then does not follow from the number of primitives."""
         return type(self).compute_reward is not Puzzle.compute_reward
 
     def compute_progress(self, state: PuzzleState) -> float:
-        """Share in [0, 1] of the facts on the way to the goal that hold; by default, of the symbolic goal's own.
+        """Share in [0, 1] of the facts needed for the goal that hold; by default, of the goal's own facts.
 
         Puzzles with dependencies count what the goal depends on as well, and facts that must be off count as others do.
         """
@@ -199,7 +199,7 @@ class Puzzle(_OfKind):
 
     @cached_property
     def _goal(self) -> frozenset[str]:
-        """Goal of a model of its own; empty where it would be derived, for that can take long and says no more."""
+        """Goal of the puzzle's own model; empty for a derived model, which is slow to make and tells no more."""
         return self.make_symbolic_model().goal if isinstance(self, Modelled) else frozenset()
 
     @property
@@ -212,12 +212,12 @@ class Puzzle(_OfKind):
         """Return the N_p observation numbers, within `bounds`."""
 
     def get_lit(self, state: PuzzleState) -> tuple[bool, ...]:
-        """Say for each target whether it is on; by default none is."""
+        """Return for each target whether it is on; by default none is."""
         return (False,) * len(self.target_names)
 
     @property
     def symbolic(self) -> Modelled:
-        """The symbolic model that planners, option synthesis and PDDL export read: the puzzle's own, or derived."""
+        """Symbolic model for planners, option synthesis and PDDL export: the puzzle's own, or a derived one."""
         return self if isinstance(self, Modelled) else self._derived
 
     @cached_property
@@ -237,7 +237,7 @@ _REGISTRY: dict[str, PuzzleKind] = {}
 
 
 def register_puzzle(config_type: type[PuzzleConfig], puzzle_type: type[Puzzle]) -> None:
-    """Make a puzzle known under its `kind`.
+    """Register a puzzle under its `kind`.
 
     Raises:
         ConfigError: the two types differ in `kind`, or another puzzle has that name.
@@ -251,7 +251,7 @@ def register_puzzle(config_type: type[PuzzleConfig], puzzle_type: type[Puzzle]) 
 
 
 def get_puzzle_kind(kind: Any) -> PuzzleKind:
-    """Look a puzzle up by name, loading third-party entry points when needed.
+    """Return the puzzle of a name; third-party entry points are loaded when needed.
 
     Raises:
         UnknownNameError: no puzzle of that name; the message lists those there are.

@@ -1,6 +1,6 @@
 """BitFlip (Diuk, Strehl and Littman 2006) on a wall: bits that are flipped in one order.
 
-Bit i can be flipped only while all lower bits are on; flipped too early, it and all lower bits go
+Bit i can be flipped only while all lower bits are on; pressed too early, it and all lower bits go
 off. All bits on open the exit: n presses at the fewest, from the lowest bit to the highest. The
 rule is the one that public implementations of the domain restate ("flip from left to right; the
 penalty is a reset of all bits to the left"), among them that of Mehta et al. 2008 ("Automatic
@@ -74,7 +74,7 @@ class BitFlipPuzzle(Graphed, BitPuzzle):
         return tuple(range(self.count))
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Flip, or reset, for each press in index order."""
+        """Flip the bit, or clear it and all lower ones, for each press in index order."""
         for bit in contacts.pressed:
             lower = (1 << bit) - 1
             if state & lower == lower:
@@ -84,7 +84,7 @@ class BitFlipPuzzle(Graphed, BitPuzzle):
         return state
 
     def is_solved(self, state: int) -> bool:
-        """All bits are on."""
+        """Return whether all bits are on."""
         return state == (1 << self.count) - 1
 
     def make_symbolic_model(self) -> SymbolicModel:

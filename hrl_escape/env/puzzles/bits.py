@@ -17,14 +17,14 @@ __all__ = ["BitPuzzle", "GraphPuzzle"]
 
 
 class BitPuzzle(Modelled, Puzzle):
-    """Base of such puzzles: a subclass gives names, rules, the symbolic model, and `count` as a field."""
+    """Base of puzzles of bits; a subclass adds names, rules, the symbolic model, and the field `count`."""
 
     count: int
     """Number of targets, and of bits in the state."""
 
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is 0 or 1."""
+        """Lowest and highest value of each number: 0 and 1."""
         return ((0.0, 1.0),) * self.count
 
     def make_state(self) -> int:
@@ -32,7 +32,7 @@ class BitPuzzle(Modelled, Puzzle):
         return 0
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a word of this many bits."""
+        """Return whether an untrusted value is a word of this many bits."""
         return type(state) is int and 0 <= state < 1 << self.count
 
     def observe(self, state: int) -> tuple[float, ...]:
@@ -40,7 +40,7 @@ class BitPuzzle(Modelled, Puzzle):
         return tuple(float(state >> i & 1) for i in range(self.count))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Targets that are on."""
+        """Return for each target whether it is on."""
         return tuple(bool(state >> i & 1) for i in range(self.count))
 
     def get_facts(self, state: int) -> frozenset[str]:
@@ -84,11 +84,11 @@ class GraphPuzzle(Graphed, BitPuzzle):
         return (self.goal,)
 
     def is_solved(self, state: int) -> bool:
-        """The goal is on."""
+        """Return whether the goal target is on."""
         return bool(state >> self.goal & 1)
 
     def compute_progress(self, state: int) -> float:
-        """Share of the goal, and of all that it depends on, that is on."""
+        """Share in [0, 1] of the goal and its ancestors that are on."""
         wanted = self._wanted
         return (state & wanted).bit_count() / wanted.bit_count()
 
@@ -97,7 +97,7 @@ class GraphPuzzle(Graphed, BitPuzzle):
         return sum(1 << target for target in find_ancestors(self.edge_list, (self.goal,)))
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """One operator a target, applicable when its parents are on and it is off; other presses help nobody."""
+        """One operator per target, applicable when its parents are on and it is off; other presses are useless."""
         fact = [f"on({name})" for name in self.target_names]
         operators = []
         for i, name in enumerate(self.target_names):

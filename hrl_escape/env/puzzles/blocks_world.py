@@ -41,16 +41,16 @@ _LETTERS = "abcdefghijkl"
 
 @dataclasses.dataclass(frozen=True)
 class BlocksWorldConfig(PuzzleConfig):
-    """Schematic of Blocks World; the instance seed draws the towers at first and those of the goal, each alike."""
+    """Schematic of Blocks World; the instance seed draws the first towers and those of the goal, uniformly."""
 
     kind = "blocks-world"
     _takes_ranges = True
     count: Annotated[int, Range(2, MOST_BLOCKS)] = 4
-    """Number of blocks, unless `problem` says which there are."""
+    """Number of blocks; ignored where `problem` names them."""
     problem: str | None = None
     """A PDDL problem of the domain with four operators, instead of drawn towers."""
     places: Panels = Panels(gap=1.0)
-    """Sizes and places of the blocks' places."""
+    """Sizes and places of the panels, one for each block."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -58,7 +58,7 @@ class BlocksWorldConfig(PuzzleConfig):
 
     @property
     def panels(self) -> Panels:
-        """Sizes and places of the blocks' places."""
+        """Sizes and places of the panels, one for each block."""
         return self.places
 
     def make_puzzle(self, rng: np.random.Generator) -> BlocksWorldPuzzle:
@@ -80,13 +80,13 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
     names: tuple[str, ...] = ("a", "b")
     """Names of the blocks."""
     start: tuple[Block, ...] = (0, 1)
-    """For each block, the number of the one that it stands on at first; its own for the table."""
+    """For each block, the number of the block below it at first; its own number for the table."""
     goal: tuple[tuple[Block, Block], ...] = ((0, 1),)
     """Pairs of a block and what it must stand on."""
     clear: tuple[Block, ...] = ()
-    """Blocks on which nothing may stand in the end."""
+    """Blocks that must be clear in the end."""
     free_hand: bool = False
-    """Nothing may be held in the end."""
+    """The hand must be empty in the end."""
 
     def check(self) -> None:
         """Check that the towers stand, and that the goal can be reached."""
@@ -119,7 +119,7 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """The places of the blocks."""
+        """Names of the panels, `place-<block>`."""
         return tuple(f"place-{name}" for name in self.names)
 
     @property
@@ -134,15 +134,15 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
         return sum(below << 4 * block for block, below in enumerate(towers))
 
     def decode(self, state: int) -> Towers:
-        """Towers of a state."""
+        """Return the towers that a state encodes."""
         return tuple(state >> 4 * block & 15 for block in range(len(self.names)))
 
     def make_state(self) -> int:
-        """The towers at first."""
+        """State of the first towers."""
         return self.encode(self.start)
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a state: towers that stand, and at most one block in the hand."""
+        """Return whether an untrusted value is a state: towers that stand, and at most one block in the hand."""
         if type(state) is not int or not 0 <= state < 1 << 4 * len(self.names):
             return False
         towers = self.decode(state)
@@ -163,7 +163,7 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
         return next((self.encode(then) for grip, base, then in list_moves(towers) if (grip, base) == wanted), state)
 
     def is_solved(self, state: int) -> bool:
-        """The goal's facts hold."""
+        """Return whether the goal's facts hold."""
         return meets_goal(self.decode(state), self.wanted)
 
     def observe(self, state: int) -> tuple[float, ...]:
@@ -180,11 +180,11 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
         return tuple(numbers)
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Places on which a tower stands."""
+        """Return for each place whether a tower stands on it."""
         return tuple(below == block for block, below in enumerate(self.decode(state)))
 
     def get_sign(self, state: int, target: int) -> str:
-        """The tower on a place, from the table up."""
+        """Names of the blocks in the tower on a place, from the table up."""
         towers = self.decode(state)
         above = {below: block for block, below in enumerate(towers) if below != block}
         tower = [target] if towers[target] == target else []

@@ -31,9 +31,9 @@ from hrl_escape.settings import Range
 __all__ = ["ButtonsConfig", "ButtonsPuzzle"]
 
 ViolationRule = Literal["ignore", "reset"]
-"""Answer to a press with unmet parents: ignore it, or turn all buttons off."""
+"""Effect of a press with unmet parents: none, or all buttons go off."""
 _TRIES = 200
-"""Graphs that are drawn for one with enough dead ends."""
+"""Most graphs drawn in search of one with enough dead ends."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +57,7 @@ class ButtonsConfig(PuzzleConfig):
     dead_ends: Annotated[int, Range(0, 64)] = 0
     """Locks: pairs of buttons. Once the first is on, the second, which the goal needs, cannot be turned on any more."""
     doors: Annotated[int, Range(0, 15)] = 0
-    """Doorways between rooms that a door shuts until a button, one for each door, is on."""
+    """Number of doorways with a door; each opens once a button of its own is on."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -101,7 +101,7 @@ class ButtonsPuzzle(Doored, GraphPuzzle):
 
     kind = "buttons"
     on_violation: ViolationRule = "ignore"
-    """Answer to a press with unmet parents, or of a locked button."""
+    """Effect of a press with unmet parents, or of a locked button."""
     allow_off: bool = False
     """Pressing a button that is on turns it off."""
     locks: tuple[tuple[ButtonNumber, ButtonNumber], ...] = ()
@@ -125,7 +125,7 @@ class ButtonsPuzzle(Doored, GraphPuzzle):
 
     @cached_property
     def lock_masks(self) -> tuple[int, ...]:
-        """For each button, the bits of those that lock it."""
+        """For each button, the bits of the buttons that lock it."""
         masks = [0] * self.count
         for locking, locked in self.locks:
             masks[locked] |= 1 << locking
@@ -138,7 +138,7 @@ class ButtonsPuzzle(Doored, GraphPuzzle):
 
     @property
     def door_facts(self) -> tuple[str, ...]:
-        """Each door is open from when its button is on."""
+        """Fact that opens each door: its button is on."""
         return tuple(f"on({self.target_names[button]})" for button in self.doors)
 
     def get_shut(self, state: int) -> int:

@@ -37,7 +37,7 @@ class CodeLockConfig(PuzzleConfig):
     memory: LockMemory = "reset"
     """A wrong press loses all progress, or only the last presses count."""
     shown: bool = True
-    """Observations tell how much of the code has been entered."""
+    """Observations show how much of the code has been entered."""
     buttons: Panels = Panels(width=1.5)
     """Sizes and places of the digits' panels."""
 
@@ -51,7 +51,7 @@ class CodeLockConfig(PuzzleConfig):
         return self.buttons
 
     def make_puzzle(self, rng: np.random.Generator) -> CodeLockPuzzle:
-        """Draw the code, all codes alike."""
+        """Draw the code, uniformly among all codes."""
         code = [int(rng.integers(self.digits))]
         while len(code) < self.length:
             code.append((code[-1] + 1 + int(rng.integers(self.digits - 1))) % self.digits)
@@ -70,7 +70,7 @@ class CodeLockPuzzle(Modelled, CodePuzzle):
     memory: LockMemory = "reset"
     """A wrong press loses all progress, or only the last presses count."""
     shown: bool = True
-    """Observations tell how much of the code has been entered."""
+    """Observations show how much of the code has been entered."""
 
     def check(self) -> None:
         """Check that the code can be entered."""
@@ -111,7 +111,7 @@ class CodeLockPuzzle(Modelled, CodePuzzle):
         return tuple(float(i < seen) for i in range(len(self.code)))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """The panel pressed last, where progress is shown and there is some; all once the lock is open."""
+        """Lit panels: the last one entered, if progress is shown; all once the lock is open."""
         if self.is_solved(state):
             return (True,) * self.digits
         last = self.code[state - 1] if self.shown and state else None

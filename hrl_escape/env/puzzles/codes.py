@@ -10,7 +10,7 @@ __all__ = ["CodePuzzle"]
 
 
 class CodePuzzle(Puzzle):
-    """Base of such puzzles: a subclass gives names, rules, and `code` as a field."""
+    """Base of puzzles with a code; a subclass adds names, rules, and the field `code`."""
 
     code: tuple[int, ...]
     """Numbers of the targets in order."""
@@ -20,13 +20,13 @@ class CodePuzzle(Puzzle):
         return 0
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a number of presses of the code."""
+        """Return whether an untrusted value is a number of presses of the code."""
         return type(state) is int and 0 <= state <= len(self.code)
 
     def is_solved(self, state: int) -> bool:
-        """The whole code has been entered."""
+        """Return whether the whole code has been entered."""
         return state == len(self.code)
 
     def compute_progress(self, state: int) -> float:
-        """Share of the code that has been entered."""
+        """Share in [0, 1] of the code that has been entered."""
         return state / len(self.code)

@@ -1,4 +1,4 @@
-"""Contacts: all that the rules of a puzzle are told about a primitive."""
+"""Contacts: everything that the rules of a puzzle learn about a primitive."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Contacts(NamedTuple):
     Attributes:
         pressed: indices of targets whose touching began at this primitive's end, ascending.
         prop_poses: (x, y, yaw) of each prop in the room frame, metres and radians; they
-            move under physics dynamics only. A puzzle with props is told where they stand
+            move under physics dynamics only. A puzzle with props gets these poses
             once before the first primitive, with nothing pressed.
         uniform: number between 0 and 1 drawn for this primitive, if the puzzle is random. 0, which is never drawn,
             stands for the most likely outcome: planners press with it, so an outcome of probability p should be that

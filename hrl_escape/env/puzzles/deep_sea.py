@@ -1,7 +1,7 @@
 """Deep Sea (Osband et al. 2019, bsuite): each press dives one row, and only one panel leads to the treasure.
 
 On a square of N x N cells, one panel moves a diver down and to the right at a reward of -0.01 / N, the other down and
-to the left; which is which is drawn for each cell. Moving right in the last cell earns 1 and opens the exit; after N
+to the left; the assignment is drawn for each cell. Moving right in the last cell earns 1 and opens the exit; after N
 presses the episode ends in any case. All presses to the right return 0.99, random ones find the treasure once in 2^N
 episodes. The state is (row, column, treasure found) as a number.
 """
@@ -22,7 +22,7 @@ __all__ = ["COLUMN_BITS", "MOVE_COST", "DeepSeaConfig", "DeepSeaPuzzle"]
 MOVE_COST = 0.01
 """Reward lost by moving right N times."""
 COLUMN_BITS = 6
-"""Bits of a state's column; the row is above them, and above that one bit more for the treasure."""
+"""Bits of a state's column; the row is above them, and the treasure is one bit above the row."""
 _TREASURE = 1 << 2 * COLUMN_BITS
 
 SeaSize = Annotated[int, Range(2, 50)]
@@ -51,7 +51,7 @@ class DeepSeaConfig(PuzzleConfig):
         return self.buttons
 
     def make_puzzle(self, rng: np.random.Generator) -> DeepSeaPuzzle:
-        """Nothing depends on the instance seed."""
+        """Make the puzzle; it does not depend on the instance seed."""
         return DeepSeaPuzzle(self.size, self.mapping_seed)
 
 
@@ -77,14 +77,14 @@ class DeepSeaPuzzle(Puzzle):
         return ("dive-1", "dive-2")
 
     def make_state(self) -> int:
-        """The top left cell."""
+        """State of the top left cell."""
         return 0
 
     def _read(self, state: int) -> tuple[int, int]:
         return (state & ~_TREASURE) >> COLUMN_BITS, state & (1 << COLUMN_BITS) - 1
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a cell of the sea, or below its last row."""
+        """Return whether an untrusted value is a cell of the sea, or below its last row."""
         if type(state) is not int or not 0 <= state < 2 * _TREASURE:
             return False
         row, column = self._read(state)
@@ -106,11 +106,11 @@ class DeepSeaPuzzle(Puzzle):
         return state
 
     def is_solved(self, state: int) -> bool:
-        """The treasure has been found."""
+        """Return whether the treasure has been found."""
         return state >= _TREASURE
 
     def is_failed(self, state: int) -> bool:
-        """The last row has been left without it."""
+        """Return whether the dive is over without the treasure."""
         return state >> COLUMN_BITS == self.size
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
@@ -129,7 +129,7 @@ class DeepSeaPuzzle(Puzzle):
         return tuple(float(i == at) for at in (row, column) for i in range(self.size))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Panels tell nothing, until the treasure is found."""
+        """No panel is lit until the treasure is found, then all are."""
         return (self.is_solved(state),) * 2
 
 

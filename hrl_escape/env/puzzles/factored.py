@@ -3,7 +3,7 @@
 A press turns its factor's value by a permutation that depends on the values of the factor's parents; with probability
 1 - `success` it does nothing. The exit opens while every factor has its goal. Permutations can be undone, so no press
 leads to a dead end; the goal is drawn from the states furthest from the start, found by enumeration, so that every
-drawn domain is solvable and its optimum is known. The generator is our own: numbers published for others do not carry.
+drawn domain is solvable and its optimum is known. Results published for other generators do not carry over.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class FactoredConfig(PuzzleConfig):
     count: Annotated[int, Range(1, 12)] = 5
     """Number of factors, each with a panel."""
     arity: Arity = 3
-    """Values of a factor."""
+    """Number of values of a factor."""
     max_parents: Annotated[int, Range(0, 3)] = 2
-    """Most other factors that decide what a press does to one."""
+    """Most parents of a factor, whose values decide what a press does to it."""
     success: Success = 0.9
-    """Probability that a press has its effect; else it has none."""
+    """Probability that a press has its effect; otherwise it does nothing."""
     buttons: Panels = Panels(width=0.8)
     """Sizes and places of the panels."""
 
@@ -87,13 +87,13 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
     count: Annotated[int, Range(1, 12)] = 1
     """Number of factors, each with a panel."""
     arity: Arity = 2
-    """Values of a factor."""
+    """Number of values of a factor."""
     parents: tuple[tuple[FactorNumber, ...], ...] = ((),)
-    """For each factor, the others that decide what a press does."""
+    """For each factor, its parents: the factors that decide what a press does."""
     turns: tuple[tuple[Annotated[int, Range(0, 7)], ...], ...] = ((1, 0),)
     """For each factor, its value after a press: for each setting of its parents, the first of weight 1, one a value."""
     goal: Annotated[int, Range(0, MOST_ENUMERATED - 1)] = 1
-    """State that opens the exit."""
+    """State in which the exit is open."""
     success: Success = 1.0
     """Probability that a press has its effect."""
 
@@ -116,7 +116,7 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
 
     @property
     def chances(self) -> tuple[float, ...]:
-        """A press may have no effect."""
+        """The probability `success`: with the rest, a press has no effect."""
         return (self.success,) if self.success < 1.0 else ()
 
     @property
@@ -134,11 +134,11 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
         return tuple(state // self.arity**factor % self.arity for factor in range(self.count))
 
     def make_state(self) -> int:
-        """Every factor has the value 0."""
+        """State 0: every factor has the value 0."""
         return 0
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a state from which presses lead to the goal."""
+        """Return whether an untrusted value is a state from which presses lead to the goal."""
         return type(state) is int and state in self._reachable
 
     @cached_property
@@ -146,7 +146,7 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
         return compute_distances(self.count, self.turn)
 
     def turn(self, state: int, factor: int) -> int:
-        """State after a press that has its effect."""
+        """State after a successful press of a factor."""
         values = self.decode(state)
         setting = sum(values[other] * self.arity**place for place, other in enumerate(self.parents[factor]))
         then = self.turns[factor][setting * self.arity + values[factor]]
@@ -160,7 +160,7 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
         return state
 
     def is_solved(self, state: int) -> bool:
-        """Every factor has its goal."""
+        """Return whether every factor has its goal value."""
         return state == self.goal
 
     def observe(self, state: int) -> tuple[float, ...]:
@@ -169,7 +169,7 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
                      for value in range(self.arity))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Factors that have their goal."""
+        """Return for each factor whether it has its goal value."""
         return tuple(own == goal for own, goal in zip(self.decode(state), self.decode(self.goal), strict=True))
 
     def get_facts(self, state: int) -> frozenset[str]:

@@ -20,7 +20,7 @@ from hrl_escape.settings import Range
 __all__ = ["CORRIDOR_COUNT", "ForagingConfig", "ForagingPuzzle"]
 
 CORRIDOR_COUNT = 3
-"""Corridors, each with a pad at its end."""
+"""Number of corridors, each with a pad at its end."""
 
 Worms = Annotated[int, Range(1, 100)]
 
@@ -45,7 +45,7 @@ class ForagingConfig(PuzzleConfig):
         return self.ends
 
     def make_puzzle(self, rng: np.random.Generator) -> ForagingPuzzle:
-        """Nothing depends on the instance seed."""
+        """Make the puzzle; it does not depend on the instance seed."""
         return ForagingPuzzle(self.worms)
 
 
@@ -59,12 +59,12 @@ class ForagingPuzzle(Modelled, Puzzle):
 
     @property
     def chances(self) -> tuple[float, ...]:
-        """The next worm may appear at either of two ends."""
+        """One half: the next worm appears at either of the two other ends."""
         return (0.5,)
 
     @property
     def target_names(self) -> tuple[str, ...]:
-        """The ends of the corridors."""
+        """Names of the pads, `corridor-1` to `corridor-3`."""
         return tuple(f"corridor-{i + 1}" for i in range(CORRIDOR_COUNT))
 
     @property
@@ -77,11 +77,11 @@ class ForagingPuzzle(Modelled, Puzzle):
         return tuple(range(CORRIDOR_COUNT))
 
     def make_state(self) -> int:
-        """The first worm is in the first corridor."""
+        """State with the first worm in the first corridor."""
         return 0
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a number of worms and a corridor."""
+        """Return whether an untrusted value is a number of worms and a corridor."""
         return type(state) is int and 0 <= state < CORRIDOR_COUNT * (self.worms + 1)
 
     def update(self, state: int, contacts: Contacts) -> int:
@@ -92,15 +92,15 @@ class ForagingPuzzle(Modelled, Puzzle):
         return (eaten + 1) * CORRIDOR_COUNT + (place + (1 if contacts.uniform < 0.5 else 2)) % CORRIDOR_COUNT
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
-        """1 for a worm."""
+        """Reward of 1 for a worm that was eaten."""
         return float(after != before)
 
     def is_solved(self, state: int) -> bool:
-        """All worms have been eaten."""
+        """Return whether all worms have been eaten."""
         return state // CORRIDOR_COUNT == self.worms
 
     def compute_progress(self, state: int) -> float:
-        """Share of the worms that have been eaten."""
+        """Share in [0, 1] of the worms that have been eaten."""
         return state // CORRIDOR_COUNT / self.worms
 
     def observe(self, state: int) -> tuple[float, ...]:

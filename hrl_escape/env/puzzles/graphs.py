@@ -38,7 +38,7 @@ class GraphConfig(Schematic):
     kind: GraphKind = "chain"
     """Family of graphs; 'edges' takes them from `edges`."""
     max_parents: Annotated[int, Range(1, 63)] = 1
-    """Most parents of a button (the paper's complexity): layered, random, larg-2019."""
+    """Most parents of a button, the paper's complexity (layered, random, larg-2019)."""
     edge_probability: Annotated[float, Range(0, 1)] = 0.5
     """Chance of each possible edge (random)."""
     seed: Annotated[int, Range(0, 2**63 - 1)] | None = None
@@ -46,7 +46,7 @@ class GraphConfig(Schematic):
     edges: tuple[tuple[ButtonNumber, ButtonNumber], ...] = ()
     """Explicit (parent, child) pairs of button numbers from 0."""
     relabel: bool = True
-    """Shuffle the numbers of a generated graph's buttons, so that names say nothing of the order."""
+    """Shuffle the numbers of a generated graph's buttons, so that names do not reveal the order."""
 
     def check(self) -> None:
         """Check what spans several fields."""
@@ -55,7 +55,7 @@ class GraphConfig(Schematic):
 
 
 def compute_order(count: int, edges: Edges) -> tuple[int, ...]:
-    """Return a topological order of `count` nodes, smallest number first among the free.
+    """Return a topological order of `count` nodes; among the free nodes, the smallest number comes first.
 
     Raises:
         ConfigError: an edge names no node, or the edges form a cycle (which is shown).
@@ -136,10 +136,10 @@ def sample_relabelled(config: GraphConfig, count: int, rng: np.random.Generator,
 
 
 def sample_locks(count: int, edges: Edges, goal: int, most: int, rng: np.random.Generator) -> Edges:
-    """Sample pairs (a, b) of nodes of which the first locks the second: dead ends that can be walked into and avoided.
+    """Sample pairs (a, b) of nodes of which the first locks the second: dead ends that can be entered and avoided.
 
-    The goal needs b, neither of the two needs the other, and in one order that is drawn first no a comes before its b.
-    Fewer are sampled where there are no more.
+    The goal needs b, neither of the two needs the other, and an order drawn first puts every b before its a.
+    Fewer are sampled if the graph has too few.
 
     Args:
         count: number of nodes.

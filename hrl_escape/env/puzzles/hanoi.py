@@ -79,7 +79,7 @@ class HanoiPuzzle(Graphed, Modelled, Puzzle):
         return self.encode((0,) * self.discs)
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside gives each disc one place, at most one of them the hand."""
+        """Return whether an untrusted value gives each disc one place, at most one of them the hand."""
         if type(state) is not int or not 0 <= state < 1 << 4 * self.discs:
             return False
         places = self.decode(state)

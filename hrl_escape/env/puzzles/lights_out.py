@@ -135,7 +135,7 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
         return self.start
 
     def is_state(self, state: object) -> bool:
-        """Say whether a value from outside is a pattern from which the goal can be reached."""
+        """Return whether an untrusted value is a pattern from which the goal can be reached."""
         return super().is_state(state) and isinstance(state, int) and self._find_due(state) is not None
 
     def update(self, state: int, contacts: Contacts) -> int:

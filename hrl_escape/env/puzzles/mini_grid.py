@@ -143,7 +143,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return sum(cell << self._shift(thing) for thing, cell in enumerate(self.grid.things))
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside gives every thing a cell of its own, and at most one is held."""
+        """Return whether an untrusted value gives every thing a cell of its own, and at most one is held."""
         grid = self.grid
         if type(state) is not int or not 0 <= state < 1 << self._shift(len(grid.things)):
             return False

@@ -80,7 +80,7 @@ class PinPadPuzzle(CodePuzzle):
         return tuple(float(pad in counted) for pad in range(len(self.code)))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Say for each pad whether it counts: it is in the part of the code walked over so far."""
+        """Return for each pad whether it counts: it is in the part of the code walked over so far."""
         return tuple(pad in self.code[:state] for pad in range(len(self.code)))
 
 

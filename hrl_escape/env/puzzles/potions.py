@@ -102,7 +102,7 @@ class PotionsPuzzle(Modelled, Puzzle):
         return 0
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a stone that is not perfect, in a trial, under a rule."""
+        """Return whether an untrusted value is a stone that is not perfect, in a trial, under a rule."""
         if type(state) is not int or state < 0:
             return False
         stone, trials, rule = self.decode(state)

@@ -87,7 +87,7 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
         return 0
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is 0 or 1."""
+        """Return whether an untrusted value is 0 or 1."""
         return type(state) is int and state in (0, 1)
 
     def update(self, state: int, contacts: Contacts) -> int:

@@ -117,7 +117,7 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
         return 0
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside keeps at most `MOST_KEPT` of each material."""
+        """Return whether an untrusted value keeps at most `MOST_KEPT` of each material."""
         in_word = type(state) is int and 0 <= state < 1 << _get_shift(len(NAMES))
         return in_word and all(self.count(state, name) <= MOST_KEPT for name in NAMES[:MATERIALS])
 

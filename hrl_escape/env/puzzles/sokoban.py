@@ -115,7 +115,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
         return self.encode(self.level.boxes)
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside gives every box a cell of the floor of its own."""
+        """Return whether an untrusted value gives every box a cell of the floor of its own."""
         if type(state) is not int or not 0 <= state < 1 << BOX_BITS * len(self.level.boxes):
             return False
         cells = self.decode(state)

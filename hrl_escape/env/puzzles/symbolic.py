@@ -69,7 +69,7 @@ class Operator:
     cost: float = 1.0
 
     def is_applicable(self, facts: frozenset[str]) -> bool:
-        """Say whether the operator may be applied where `facts` hold."""
+        """Return whether the operator may be applied where `facts` hold."""
         return self.preconditions <= facts and not self.forbidden & facts
 
     def apply(self, facts: frozenset[str]) -> frozenset[str]:

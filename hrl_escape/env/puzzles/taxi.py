@@ -117,7 +117,7 @@ class TaxiPuzzle(Modelled, Puzzle):
         return self.list_starts()[0]
 
     def is_state(self, state: Any) -> bool:
-        """Say whether a value from outside is a ride."""
+        """Return whether an untrusted value is a ride."""
         if type(state) is not int or not 0 <= state < 1 << 7:
             return False
         ride = self.decode(state)
@@ -154,7 +154,7 @@ class TaxiPuzzle(Modelled, Puzzle):
             float(ride.destination == depot) for depot in range(RIDING))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Say for each depot whether it is the destination."""
+        """Return for each depot whether it is the destination."""
         return tuple(depot == self.decode(state).destination for depot in range(RIDING))
 
     def get_facts(self, state: int) -> frozenset[str]:

@@ -70,7 +70,7 @@ def list_moves(towers: Towers) -> Iterator[tuple[int, int, Towers]]:
 
 
 def meets_goal(towers: Towers, goal: TowersGoal) -> bool:
-    """Say whether towers are as the goal asks."""
+    """Return whether towers are as the goal asks."""
     return (all(towers[block] == below for block, below in goal.on)
             and not any(towers[block] == IN_HAND for block in goal.clear)
             and not any(below in goal.clear and below != block for block, below in enumerate(towers))

@@ -95,7 +95,7 @@ def _points_in(area: Rectangle) -> list[tuple[float, float]]:
 
 
 def has_arm_free(instance: RoomInstance, start: Start) -> bool:
-    """Say whether the arm at home is clear of everything; without physics, arms pass through everything."""
+    """Return whether the arm at home is clear of everything; without physics, arms pass through everything."""
     if instance.dynamics.kind != "physics" or not instance.robot.joints:
         return True
     robot = make_robot(instance.robot)

@@ -140,7 +140,7 @@ class FreeSpace:
         return None
 
     def keeps_link(self, x: float, y: float, cell: tuple[int, int], solids: Sequence[Solid]) -> bool:
-        """Say whether a link that there was remains with more solids on the floor."""
+        """Return whether a link that there was remains with more solids on the floor."""
         dx, dy = (self.grid.get_centres(np.array([cell]))[0] - (x, y)).tolist()
         return bool(self.free[cell]) and all(
             compute_distance(x, y, solid.footprint) >= self.radius - 1e-9

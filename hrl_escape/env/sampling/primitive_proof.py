@@ -81,7 +81,7 @@ def find_unproven(instance: RoomInstance, floors: Floors) -> str | None:
 
 
 def meets_condition(instance: RoomInstance) -> bool:
-    """Say whether the sufficient condition holds."""
+    """Return whether the sufficient condition holds."""
     robot, puzzle = instance.robot, instance.puzzle
     radius = robot.outer_radius + CONTACT_SKIN
     free_x, free_y = instance.half_width - radius, instance.half_depth - radius
