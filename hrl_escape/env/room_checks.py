@@ -165,7 +165,7 @@ def _trace_rim(instance: Room, spacing: float) -> NDArray[np.float64]:
 
 
 def is_on_floor(instance: Room, x: float, y: float, slack: float = 0.0) -> bool:
-    """Return whether a point is on the floor, or in the alcove behind a door, or at most `slack` m beyond their edges."""
+    """Return whether a point is on the floor, in the alcove behind a door, or at most `slack` m beyond their edges."""
     return any(x_min - slack <= x <= x_max + slack and y_min - slack <= y <= y_max + slack
                for x_min, x_max, y_min, y_max in _list_areas(instance))
 
