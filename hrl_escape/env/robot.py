@@ -26,7 +26,7 @@ from hrl_escape.files import check_files
 
 __all__ = ["BASE_LINK", "Robot", "load_urdf", "make_robot", "sample_hand_positions", "sample_joint_steps"]
 
-MESH_ENDINGS, LARGEST_MESHES = (".stl", ".obj", ".dae"), 2**25  # bytes of all together: some 600,000 faces
+MESH_ENDINGS, LARGEST_MESHES = (".stl", ".obj", ".dae"), 2**25  # bytes of all meshes together: some 600,000 faces
 BASE_LINK = "mobile-base"
 _MOUNT_JOINT = "mobile-base-mount"
 _HAND = "hand"
@@ -60,7 +60,7 @@ class _Joint:
         return tuple(self.axis.tolist())
 
     def move(self, x: Any, y: Any, z: Any, value: Any) -> tuple[Any, Any, Any]:
-        """Coordinates of a point beyond the joint, moved by its angle in rad (or m), in the joint's own frame."""
+        """Move a point past the joint by the joint's angle in rad (or m); coordinates in the joint's own frame."""
         a, b, c = self.direction
         if self.kind == "prismatic":
             return x + a * value, y + b * value, z + c * value
@@ -194,7 +194,7 @@ def load_urdf(path: str | Path) -> str:
 
 
 def _find_mesh(urdf: Path, name: str) -> Path:
-    """A mesh by its path beside the URDF, or (a ROS package) beside any folder above it."""
+    """Path of a mesh next to the URDF or, for a ROS package, next to any folder above it."""
     tail = name.removeprefix("package://").removeprefix("file://")
     for folder in urdf.resolve().parents:
         if (folder / tail).is_file():
@@ -257,7 +257,7 @@ def _joint(name: str, kind: str, parent: str, child: str, xyz: str, axis: str = 
 
 
 def _make_arm(config: RobotConfig) -> ElementTree.Element:
-    """Links in a row along x: a yaw joint, then pitch joints, with a roll and a yaw among seven."""
+    """Make the generated arm, links in a row along x: a yaw joint, then pitch joints, and of seven one roll and yaw."""
     arm = ElementTree.Element("robot", name="arm")
     if not config.joints:
         return arm
@@ -298,7 +298,7 @@ def _mount(config: RobotConfig, arm: ElementTree.Element) -> ElementTree.Element
 
 
 def _read_joint(element: ElementTree.Element) -> tuple[str, _Joint]:
-    """Read a joint; returns the parent link's name beside it."""
+    """Read a joint; returns it and the name of its parent link."""
     name, kind = element.get("name", ""), element.get("type", "fixed")
     if kind not in ("fixed", *_MOVING):
         raise RobotError(f"joint {name!r} of the URDF is {kind!r}; valid are fixed, {', '.join(_MOVING)}")
@@ -368,7 +368,7 @@ def _assemble(config: RobotConfig, whole: ElementTree.Element, hand: str) -> Rob
     step = math.radians(config.joint_step_deg)
     rest = {joint.name: _find_home(joint) for joint in joints if joint.kind in _MOVING}
     home = tuple(rest.pop(joint.name) for joint in used)
-    slack = 1e-9  # a limit that is a whole number of steps away can be reached
+    slack = 1e-9  # a limit a whole number of steps away can be reached
     return Robot(
         urdf=ElementTree.tostring(whole, encoding="unicode"),
         joint_names=tuple(joint.name for joint in used),
@@ -384,5 +384,5 @@ def _assemble(config: RobotConfig, whole: ElementTree.Element, hand: str) -> Rob
 
 
 def _find_home(joint: _Joint) -> float:
-    """Zero if the limits allow it, else their middle."""
+    """Home angle of a joint, rad: zero if the limits allow it, else their middle."""
     return 0.0 if joint.low <= 0.0 <= joint.high else (joint.low + joint.high) / 2

@@ -1,4 +1,4 @@
-"""Check of rooms that come from outside: the floor is walled in and every start stands free on it."""
+"""Check of untrusted rooms: the floor is walled in and every start on it is free of contact."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from hrl_escape.errors import ConfigError
 __all__ = ["Room", "check_room", "does_base_fit"]
 
 _OVERLAP = 1e-6
-"""Length in metres by which the alcove behind a door is taken to reach into the floor."""
+"""Length by which the alcove behind a door counts as reaching into the floor, m."""
 
 
 class FloorPose(Protocol):
@@ -119,7 +119,7 @@ class Room(Protocol):
 def check_room(instance: Room) -> None:
     """Refuse a room that the body could leave through a gap, or whose starts are not free.
 
-    Interior walls, obstacles and targets are not looked at: that a room can be solved is for its certificate to say.
+    Interior walls, obstacles and targets are not checked: solvability is the certificate's matter.
 
     Raises:
         ConfigError: the message names the gap or the start.
@@ -144,7 +144,7 @@ def check_room(instance: Room) -> None:
 
 
 def does_base_fit(robot: RobotConfig, pose: FloorPose, solids: Sequence[Footprint]) -> bool:
-    """Return whether a base is clear of solids at a heading; true of one whose heading is no matter."""
+    """Return whether a base is clear of solids at a heading; a round base fits at every heading."""
     heading = pose.heading_steps * math.radians(robot.turn_step_deg) + pose.heading_offset
     rotation = round(math.cos(heading), 15), round(math.sin(heading), 15)
     return robot.base.turns_anywhere or robot.base.grow(CONTACT_SKIN).measure_gap(

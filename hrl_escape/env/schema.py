@@ -1,7 +1,7 @@
-"""Schematics and what they are made of: settings whose plain values make the ids of rooms.
+"""Base of schematics: settings whose plain values determine the ids of rooms.
 
-Plain values leave out what stands at its default, so that a field added to any schematic, with a default that means
-what was so before, leaves every id as it is. The fields below are always written, for ids have counted them from the
+Plain values leave out fields at their default, so that a field added to any schematic, with a default that means
+the former behaviour, leaves every id unchanged. The fields below are always written, for ids have counted them from the
 first; the list is closed: no new class or field has a place in it.
 """
 
@@ -84,7 +84,7 @@ _ALWAYS_WRITTEN = {
 
 @dataclasses.dataclass(frozen=True)
 class Schematic(Settings):
-    """Base of settings that ids are made of."""
+    """Base of settings whose values enter ids."""
 
     def to_dict(self) -> dict[str, Any]:
         """Nested plain values, without fields at their default but for those that have been there from the first."""

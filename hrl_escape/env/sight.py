@@ -18,7 +18,7 @@ __all__ = ["SIGHT_SLACK", "Scanner", "list_hiders"]
 
 SIGHT_SLACK = 1e-3
 """Length in metres before an object within which nothing hides it, besides its own half thickness."""
-_TINY = 1e-30  # stands in for a direction of zero
+_TINY = 1e-30  # replaces a zero component of a direction
 
 
 def list_hiders(instance: RoomInstance) -> list[Footprint]:
@@ -70,7 +70,7 @@ class Scanner:
             y: origin.
             cos: of the heading.
             sin: of the heading.
-            key: number of the heading, if its rays are to be remembered.
+            key: index of the heading, to cache its rays; None to compute them.
         """
         table = None if key is None else self._tables.get(key)
         if table is None:

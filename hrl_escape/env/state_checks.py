@@ -1,4 +1,4 @@
-"""Check of states that come from outside: every number is one that this room's episodes could hold."""
+"""Check of untrusted states: every number is possible in this room's episodes."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ __all__ = ["check_fields", "check_state"]
 
 _LARGEST_COUNT = 2**31
 _SOFT_CONTACT = 0.1
-"""Share of its radius by which physics lets the body press into a solid."""
+"""Share of the body's radius by which physics lets it press into a solid."""
 _SOFT_LIMIT = 0.1
 """Angle in rad by which physics lets a joint pass its limit."""
 
 
 def check_state(rules: Rules, state: Any) -> None:
-    """Refuse a state that no episode in this room could be in.
+    """Raise `StateError` for a state that no episode in this room could be in.
 
     The engine's own part of a state, `physics`, is left to the engine.
 

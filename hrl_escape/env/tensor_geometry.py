@@ -24,12 +24,12 @@ from hrl_escape.env.geometry import Footprint
 __all__ = ["Shapes", "SplitShapes", "cast_rays", "compute_distance", "compute_first_contact", "refine_first_contact",
            "stack_shapes", "store"]
 
-_NEVER = 1e6  # place of the outlines that only pad a table
+_NEVER = 1e6  # position of the outlines that only pad a table
 _TINY = 1e-18  # keeps a velocity from zero
 
 
 def store(value: Tensor) -> Tensor:
-    """Have a compiled kernel compute a value once and store it; the same value.
+    """Return the value itself, which a compiled kernel then computes once and stores.
 
     The compiler would compute again, in every turn of a loop over solids, whatever the rooms bring to it: gathers
     from tables, above all. Nothing fuses across a change of strides, be it to the same ones.
@@ -153,7 +153,7 @@ def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: 
     wide_x, wide_y = shapes.half_x + reach, shapes.half_y + reach
     rounding = max(1e-12, 16 * eps) * reach * (wide_x + shapes.half_y)  # of a squared distance
 
-    # passing through the grown box: when the centre is abreast of the outline's, and how long it takes from there
+    # passing through the grown box: time until the centre is level with the outline's, and time from there to the edge
     ux, uy = motion.vx + _TINY, motion.vy + _TINY
     per = torch.reciprocal(ux * uy)
     per_x, per_y = per * uy, per * ux
@@ -172,7 +172,7 @@ def compute_first_contact(x: Tensor, y: Tensor, dx: Tensor, dy: Tensor, radius: 
     share = enter + gap / (torch.sqrt(torch.relu(root)) - along)
     is_inwards = along < -graze * cross.abs()
     is_near = gap <= rounding
-    is_met = is_inwards & (is_near | (root > motion.square * rounding))  # a tangent is no hit, however it is rounded
+    is_met = is_inwards & (is_near | (root > motion.square * rounding))  # a tangent is no hit, whatever the rounding
     # from within the box itself: along the nearer axis
     is_along_x = motion.ox.abs() - shapes.half_x > motion.oy.abs() - shapes.half_y
     outwards = torch.where(is_along_x, motion.ox * motion.vx, motion.oy * motion.vy)
@@ -239,7 +239,7 @@ def _subtract(place: Tensor, centre: Tensor, rest: Tensor) -> Tensor:
 
 
 def _shrink(offset: Tensor, half: Tensor) -> Tensor:
-    """Offsets from the nearest place within `half` of 0. `relu` and not `clamp`, which minds what is not a number."""
+    """Offsets from the nearest place within `half` of 0. `relu`, not `clamp`, which treats NaN differently."""
     return torch.relu(offset - half) - torch.relu(-half - offset)
 
 

@@ -218,7 +218,7 @@ class EscapeRoomVectorEnv(VectorEnv):
         return self.room.device
 
     def make_single_env(self) -> EscapeRoomEnv:
-        """Make an ordinary environment with the same rooms and observation."""
+        """Make an `EscapeRoomEnv` with the same rooms and observation."""
         from hrl_escape.env.escape_room import EscapeRoomEnv  # brings Bullet in
 
         if len(self.instances) == 1:
@@ -237,7 +237,7 @@ class EscapeRoomVectorEnv(VectorEnv):
         return {name: field.cpu().numpy() for name, field in self.room.state._asdict().items()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Go on where `state_dict` was taken, in as many of the same rooms."""
+        """Restore `state_dict` of an environment with the same rooms, as many of them."""
         self.room.state = TensorState(**{name: torch.from_numpy(np.asarray(field)).to(self.device)
                                          for name, field in state.items()})
         self._is_seeded = True
@@ -266,7 +266,7 @@ class EscapeRoomVectorEnv(VectorEnv):
             index = infos.pop("instance_index")
             infos["instance"] = index if len(self.instances) > 1 else self._ids[index]
             for array in infos.values():
-                array.setflags(write=False)  # it may be the rooms' own memory
+                array.setflags(write=False)  # it may share memory with the rooms
         return infos | {f"_{name}": self._every if which is None else which for name in infos}
 
     def _make_seeds(self, seed: int | Sequence[int | None] | None) -> Tensor | None:

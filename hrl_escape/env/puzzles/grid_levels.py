@@ -1,6 +1,6 @@
 """Generators of MiniGrid's levels: maps with doors, keys and balls, after DoorKey, KeyCorridor and MultiRoom.
 
-They draw what MiniGrid's generators draw (Chevalier-Boisvert et al. 2023), by other random numbers. Maps leave out
+They draw levels as MiniGrid's generators do (Chevalier-Boisvert et al. 2023), from other random numbers. Maps leave out
 MiniGrid's outer walls, which are the room's.
 """
 
@@ -36,7 +36,7 @@ class _Canvas:
         return int(self.rng.integers(low, high))
 
     def scatter(self, what: str, left: int, top: int, right: int, bottom: int) -> tuple[int, int]:
-        """Put something into a free cell of a part of the map, each with the same probability."""
+        """Put a character into a random free cell of a part of the map."""
         rows, columns = np.nonzero(self.cells[top:bottom, left:right] == " ")
         number = self.draw(0, len(rows))
         at = left + int(columns[number]), top + int(rows[number])
@@ -86,7 +86,7 @@ def draw_key_corridor(size: int, rows: int, rng: np.random.Generator) -> tuple[s
     things = {"b": locked, "k": (0, canvas.draw(0, rows))}
     for what, room in things.items():
         canvas.scatter(what, *boxes[room])
-    while True:  # not right before a thing, as in MiniGrid
+    while True:  # not directly in front of a thing, as in MiniGrid
         heading = canvas.draw_start()
         at = canvas.scatter(heading, *boxes[1, rows // 2])
         quarter = HEADINGS.index(heading)
@@ -104,7 +104,7 @@ def draw_key_corridor(size: int, rows: int, rng: np.random.Generator) -> tuple[s
 
 
 def _find_connected(room: tuple[int, int], links: set[frozenset[tuple[int, int]]]) -> set[tuple[int, int]]:
-    """Rooms that links lead to from a room."""
+    """Rooms that are connected to a room through links."""
     found = {room}
     while more := set(itertools.chain(*(link for link in links if link & found))) - found:
         found |= more
@@ -114,7 +114,7 @@ def _find_connected(room: tuple[int, int], links: set[frozenset[tuple[int, int]]
 def draw_multi_room(size: int, rooms: int, largest: int, rng: np.random.Generator) -> tuple[str, ...]:
     """Rooms of random sizes one after another, a door between each two, the start in the first, the goal in the last.
 
-    A layout that comes to a stop with too few rooms is drawn anew.
+    A layout that gets stuck with too few rooms is drawn anew.
     """
     boxes: list[tuple[int, int, int, int]] = []
     doors: list[tuple[int, int]] = []

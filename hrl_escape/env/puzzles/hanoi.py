@@ -67,7 +67,7 @@ class HanoiPuzzle(Graphed, Modelled, Puzzle):
         return (PEGS - 1,)
 
     def encode(self, places: tuple[int, ...]) -> int:
-        """The state in which each disc, smallest first, is on a peg from 0 or in the `HAND`."""
+        """State for the place of each disc, smallest first: a peg from 0, or `HAND`."""
         return sum(1 << 4 * disc + place for disc, place in enumerate(places))
 
     def decode(self, state: int) -> tuple[int, ...]:
@@ -75,7 +75,7 @@ class HanoiPuzzle(Graphed, Modelled, Puzzle):
         return tuple((state >> 4 * disc & 15).bit_length() - 1 for disc in range(self.discs))
 
     def make_state(self) -> int:
-        """All discs on the first peg."""
+        """State with all discs on the first peg."""
         return self.encode((0,) * self.discs)
 
     def is_state(self, state: Any) -> bool:
@@ -86,7 +86,7 @@ class HanoiPuzzle(Graphed, Modelled, Puzzle):
         return -1 not in places and self.encode(places) == state and places.count(HAND) <= 1
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Lift or put down at each pressed peg, in index order."""
+        """Lift a disc, or put the lifted one down, at each pressed peg in index order."""
         for peg in contacts.pressed:
             places = self.decode(state)
             top = places.index(peg) if peg in places else self.discs
@@ -98,7 +98,7 @@ class HanoiPuzzle(Graphed, Modelled, Puzzle):
         return state
 
     def is_solved(self, state: int) -> bool:
-        """All discs are on the last peg."""
+        """Return whether all discs are on the last peg."""
         return state == self.encode((PEGS - 1,) * self.discs)
 
     def observe(self, state: int) -> tuple[float, ...]:
@@ -106,7 +106,7 @@ class HanoiPuzzle(Graphed, Modelled, Puzzle):
         return tuple(float(state >> i & 1) for i in range(4 * self.discs))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Pegs on which all discs are."""
+        """Return for each peg whether all discs are on it."""
         return tuple(state == self.encode((peg,) * self.discs) for peg in range(PEGS))
 
     def get_facts(self, state: int) -> frozenset[str]:

@@ -1,6 +1,6 @@
 """Key-Chest (Zhang et al. 2020, HRAC): walk over the key, which earns 1, then to the chest, which opens the exit.
 
-Both are pads on the floor. The chest without the key is a place like any other. The state is how far one has come.
+Both are pads on the floor. Without the key the chest is inert. The state is 0, 1 with the key, 2 with the chest open.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class KeyChestConfig(PuzzleConfig):
 
 @dataclasses.dataclass(frozen=True)
 class KeyChestPuzzle(CodePuzzle):
-    """The rules. The pads are called `key` and `chest`."""
+    """Concrete rules; the pads are called `key` and `chest`."""
 
     kind = "key-chest"
     code = tuple(range(len(THINGS)))
@@ -54,17 +54,17 @@ class KeyChestPuzzle(CodePuzzle):
 
     @property
     def pad_names(self) -> tuple[str, ...]:
-        """All targets are pads."""
+        """Names of all targets: both are pads."""
         return THINGS
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Take the key; open the chest with it."""
+        """Take the key on its pad; open the chest with it."""
         for pad in contacts.pressed:
             state += pad == state
         return state
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
-        """1 for the key."""
+        """Reward of 1 for taking the key."""
         return float(before == 0 < after)
 
     def observe(self, state: int) -> tuple[float, ...]:
@@ -72,7 +72,7 @@ class KeyChestPuzzle(CodePuzzle):
         return tuple(float(state > pad) for pad in self.code)
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """The key once it is taken, the chest once it is open."""
+        """Lit pads: the key once it is taken, the chest once it is open."""
         return tuple(state > pad for pad in self.code)
 
 

@@ -38,7 +38,7 @@ class LightBoxConfig(PuzzleConfig):
     graph: GraphConfig = GraphConfig(kind="edges", edges=LIGHT_BOX)
     """Dependencies between lights; those of the published box by default."""
     success: Success = 0.9
-    """Probability that a press has its effect; else it has none."""
+    """Probability that a press has its effect; otherwise it does nothing."""
     lights: Panels = Panels(width=0.8)
     """Sizes and places of the lights' panels."""
 
@@ -81,7 +81,7 @@ class LightBoxPuzzle(GraphPuzzle):
 
     @property
     def chances(self) -> tuple[float, ...]:
-        """A press may have no effect."""
+        """The probability `success`: with the rest, a press has no effect."""
         return (self.success,) if self.success < 1.0 else ()
 
     @property

@@ -49,13 +49,13 @@ class LightsOutConfig(PuzzleConfig):
 
     kind = "lights-out"
     rows: Annotated[int, Range(1, 6)] = 3
-    """Rows of the board."""
+    """Number of rows of the board."""
     columns: Annotated[int, Range(1, 6)] = 3
-    """Columns of the board."""
+    """Number of columns of the board."""
     task: Annotated[int, Range(1, 5)] | None = None
     """OGBench's task of this number, for 3 x 3, 4 x 4, 4 x 5 and 4 x 6 (None: from all off to all on, or scrambled)."""
     scramble: Annotated[int, Range(0, 36)] = 0
-    """Different presses, drawn by the instance seed, that lead from all off to the goal (0: all on is the goal)."""
+    """Number of different presses, drawn by the instance seed, from all off to the goal (0: all on is the goal)."""
     buttons: Panels = Panels(width=0.8)
     """Sizes and places of the lights' panels."""
 
@@ -98,9 +98,9 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
     columns: Annotated[int, Range(1, 36)] = 1
     """Lights in a row."""
     start: Annotated[int, Range(0, 2**36 - 1)] = 0
-    """Word of the first state."""
+    """Word of the start pattern."""
     goal: Annotated[int, Range(0, 2**36 - 1)] = 1
-    """Word that opens the exit."""
+    """Word of the goal pattern, which opens the exit."""
 
     def check(self) -> None:
         """Check that the board is a rectangle, and the goal within reach."""
@@ -122,12 +122,12 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
 
     @property
     def goal_targets(self) -> tuple[int, ...]:
-        """Lights that are on in the goal."""
+        """Numbers of the lights that are on in the goal."""
         return tuple(i for i in range(self.count) if self.goal >> i & 1)
 
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Every number is 0 or 1."""
+        """Lowest and highest value of each number: 0 and 1."""
         return ((0.0, 1.0),) * (2 * self.count)
 
     def make_state(self) -> int:
@@ -145,7 +145,7 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
         return state
 
     def is_solved(self, state: int) -> bool:
-        """The board shows the goal."""
+        """Return whether the board shows the goal pattern."""
         return state == self.goal
 
     def observe(self, state: int) -> tuple[float, ...]:
@@ -153,7 +153,7 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
         return tuple(float(word >> i & 1) for word in (state, self.goal) for i in range(self.count))
 
     def compute_progress(self, state: int) -> float:
-        """Share of the lights that show the goal, on or off."""
+        """Share in [0, 1] of the lights that are as in the goal."""
         return 1.0 - (state ^ self.goal).bit_count() / self.count
 
     def get_facts(self, state: int) -> frozenset[str]:
@@ -163,7 +163,7 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
         return frozenset(f"settled({name})" for i, name in enumerate(self.target_names) if not due >> i & 1)
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """One operator a light, applicable while the shortest solution presses it; other presses help nobody."""
+        """One operator per light, applicable while the shortest solution presses it; other presses are useless."""
         fact = [f"settled({name})" for name in self.target_names]
         none: frozenset[str] = frozenset()
         operators = (Operator(f"press-{name}", name, "press", none, frozenset({fact[i]}), frozenset({fact[i]}), none)
@@ -173,7 +173,7 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
 
 @lru_cache
 def list_flips(count: int, columns: int) -> tuple[int, ...]:
-    """For each light, the word of the lights that its press flips."""
+    """For each light, the word of the lights that a press of it flips."""
     flips = []
     for light in range(count):
         row, column = divmod(light, columns)
@@ -208,9 +208,9 @@ def _eliminate(count: int, columns: int) -> tuple[tuple[tuple[int, int, int], ..
 
 @lru_cache(maxsize=65_536)
 def find_fewest_presses(count: int, columns: int, flips: int) -> int | None:
-    """Smallest set of presses that flips just these lights, as a word; None if no presses do.
+    """Smallest set of presses that flips exactly these lights, as a word; None if there is none.
 
-    Among the smallest, the one that is least as a number: a press of one of them then leaves the others.
+    Among the smallest sets, the one that is least as a number: after one of its presses, the rest is the answer.
     """
     rows, quiet = _eliminate(count, columns)
     presses = 0

@@ -1,4 +1,4 @@
-"""Maps of grid worlds that a puzzle draws: walls, doors, things that lie in cells, the start and the goal.
+"""Maps of a puzzle's grid world: walls, doors, things in cells, start and goal.
 
 A map is rows of characters from the top, one a cell: `#` wall, `d` door, `D` locked door, `k` key, `b` ball, `G` goal,
 `>`, `^`, `<` or `v` the start and its heading, anything else floor. Cells are numbered row by row.
@@ -18,7 +18,7 @@ HEADINGS = ">^<v"
 
 
 class GridMap:
-    """One map.
+    """A map and its derived cells, numbered row by row.
 
     Args:
         rows: its rows.
@@ -46,7 +46,7 @@ class GridMap:
 
     @cached_property
     def floor(self) -> tuple[int, ...]:
-        """Cells with nothing in them at first."""
+        """Cells that are empty at first."""
         return self._find(" ")
 
     @property
@@ -70,18 +70,18 @@ class GridMap:
         return next(iter(self._find("G")), None)
 
     def is_locked(self, door: int) -> bool:
-        """A door, by its number, is locked at first."""
+        """Return whether a door is locked at first."""
         return self._text[self.doors[door]] == "D"
 
     @cached_property
     def blockable(self) -> tuple[int, ...]:
-        """Cells that can be blocked: the doors', and where there are things all others that are no walls."""
+        """Cells that can be blocked: those of doors and, on a map with things, all others that are no walls."""
         if not self.things:
             return self.doors
         return tuple(cell for cell, character in enumerate(self._text) if character != "#")
 
     def _list_neighbours(self, cell: int) -> list[int]:
-        """Cells beside a cell that are no walls."""
+        """Neighbours of a cell that are no walls."""
         row, column = divmod(cell, self.columns)
         beside = ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1))
         return [i * self.columns + j for i, j in beside
@@ -89,7 +89,7 @@ class GridMap:
 
     @cached_property
     def _bottlenecks(self) -> frozenset[int]:
-        """Cells without which the others fall apart, and those before doors."""
+        """Cells whose blocking would split the floor, and those in front of doors."""
         cells = [cell for cell, character in enumerate(self._text) if character != "#"]
         found = set[int]()
         for cell in cells:
@@ -104,12 +104,12 @@ class GridMap:
         return frozenset(found)
 
     def is_bottleneck(self, cell: int) -> bool:
-        """A thing in this cell would bar the way to others, or stand before a door."""
+        """Return whether a thing in this cell would cut off other cells, or stand in front of a door."""
         return cell in self._bottlenecks
 
     @cached_property
     def _ways(self) -> dict[int, tuple[int, ...]]:
-        """For each cell that can be reached, the fewest doors on a way from the start, in order; things bar none."""
+        """For each reachable cell, the fewest doors on a way from the start, in order; things are ignored."""
         ways: dict[int, tuple[int, ...]] = {}
         queue: list[tuple[int, int, int, tuple[int, ...]]] = [(0, 0, self.start, ())]
         while queue:
@@ -126,7 +126,7 @@ class GridMap:
         """Numbers of the doors that are passed on the way from the start to a cell.
 
         Raises:
-            ConfigError: there is no way, whatever is opened.
+            ConfigError: no way leads there even with all doors open.
         """
         if cell not in self._ways:
             raise ConfigError("puzzle.rows", self.rows, f"a way from the start to cell {cell}")

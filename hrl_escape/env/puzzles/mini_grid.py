@@ -29,7 +29,7 @@ PLACE_BITS = 10
 HELD = (1 << PLACE_BITS) - 1
 """Place of the thing in the hand."""
 DrawnLevel = Literal["door-key", "key-corridor", "multi-room"]
-"""Families of levels whose maps are drawn."""
+"""Names of the families of levels whose maps are drawn."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -101,7 +101,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
 
     @property
     def pad_names(self) -> tuple[str, ...]:
-        """All targets are cells of the floor."""
+        """Names of all targets: each is a cell of the floor."""
         return self.target_names
 
     @property
@@ -111,7 +111,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
 
     @property
     def blockable_cells(self) -> tuple[int, ...]:
-        """Cells of the doors, and with things on the map all others that are no walls."""
+        """Cells of the doors and, on a map with things, all others that are no walls."""
         return self.grid.blockable
 
     # --- states ------------------------------------------------------------------------
@@ -127,19 +127,19 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return state & ~(HELD << self._shift(thing)) | place << self._shift(thing)
 
     def get_held(self, state: int) -> int | None:
-        """Number of the thing in the hand."""
+        """Number of the held thing; None for an empty hand."""
         return next((thing for thing in range(len(self.grid.things)) if self.get_place(state, thing) == HELD), None)
 
     def is_open(self, state: int, door: int) -> bool:
-        """A door stands open."""
+        """Return whether a door stands open."""
         return bool(state >> 2 * door & 1)
 
     def is_unlocked(self, state: int, door: int) -> bool:
-        """A door needs no key, or has been opened with it."""
+        """Return whether a door needs no key any more: it never did, or has been opened once."""
         return bool(state >> 2 * door & 2) or not self.grid.is_locked(door)
 
     def make_state(self) -> int:
-        """All doors shut, all things in their places."""
+        """State with all doors shut and all things in their first places."""
         return sum(cell << self._shift(thing) for thing, cell in enumerate(self.grid.things))
 
     def is_state(self, state: Any) -> bool:
@@ -181,7 +181,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return shut | sum(1 << grid.blockable.index(place) for place in places if place != HELD)
 
     def is_solved(self, state: int) -> bool:
-        """A ball is held; where there is none, all doors have been opened."""
+        """Return whether a ball is held or, on a map without balls, all doors have been opened."""
         grid = self.grid
         if len(grid.things) > grid.keys:
             return any(self.get_place(state, thing) == HELD for thing in range(grid.keys, len(grid.things)))
@@ -197,7 +197,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return tuple(numbers)
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Doors that stand open, and the thing that is held."""
+        """Lit targets: open doors, and the thing that is held."""
         return (*(self.is_open(state, door) for door in range(len(self.grid.doors))),
                 *(self.get_place(state, thing) == HELD for thing in range(len(self.grid.things))))
 
@@ -247,7 +247,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         return SymbolicModel(facts, tuple(operators), goal)
 
     def list_cells(self, state: int, action: str, target: int) -> tuple[int, ...]:
-        """The cell of a door or a thing; to put a thing down, free cells in which it bars no way."""
+        """Cell of a door or thing; to put a thing down, the free cells in which it blocks no way."""
         grid, doors = self.grid, len(self.grid.doors)
         places = [self.get_place(state, thing) for thing in range(len(grid.things))]
         if action != "release":
@@ -258,7 +258,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
                      if cell not in taken and not grid.is_bottleneck(cell))
 
     def plan(self, state: int, place: int = -1) -> tuple[Operator, ...] | None:
-        """The fewest operators: doors leave little choice of order."""
+        """The fewest operators to the goal, by search, as doors leave little choice of order."""
         return self.make_symbolic_model().find_fewest(self.get_facts(state))
 
 

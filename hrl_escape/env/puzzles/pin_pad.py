@@ -64,18 +64,18 @@ class PinPadPuzzle(CodePuzzle):
 
     @property
     def pad_names(self) -> tuple[str, ...]:
-        """All targets are pads."""
+        """Names of all targets: each is a pad."""
         return self.target_names
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Step on pads in index order; an open exit stays open."""
+        """Enter each pad stepped on, in index order; an open exit stays open."""
         for pad in contacts.pressed:
             if state < len(self.code) and not (state and pad == self.code[state - 1]):
                 state = state + 1 if pad == self.code[state] else int(pad == self.code[0])
         return state
 
     def observe(self, state: int) -> tuple[float, ...]:
-        """One number a pad: 1 while it counts."""
+        """One number a pad: 1 while it counts as walked over."""
         counted = self.code[:state]
         return tuple(float(pad in counted) for pad in range(len(self.code)))
 

@@ -1,4 +1,4 @@
-"""Settings of the things that a puzzle asks the room to place: panels on walls, pads and props on the floor."""
+"""Settings of the panels, pads and props that a puzzle asks the room to place."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Place(Schematic):
 
 @dataclasses.dataclass(frozen=True)
 class Panels(Schematic):
-    """Size and places of the things on the walls that can be pressed (boxes)."""
+    """Size and places of panels: boxes on the walls that are pressed by touch."""
 
     _section = "panels"
     _takes_ranges = True
@@ -46,13 +46,13 @@ class Panels(Schematic):
     centre_height: Annotated[float, Range(0, 50, "m")] = 0.75
     """Height of the centre."""
     height_spread: Annotated[float, Range(0, 50, "m")] = 0.0
-    """Centres vary by up to this, up and down."""
+    """Largest deviation of a centre from `centre_height`, up or down."""
     inset: Annotated[float, Range(0, 50, "m")] | None = None
     """Distance of the centre from its wall (None: flush)."""
     places: Literal["random", "paper"] | tuple[Place, ...] = "random"
     """Anywhere on the walls, the paper's four places, or explicit ones."""
     gap: Annotated[float, Range(0, 50, "m")] = 0.0
-    """Least distance between two random ones; twice the robot's reach where only one may be touched at a time."""
+    """Least gap between two random panels; twice the robot's reach ensures that it touches only one at a time."""
 
     def check_places(self, count: int) -> None:
         """Check that there are places for a number of panels.
@@ -89,7 +89,7 @@ class Pads(Schematic):
 
 @dataclasses.dataclass(frozen=True)
 class Capsule(Schematic):
-    """A stretch of floor, all that is nearer than a radius to a segment; the robot drives through it."""
+    """A region of the floor: all places within a radius of a segment; the robot drives through it."""
 
     _section = "capsule"
     x1: Annotated[float, Range(-110, 110, "m")] = 0.0
@@ -101,10 +101,10 @@ class Capsule(Schematic):
     y2: Annotated[float, Range(-110, 110, "m")] = 0.0
     """Other end of the segment, along y."""
     radius: Annotated[float, Range(0.01, 100, "m")] = 1.0
-    """Distance within which the floor belongs to it."""
+    """Radius of the region round the segment."""
 
     def compute_depth(self, x: float, y: float) -> float:
-        """Distance of a place inside from the edge, m; 0 outside."""
+        """Distance of a place from the region's edge, m; 0 outside the region."""
         along_x, along_y, to_x, to_y = self.x2 - self.x1, self.y2 - self.y1, x - self.x1, y - self.y1
         length = along_x * along_x + along_y * along_y
         share = min(max((to_x * along_x + to_y * along_y) / length, 0.0), 1.0) if length else 0.0
@@ -119,7 +119,7 @@ def _check_explicit(section: str, places: str | tuple[Place, ...], count: int) -
 
 @dataclasses.dataclass(frozen=True)
 class Prop(Schematic):
-    """A thing on the floor: a movable block (physics dynamics), or a flat plate."""
+    """A prop on the floor: a movable block (physics dynamics), or a flat plate."""
 
     _section = "prop"
     name: str = "block"

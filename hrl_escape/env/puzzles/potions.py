@@ -23,14 +23,14 @@ from hrl_escape.settings import Range
 __all__ = ["RULE_SHIFT", "TRIAL_SHIFT", "Brew", "PotionsConfig", "PotionsPuzzle", "list_rules"]
 
 TRIAL_SHIFT, RULE_SHIFT = 3, 8
-"""Places in the word where the number of trials and that of the rule begin."""
+"""First bits of the number of trials and of the number of the rule in a state."""
 
 Features = Annotated[int, Range(1, 3)]
 Trials = Annotated[int, Range(1, 31)]
 
 
 class Brew(NamedTuple):
-    """The puzzle's state in words.
+    """Decoded state of the puzzle.
 
     Attributes:
         stone: bit i is 1 while feature i is on.
@@ -49,9 +49,9 @@ class PotionsConfig(PuzzleConfig):
 
     kind = "potions"
     features: Features = 2
-    """Features of a stone; there are two potions for each."""
+    """Number of features of a stone; each has two potions."""
     trials: Trials = 5
-    """Stones to make perfect before the exit opens."""
+    """Number of stones to make perfect before the exit opens."""
     bottles: Panels = Panels(width=1.0)
     """Sizes and places of the potions' panels."""
 
@@ -65,7 +65,7 @@ class PotionsConfig(PuzzleConfig):
         return self.bottles
 
     def make_puzzle(self, rng: np.random.Generator) -> PotionsPuzzle:
-        """Nothing depends on the instance seed; rules are drawn by the episode."""
+        """Make the puzzle; it does not depend on the instance seed, as each episode draws its rule."""
         return PotionsPuzzle(self.features, self.trials)
 
 
@@ -75,9 +75,9 @@ class PotionsPuzzle(Modelled, Puzzle):
 
     kind = "potions"
     features: Features = 1
-    """Features of a stone; there are two potions for each."""
+    """Number of features of a stone; each has two potions."""
     trials: Trials = 1
-    """Stones to make perfect before the exit opens."""
+    """Number of stones to make perfect before the exit opens."""
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -94,11 +94,11 @@ class PotionsPuzzle(Modelled, Puzzle):
                     state >> RULE_SHIFT)
 
     def list_starts(self) -> tuple[int, ...]:
-        """The first stone, under every rule."""
+        """List the states of the first stone under each rule."""
         return tuple(self.encode(Brew(0, 0, rule)) for rule in range(len(list_rules(self.features))))
 
     def make_state(self) -> int:
-        """The first stone under the first rule."""
+        """State of the first stone under the first rule."""
         return 0
 
     def is_state(self, state: Any) -> bool:
@@ -110,7 +110,7 @@ class PotionsPuzzle(Modelled, Puzzle):
                 and (trials < self.trials or stone == 0))
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Drip the pressed potions on the stone, in index order."""
+        """Apply the pressed potions to the stone, in index order."""
         stone, trials, rule = self.decode(state)
         for potion in contacts.pressed:
             if trials < self.trials:
@@ -121,19 +121,19 @@ class PotionsPuzzle(Modelled, Puzzle):
         return self.encode(Brew(stone, trials, rule))
 
     def is_solved(self, state: int) -> bool:
-        """All trials are done."""
+        """Return whether all trials are done."""
         return self.decode(state).trials == self.trials
 
     def compute_progress(self, state: int) -> float:
-        """Share of the trials that are done."""
+        """Share in [0, 1] of the trials that are done."""
         return self.decode(state).trials / self.trials
 
     def observe(self, state: int) -> tuple[float, ...]:
-        """One number a feature, and the share of the trials done; nothing of the rule."""
+        """One number per feature, and the share of the trials done; the rule stays hidden."""
         return (*(float(self.decode(state).stone >> i & 1) for i in range(self.features)), self.compute_progress(state))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Potions tell nothing, until all trials are done."""
+        """No potion is lit until all trials are done, then all are."""
         return (self.is_solved(state),) * (2 * self.features)
 
     def get_facts(self, state: int) -> frozenset[str]:
@@ -147,7 +147,7 @@ class PotionsPuzzle(Modelled, Puzzle):
         return f"{'gives' if is_on else 'takes'}({self.target_names[potion]},feature-{feature + 1})"
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """One operator a potion, with conditional effects for all that it may do; planners know the hidden rule."""
+        """One operator per potion, with a conditional effect for each possible rule; planners know the hidden rule."""
         none: frozenset[str] = frozenset()
         on = [f"on(feature-{i + 1})" for i in range(self.features)]
         done = [frozenset({f"done({trials})"}) for trials in range(self.trials + 1)]

@@ -21,7 +21,7 @@ __all__ = ["PUDDLES", "PuddleWorldConfig", "PuddleWorldPuzzle"]
 PUDDLES = (Capsule(-8, 5, -1, 5, 2), Capsule(-1, -2, -1, 6, 2))
 """The published puddles of radius 0.1, from (0.1, 0.75) to (0.45, 0.75) and from (0.45, 0.4) to (0.45, 0.8)."""
 CORNER = Pads(3, 1.5, (Place(9 + 0.75 * 0.5**0.5 - 1e-6, 9 + 0.75 * 0.5**0.5 - 1e-6, -45),))
-"""The published goal, x + y >= 1.9; a micrometre more, so that places on its edge count."""
+"""The published goal, x + y >= 1.9, widened by a micrometre so that places on its edge count."""
 
 Cost = Annotated[float, Range(0, 1_000, "1/m")]
 
@@ -32,9 +32,9 @@ class PuddleWorldConfig(PuzzleConfig):
 
     kind = "puddle-world"
     areas: tuple[Capsule, ...] = PUDDLES
-    """Puddles; where some overlap, the deepest counts."""
+    """Puddles; where they overlap, the deepest counts."""
     cost: Cost = 20.0
-    """Price of a primitive that ends in a puddle, for each metre to the puddle's edge."""
+    """Cost of a primitive that ends in a puddle, per metre of depth inside its edge."""
     goal: Pads = CORNER
     """Size and place of the goal."""
 
@@ -48,7 +48,7 @@ class PuddleWorldConfig(PuzzleConfig):
         return self.goal
 
     def make_puzzle(self, rng: np.random.Generator) -> PuddleWorldPuzzle:
-        """Nothing depends on the instance seed."""
+        """Make the puzzle; it does not depend on the instance seed."""
         return PuddleWorldPuzzle(self.areas, self.cost)
 
 
@@ -58,9 +58,9 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
 
     kind = "puddle-world"
     areas: tuple[Capsule, ...] = PUDDLES
-    """Puddles; where some overlap, the deepest counts."""
+    """Puddles; where they overlap, the deepest counts."""
     cost: Cost = 20.0
-    """Price of a primitive that ends in a puddle, for each metre to the puddle's edge."""
+    """Cost of a primitive that ends in a puddle, per metre of depth inside its edge."""
 
     @property
     def target_names(self) -> tuple[str, ...]:
@@ -69,7 +69,7 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
 
     @property
     def pad_names(self) -> tuple[str, ...]:
-        """The goal is a pad."""
+        """Names of all targets: the goal is a pad."""
         return self.target_names
 
     @property
@@ -79,11 +79,11 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
 
     @property
     def is_watching(self) -> bool:
-        """Every primitive may end in a puddle."""
+        """True, as every primitive may end in a puddle."""
         return True
 
     def make_state(self) -> int:
-        """The goal has not been entered."""
+        """State 0: the goal has not been entered."""
         return 0
 
     def is_state(self, state: Any) -> bool:
@@ -95,11 +95,11 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
         return int(state or bool(contacts.pressed))
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
-        """The price of the deepest puddle at the place that the primitive led to."""
+        """Negative cost of the deepest puddle at the place where the primitive ended."""
         return -self.cost * max((area.compute_depth(contacts.x, contacts.y) for area in self.areas), default=0.0)
 
     def is_solved(self, state: int) -> bool:
-        """The goal has been entered."""
+        """Return whether the goal has been entered."""
         return state == 1
 
     def observe(self, state: int) -> tuple[float, ...]:
@@ -107,7 +107,7 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
         return (float(state),)
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """The goal, once it has been entered."""
+        """The goal is lit once it has been entered."""
         return (state == 1,)
 
 

@@ -24,7 +24,7 @@ from hrl_escape.settings import Range
 __all__ = ["LARGEST_OFFSET", "BlockPose", "PushBlockConfig", "PushBlockPuzzle"]
 
 LARGEST_OFFSET = 300.0
-"""Observed offsets are cut at this distance, m; no room is as large."""
+"""Bound of observed offsets, m; no room is as large."""
 _OFFSETS = (-LARGEST_OFFSET, LARGEST_OFFSET)
 
 
@@ -60,7 +60,7 @@ class PushBlockConfig(PuzzleConfig):
     """Side of a plate; smaller is harder."""
 
     def make_puzzle(self, rng: np.random.Generator) -> PushBlockPuzzle:
-        """Nothing is random; the room places the props."""
+        """Make the puzzle; nothing in it is random, for the room places the props."""
         props = []
         for i in range(self.count):
             props.append(Prop(f"block-{i + 1}", "block", self.block_size / 2, self.block_height, self.block_mass))
@@ -87,7 +87,7 @@ class PushBlockPuzzle(Propped, Modelled, Puzzle):
 
     @cached_property
     def pairs(self) -> tuple[tuple[Prop, Prop], ...]:
-        """Blocks with their plates."""
+        """Pairs of a block and its plate."""
         count = sum(prop.kind == "plate" for prop in self.things)
         return tuple(zip(self.things[: 2 * count : 2], self.things[1 : 2 * count : 2], strict=True))
 
@@ -107,15 +107,15 @@ class PushBlockPuzzle(Propped, Modelled, Puzzle):
 
     @property
     def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Of offset x and y, yaw, and whether it is on the plate."""
+        """Bounds for each block: offset x and y (m), yaw (rad), and 0 or 1 for being on its plate."""
         return (_OFFSETS, _OFFSETS, (-math.pi / 4, math.pi / 4), (0.0, 1.0)) * len(self.pairs)
 
     def make_state(self) -> tuple[BlockPose, ...]:
-        """Out of sight, until the room says where the blocks stand."""
+        """State with all blocks far away, until the room reports their poses."""
         return (BlockPose(LARGEST_OFFSET, LARGEST_OFFSET, 0.0),) * len(self.pairs)
 
     def update(self, state: tuple[BlockPose, ...], contacts: Contacts) -> tuple[BlockPose, ...]:
-        """Look where the blocks are now."""
+        """Return the pose of each block relative to its plate."""
         poses = contacts.prop_poses[: 2 * len(self.pairs)]
         if not poses:
             return state
@@ -138,7 +138,7 @@ class PushBlockPuzzle(Propped, Modelled, Puzzle):
         return tuple(numbers)
 
     def get_lit(self, state: tuple[BlockPose, ...]) -> tuple[bool, ...]:
-        """There are no targets."""
+        """Empty: there are no targets."""
         return ()
 
     def get_facts(self, state: tuple[BlockPose, ...]) -> frozenset[str]:

@@ -1,4 +1,4 @@
-"""Boxes that are pushed over a map: levels that are read or drawn, and the fewest moves that put them onto goals.
+"""Boxes pushed over a map: reading and drawing of levels, and the fewest moves that bring all boxes onto goals.
 
 Levels are written as those of Sokoban and of Boxoban (Guez et al. 2018): `#` wall, `@` the player, `$` a box, `.` a
 goal, `*` a box on a goal, `+` the player on a goal, anything else floor.
@@ -22,11 +22,11 @@ __all__ = ["PUSH_SIDES", "BoxMap", "Shove", "draw_level", "find_fewest_shoves", 
 PUSH_SIDES = {"east": (0, 1), "north": (-1, 0), "west": (0, -1), "south": (1, 0)}
 """Steps (row, column) to each side; rows count from the top."""
 _MOST_SEARCHED = 300_000
-"""States of the search for the fewest moves, beyond which it gives up."""
+"""States after which the search for the fewest moves gives up."""
 _GAMES, _PULLS = 10, 15
 """Games that are played backwards from each drawn map, and pulls a box in each."""
 _MOST_DRAWN = 1000
-"""Levels that are drawn before a schematic is given up."""
+"""Most levels drawn before a schematic is given up."""
 
 
 class Shove(NamedTuple):
@@ -76,7 +76,7 @@ class BoxMap:
         return beside if inside and text[beside] != "#" else -1
 
     def find_beside(self, cell: int, side: int) -> int:
-        """Cell beside another, by the number of its side; -1 for a wall."""
+        """Neighbour of a cell, by the number of its side; -1 for a wall."""
         return self._next[cell][side]
 
     def measure_walks(self, begin: int, boxes: frozenset[int]) -> dict[int, int]:
@@ -124,7 +124,7 @@ def _get_map(rows: tuple[str, ...]) -> tuple[BoxMap, list[dict[int, int]]]:
 def find_fewest_shoves(rows: tuple[str, ...], player: int, boxes: frozenset[int]) -> tuple[Shove, ...] | None:
     """Pushes of a solution with the fewest moves, walks included; None if there is none.
 
-    A* with the fewest pushes that lone boxes need, each to a goal of its own. Boxes never come to cells from which no
+    A* with the fewest pushes that lone boxes need, each to a goal of its own. Boxes never enter cells from which no
     pushes lead to a goal. Beyond 10,000 states it goes on greedily, so that there may be fewer moves; beyond 300,000 it
     gives up.
 
@@ -198,7 +198,7 @@ def tidy_level(rows: Sequence[str]) -> tuple[str, ...]:
 
 
 def draw_level(side: int, boxes: int, rng: np.random.Generator) -> tuple[str, ...]:
-    """Draw a level by playing backwards: boxes begin on goals and are pulled away, as far as it comes.
+    """Draw a level by playing backwards: boxes begin on goals and are pulled away as far as possible.
 
     Args:
         side: of the square of cells, without outer walls.
@@ -206,7 +206,7 @@ def draw_level(side: int, boxes: int, rng: np.random.Generator) -> tuple[str, ..
         rng: source of all that is random.
 
     Raises:
-        ConfigError: so many boxes do not go onto so few cells.
+        ConfigError: the cells are too few for the boxes.
     """
     for _ in range(_MOST_DRAWN):
         cells = np.where(rng.random((side, side)) < 0.2, "#", " ")
@@ -246,7 +246,7 @@ def _pull_away(level: BoxMap, rng: np.random.Generator) -> tuple[int, frozenset[
 
 
 def _write(rows: Sequence[str], player: int, boxes: frozenset[int], goals: frozenset[int]) -> tuple[str, ...]:
-    """Rows of a level, of rows that say where walls are."""
+    """Rows of a level, from rows of walls and the places of boxes, goals and player."""
     columns, marks = len(rows[0]), {(False, False): " ", (True, False): "$", (False, True): ".", (True, True): "*"}
     text = [c if c == "#" else marks[cell in boxes, cell in goals] for cell, c in enumerate("".join(rows))]
     text[player] = "+" if player in goals else "@"

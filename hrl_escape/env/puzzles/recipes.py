@@ -23,7 +23,7 @@ __all__ = ["COUNT_BITS", "MATERIALS", "MOST_KEPT", "NAMES", "RECIPES", "Recipe",
 Craft = Literal["wood", "stone", "coal", "iron", "diamond", "table", "furnace", "wood-pickaxe", "stone-pickaxe",
                "iron-pickaxe"]
 MOST_KEPT = 9
-"""Most of a material that is kept."""
+"""Largest stock of a material."""
 COUNT_BITS = 4
 MATERIALS = 5
 """Number of materials; they are the first names."""
@@ -32,11 +32,11 @@ NAMES: tuple[str, ...] = get_args(Craft)
 
 
 class Recipe(NamedTuple):
-    """Way to come by a material or thing.
+    """Requirements of a material or thing.
 
     Attributes:
-        takes: things that must be there, and stay.
-        uses: materials that it costs, and how many of each.
+        takes: things that must be there; they are not used up.
+        uses: materials that are used up, with the number of each.
     """
 
     takes: tuple[str, ...] = ()
@@ -98,7 +98,7 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:
-        """Pairs of a material or thing that is taken or used, and what for."""
+        """Dependencies (parent, child): the parent is taken or used for the child."""
         return tuple((NAMES.index(needed), number) for number, name in enumerate(NAMES)
                      for needed in (*RECIPES[name].takes, *(material for material, _ in RECIPES[name].uses)))
 
@@ -135,7 +135,7 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
         return state
 
     def is_solved(self, state: int) -> bool:
-        """The goal is there."""
+        """Return whether the goal has been collected, placed or made."""
         return self.count(state, self.goal) > 0
 
     def observe(self, state: int) -> tuple[float, ...]:
@@ -144,18 +144,18 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
                      for number, name in enumerate(NAMES))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Materials in store and things that are there."""
+        """Lit panels: materials in store, and things placed or made."""
         return tuple(self.count(state, name) > 0 for name in NAMES)
 
     def get_sign(self, state: int, target: int) -> str:
-        """Number of a material in store."""
+        """Number of a material in store; empty for none and for things."""
         count = self.count(state, NAMES[target]) if target < MATERIALS else 0
         return str(count) if count else ""
 
     # --- for planners ------------------------------------------------------------------
 
     def list_presses(self, state: int) -> list[str]:
-        """The fewest presses that bring about the goal from here, by name.
+        """List the fewest presses that reach the goal from here, by name.
 
         Each thing on the way is made once, and each material is collected once for each use that the store does not
         cover: no press does more than one of these, so fewer are not enough.
@@ -169,7 +169,7 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
         presses: list[str] = []
         for name in order:
             for material, _ in RECIPES[name].uses:
-                if material not in presses:  # all at once, for the way is long
+                if material not in presses:  # all at once, as there are many presses
                     needed = sum(number for used, number in uses if used == material)
                     presses += [material] * max(needed - self.count(state, material), 0)
             presses.append(name)

@@ -77,7 +77,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
 
     @property
     def pad_names(self) -> tuple[str, ...]:
-        """All targets are cells of the floor."""
+        """Names of all targets: each is a cell of the floor."""
         return self.target_names
 
     @property
@@ -97,13 +97,13 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
 
     @property
     def has_dead_ends(self) -> bool:
-        """A box in a corner stays there."""
+        """True: a box in a corner can never leave it."""
         return True
 
     # --- states ------------------------------------------------------------------------
 
     def encode(self, cells: tuple[int, ...]) -> int:
-        """State of the boxes' cells."""
+        """State with the boxes in these cells."""
         return sum(cell << BOX_BITS * box for box, cell in enumerate(cells))
 
     def decode(self, state: int) -> tuple[int, ...]:
@@ -111,7 +111,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
         return tuple(state >> BOX_BITS * box & (1 << BOX_BITS) - 1 for box in range(len(self.level.boxes)))
 
     def make_state(self) -> int:
-        """The boxes at first."""
+        """State with the boxes in their first cells."""
         return self.encode(self.level.boxes)
 
     def is_state(self, state: Any) -> bool:
@@ -143,7 +143,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
         return sum(1 << self.level.floor.index(cell) for cell in self.decode(state))
 
     def is_solved(self, state: int) -> bool:
-        """A box stands on every goal."""
+        """Return whether a box stands on every goal."""
         return self._count_filled(state) == len(self.level.goals)
 
     def observe(self, state: int) -> tuple[float, ...]:
@@ -154,7 +154,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
         return (*shares, *(float(goal in cells) for goal in self.level.goals))
 
     def get_lit(self, state: int) -> tuple[bool, ...]:
-        """Boxes that stand on goals, and goals with boxes on them."""
+        """Lit targets: boxes on goals, and goals with a box on them."""
         cells, goals = self.decode(state), self.level.goals
         return (*(cell in goals for cell in cells), *(goal in cells for goal in goals))
 
@@ -180,12 +180,12 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
         return Contacts((), grip=PUSH, ahead=self.level.floor.index(cell), beyond=self.level.floor.index(to))
 
     def make_symbolic_model(self) -> SymbolicModel:
-        """One operator for each box, cell and side; how the player comes to the box is the room's matter."""
+        """One operator for each box, cell and side; the room plans how the player gets to the box."""
         return self._model[0]
 
     @cached_property
     def _ends(self) -> dict[str, tuple[int, int]]:
-        """Cell that each operator pushes its box from, and cell that it comes to."""
+        """For each operator, the cells from which and to which it pushes its box."""
         return self._model[1]
 
     @cached_property

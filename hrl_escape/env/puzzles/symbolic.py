@@ -1,4 +1,4 @@
-"""Symbolic models: a puzzle as planners see it, given by its author or derived by enumerating its states."""
+"""Symbolic models of puzzles for planners: given by the author, or derived by enumeration of the states."""
 
 from __future__ import annotations
 
@@ -69,18 +69,18 @@ class Operator:
     cost: float = 1.0
 
     def is_applicable(self, facts: frozenset[str]) -> bool:
-        """Return whether the operator may be applied where `facts` hold."""
+        """Return whether the operator is applicable where `facts` hold."""
         return self.preconditions <= facts and not self.forbidden & facts
 
     def apply(self, facts: frozenset[str]) -> frozenset[str]:
-        """Return the facts after applying the operator; what is added and deleted at once holds."""
+        """Return the facts after applying the operator; a proposition both added and deleted holds."""
         tried = (effect for fact in (*facts, None) for effect in self._when_by_fact.get(fact, ()))
         met = [effect for effect in tried if effect.condition <= facts and not effect.forbidden & facts]
         return (facts - self.delete.union(*(e.delete for e in met))) | self.add.union(*(e.add for e in met))
 
     @cached_property
     def _when_by_fact(self) -> dict[str | None, list[Effect]]:
-        """Conditional effects by one fact of their condition, None for those without: most are then never looked at."""
+        """Conditional effects by one fact of their condition (None: no condition), so that few are examined."""
         table: dict[str | None, list[Effect]] = {}
         for effect in self.when:
             table.setdefault(min(effect.condition, default=None), []).append(effect)
@@ -88,21 +88,21 @@ class Operator:
 
     @property
     def may_add(self) -> frozenset[str]:
-        """Propositions that it makes true under some condition."""
+        """Propositions that the operator makes true under some condition."""
         return self.add.union(*(effect.add for effect in self.when))
 
     @property
     def may_change(self) -> frozenset[str]:
-        """Propositions that it changes under some condition."""
+        """Propositions that the operator changes under some condition."""
         return self.may_add.union(self.delete, *(effect.delete for effect in self.when))
 
     @property
     def reads(self) -> frozenset[str]:
-        """Propositions that decide if it is applicable and what it does."""
+        """Propositions that decide whether the operator is applicable and what it does."""
         return self.preconditions.union(self.forbidden, *(e.condition | e.forbidden for e in self.when))
 
     def relax(self, reached: frozenset[str]) -> frozenset[str]:
-        """Propositions that it can add once all of `reached` have held, deletions left out of account."""
+        """Propositions that the operator can add once all of `reached` have held, with deletions ignored."""
         if not self.preconditions <= reached:
             return frozenset()
         return self.add.union(*(effect.add for effect in self.when if effect.condition <= reached))
@@ -135,7 +135,7 @@ class SymbolicModel:
 
 
 class Modelled(ABC):
-    """A symbolic model, which a puzzle has of its own by naming this class among its bases."""
+    """Base of puzzles with a symbolic model of their own."""
 
     if TYPE_CHECKING:  # the puzzle's own
         @property
@@ -145,12 +145,12 @@ class Modelled(ABC):
 
     @property
     def has_dead_ends(self) -> bool:
-        """Some presses lead to states from which the puzzle can no longer be solved."""
+        """True if some presses lead to states from which the puzzle can no longer be solved."""
         return False
 
     @abstractmethod
     def make_symbolic_model(self) -> SymbolicModel:
-        """The same model each time."""
+        """Return the model; it is the same at every call."""
 
     @abstractmethod
     def get_facts(self, state: Any) -> frozenset[str]:
@@ -168,7 +168,7 @@ class Modelled(ABC):
         return Contacts((), touching=(target,), grip=1 if operator.action == "grip" else -1)
 
     def plan(self, state: Any, place: int = -1) -> tuple[Operator, ...] | None:
-        """Return the operators that solve the puzzle from here, if it knows better than a search; else None.
+        """Return the operators that solve the puzzle from here; None leaves this to a search.
 
         `place` is the number of the inner door in whose cell the robot stands, on a map; -1 where there is none.
         """
@@ -194,9 +194,9 @@ class _Rules(Protocol):
 
 
 class DerivedModel(Modelled):
-    """The model of a puzzle's rules, by visiting every state that presses lead to, once it is asked for.
+    """The model of a puzzle's rules, by a visit to every reachable state on first use.
 
-    There is one proposition a state, and one operator a target with a conditional effect a state. Effects are those of
+    It has a proposition per state, and an operator per target with a conditional effect per state. Effects are those of
     the most likely outcome; other outcomes lead to states as well.
 
     Args:

@@ -1,6 +1,6 @@
 """Tables of puzzles with few states: the rules, tried once in every state that can be reached.
 
-A table says what every press, grip, release and use does in every state. It is made from the puzzle's own rules, so the
+A table lists the effect of each press, grip, release and use in each state. It is made from the puzzle's rules, so the
 batched engine runs such a puzzle without a second form of it. Puzzles with maps, with things on the floor, that watch
 every primitive or that have too many states have no table.
 """
@@ -25,9 +25,9 @@ __all__ = ["GRIPS", "MOST_TABULATED", "PuzzleTable", "tabulate"]
 GRIPS = (1, -1, USE)
 """Values of `Contacts.grip` in a table, in order."""
 MOST_TABULATED = 200_000
-"""Most states of a puzzle that has a table."""
+"""Most states of a puzzle with a table."""
 _MOST_TRIED = 500
-"""Pairs of targets at once that are held against the table."""
+"""Most pairs of targets touched at once that are compared with the table."""
 
 
 @dataclasses.dataclass(frozen=True)
@@ -62,11 +62,11 @@ class PuzzleTable:
 
 
 class _UnseenError(Exception):
-    """The rules have read what a table does not know."""
+    """The rules have read a value that a table does not hold."""
 
 
 class _Unseen:
-    """A value that cannot be read."""
+    """Stand-in for a value of `Contacts`: any use of it raises `_UnseenError`."""
 
     def __init__(self, name: str) -> None:
         self._name = name
@@ -86,7 +86,7 @@ _UNSEEN: dict[str, Any] = {name: _Unseen(name) for name in ("touching", "prop_po
 
 
 def _touch(targets: Sequence[int], grip: int, chance: float) -> Contacts:
-    """Contacts of presses (grip 0) or of a grip that touches targets, at a chance."""
+    """Contacts of presses (grip 0), or of a grip that touches targets, with a given random number."""
     if not grip:
         return Contacts(tuple(targets), uniform=chance, **_UNSEEN)
     unseen: dict[str, Any] = _UNSEEN | {"touching": tuple(targets)}
@@ -164,7 +164,7 @@ def _pack(flags: Sequence[bool]) -> int:
 
 
 def _check_pairs(puzzle: Puzzle, table: PuzzleTable, chances: Sequence[float]) -> None:
-    """Check that two targets at once do what the table says, in some of the states."""
+    """Check in some of the states that two targets touched at once have the effect in the table."""
     targets = len(puzzle.target_names)
     pairs = list(itertools.combinations(range(targets), 2))
     grips = (0, *GRIPS) if len(table.after) > targets else (0,)

@@ -1,6 +1,6 @@
-"""Taxi (Dietterich 2000): fetch the passenger at one of four depots, and put him down at another.
+"""Taxi (Dietterich 2000): fetch the passenger at one of four depots, and set them down at another.
 
-The depots are pads on the floor; the passenger is picked up by gripping on his, and put down by releasing on any.
+The depots are pads on the floor; gripping on the passenger's pad picks them up, releasing on any pad sets them down.
 Gripping and releasing in vain costs 10. A fickle passenger changes the destination with some probability on the first
 ride of one cell. Each of the twelve pairs of depot and destination may begin an episode. The state is (passenger,
 destination, has settled, is delivered) as a number.
@@ -30,13 +30,13 @@ Fickleness = Annotated[float, Range(0, 1, open_high=True)]
 
 
 class Ride(NamedTuple):
-    """The puzzle's state in words.
+    """Decoded state of the puzzle.
 
     Attributes:
         passenger: number of a depot, or `RIDING`.
         destination: number of a depot.
         settled: the passenger will not change the destination any more.
-        delivered: the passenger is where he wanted to go.
+        delivered: the passenger has arrived at the destination.
     """
 
     passenger: int
@@ -80,13 +80,13 @@ class TaxiPuzzle(Modelled, Puzzle):
 
     @property
     def chances(self) -> tuple[float, ...]:
-        """The passenger may be fickle, and then want to go to any of the three other depots."""
+        """Bounds of the four outcomes of a first ride: no change, or a change to one of the three other depots."""
         share = self.fickleness / (RIDING - 1)
         return tuple(1.0 - self.fickleness + turn * share for turn in range(RIDING - 1)) if self.fickleness else ()
 
     @property
     def is_watching(self) -> bool:
-        """A ride is seen by the primitive that moves."""
+        """True if the passenger is fickle: the first ride of one cell may then be any move."""
         return self.fickleness > 0.0
 
     @property
@@ -96,19 +96,19 @@ class TaxiPuzzle(Modelled, Puzzle):
 
     @property
     def pad_names(self) -> tuple[str, ...]:
-        """All depots are pads."""
+        """Names of all targets: each depot is a pad."""
         return DEPOTS
 
     def encode(self, ride: Ride) -> int:
-        """State of a ride."""
+        """Encode a ride as a state."""
         return ride.passenger | ride.destination << 3 | ride.settled << 5 | ride.delivered << 6
 
     def decode(self, state: int) -> Ride:
-        """Ride of a state."""
+        """Decode a state into a ride."""
         return Ride(state & 7, state >> 3 & 3, bool(state >> 5 & 1), bool(state >> 6 & 1))
 
     def list_starts(self) -> tuple[int, ...]:
-        """The passenger waits at one depot and wants to go to another."""
+        """List the twelve states in which the passenger waits at one depot and wants to go to another."""
         return tuple(self.encode(Ride(passenger, destination)) for passenger in range(RIDING)
                      for destination in range(RIDING) if passenger != destination)
 
@@ -124,7 +124,7 @@ class TaxiPuzzle(Modelled, Puzzle):
         return ride.passenger <= RIDING and (not ride.delivered or ride.passenger == ride.destination)
 
     def update(self, state: int, contacts: Contacts) -> int:
-        """Pick up, put down, or ride on."""
+        """Pick the passenger up, set them down, or settle the destination on the first ride of one cell."""
         ride = self.decode(state)
         if ride.delivered:
             return state
@@ -140,15 +140,15 @@ class TaxiPuzzle(Modelled, Puzzle):
         return self.encode(ride)
 
     def compute_reward(self, before: int, after: int, contacts: Contacts) -> float:
-        """Less where gripping or releasing was in vain."""
+        """`REFUSED` for a grip or release without effect, else 0."""
         return REFUSED if contacts.grip and after == before else 0.0
 
     def is_solved(self, state: int) -> bool:
-        """The passenger is where he wanted to go."""
+        """Return whether the passenger has been delivered."""
         return self.decode(state).delivered
 
     def observe(self, state: int) -> tuple[float, ...]:
-        """One number a place of the passenger, the taxi last, then one a destination."""
+        """One number for each place of the passenger, the taxi last, then one for each destination."""
         ride = self.decode(state)
         return tuple(float(ride.passenger == place) for place in range(RIDING + 1)) + tuple(
             float(ride.destination == depot) for depot in range(RIDING))

@@ -1,6 +1,6 @@
 """Towers of blocks: moves of a gripper, shortest plans, and problems that are drawn or read from PDDL.
 
-A state gives for each block the block that it stands on, itself where it stands on the table, or `IN_HAND`.
+A state gives for each block the block below it: itself on the table, or `IN_HAND` while it is held.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ __all__ = ["IN_HAND", "MOST_BLOCKS", "TowersGoal", "Problem", "Towers", "find_fe
            "meets_goal", "read_towers", "sample_towers"]
 
 IN_HAND = 15
-"""Stands for the hand: a block in it stands on this."""
+"""Stands for the hand as the support of a held block."""
 MOST_BLOCKS = 12
 
 Towers: TypeAlias = tuple[int, ...]
-"""For each block what it stands on; blocks are numbers from 0."""
+"""Number of the block below each block; blocks are numbered from 0."""
 
 
 class TowersGoal(NamedTuple):
@@ -32,7 +32,7 @@ class TowersGoal(NamedTuple):
     Attributes:
         on: pairs of a block and what it must stand on, itself for the table.
         clear: blocks on which nothing may stand, and which are not held.
-        is_free: nothing may be held.
+        is_free: the hand must be empty.
     """
 
     on: tuple[tuple[int, int], ...]
@@ -70,7 +70,7 @@ def list_moves(towers: Towers) -> Iterator[tuple[int, int, Towers]]:
 
 
 def meets_goal(towers: Towers, goal: TowersGoal) -> bool:
-    """Return whether towers are as the goal asks."""
+    """Return whether towers meet the goal."""
     return (all(towers[block] == below for block, below in goal.on)
             and not any(towers[block] == IN_HAND for block in goal.clear)
             and not any(below in goal.clear and below != block for block, below in enumerate(towers))
@@ -108,7 +108,7 @@ def find_fewest_moves(towers: Towers, goal: TowersGoal) -> tuple[tuple[int, int]
 
 @lru_cache(maxsize=1024)
 def _count_towers(loose: int, placed: int) -> int:
-    """Number of ways to complete `loose` towers that stand nowhere yet, beside others on the table."""
+    """Number of ways to place `loose` towers that stand nowhere yet, given the number already on the table."""
     if loose == 0:
         return 1
     return _count_towers(loose - 1, placed) * (loose - 1 + placed) + _count_towers(loose - 1, placed + 1)
@@ -117,7 +117,7 @@ def _count_towers(loose: int, placed: int) -> int:
 def sample_towers(count: int, rng: np.random.Generator) -> Towers:
     """Draw towers, each with the same probability (Slaney and Thiebaux 2001).
 
-    One tower after another is put onto the table or onto some other one.
+    Towers are placed one after another, on the table or on another tower.
     """
     towers = list(range(count))
     loose, placed = [(block, block) for block in range(count)], list[int]()  # lowest and top block, top block
@@ -140,7 +140,7 @@ def read_towers(text: str) -> Problem:
     """Read a PDDL problem of the domain with four operators: pick-up, put-down, stack and unstack.
 
     Raises:
-        ConfigError: it is no PDDL, or no problem of that domain.
+        ConfigError: the text is no PDDL, or no problem of that domain.
     """
     parts = {str(part[0]): part[1:] for part in _read_list(text)[1:] if isinstance(part, list) and part}
     if not {":objects", ":init", ":goal"} <= parts.keys():

@@ -18,12 +18,12 @@ Trait = TypeVar("Trait")
 
 
 def get_trait(puzzle: object, trait: type[Trait]) -> Trait:
-    """The puzzle itself where it has a trait, else one without anything of it."""
+    """Return the puzzle itself if it has a trait, else an empty instance of the trait."""
     return puzzle if isinstance(puzzle, trait) else trait()
 
 
 class Graphed:
-    """Targets depend on each other; for drawings, reports and learners' graphs, and not for planners."""
+    """Trait: targets depend on each other; for drawings, reports and learners' graphs, not for planners."""
 
     @property
     def edges(self) -> tuple[tuple[int, int], ...]:
@@ -42,20 +42,20 @@ class Graphed:
 
 
 class Depicted:
-    """Drawings show more of the puzzle than names and lights."""
+    """Trait: drawings show more of the puzzle than names and lights."""
 
     @property
     def puddles(self) -> tuple[Capsule, ...]:
-        """Stretches of floor that the rules speak of."""
+        """Regions of the floor that the rules refer to, for drawings."""
         return ()
 
     def get_sign(self, state: Any, target: int) -> str:
-        """Text that a target shows to people besides its name, such as what lies there; empty for none."""
+        """Text that drawings show at a target besides its name, such as its stock; empty for none."""
         return ""
 
 
 class Barring:
-    """The state says which of the room's inner doors, or things in cells, bar the way."""
+    """Trait: the state decides which of the room's inner doors, or things in cells, block the way."""
 
     def get_shut(self, state: Any) -> int:
         """Bits of the inner doors that are shut."""
@@ -63,13 +63,13 @@ class Barring:
 
 
 class Doored(Barring):
-    """Doors between rooms open as the puzzle, which is `Modelled`, goes on, and stay open; for those without a map."""
+    """Trait of a `Modelled` puzzle without a map: doors between rooms open with its facts, and stay open."""
 
     get_facts: Callable[[Any], frozenset[str]]
 
     @property
     def door_facts(self) -> tuple[str, ...]:
-        """Fact of the symbolic model from which each door is open, for good."""
+        """For each door, the fact of the symbolic model that opens it for good."""
         return ()
 
     def get_shut(self, state: Any) -> int:
@@ -79,7 +79,7 @@ class Doored(Barring):
 
 
 class Mapped(Barring):
-    """The puzzle draws the map of its grid world, see `maps.py`; its cells are numbered row by row."""
+    """Trait: the puzzle draws the map of its grid world, see `maps.py`; cells are numbered row by row."""
 
     @property
     def map_rows(self) -> tuple[str, ...]:
@@ -102,19 +102,19 @@ class Mapped(Barring):
 
 
 class Pushing(Mapped):
-    """A move into a cell that is blocked calls `update` with `PUSH`, and goes ahead if that frees the cell."""
+    """Trait: a move into a blocked cell calls `update` with `PUSH`, and goes ahead if that frees the cell."""
 
 
 class Propped:
-    """Things stand on the floor, and physics moves them."""
+    """Trait: props stand on the floor, and physics moves them."""
 
     @property
     def props(self) -> tuple[Prop, ...]:
-        """Things that the room must place."""
+        """Props that the room must place."""
         return ()
 
     def with_props(self, props: tuple[Prop, ...]) -> Any:
-        """The same puzzle with other things on the floor.
+        """The same puzzle with other props on the floor.
 
         Raises:
             ConfigError: the puzzle cannot be one with these.

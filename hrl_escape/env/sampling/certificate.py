@@ -1,4 +1,4 @@
-"""Certificate of a room's geometry: start, places of touching and exit lie on one connected floor.
+"""Certificate of a room's geometry: the start, a touching place for each target, and the exit are connected.
 
 For a rectangular base it is that of the largest disc within its outline; the search of `primitive_proof.py` then
 proves the room for the rectangle itself.
@@ -24,7 +24,7 @@ from hrl_escape.env.sampling.work import Work
 __all__ = ["Floors", "find_unmet", "has_arm_free", "make_floors"]
 
 _ARM_THICKNESS = 0.1  # m, from the line through an arm's joints
-_ENOUGH = 3  # neighbouring places from which a target is touched
+_ENOUGH = 3  # neighbouring places that must touch a target
 
 
 class Approach(NamedTuple):
@@ -41,7 +41,7 @@ class Floors(NamedTuple):
     Attributes:
         shut: with the door shut.
         opened: with it open.
-        touches: places found so far from which each target is touched, those that obstacles spoil left out.
+        touches: places found so far from which each target is touched, without those that obstacles have blocked.
     """
 
     shut: FreeSpace
@@ -63,9 +63,9 @@ def make_floors(instance: RoomInstance, work: Work | None = None) -> Floors:
 
 
 def find_unmet(instance: RoomInstance, floors: Floors) -> str | None:
-    """Say which part of the geometric certificate a room breaks; None if it holds.
+    """Name the part of the geometric certificate that a room breaks; None if it holds.
 
-    It is about connected floor for start, touching and exit, and under physics an arm that is not stuck in a wall.
+    It demands connected floor for start, touching and exit, and under physics an arm that is not stuck in a wall.
     """
     shut, opened, touches = floors
     labels = set(shut.find_labels(np.array([(start.x, start.y) for start in instance.starts])).tolist())
@@ -122,7 +122,7 @@ def _can_touch(instance: RoomInstance, index: int, space: FreeSpace, label: int,
 
 def _can_touch_by_body(instance: RoomInstance, target: Target, space: FreeSpace, label: int,
                        known: list[Approach]) -> bool:
-    """Look for a touching stretch round the target, a few neighbouring places long; `known` are tried first."""
+    """Search round the target for a few neighbouring places that all touch it; `known` are tried first."""
     if sum(int(space.labels[link.cell]) == label for link in known) >= _ENOUGH:
         return True
     reach = instance.compute_press_reach(target)
@@ -166,7 +166,7 @@ def _fill(target: Target, share: float) -> NDArray[np.float64]:
 
 
 def _can_touch_by_hand(instance: RoomInstance, target: Target, space: FreeSpace, label: int) -> bool:
-    """Look for a free cell, a heading on the lattice and a joint configuration that touch."""
+    """Search for a free cell, a heading on the lattice and a joint configuration that touch the target."""
     robot = make_robot(instance.robot)
     hands = sample_hand_positions(robot, 4000)
     limit = 0.9 * (instance.robot.hand_radius + instance.dynamics.press_margin)

@@ -1,4 +1,4 @@
-"""Doors between the rooms of a floor plan: which doorways have them, and what may lie behind each.
+"""Doors between the rooms of a floor plan: their doorways, and the targets that may lie behind each.
 
 An order in which the puzzle opens its doors is drawn first. Doors are then hung outwards from the room of the starts in
 that order, and a target is allowed in the rooms that are open by the time the order needs it: so the order escapes.
@@ -33,7 +33,7 @@ class DoorPlan(NamedTuple):
         solids: the doors, in the puzzle's order.
         rooms: the floor's rooms; one where there are no doors.
         ways: doors on the way from the starts to each room.
-        opened: doors that are open by the time a target is needed, by its name; those not named are not needed.
+        opened: target's name -> doors open by the time it is needed; targets without an entry are not needed.
     """
 
     solids: tuple[Solid, ...] = ()
@@ -42,7 +42,7 @@ class DoorPlan(NamedTuple):
     opened: Mapping[str, frozenset[int]] = MappingProxyType({})
 
     def allows(self, target: Target) -> bool:
-        """The room that the whole target is in is open when the target is needed."""
+        """Return whether a target lies in one room, and that room is open when the target is needed."""
         if not self.solids:
             return True
         room = self._find_room(target)
@@ -50,7 +50,7 @@ class DoorPlan(NamedTuple):
         return room is not None and (needed is None or needed.issuperset(self.ways[room]))
 
     def _find_room(self, target: Target) -> int | None:
-        """The room that all of a target's outline is in; panels hang a little in front of their wall."""
+        """Room that holds all of a target's outline; panels hang a little in front of their wall."""
         shape = target.footprint
         places = [(shape.x + share * shape.cos * shape.half_x, shape.y + share * shape.sin * shape.half_x)
                   for share in (-1, 1)]
@@ -74,7 +74,7 @@ class DoorPlan(NamedTuple):
         return (*ways, self._find_way_out(exit_, body_radius))
 
     def _find_way_out(self, exit_: Rectangle, body_radius: float) -> tuple[int, ...]:
-        """Doors on the way to the room in which, or before whose outer wall, the exit is."""
+        """Doors on the way to the room of the exit, or to the room at whose outer wall it is."""
         rooms = [number for number, room in enumerate(self.rooms) if _overlaps(room, exit_, body_radius + CONTACT_SKIN)]
         if not rooms:  # an alcove
             x, y = exit_.centre
@@ -100,7 +100,7 @@ class DoorPlan(NamedTuple):
 
 
 def _overlaps(room: Rectangle, area: Rectangle, margin: float) -> bool:
-    """A body that keeps a margin to a room's sides can have its axis in an area."""
+    """Return whether an area overlaps a room, less a margin at its sides."""
     return (max(room.x_min + margin, area.x_min) <= min(room.x_max - margin, area.x_max)
             and max(room.y_min + margin, area.y_min) <= min(room.y_max - margin, area.y_max))
 
@@ -148,7 +148,7 @@ def sample_doors(config: RoomConfig, puzzle: Puzzle, plan: Floorplan, rng: np.ra
 
 
 def _draw_order(puzzle: Puzzle, rng: np.random.Generator) -> tuple[list[int], dict[str, frozenset[int]]]:
-    """An order in which operators open the doors, and the doors that are open when each target is first acted on.
+    """Draw an order in which operators open the doors; returns it and the doors open when each target is first used.
 
     Raises:
         ConfigError: operators do not open all doors.

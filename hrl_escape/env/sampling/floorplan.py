@@ -22,7 +22,7 @@ __all__ = ["Doorway", "Face", "Floorplan", "Rejected", "compute_cell", "sample_f
 
 
 class Rejected(Exception):
-    """This sample breaks a constraint; another may not."""
+    """The sample breaks a constraint that another sample may meet; the message names it."""
 
 
 class Face(NamedTuple):
@@ -70,7 +70,7 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzl
     Args:
         config: the schematic.
         rng: generator.
-        puzzle: its map, where it has drawn one, says where walls and perhaps the exit are.
+        puzzle: its map, if it has one, gives the walls and perhaps the exit.
 
     Raises:
         Rejected: interior walls or exit found no place in this sample.
@@ -96,7 +96,7 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzl
     elif config.exit.place == "fixed":
         exit_area = _rectangle(config.exit.x, config.exit.y, config.exit.width / 2, config.exit.depth / 2)
         if exit_area.contains(half_x, half_y) and exit_area.contains(-half_x, -half_y):
-            exit_area = _rectangle(0.0, 0.0, half_x, half_y)  # everywhere: no further than the floor
+            exit_area = _rectangle(0.0, 0.0, half_x, half_y)  # an exit on the whole floor ends at the floor's edge
     else:
         exit_area = _place_exit(config, rng)
     solids: list[Solid] = []
@@ -143,7 +143,7 @@ def compute_cell(config: RoomConfig, cell: int) -> tuple[float, float]:
 
 
 def _build_walls(config: RoomConfig) -> list[Solid]:
-    """Explicit walls, as thick as all others."""
+    """Make the explicit walls, as thick as all others."""
     half, solids = config.room.wall_thickness / 2, []
     for wall in config.room.walls:
         along = math.hypot(wall.to_x - wall.x, wall.to_y - wall.y) / 2
@@ -232,7 +232,7 @@ def _place_exit(config: RoomConfig, rng: np.random.Generator) -> Rectangle:
 def _sample_interior(config: RoomConfig, gates: dict[int, tuple[float, float]], sides: tuple[_Side, ...],
                      rng: np.random.Generator
                      ) -> tuple[list[Solid], list[Face], tuple[Rectangle, ...], list[Solid]]:
-    """Split the floor again and again, the largest room first, each time with one doorway.
+    """Split the floor repeatedly, the largest room first, each time with one doorway.
 
     Returns:
         Walls, their faces, the rooms, and a door for each doorway.

@@ -1,7 +1,7 @@
 """Free space of the body: a conservative grid over the floor, with exact links.
 
-Two neighbouring free cells are joined by a straight move that truly keeps the clearance and
-some slack besides, so whatever the grid calls connected is connected. Generation certifies
+Two neighbouring free cells are joined by a straight move that exactly keeps the clearance and
+some slack, so cells connected in the grid are connected in the room. Generation certifies
 instances with it.
 """
 
@@ -37,7 +37,7 @@ class FreeSpace:
         resolution: cell size, m.
         grid: its cells.
         free: those in which the body fits, shape (columns, rows), bool.
-        work: budget that everything asked of it is counted in.
+        work: budget to which its queries are charged.
         labels: shape (columns, rows), int32; connected cells share a positive number.
     """
 
@@ -53,7 +53,7 @@ class FreeSpace:
         self._add(solids)
 
     def extend(self, solids: Sequence[Solid]) -> FreeSpace:
-        """The same floor with more solids on it; this one stays as it is."""
+        """Return the floor with more solids on it; this one does not change."""
         other = copy.copy(self)
         other.free, other.footprints = self.free.copy(), list(self.footprints)
         other._add(solids)
@@ -74,7 +74,7 @@ class FreeSpace:
         self.free[window] &= away >= need
 
     def find_cell(self, x: float, y: float) -> tuple[int, int]:
-        """Cell of a place, or the nearest one at the rim."""
+        """Cell of a place; for a place off the grid, the nearest cell at its rim."""
         i, j = int((x - self._low[0]) / self.resolution), int((y - self._low[1]) / self.resolution)
         return min(max(i, 0), self.free.shape[0] - 1), min(max(j, 0), self.free.shape[1] - 1)
 
@@ -140,7 +140,7 @@ class FreeSpace:
         return None
 
     def keeps_link(self, x: float, y: float, cell: tuple[int, int], solids: Sequence[Solid]) -> bool:
-        """Return whether a link that there was remains with more solids on the floor."""
+        """Return whether an existing link stays free with more solids on the floor."""
         dx, dy = (self.grid.get_centres(np.array([cell]))[0] - (x, y)).tolist()
         return bool(self.free[cell]) and all(
             compute_distance(x, y, solid.footprint) >= self.radius - 1e-9

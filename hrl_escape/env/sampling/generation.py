@@ -36,7 +36,7 @@ TRIES = 30
 LARGEST_WORK = 1_600_000
 """Work that a room may cost, in units of about a microsecond."""
 _START_TRIES = 100
-_THING_HEIGHT = 0.4  # m, of a thing that lies in a cell
+_THING_HEIGHT = 0.4  # m, height of a thing in a cell
 _PAD_HEIGHT = 0.02  # m, half the height of a pad over the floor
 _ADVICE = "Make the room larger, or ask for fewer or smaller things in it."
 
@@ -99,7 +99,7 @@ def _sample(config: RoomConfig, seed: int, puzzle: Puzzle, rng: np.random.Genera
 
 
 def _list_inner_doors(config: RoomConfig, puzzle: Puzzle) -> tuple[Solid, ...]:
-    """One box for each cell of the puzzle's map that can be blocked: as high as the walls for a door, else low."""
+    """One box for each blockable cell of the puzzle's map: as high as the walls for a door, else low."""
     level = get_trait(puzzle, Mapped)
     if not level.map_rows:
         return ()
@@ -169,7 +169,7 @@ def _paper_places(config: RoomConfig, panels: Panels) -> tuple[Place, ...]:
 
 def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorplan, doors: DoorPlan,
                    others: list[Target], rng: np.random.Generator) -> Target:
-    """Hang a panel on a random wall: no overlap with others, in time's reach, not in the exit unless everywhere."""
+    """Hang a panel on a random wall: no overlap, in an open room, off the exit unless it is the whole floor."""
     faces = [f for f in plan.faces if f.length >= panels.width]
     if not faces:
         raise Rejected(f"{name} must fit onto a wall")
@@ -197,7 +197,7 @@ def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorpla
 
 def _lay_pads(config: RoomConfig, names: tuple[str, ...], plan: Floorplan, doors: DoorPlan,
               panels: tuple[Target, ...], rng: np.random.Generator) -> list[Target]:
-    """Lay pads where the body fits all over them, off other targets, and off the exit unless that is everywhere."""
+    """Lay pads where the body fits all over them, off other targets, off the exit unless it is the whole floor."""
     pads = config.puzzle.pads
     if pads is None:
         raise ConfigError("puzzle.pads", None, f"sizes and places of the pads {', '.join(names)}")
@@ -273,7 +273,7 @@ def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace, d
 
 def _list_cell_starts(config: RoomConfig, instance: RoomInstance, space: FreeSpace, doors: DoorPlan
                       ) -> tuple[Start, ...]:
-    """Starts in the middle of every free cell, row by row from the top, outside the exit unless that is everywhere."""
+    """Starts at the centre of each free cell, row by row from the top, off the exit unless it is the whole floor."""
     cell, area = config.room.cell, instance.exit
     columns, rows = round(config.room.width / cell), round(config.room.depth / cell)
     centres = np.array([compute_cell(config, number) for number in range(rows * columns)])
@@ -289,7 +289,7 @@ def _list_cell_starts(config: RoomConfig, instance: RoomInstance, space: FreeSpa
 
 
 def _place_props(instance: RoomInstance, rng: np.random.Generator) -> RoomInstance:
-    """Put props on the floor, blocks with room to get behind them."""
+    """Put props on the floor; blocks get enough free floor behind them for a push."""
     if not instance.props:
         return instance
     taken = [(s.x, s.y, instance.robot.outer_radius) for s in instance.starts[:1]]

@@ -1,4 +1,4 @@
-"""Obstacles strewn over a floor without blocking the way."""
+"""Placing of obstacles that keep a room solvable."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def place_obstacles(config: RoomConfig, instance: RoomInstance, floors: Floors,
 
 def _sample_obstacle(config: RoomConfig, instance: RoomInstance, others: list[Solid], rng: np.random.Generator,
                      work: Work) -> Solid:
-    """One obstacle that does not stand on a start, a prop, a target or the middle of the exit."""
+    """Sample an obstacle clear of starts, props, targets and the middle of the exit."""
     settings = config.obstacles
     body = instance.robot.outer_radius + 0.05
     keep = [(p.x, p.y, p.prop.half_size * 1.5 + 2.2 * body) for p in instance.props]
@@ -76,6 +76,6 @@ def _sample_obstacle(config: RoomConfig, instance: RoomInstance, others: list[So
             continue
         apart = 0.5 * min(half_x, half_y)
         if any(compute_distance(x, y, other) < apart for other in standing.list_near(x, y, apart)):
-            continue  # obstacles may touch, but none hides in another or in a wall
+            continue  # obstacles may touch, but none is inside another or a wall
         return Solid("cylinder" if is_cylinder else "box", x, y, half_x, half_y, yaw, settings.height, "obstacle")
     raise Rejected("obstacles must find places beside the start, buttons, props and exit")

@@ -40,20 +40,20 @@ __all__ = ["find_unmet_constraint", "find_unproven", "meets_condition"]
 
 _FINEST_TURN_DEG = 15.0
 _SHIFTS = 3
-"""Shifts e that a button's stretch and the exit's sides measure."""
+"""Least length of a button's stretch and of the exit's sides, in shifts e."""
 _MOST_CELLS = 40_000
-"""Cells over which waves spread; they only guide the search, so that a coarse grid will do."""
+"""Most cells over which waves spread; they only guide the search, so a coarse grid is enough."""
 _EXPANSIONS = 4000
 """States that the search for one button or the exit may expand each time, besides 20 a step of the way."""
 _FINENESS = (0.05, 0.3, 1e-4)
 """Share of a step within which two places count as one: the search is made again where it failed."""
 _HANDS = 4000
 _MOST_PRESSES = 4
-"""Presses of a target, on average, of the longest solution that is tried out in primitives."""
+"""Presses per target, on average, of the longest solution that is tried in primitives."""
 
 
 def find_unmet_constraint(instance: RoomInstance) -> str | None:
-    """Say which part of the certificate an instance breaks; None if it holds.
+    """Name the part of the certificate that an instance breaks; None if it holds.
 
     First that start, places of touching and exit lie on one connected floor, under physics that no arm begins in a
     wall, then that the room can be solved by primitives.
@@ -63,7 +63,7 @@ def find_unmet_constraint(instance: RoomInstance) -> str | None:
 
 
 def find_unproven(instance: RoomInstance, floors: Floors) -> str | None:
-    """Say what no sequence of primitives was found for; None if the room is proven to be solvable.
+    """Name the goal to which no primitives were found; None if the room is proven to be solvable.
 
     Args:
         instance: a room whose geometric certificate holds.
@@ -123,7 +123,7 @@ def _measure_stretch(instance: RoomInstance, target: Target, free_x: float, free
 
 
 class _Goal(NamedTuple):
-    """A leg's end.
+    """End of one leg, with the guidance of the search towards it.
 
     Attributes:
         distances: waves from the goal for each cell of the grid.
@@ -187,7 +187,7 @@ class _Search:
         return not any(doors.get_shut(puzzle_state) >> door & 1 for door in self._instance.ways[-1])
 
     def _find_unsolvable(self, state: RoomState) -> str | None:
-        """Say that things cannot be pushed as they must; of what is gripped, the geometry is all that is certified."""
+        """Name a failed push; for puzzles with grips None, as only their geometry is certified."""
         puzzle, cells = self._instance.puzzle, self._rules.inner_doors
         if not isinstance(puzzle, Pushing) or cells is None:
             return None
@@ -196,7 +196,7 @@ class _Search:
         return "the puzzle must be solvable by pushes from the start"
 
     def _choose_target(self, puzzle_state: Hashable) -> int | None:
-        """Next target to press on the way to the puzzle's goal, deletions left out of account."""
+        """Next target to press on the way to the puzzle's goal, with deletions ignored."""
         puzzle = self._instance.puzzle
         model, names = self._instance.symbolic_model, puzzle.target_names
         if any(operator.when for operator in model.operators):
@@ -237,7 +237,7 @@ class _Search:
         expected, facts = puzzle.update(before.puzzle, Contacts((index,))), puzzle.symbolic.get_facts(before.puzzle)
 
         def is_better(now: Hashable) -> bool:
-            """Pressing another button on the way is no harm where nothing is undone or locked."""
+            """Return whether a state is the expected one or, in a puzzle without dead ends, has further facts."""
             return now == expected or (not puzzle.symbolic.has_dead_ends and puzzle.symbolic.get_facts(now) > facts)
 
         reach, fan = instance.compute_press_reach(target), math.pi
@@ -304,7 +304,7 @@ class _Search:
         )
 
     def _spread_from(self, index: int, reach: float) -> NDArray[np.float64]:
-        """Waves from a target (or the exit, -1) over the coarse grid; remembered."""
+        """Waves from a target (or the exit, -1) over the coarse grid; cached."""
         if index not in self._distances:
             space = self._floors.opened if index < 0 else self._floors.shut
             free = coarsen(space.free, self._stride)
@@ -371,7 +371,7 @@ class _Search:
 
 
 def _spread(graph: Any, free: NDArray[np.bool_], near: NDArray[np.bool_]) -> NDArray[np.float64]:
-    """Waves from cells `near` a goal over free cells; the others have those of the nearest cell that was reached."""
+    """Waves from cells `near` a goal over free cells; other cells take the value of the nearest reached cell."""
     from scipy import ndimage
 
     seeds = near & free

@@ -13,7 +13,7 @@ __all__ = ["make_frame", "sample_puzzle"]
 
 
 def sample_puzzle(config: RoomConfig, seed: int) -> tuple[RoomConfig, Puzzle]:
-    """Sample what `generate` samples first, in a fraction of its time.
+    """Sample the numbers and the puzzle of an instance, in a fraction of the time of `generate`.
 
     Args:
         config: the schematic.
@@ -39,7 +39,7 @@ def _draw(low: float, high: float, rng: np.random.Generator) -> float:
 
 
 def make_frame(config: RoomConfig) -> SpaceLayout | None:
-    """Make the frame of a schematic; None where all its instances have the same size.
+    """Make the frame that all instances share; None where they all have the same size.
 
     Instances differ in size if the schematic has ranges, or a door in a random wall, behind which the exit adds to the
     floor on that side.

@@ -1,4 +1,4 @@
-"""Schematics and rooms as users name them: presets, tables and files turned into `RoomConfig` and `RoomInstance`."""
+"""Reading of schematics and rooms: presets, dicts and files become `RoomConfig` and `RoomInstance`."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ InstanceForm: TypeAlias = RoomInstance | dict[str, Any] | str | Path
 
 
 def read_schematic(form: SchematicForm) -> RoomConfig:
-    """Schematic in any of its forms.
+    """Read a schematic in any of its forms.
 
     Raises:
         UnknownNameError: no preset of that name, or no such field.
@@ -37,7 +37,7 @@ def read_schematic(form: SchematicForm) -> RoomConfig:
 
 
 def read_instance(form: InstanceForm) -> RoomInstance:
-    """Room in any of its forms, checked as one that comes from outside.
+    """Read a room in any of its forms, with the checks for untrusted rooms.
 
     Raises:
         ConfigError: a room with gaps in its walls, or starts that are not free.

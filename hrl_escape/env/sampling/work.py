@@ -1,4 +1,4 @@
-"""Budget of work: sampling counts what it does, so that it ends after the same work on every machine."""
+"""Budget of work: sampling counts its operations, so that it ends after the same work on every machine."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ class OutOfWork(Exception):
 
 
 class Work:
-    """Work done and allowed, in units of about a microsecond on one core.
+    """Counter of work against a limit, in units of about a microsecond on one core.
 
     Args:
         limit: most units.
@@ -23,7 +23,7 @@ class Work:
         self.limit, self.done = limit, 0.0
 
     def spend(self, units: float) -> None:
-        """Count some work.
+        """Charge units of work to the budget.
 
         Raises:
             OutOfWork: the budget is spent.
