@@ -257,7 +257,7 @@ def _joint(name: str, kind: str, parent: str, child: str, xyz: str, axis: str = 
 
 
 def _make_arm(config: RobotConfig) -> ElementTree.Element:
-    """Make the generated arm, links in a row along x: a yaw joint, then pitch joints, and of seven one roll and yaw."""
+    """Make the generated arm: links in a row along x, whose joints turn about the first of `_ARM_AXES`."""
     arm = ElementTree.Element("robot", name="arm")
     if not config.joints:
         return arm

@@ -1,4 +1,4 @@
-"""Planners over one room instance: navigation, reaching, primitive search, task planning. Knows no option."""
+"""Planners over one room instance: navigation, reaching, primitive search, task planning. They know no options."""
 
 import lazy_loader
 

@@ -1,6 +1,6 @@
 """Goal areas: places within some distance of a footprint.
 
-One description of every goal for the body's axis: a press by the body (near the target's
+Every goal for the body's axis is an area: a press by the body (near the target's
 footprint), a rectangle, a disc. Fields, searches and path planners all read it.
 """
 
@@ -42,7 +42,7 @@ __all__ = ["Area", "compute_goal_area", "find_headings", "get_presser", "grow_so
 
 
 PLACES = 2_000
-"""Places that are tested between two looks at a clock."""
+"""Places tested between two checks of a clock."""
 
 
 class Area(NamedTuple):
@@ -55,7 +55,7 @@ class Area(NamedTuple):
 def compute_goal_area(goal: Goal, instance: RoomInstance) -> Area:
     """Compute the area where the body's axis reaches a goal; for a press by hand only the footprint is meaningful.
 
-    For a press by a base that does not turn anywhere it is where the base may touch the target, at some heading.
+    For a press by a rectangular base it is where the base touches the target at some heading, or nearly so.
 
     Raises:
         GoalError: no such target.
@@ -78,14 +78,14 @@ def compute_goal_area(goal: Goal, instance: RoomInstance) -> Area:
 
 
 def get_presser(goal: Goal, instance: RoomInstance) -> Presser:
-    """Return the thing that must touch a goal; a point where its area says all."""
+    """Return the shape that must touch a goal; a point where the goal's area alone decides."""
     is_touch = isinstance(goal, PressGoal) and instance.targets[goal.target].kind == "panel"
     by_base = is_touch and instance.dynamics.press_with == "body" and not instance.robot.base.turns_anywhere
     return make_presser(instance.robot.base) if by_base else POINT
 
 
 def find_headings(goal: Goal, state: RoomState, rules: Rules) -> NDArray[np.bool_] | None:
-    """Headings of a state's lattice that reach a goal, shape (headings,); None if any heading will do."""
+    """Headings of a state's lattice that reach a goal, bool (headings,); None if every heading does."""
     if not isinstance(goal, PoseGoal) or goal.heading is None:
         return None
     at = state._replace(x=goal.x, y=goal.y)
@@ -126,7 +126,7 @@ def sample_places(area: Area, collision: CollisionMap, most: int = 64, clock: Cl
 
 
 def grow_solids(instance: RoomInstance, state: RoomState, goal: Goal, margin: float) -> tuple[Footprint, ...]:
-    """Footprints of the solids grown by a margin, less where the start or the goal is nearer."""
+    """Footprints of the solids grown by a margin, which is smaller where the start or the goal is nearer."""
     radius = instance.robot.outer_radius + 2 * CONTACT_SKIN
     area = compute_goal_area(goal, instance)
     grown = []

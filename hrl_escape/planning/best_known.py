@@ -34,9 +34,9 @@ __all__ = ["ROLLOUTS", "BestKnown", "ExpectedEscape", "Replanner", "best_known_r
            "list_start_states", "record_return"]
 
 MOST_STARTS = 32
-"""Starts used of an instance that has more."""
+"""Most starts of an instance that are used."""
 ORDERS = 3
-"""Orders of the puzzle's operators that are planned in detail."""
+"""Number of orders of the puzzle's operators planned in detail."""
 
 
 class BestKnown(NamedTuple):
@@ -88,7 +88,7 @@ def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | 
                     ) -> BestKnown:
     """Find the best known return from one state, with its source, its plan and an upper bound.
 
-    It is the best over all ways known: the escape of `RoomPlanner.solve`, legs one by one in several orders (that of
+    It is the best of all known ways: the escape of `RoomPlanner.solve`, legs one by one in several orders (that of
     a press with its ancestors among them), returns that agents or given options have reached.
 
     Args:
@@ -112,7 +112,7 @@ def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | 
 
 
 def improve_best_known(instance: RoomInstance, state: RoomState, found: BestKnown) -> None:
-    """Take over a return that is better than the best known one, as found by a search over given options."""
+    """Record a better return than the best known one, as found by a search over given options."""
     known = find_best_known(instance, state)
     if found.value > known.value:
         with _LOCK:
@@ -123,7 +123,7 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
                   records: str | Path | None = None) -> bool:
     """Record a return that beats the best known one, and warn.
 
-    Rooms with noise, slip, physics or a random puzzle keep theirs: a lucky episode is no reference.
+    Rooms with noise, slip, physics or a random puzzle keep their value: a lucky episode is no reference.
 
     Args:
         instance: the room.
@@ -225,7 +225,7 @@ ROLLOUTS = 20
 
 
 class Replanner:
-    """Policy that follows the best known plan and plans the next leg anew where the robot is not where it should be.
+    """Policy that follows the best known plan and replans the next leg when the robot is off the plan.
 
     Args:
         instance: the room.
@@ -239,7 +239,7 @@ class Replanner:
         self._puzzle: Hashable = None
 
     def choose(self, state: RoomState, begins: bool) -> int | None:
-        """Next primitive; None where no plan leads out.
+        """Next primitive, by its action number; None if no plan escapes from here.
 
         Args:
             state: present state of the room.
@@ -253,7 +253,7 @@ class Replanner:
         return self._plan.primitives[self._next - 1]
 
     def _find_place(self, plan: Plan, state: RoomState) -> bool:
-        """Return whether the robot is where the plan has it, or still where it was before a slip."""
+        """Return whether the robot is at the plan's present state, or still at the one before a slip."""
         here = strip(state)
         if self._next < len(plan.primitives) and here == strip(plan.states[self._next]):
             return True
@@ -268,7 +268,7 @@ class Replanner:
             if begins:
                 self._order = ()
                 return find_best_known(self._instance, state).plan
-            if not self._order or state.puzzle != self._puzzle:  # a press may have made another order the best
+            if not self._order or state.puzzle != self._puzzle:  # after a press another order may be the best
                 self._order, self._puzzle = planner.order_goals(state), state.puzzle
             return planner.plan_onward(state, self._order)
         except EscapeError:
@@ -291,7 +291,7 @@ class ExpectedEscape(NamedTuple):
 
 
 def compute_expected_escape(instance: RoomInstance, state: RoomState, rollouts: int = ROLLOUTS) -> ExpectedEscape:
-    """Compute the escape to be expected of the planner from one state, by rollouts with noise of their own.
+    """Compute the planner's expected escape from one state, by rollouts with their own noise.
 
     The noise follows from the room and the rollout's number, so the numbers are the same every time.
 

@@ -41,7 +41,7 @@ class PlanningCall:
         def run() -> None:
             try:
                 self._future.set_result(planner.answer(request, stop=self._stop, on_improvement=note))
-            except BaseException as error:  # it belongs to whoever asks for the result
+            except BaseException as error:  # raised again in the thread that asks for the result
                 self._future.set_exception(error)
 
         threading.Thread(target=run, name="planning", daemon=True).start()
@@ -56,7 +56,7 @@ class PlanningCall:
         return self._future.done()
 
     def cancel(self) -> None:
-        """Ask the call to end; its result is then the best plan so far, or a failure for the reason `cancelled`."""
+        """Stop the call early; its result is then the best plan so far, or a failure for the reason `cancelled`."""
         self._stop.set()
 
     def get_result(self, timeout: float | None = None) -> PlanningResult:

@@ -1,7 +1,7 @@
-"""`Escapes`: legs planned together with what comes after them, in rooms where that is quick.
+"""`Escapes`: legs planned jointly with the rest of the escape, in rooms where that is fast.
 
 `search/joint_search.py` searches where the body presses, `search/hand_search.py` where the hand does; plans leg by leg
-are `planner.py`'s. What joint searches leave out: props, inner doors, rewards of the puzzle, and arms that collide or
+are `planner.py`'s. Joint searches do not cover props, inner doors, rewards of the puzzle, and arms that collide or
 have many joints.
 """
 
@@ -19,9 +19,9 @@ from hrl_escape.planning.search.joint_search import JointSearch
 __all__ = ["Escapes"]
 
 MOST_JOINTS = 4
-"""Joints of a hand that presses up to which whole escapes are searched: its tables take a millisecond."""
+"""Most joints of a pressing arm for joint searches: its tables then take a millisecond."""
 MOST_FLOOR = 1_000.0
-"""Floor up to which they are, m^2: each posture has a field of its own, which takes 0.1 s there."""
+"""Largest floor for joint searches by hand, m^2: each posture's field then takes 0.1 s."""
 
 
 class Escapes:
@@ -40,7 +40,7 @@ class Escapes:
         return self.__dict__ | {"_joint": None}
 
     def can_join(self, order: Sequence[Goal]) -> bool:
-        """Return whether legs to these goals can be planned jointly: nothing but primitives to presses counts."""
+        """Return whether legs to these goals can be planned jointly: only presses, and no rewards of the puzzle."""
         room = self._instance
         is_plain = not (room.props or room.inner_doors or room.puzzle.has_reward)
         if self._by_hand:  # arms that collide, or with many joints, take long
@@ -49,7 +49,7 @@ class Escapes:
         return is_plain and all(isinstance(goal, (PressGoal, ExitGoal)) for goal in order)
 
     def _get_search(self) -> JointSearch:
-        """Fields of the puzzle's states, made on first use; to be held under the lock."""
+        """Joint search of the room, made on first use; the caller must hold the lock."""
         if self._joint is None and self._by_hand:
             from hrl_escape.planning.search.hand_search import HandSearch  # loads Pinocchio
 
@@ -68,7 +68,7 @@ class Escapes:
             order: goals of a known escape, for which `can_join` holds.
             most: its primitives.
             clock: time limit.
-            effort: 0, 1 or 2, to look further.
+            effort: 0, 1 or 2; higher values search longer.
             budget: search nodes.
 
         Returns:
@@ -83,7 +83,7 @@ class Escapes:
             return found, () if found is None else search.list_goals(state, found), spent
 
     def find_leg(self, state: RoomState, order: Sequence[Goal]) -> tuple[tuple[int, ...], tuple[Goal, ...]] | None:
-        """Primitives of the next leg, with the way on short, and its goal; None where no joint search tells."""
+        """Primitives and goal of the next leg, chosen so that the rest is short; None without a joint search."""
         if self._by_hand or not self.can_join(order):
             return None
         with self._routes.lock:

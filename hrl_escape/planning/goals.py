@@ -1,6 +1,6 @@
-"""Goals of planners: plain frozen values, hashable, so that plans can be cached by goal.
+"""Goals of planners: frozen, hashable values, so that plans can be cached by goal.
 
-A goal does not say how it is reached. Positions are those of the body's axis in the room frame,
+A goal does not prescribe how it is reached. Positions are those of the body's axis in the room frame,
 metres; headings are radians, counter-clockwise from +x.
 """
 
@@ -38,7 +38,7 @@ __all__ = [
 
 @dataclasses.dataclass(frozen=True)
 class PressGoal:
-    """Begin to touch a target; one that is touched already must be left first.
+    """Begin to touch a target; a target already in contact must be left first.
 
     Attributes:
         target: index of the target.
@@ -54,7 +54,7 @@ class ExitGoal:
 
 @dataclasses.dataclass(frozen=True)
 class PoseGoal:
-    """Stand at a place, with a heading if one is given.
+    """Stand at a place, at a given heading or any.
 
     Attributes:
         x: position, m.
@@ -99,7 +99,7 @@ GripAction = Literal["grip", "release", "use", "push-east", "push-north", "push-
 
 @dataclasses.dataclass(frozen=True)
 class GripGoal:
-    """Grip, release or use at a target, or push it on a map, with the effect that the puzzle's symbolic model says.
+    """Grip, release or use at a target, or push it on a map, with the effect in the puzzle's symbolic model.
 
     It is done while touching the target; in a puzzle with a map, from the cell before it.
 
@@ -113,16 +113,16 @@ class GripGoal:
 
 
 FARTHEST = 1e6
-"""Bound of a goal's numbers, m or rad; one beyond is taken for infinite."""
+"""Bound of a goal's numbers, m or rad; larger ones are refused as infinite."""
 
 Goal: TypeAlias = PressGoal | ExitGoal | PoseGoal | RegionGoal | PushGoal | GripGoal
 
 
 def check_goal(goal: Goal, instance: RoomInstance) -> None:
-    """Check that a goal is one, and one of this room.
+    """Check that a value is a goal, and one of this room.
 
     Raises:
-        GoalError: it is none; the message says what would be.
+        GoalError: it is not; the message says what would be valid.
     """
     if isinstance(goal, PressGoal):
         _check_index("target", goal.target, len(instance.targets))
@@ -264,7 +264,7 @@ def make_goal(operator: Operator, instance: RoomInstance) -> Goal:
 
 
 def find_grips(goal: GripGoal, instance: RoomInstance) -> tuple[Operator, ...]:
-    """Operators of the puzzle that grip, release or use at this target, or push it to this side.
+    """Operators of the puzzle with this action at this target.
 
     Raises:
         GoalError: the puzzle has no such operator.

@@ -26,7 +26,7 @@ from hrl_escape.planning.symbolic.operator_order import Leg, TaskSearch
 __all__ = ["LegBounds", "bound_escape"]
 
 BOUND_LEGS = 20_000
-"""Most legs of the search for the bound of an escape."""
+"""Most legs examined in the search for the bound of an escape."""
 
 
 def bound_escape(instance: RoomInstance, state: RoomState) -> float:
@@ -107,7 +107,7 @@ class LegBounds:
         return self._count(_compute_gap(begin, end) - begin_reach - end_reach, then)
 
     def _is_anywhere(self, op: Operator) -> bool:
-        """Return whether an operator may be carried out anywhere: a push, or on a map putting down what is held."""
+        """Return whether an operator has no place of its own: a push, or on a map putting down a held thing."""
         return op.action == "push" or (op.action == "release" and isinstance(self._instance.puzzle, Mapped))
 
     def _get_place(self, op: Operator | None) -> tuple[Footprint, float]:

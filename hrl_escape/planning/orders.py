@@ -29,7 +29,7 @@ REAL_LEGS = 300
 
 
 class Orders:
-    """The orders in which the operators of a room's puzzle are cheapest.
+    """Search for the cheapest orders of the operators of a room's puzzle.
 
     Args:
         routes: routes of the room.
@@ -83,9 +83,9 @@ class Orders:
 
     def list_orders(self, state: RoomState, count: int, clock: Clock, settings: SearchSettings, most_nodes: float
                     ) -> Iterator[list[Goal]]:
-        """Goals of an escape, but for the exit, in several of the cheapest orders: legs end where plans truly end.
+        """List several of the cheapest orders of an escape's goals, without the exit, by legs from true ends.
 
-        The last ones are those of a press that opens the exit with its ancestors, as one meta-action does it.
+        The last orders press the target that opens the exit, after its ancestors, as one meta-action does.
         """
         facts = self._instance.puzzle.symbolic.get_facts(state.puzzle)
         search = TaskSearch(self._model, lower_bound=self.bounds.bound_leg, relevant_only=False)
@@ -131,7 +131,7 @@ class Orders:
                      report: PlanningReport | None, most_nodes: float = math.inf) -> ExtendLeg:
         """Make the function that plans the next leg of a task from the true end of the one before.
 
-        It finds no leg any more once `most_nodes` search nodes are spent; those of remembered routes count again.
+        It finds no further legs once `most_nodes` search nodes are spent; those of remembered routes count again.
         """
         puzzle, left = self._instance.puzzle, most_nodes
 
@@ -151,7 +151,7 @@ class Orders:
                     route = self.find_exit(here, here is not state, clock, settings)
             except PlanningFailed as failure:
                 if clock.has_stopped:
-                    raise  # a time-out says nothing about the room, and another order would not help
+                    raise  # a time-out does not depend on the room, and another order would not help
                 left -= failure.expansions
                 return None
             left -= route.expansions
@@ -161,7 +161,7 @@ class Orders:
         return extend
 
     def _guess_push(self, here: RoomState, goal: PushGoal) -> Leg:
-        """Rough leg of a push, for ordering only: the way to the prop, twice its own, and the robot at its end."""
+        """Estimate the leg of a push, for ordering only: the way to the prop, plus twice the prop's own way."""
         poses = get_prop_poses(here, self._instance)
         (x, y, _), (to_x, to_y, _) = poses[goal.prop], poses[goal.destination]
         way = math.hypot(x - here.x, y - here.y) + 2.0 * math.hypot(to_x - x, to_y - y)
@@ -180,7 +180,7 @@ class Orders:
 
     @cached_property
     def _opened_puzzle(self) -> Any:
-        """State of the puzzle after every operator that can be carried out: all doors between rooms are open."""
+        """State of the puzzle after all operators that can be carried out, with all doors between rooms open."""
         puzzle, state = self._instance.puzzle, self._instance.puzzle.make_state()
         for op in list(self._model.operators) * len(self._model.operators):
             if op.is_applicable(puzzle.symbolic.get_facts(state)):
@@ -199,7 +199,7 @@ class Orders:
         return route
 
     def _explain_unsolved(self, state: RoomState, clock: Clock, began: float) -> PlanningFailed:
-        """Reason why there is no order: a goal that cannot be reached, or a puzzle that cannot be solved from here."""
+        """Make the error for a missing order: an unreachable goal, or a puzzle that cannot be solved from here."""
         goals = [make_goal(op, self._instance) for op in TaskSearch(self._model).operators]
         for goal in goals:
             try:

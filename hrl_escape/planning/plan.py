@@ -34,7 +34,7 @@ class PlanPart:
         goal: its goal.
         start: index of its first primitive.
         stop: index after its last primitive.
-        also_pressed: names of other targets that it presses on the way because they cannot be avoided.
+        also_pressed: names of other targets that it cannot avoid to press.
     """
 
     name: str
@@ -119,7 +119,7 @@ class Plan:
         return reward.step * (self.cost - 1) + bonus
 
     def execute(self, env: gymnasium.Env) -> Execution:
-        """Step an environment through the primitives, open loop, until the plan or the episode ends.
+        """Execute the primitives in an environment, open loop, until the plan or the episode ends.
 
         Under noise, slip or physics use an option, which replans from the state reached.
 
@@ -202,7 +202,7 @@ class Plan:
 
 
 def strip(state: RoomState) -> RoomState:
-    """Strip a state of everything that the future of a room without noise does not depend on."""
+    """Reduce a state to the part on which the future of a room without noise depends."""
     return state._replace(primitives=0, noise_key=0, physics=None)
 
 

@@ -143,7 +143,7 @@ class RoomPlanner:
 
     def _iterate_plans(self, request: PlanningRequest, goals: Sequence[Goal], settings: SearchSettings, clock: Clock
                        ) -> Iterator[Plan]:
-        """Plans for a request: the first by the planner's usual way, then others while nodes are left."""
+        """Plans for a request: the first as by `plan` or `solve`, then others while nodes are left."""
         state, is_thorough = request.state, request.improve or request.objective != "primitives"
         if not goals:
             left = settings.budget
@@ -284,10 +284,10 @@ class RoomPlanner:
 
         Args:
             state: first state.
-            count: escapes to list, at most.
+            count: most escapes to list.
             clock: time limit of a call that this one is part of; None for the planner's own.
             settings: of each search; None for the planner's own.
-            most_nodes: search nodes after which no other leg is looked at.
+            most_nodes: search nodes after which no further leg is planned.
 
         Raises:
             PlanningFailed: there is no escape; its reason says why.
@@ -320,7 +320,7 @@ class RoomPlanner:
         here, rest = state, self.routes.check_primitives(primitives)
         for goal in goals:
             if isinstance(goal, ExitGoal) and not rest and self.routes.has_escaped(here):
-                break  # by the primitive of the last press
+                break  # reached by the primitive of the last press
             route = self.routes.replay(here, rest, goal)
             if route is None:
                 raise self.routes.make_failure(PlanningReason.UNREACHABLE_AT_RESOLUTION, here, goal,
@@ -353,11 +353,11 @@ class RoomPlanner:
 _PLANNERS: OrderedDict[tuple[str, str], RoomPlanner] = OrderedDict()
 _PLANNERS_LOCK = threading.Lock()
 KEPT_PLANNERS = 32
-"""Planners that stay, at some 4 MB each for a room of 20 m."""
+"""Most planners kept in a process, at some 4 MB each for a room of 20 m."""
 
 
 def get_planner(instance: RoomInstance, method: str = "auto") -> RoomPlanner:
-    """Return the planner that this process shares for a room and a method; it keeps the last `KEPT_PLANNERS`."""
+    """Return this process's shared planner for a room and a method; the last `KEPT_PLANNERS` are kept."""
     check_method(method)
     key = (instance.id, method)
     with _PLANNERS_LOCK:

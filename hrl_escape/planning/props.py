@@ -1,7 +1,7 @@
-"""Movable props as obstacles: the places of blocks, and which of them a route must not touch.
+"""Movable props as obstacles: places of the blocks, and the blocks that a route must not touch.
 
-A block that stands where the puzzle wants it is kept out of: moving it would undo what is done. A
-route goes round all other blocks too, if it can.
+A route never touches a block that stands where the puzzle wants it, for that could undo a goal. It
+goes round all other blocks too, if it can.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def list_obstacles(state: RoomState, instance: RoomInstance) -> list[tuple[Footp
     radius = instance.robot.outer_radius + CONTACT_SKIN
     careful = []
     for block in list_blocks(state, instance):
-        margin = min(MARGIN, compute_distance(state.x, state.y, block) - radius - GRAZE)  # never round the start itself
+        margin = min(MARGIN, compute_distance(state.x, state.y, block) - radius - GRAZE)  # never over the start itself
         margin = max(margin, -0.5 * block.half_x)
         careful.append(block._replace(half_x=block.half_x + margin, half_y=block.half_y + margin))
     sets = [tuple(careful), list_blocks(state, instance, grown=-GRAZE, only_done=True)]

@@ -74,7 +74,7 @@ class PlanningRequest:
             raise ConfigError("request.seed", self.seed, f"a whole number from 0 to {2**32 - 1}")
         if self.budget is not None:
             check_budget(self.budget)
-        Clock(self.time_limit)  # refuses what is no limit
+        Clock(self.time_limit)  # raises for a value that is no limit
         if isinstance(self.goal, Sequence) and not isinstance(self.goal, str) and not self.goal:
             raise ConfigError("request.goal", self.goal, "at least one goal, or None for the escape")
 
@@ -132,7 +132,7 @@ class PlanningResult:
 
 
 WANTED = 1.0
-"""Clearance beyond which more is worth nothing, m."""
+"""Clearance beyond which more has no value, m."""
 MEASURED_EVERY = 0.05
 """Distance of the places at which a plan's clearance is measured, m."""
 
@@ -168,7 +168,7 @@ def compute_lacking_clearance(plan: Plan) -> float:
 
 def bound_cost(instance: RoomInstance, state: RoomState, goals: tuple[Goal, ...], request: PlanningRequest,
                primitives: float) -> float:
-    """Bound of the cost of every plan that reaches goals in order.
+    """Lower bound of the cost of every plan that reaches goals in order.
 
     Args:
         instance: the room.

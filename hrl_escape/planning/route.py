@@ -1,4 +1,4 @@
-"""A route, the settings of the search that finds it, the part of a state that it depends on, and what finding took."""
+"""Routes: the primitives to one goal, the search settings, the pose that they depend on, and the planning report."""
 
 from __future__ import annotations
 

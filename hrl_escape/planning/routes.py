@@ -47,12 +47,12 @@ if TYPE_CHECKING:
 __all__ = ["Routes", "check_method"]
 
 MOST_POSES = 20_000
-"""Poses of all routes that are kept, at some 0.3 kB each; the least recently used routes are dropped first."""
+"""Most poses of all cached routes, at some 0.3 kB each; the least recently used routes are dropped first."""
 _KEY = 3
-"""Poses that the key of a route takes as much memory as."""
+"""Memory of a route's key, in poses."""
 
 CAREFUL = 20_000
-"""Search nodes of a route that keeps away from all blocks, before one that may move some."""
+"""Search nodes for a route that avoids all blocks, before one that may move some."""
 
 RouteKey: TypeAlias = tuple[Goal, SearchSettings, tuple[bool, DoorKey], Pose]  # is the exit open?
 
@@ -76,7 +76,7 @@ class Routes:
             raise ConfigError("instance", instance, "a RoomInstance, as generate() and env.unwrapped.instance give")
         check_budget(budget)
         check_method(method)
-        Clock(time_limit)  # refuses what is no limit
+        Clock(time_limit)  # raises for a value that is no limit
         self.instance = instance
         self.method, self.budget, self.time_limit = method, budget, time_limit
         # pressing under physics takes force: being within the margin is not enough
@@ -157,7 +157,7 @@ class Routes:
 
     @contextmanager
     def _explaining(self, state: RoomState, goal: Goal) -> Iterator[None]:
-        """Say what is wrong with a query that raised; one that is right pays nothing."""
+        """Replace an error by that of `check_query` where the query is invalid; valid queries pay nothing."""
         try:
             yield
         except EscapeError:
@@ -191,7 +191,7 @@ class Routes:
 
         Raises:
             PlanningFailed: no route; a failure is remembered like a route.
-            StateError, GoalError: what no route can begin at or lead to.
+            StateError, GoalError: an impossible state or goal.
         """
         began = read_clock()
         clock = clock or Clock(self.time_limit)
@@ -209,14 +209,14 @@ class Routes:
                 report.cache_hits += found is not None
             if found is None:
                 found = self._search_round_props(state, goal, clock, settings)
-                if not clock.has_stopped:  # what a clock cut short depends on the machine, not on the room alone
+                if not clock.has_stopped:  # a result cut short by a clock depends on the machine, so it is not cached
                     self._keep(key, found)
             else:
                 self._routes.move_to_end(key)
         if report is not None:
             report.planner_seconds += read_clock() - began
         if isinstance(found, PlanningFailed):
-            raise copy.copy(found)  # one that is remembered must not keep the frames it was raised through
+            raise copy.copy(found)  # a copy, so that the cached error keeps no stack frames alive
         return found
 
     def find_route_around(self, state: RoomState, goal: Goal, keep_out: Sequence[Footprint], budget: int,
@@ -257,7 +257,7 @@ class Routes:
         return True
 
     def _keep(self, key: RouteKey, found: Route | PlanningFailed) -> None:
-        """Remember what was found, and forget what was not asked for the longest time."""
+        """Cache a route or failure, and drop the least recently used ones."""
         if key in self._routes:
             return
         self._routes[key] = found
@@ -272,7 +272,7 @@ class Routes:
             self._poses = 0
 
     def _make_key(self, state: RoomState, goal: Goal, settings: SearchSettings) -> RouteKey:
-        """All that a route depends on."""
+        """Cache key of a route: everything that it depends on."""
         props = tuple(get_prop_poses(state, self.instance)) if self.instance.props else ()
         return goal, settings, (self.is_solved(state), self._doors.make_key(state, goal)), (*get_pose(state), props)
 
@@ -305,7 +305,7 @@ class Routes:
 
     def make_failure(self, reason: PlanningReason, state: RoomState, goal: Goal | None, **details: Any
                      ) -> PlanningFailed:
-        """Build the error for a goal (None: the escape) that could not be planned from a state."""
+        """Make the `PlanningFailed` of a goal (None: the escape) that could not be planned from a state."""
         pose = (state.x, state.y, self.rules.get_heading(state))
         name = "escape" if goal is None else describe_goal(goal, self.instance)
         return PlanningFailed(reason, name, pose, **details)
@@ -324,7 +324,7 @@ class Routes:
 
     def _search_grip(self, state: RoomState, goal: GripGoal, clock: Clock, settings: SearchSettings
                      ) -> Route | PlanningFailed:
-        """Route to the target, unless it is touched already, and a primitive whose effect the puzzle decides."""
+        """Route to the target, unless it is touched already, followed by the grip, release or use."""
         route: Route | PlanningFailed = Route((), (get_pose(state),), (), 0)
         if isinstance(self.instance.puzzle, Mapped):
             route = self._search_place(state, goal, clock, settings)
@@ -371,7 +371,7 @@ class Routes:
                      result.method, result.timed_out)
 
     def _explain(self, goal: Goal) -> str:
-        """Reason why the hand never touches a target, empty if it can; computed once a target, for it takes seconds."""
+        """Reason why the hand never touches a target, empty if it can; cached by target, as the proof takes seconds."""
         if not isinstance(goal, PressGoal) or self.instance.dynamics.press_with != "hand":
             return ""
         if goal.target not in self._reasons:
@@ -387,20 +387,20 @@ class Routes:
         return state
 
     def has_undone(self, before: RoomState, now: RoomState) -> bool:
-        """A prop has been moved away from where it opened the exit."""
+        """Return whether a prop has been moved away from a place that the open exit needs."""
         return bool(self.instance.props) and self.is_solved(before) and not self.is_solved(now)
 
     def is_solved(self, state: RoomState) -> bool:
-        """The exit is open."""
+        """Return whether the exit is open."""
         return self.instance.puzzle.is_solved(state.puzzle)
 
     def has_escaped(self, state: RoomState) -> bool:
-        """The exit is open and the robot stands in it."""
+        """Return whether the exit is open and the robot stands in it."""
         return self.rules.has_escaped(state)
 
 
 def _count_poses(found: Route | PlanningFailed) -> int:
-    """Memory of what is kept, in poses."""
+    """Memory of a cached route or failure, in poses."""
     return _KEY + (len(found.poses) if isinstance(found, Route) else _KEY)
 
 

@@ -32,7 +32,7 @@ from hrl_escape.planning.props import get_prop_poses
 __all__ = ["HeldObject", "Scene", "give_to_hand", "grip"]
 
 _SINK = 0.02
-"""Depth in a block at which a base that pushes it may stand, m."""
+"""Largest overlap of a pushing base with its block, m."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class Scene:
 
     @property
     def things(self) -> dict[str, Solid | Target | PlacedProp]:
-        """Everything that has a name, but for the held object."""
+        """Every named object of the scene except the held one."""
         room = self.instance
         return {**dict(zip(self.names, room.solids, strict=True)), **({"door": room.door} if room.door else {}),
                 **{target.name: target for target in room.targets},
@@ -206,7 +206,7 @@ class Scene:
         return self._make(room, names, self.held)
 
     def _place_props(self, pairs: Sequence[PlacedProp], loose: Sequence[PlacedProp]) -> Scene:
-        """Other props, and the puzzle that is about them."""
+        """Replace the props, and the puzzle by one with these props."""
         room, props = self.instance, (*pairs, *loose)
         puzzle = get_trait(room.puzzle, Propped).with_props(tuple(placed.prop for placed in props))
         shared = room.shared

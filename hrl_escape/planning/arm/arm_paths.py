@@ -1,4 +1,4 @@
-"""Paths of the arm for presses by hand that go round solids: `ArmPlanner`, asked by the search over primitives."""
+"""Paths of the arm round solids for presses by hand: `ArmPlanner` behind the protocol of the primitive search."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["ArmPaths"]
 
 PATH_TESTS = 20_000
-"""Places that may be tested for one path."""
+"""Most configurations tested for one path."""
 
 
 class ArmPaths:

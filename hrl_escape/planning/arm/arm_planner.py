@@ -1,8 +1,8 @@
 """`ArmPlanner`: inverse kinematics and collision-free motion of one room's robot, in joint angles.
 
-Pinocchio gives kinematics and Jacobians, coal tells collisions (links against solids, the shut door
+Pinocchio gives kinematics and Jacobians, coal detects collisions (links against solids, the shut door
 and each other), OMPL finds the way. Nothing here is tied to whole joint steps: `RoomPlanner` plans
-primitives, and follows these only through options.
+primitives, and such paths are followed only by options.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from hrl_escape.planning.paths.single_query import SINGLE_QUERY_PLANNERS
 __all__ = ["ArmPlanner", "ArmPosture", "ReachMap", "make_halton", "map_reach"]
 
 KEPT_MARGINS = (0.02, 0.005, 0.001)
-"""Distances from solids that a path keeps, m: the first that start and goal keep, too."""
+"""Clearances for a path, m: the first that start and goal allow is used."""
 DISTINCT = 0.05
 """Postures nearer to each other than this in every joint are one, rad."""
 _Test: TypeAlias = Callable[[NDArray[np.float64], float], bool]
@@ -66,7 +66,7 @@ class ArmPlanner:
     """
 
     def __init__(self, instance: RoomInstance) -> None:
-        """Prepare nothing yet.
+        """Store the room; models are loaded on first use.
 
         Raises:
             UnsupportedError: the robot has no arm.
@@ -169,7 +169,7 @@ class ArmPlanner:
         return math.sqrt(max(0.0, float(np.linalg.det(square))))
 
     def map_reach(self, point: Sequence[float], *, cell: float = 0.1, tolerance: float = 0.05) -> ReachMap:
-        """Map the places of the base from which the hand reaches a point, whatever else the arm meets.
+        """Map the places of the base from which the hand reaches a point, collisions of the arm ignored.
 
         Args:
             point: x, y and z in the room, m.
@@ -314,7 +314,7 @@ class ArmPlanner:
 
 
 CONFIGURATIONS = 200_000
-"""Configurations whose hand positions are looked at: points of a Halton sequence between the joint limits."""
+"""Configurations whose hand positions enter a reach map: points of a Halton sequence between the joint limits."""
 
 _PRIMES = (2, 3, 5, 7, 11, 13, 17)
 
@@ -365,7 +365,7 @@ class ReachMap:
 
 def map_reach(instance: RoomInstance, rules: Rules, point: tuple[float, float, float], floor: CollisionMap,
               cell: float, tolerance: float) -> ReachMap:
-    """Map from where the hand reaches a point; see `ArmPlanner.map_reach`."""
+    """Compute the map of the base's places from which the hand reaches a point; see `ArmPlanner.map_reach`."""
     low_angles, high_angles = np.array(rules.robot.limits).T
     samples = make_halton(CONFIGURATIONS, len(low_angles))
     hands = rules.robot.compute_hand(low_angles + (high_angles - low_angles) * samples)

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 __all__ = ["GRID", "NEVER", "UNLIMITED", "ArmLattice", "Halves", "make_halves", "make_lattice"]
 
 NEVER = 32767
-"""Cost of an impossible touch, the largest int16."""
+"""Cost that stands for an impossible touch, the largest int16."""
 
 UNLIMITED = 1 << 60
-"""Budget of pairs without a limit."""
+"""Budget of pairs of halves that stands for no limit."""
 
 GRID = 12
 """Cells along each side of the grid of hand points."""
@@ -117,7 +117,7 @@ def make_halves(tables: list[NDArray[np.float64]], hand: NDArray[np.float64], lo
 
 def _choose_steps(low: tuple[int, ...], high: list[int], at: tuple[int, ...], most: int
                   ) -> tuple[NDArray[np.int64], int]:
-    """All joint steps within the limits (n, joints), or the nearest and a coarse lattice; and the complete radius."""
+    """All joint steps within limits, or the nearest and a coarse lattice, (n, joints); and the complete radius."""
     ranges = [np.arange(a, b + 1) for a, b in zip(low, high, strict=True)]
     if math.prod(map(len, ranges)) <= most:
         return _combine(ranges), NEVER

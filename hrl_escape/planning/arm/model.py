@@ -140,7 +140,7 @@ class ArmKinematics:
             if np.linalg.norm(error[:3]) <= tolerance and np.linalg.norm(error[3:]) <= tolerance:
                 return angles
             gradient = jacobian.T @ error
-            if limits:  # a joint at its limit that would go on is left out of the step
+            if limits:  # a joint at its limit that would pass it is left out of the step
                 stuck = ((angles <= low) & (gradient < 0.0)) | ((angles >= high) & (gradient > 0.0))
                 jacobian = np.where(stuck, 0.0, jacobian)
             square = float(error @ error)
@@ -193,7 +193,7 @@ class ArmCollisions:
         own = len(geometry.geometryObjects)
         for item in geometry.geometryObjects:
             if isinstance(item.geometry, coal.BVHModelBase):
-                item.geometry.buildConvexHull(True, "Qt")  # hulls are quicker, and larger, so safe
+                item.geometry.buildConvexHull(True, "Qt")  # convex hulls are faster to test, and larger, so safe
                 item.geometry = item.geometry.convex
         base = self._model.getFrameId(BASE_LINK)
         for number, solid in enumerate(solids):
@@ -244,7 +244,7 @@ class ArmCollisions:
         return a == b or self._model.parents[a] == b or self._model.parents[b] == a
 
     def _keep_clear(self, geometry: Any, pairs: list[tuple[int, int]]) -> None:
-        """Test those pairs that are apart at home."""
+        """Keep for collision tests only the pairs that are apart with all joints at home."""
         data = geometry.createData()
         home = self._make_q(0.0, 0.0, 0.0, self.robot.home)
         pinocchio.updateGeometryPlacements(self._model, self._data, geometry, data, home)

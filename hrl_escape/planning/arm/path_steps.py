@@ -1,4 +1,4 @@
-"""Joint steps that follow a path of the arm: A* over the lattice of joint steps, in a tube round the path.
+"""Joint steps along a path of the arm: A* over the joint lattice within a tube round the path.
 
 A path of joint angles leads round solids where the fewest joint steps do not. Rounding it to whole steps
 may touch what the path clears, so the lattice is searched near it, and every step is tested in between as well.
@@ -25,14 +25,14 @@ Posture: TypeAlias = tuple[int, ...]
 TUBES = (1.0, 2.0)
 """Half widths of the tubes that are tried, in joint steps."""
 TESTED_SHARES = (0.25, 0.5, 0.75, 1.0)
-"""Parts of a joint step at which the arm is tested for collisions."""
+"""Fractions of a joint step at which the arm is tested for collisions."""
 
 
 def plan_steps(reacher: Reacher, state: RoomState, joint_steps: Posture, others: int = 0) -> tuple[int, ...] | None:
     """Plan joint steps round solids, along a path through the space of joint angles, the base at rest.
 
     Args:
-        reacher: the room's arm, with what finds paths.
+        reacher: the room's arm, with its path finder.
         state: base and arm at the beginning.
         joint_steps: last posture, from home.
         others: bits of targets that may not be pressed on the way.

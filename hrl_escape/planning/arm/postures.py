@@ -1,6 +1,6 @@
 """Postures whose hand gets to the height of a target: the cheapest in each cell of the floor round the base.
 
-What `tables.py` counts the joint steps of, listed: a library from which presses can be made without a search. One
+These are the postures behind the costs of `tables.py`, as a library for presses without a search. One
 posture a cell is enough, as cells are smaller than the reach of a touch. Importing this module imports numba.
 """
 

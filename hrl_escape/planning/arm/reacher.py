@@ -38,7 +38,7 @@ BASE_CELL = 0.05
 """Side of a table's cells, m."""
 
 _MOST_HALVES = 60_000
-_CANDIDATES = 64  # configurations with equally many joint steps that are tried for collisions
+_CANDIDATES = 64  # configurations with equally many joint steps tested for collisions
 _SKIN = 1e-9  # rounding margin of a touch, m
 _PUSH = 0.01  # depth of a touch that presses by force, m
 
@@ -105,7 +105,7 @@ class Reacher:
     """
 
     def __init__(self, instance: RoomInstance, *, collide: bool | None = None, paths: PathFinder | None = None) -> None:
-        """Prepare nothing yet; everything is computed on first use.
+        """Store the room; everything else is computed on first use.
 
         Args:
             instance: the room.
@@ -160,7 +160,7 @@ class Reacher:
 
     @cached_property
     def is_whole(self) -> bool:
-        """Lattices hold every configuration; joint steps may be too fine for that."""
+        """True if lattices hold every configuration, false if joint steps are too fine for that."""
         return self._get_ordered((0,) * self.instance.robot.joints, ()).complete_to == NEVER
 
     @cached_property
@@ -294,7 +294,7 @@ class Reacher:
                 collides = self.collide and self.collides(state)
                 if at_limit or begun & others or (collides and not is_stuck):
                     continue
-                is_stuck = collides  # an arm pushed into something may take several steps to come out
+                is_stuck = collides  # an arm pushed into something may need several steps to come out
                 made, actions, is_pressed = made + (action in table.base), (*actions, action), bool(is_pressed or begun)
             wanted = [b - a for a, b in zip(state.joint_steps, joint_steps, strict=True)]
             left = len(moves) - made + sum(map(abs, wanted))

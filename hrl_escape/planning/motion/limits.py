@@ -76,7 +76,7 @@ def compute_duration(states: Sequence[RoomState], limits: MotionLimits, turn_ste
             turned = math.remainder(turned, math.tau)
             motion, amount = ("turn", 0, math.copysign(1.0, turned), 0.0), abs(turned)
         else:
-            continue  # a primitive that could not move anything
+            continue  # a blocked primitive, without any motion
         if motion != now and length:
             total += compute_rest_to_rest(length, *pairs[now[0]])
             length = 0.0

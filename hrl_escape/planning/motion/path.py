@@ -20,7 +20,7 @@ class MotionPath:
         names: of the coordinates: joints, or `x`, `y`, `heading` and joints.
         points: places to go through, shape (n, coordinates), m and rad.
         scale: metres by which a point of the robot moves at most for each unit of a coordinate, shape (coordinates,).
-        margin: distance in metres of motion by which the path may be left anywhere without a collision.
+        margin: largest deviation from the path without a collision, in metres of motion.
         planner: planner that found it.
         checks: places that were tested.
         seconds: wall time.

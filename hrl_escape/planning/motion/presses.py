@@ -1,4 +1,4 @@
-"""Presses of a continuous motion, held against those of the plan that it was made of."""
+"""Comparison of the presses of a continuous motion with those of its plan."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ __all__ = ["check_same_presses"]
 
 
 def check_same_presses(plan: Plan, places: NDArray[np.float64]) -> None:
-    """Check that a motion leaves the puzzle as its plan does.
+    """Check that a motion leaves the puzzle in the same state as its plan.
 
     A press is the first moment of touching a target. A motion may press more than its plan where the puzzle does not
     mind, such as a button that is lit already. Where the puzzle's state follows from more than presses (things carried
@@ -28,7 +28,7 @@ def check_same_presses(plan: Plan, places: NDArray[np.float64]) -> None:
         places: x, y (m), heading and joint angles (rad) along the motion, shape (n, 3 + joints).
 
     Raises:
-        UnsupportedError: it does not.
+        UnsupportedError: the states differ.
     """
     rules, puzzle, first = Rules(plan.instance), plan.instance.puzzle, plan.states[0]
     home = np.array(rules.robot.home)
@@ -56,7 +56,7 @@ def check_same_presses(plan: Plan, places: NDArray[np.float64]) -> None:
 
 
 def _list_begun(touching: Iterable[int]) -> list[tuple[int, ...]]:
-    """Targets whose touch begins, wherever one does; the bits of those touched come one after another."""
+    """List the bits of the targets whose touch begins, from the bits touched at consecutive places."""
     begun, before = [], -1
     for now in touching:
         new = now & ~before

@@ -42,7 +42,7 @@ GRID_DISTANCE = 0.02
 LEAST_POINTS = 12
 """Fewest grid points on each line and each rounded corner."""
 LATE = 1e-4
-"""Share of a line or corner before its end at which the limits are held once more."""
+"""Distance before the end of a line or corner, as a share of it, at which the limits are imposed once more."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -55,7 +55,7 @@ class TimedTrajectory:
         positions: at the knots, shape (n, coordinates), m and rad.
         velocities: at the knots, shape (n, coordinates), m/s and rad/s.
         method: `trapezoid` or `toppra`.
-        limits: that it keeps.
+        limits: speeds and accelerations that it keeps.
     """
 
     names: tuple[str, ...]
@@ -287,7 +287,7 @@ def _time_by_toppra(path: MotionPath, limits: MotionLimits) -> _Timed:
 
 def _slow_down(times: NDArray[np.float64], positions: NDArray[np.float64], velocities: NDArray[np.float64],
                mix: NDArray[np.float64], rates: NDArray[np.float64]) -> _Timed:
-    """The same way, slower by the factor at which the cubics between the knots keep every limit.
+    """Slow the motion down by the factor at which the cubics between the knots keep every limit.
 
     Between two knots the acceleration is linear, so it is largest at one of them; the speed is a parabola, largest at
     one of them or at its apex.
@@ -312,7 +312,7 @@ def _slow_down(times: NDArray[np.float64], positions: NDArray[np.float64], veloc
 
 
 ROUNDINGS = (0.3, 0.1, 0.03)
-"""Distances by which corners may be cut, m; the first that stays clear is taken."""
+"""Largest cuts of a corner, m; the first that stays clear is taken."""
 LOOK = 0.01
 """Distance of the places at which rounded corners are tested, m: between two of them a disc gets no nearer to a solid
 than a fraction of the contact skin."""

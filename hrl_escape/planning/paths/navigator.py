@@ -52,11 +52,11 @@ class Navigator:
     """
 
     def __init__(self, instance: RoomInstance, get_collision: Callable[[bool], CollisionMap] | None = None) -> None:
-        """Prepare nothing yet.
+        """Store the room; clearances and planners are made on first use.
 
         Args:
             instance: the room.
-            get_collision: gives its clearances with the door shut or open; None to compute them.
+            get_collision: returns the clearances with the door shut or open; None to compute them.
         """
         self.instance = instance
         self._get_collision = get_collision
@@ -144,7 +144,7 @@ class Navigator:
 
     def _list_poses(self, collision: CollisionMap, goal: Goal | NDArray[np.float64], places: NDArray[np.float64]
                     ) -> NDArray[np.float64]:
-        """Poses (n, 3) of a rectangular base at places of a goal: at headings of its lattice where it reaches it."""
+        """Poses (n, 3) of a rectangular base that reach a goal: its places, at headings of the lattice."""
         rules, poses = Rules(self.instance), []
         for x, y in places.tolist():
             for steps in range(rules.headings):

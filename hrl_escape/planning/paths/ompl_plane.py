@@ -17,7 +17,7 @@ util.setLogLevel(util.LogLevel.LOG_NONE)
 
 
 def make_information(problem: PathProblem) -> Any:
-    """Make the plane and its checker; `SimpleSetup` would bring both, but a planner set up with it is never freed."""
+    """Make OMPL's plane and its checker; not by `SimpleSetup`, whose planners are never freed."""
     space = base.RealVectorStateSpace(2)
     bounds = base.RealVectorBounds(2)
     for k in range(2):
@@ -41,11 +41,11 @@ def set_seed(problem: PathProblem) -> None:
 
 
 _PLANE = base.RealVectorStateSpace(2)
-_STATE: Any = _PLANE.allocState()  # the only one: the bindings never free a state
+_STATE: Any = _PLANE.allocState()  # a single state: the bindings never free one
 
 
 def add_states(places: NDArray[np.float64], add: Callable[[Any], None]) -> None:
-    """Hand places to a function that copies them, one by one."""
+    """Call a function that copies its state with each place."""
     for x, y in places.tolist():
         _STATE[0], _STATE[1] = x, y
         add(_STATE)

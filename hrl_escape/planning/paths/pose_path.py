@@ -105,7 +105,7 @@ def _step_aside(collision: CollisionMap, pose: NDArray[np.float64], margin: floa
 
 def _check(collision: CollisionMap, path: NDArray[np.float64], scale: NDArray[np.float64], spacing: float, name: str
            ) -> None:
-    """Look at poses of a path a quarter as far apart as the search did."""
+    """Check a path at poses a quarter as far apart as in the search. Raises `PathPlannerError`."""
     for a, b in zip(path[:-1], path[1:], strict=True):
         count = 1 + math.ceil(float(np.abs((b - a) * scale).sum()) / spacing)
         for x, y, heading in np.linspace(a, b, count).tolist():

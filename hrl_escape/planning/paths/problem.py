@@ -23,7 +23,7 @@ __all__ = ["CHECKER_CALLS", "DEFAULT_PLANNER", "PathPlanner", "PathProblem", "Pa
 CHECKER_CALLS = 200_000
 """Default budget of a query: the limit that is the same on any machine."""
 DEFAULT_PLANNER = "RRTConnect"
-"""Path planner unless another is named."""
+"""Default path planner."""
 SPACING = 0.1
 
 Status: TypeAlias = Literal["exact", "approximate", "not-found", "budget-exhausted", "timeout", "no-path",
@@ -32,7 +32,7 @@ Status: TypeAlias = Literal["exact", "approximate", "not-found", "budget-exhaust
 
 @dataclasses.dataclass(frozen=True)
 class PathResult:
-    """A path for the body's axis, or why there is none.
+    """A path for the body's axis, or the reason why there is none.
 
     Attributes:
         status: `exact`: collision-free from start to goal; `approximate`: collision-free, ends short of the
@@ -44,7 +44,7 @@ class PathResult:
             disc, which may turn anywhere.
         cost: its length, m; infinity without a path.
         bound: lower bound of any path's length, m: straight to the nearest place that reaches the goal.
-        planner: who planned it.
+        planner: name of the path planner.
         seconds: wall time without compilation.
         checker_calls: places tested; a motion tested exactly counts as ten, a round of a planner's own loop
             as one.
