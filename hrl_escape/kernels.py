@@ -138,7 +138,7 @@ class _Announcer(event.Listener):
         if name not in _NAMES:
             return
         if self._count == 0:
-            print("hrl_escape: compiling kernels, once for this version; this takes some seconds each",
+            print("hrl_escape: compiling kernels, once for this version; each takes a few seconds",
                   file=sys.stderr, flush=True)
         self._count += 1
         if sys.stderr.isatty():

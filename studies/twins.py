@@ -32,7 +32,7 @@ class Question:
     Attributes:
         heading: in the page.
         words: what is held against what.
-        who: the agents together, as the subject of a sentence about any of them: `some hierarchy`; of one, its name.
+        who: what each of the agents is, after "at least one": `hierarchy`; of a single agent, its name.
         agents: labels.
         twins: labels of their twins, in the same order; a single one is the twin of all.
     """
@@ -131,7 +131,7 @@ def compare_twins(study: Study, lines: Sequence[BaselineRun]) -> list[Contrast]:
 
 
 def conclude_contrasts(study: Study, contrasts: Sequence[Contrast], lines: Sequence[BaselineRun]) -> list[str]:
-    """A sentence a question: in how many rooms some agent is better than its twin, and in how many worse."""
+    """A sentence a question: in how many rooms at least one agent is better than its twin, and in how many worse."""
     return [f"{question.heading}: {_conclude(number, question, contrasts, _list_settled_rooms(study, question, lines))}"
             for number, question in enumerate(list_questions(study))]
 
@@ -142,11 +142,12 @@ def _conclude(number: int, question: Question, contrasts: Sequence[Contrast], ro
     better, worse = ({contrast.room for contrast in contrasts if contrast.question == number and contrast.room in rooms
                       and contrast.is_shown and sign * contrast.gain > 0} for sign in (1, -1))
     of_rooms = f"of {len(rooms)} rooms" if len(rooms) > 1 else f"room, {rooms[0]}"
-    words = [f"{question.who} gains in {len(better)} {of_rooms}" if better else
-             f"no gain is shown in {'any' if len(rooms) > 1 else 'the one'} {of_rooms}"]
-    loser = "some" if len(question.pairs) > 1 else question.who
-    words += [f"{loser} loses in {len(worse)}"] if worse else []
-    return f"{', '.join(words)}."
+    who, are_many = question.who, len(question.pairs) > 1
+    words = [f"{f'at least one {who}' if are_many else who} does better in {len(better)} {of_rooms}" if better else
+             f"{f'no {who} is' if are_many else f'{who} is not'} shown to do better in "
+             f"{'any' if len(rooms) > 1 else 'the one'} {of_rooms}"]
+    words += [f"{'at least one ' if are_many else ''}does worse in {len(worse)}"] if worse else []
+    return f"{', and '.join(words)}."
 
 
 def _list_rooms(study: Study, lines: Sequence[BaselineRun]) -> list[str]:

@@ -148,7 +148,7 @@ class _GridCheck(Claims):
         return x, y, puzzle, heading[0] if heading else start.heading_steps
 
     def try_pair(self, state: Any, action: int, begin: RoomState) -> None:
-        """Run one primitive."""
+        """Run one primitive in room and reference, and require the same outcome of both."""
         self.room.set_state(begin)
         _, reward, terminated, _, _ = self.env.step(self.actions[action])
         ended = self.room.get_state()

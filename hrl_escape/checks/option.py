@@ -94,7 +94,7 @@ class _OptionCheck(Claims):
         return go
 
     def draw(self, rng: np.random.Generator) -> Any:
-        """One random primitive."""
+        """A primitive of the domain's action space, uniformly at random."""
         space = self.env.action_space
         if isinstance(space, spaces.Discrete):
             return self.domain.make_action(int(rng.integers(space.n)))

@@ -149,7 +149,7 @@ class _PuzzleCheck(Claims):
     # --- play ------------------------------------------------------------------------------
 
     def begin(self) -> tuple[Hashable, Poses]:
-        """A new episode."""
+        """State and object poses at the start of an episode, from a random start state."""
         state, poses = self.starts[int(self.rng.integers(len(self.starts)))], self.draw_poses()
         return (self.update(state, (), poses) if poses else state), poses
 

@@ -42,7 +42,7 @@ class Drive:
 
     @property
     def total(self) -> float:
-        """Undiscounted return."""
+        """Return of the episode, without discount."""
         return float(sum(self.rewards))
 
     @property

@@ -51,7 +51,7 @@ class TrainArgs(RoomChoice):
     agent: Annotated[str, tyro.conf.Positional] = "smdp-dqn"
     """Name of the agent; the prefix smdp- makes it choose options."""
     primitives: int = 20_000
-    """Training budget."""
+    """Primitives to train for."""
     training_seed: int = 0
     """Training seed: fixes the agent and every training episode."""
     recipe: str = "corrected"
@@ -115,7 +115,7 @@ class TrainArgs(RoomChoice):
 
 
 def run(args: TrainArgs) -> None:
-    """Train and report."""
+    """Train an agent, evaluate it as the options say, and print its learning curve."""
     spec = args.make_spec()
     resolved = spec.resolve_settings()
     if args.list_settings:

@@ -37,7 +37,7 @@ class WatchArgs(PageAddress, RoomChoice):
     pace: float = 5.0
     """Primitives a second at first; 0 for no limit."""
     paused: bool = False
-    """Begin paused."""
+    """Wait for the page's play button before the first primitive."""
     observation: VectorObservation = "features"
     """Observation of an agent to train."""
     flavour: Literal["press", "press-with-ancestors", "press-markov"] = "press"
@@ -55,7 +55,7 @@ class WatchArgs(PageAddress, RoomChoice):
 
 
 def run(args: WatchArgs) -> None:
-    """Serve until interrupted."""
+    """Open the page in the browser and let the driver act until interrupted."""
     torch.set_num_threads(1)
     text = find_driver(args.driver)
     instance = (None if args.load else find_run_room(text)) or args.make_instance()

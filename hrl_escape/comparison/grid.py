@@ -77,7 +77,7 @@ class AgentSpec(Settings):
     recipe: str = "corrected"
     """Recipe of its settings."""
     settings: dict[str, Any] = dataclasses.field(default_factory=dict)
-    """Settings to change."""
+    """Settings that differ from the recipe's, by name."""
     options: OptionsView = OptionsView()
     """Options it chooses among, if its name begins with smdp-."""
     leaves: Literal["planned", "learned"] | None = None
@@ -188,7 +188,7 @@ class Grid(Settings):
     description: str = ""
     """Purpose, in one sentence."""
     agents: tuple[AgentSpec, ...] = (AgentSpec("random"),)
-    """Agents to compare."""
+    """Agents to compare, each in every room; labels must differ."""
     rooms: tuple[RoomSpec, ...] = DEFAULT_ROOMS
     """Rooms to train and be tested in, one after another; empty with `train_rooms`."""
     train_rooms: tuple[str, ...] = ()
@@ -269,7 +269,7 @@ class Grid(Settings):
 
     @property
     def evaluation_step(self) -> int:
-        """Primitives between evaluations."""
+        """Primitives of training between evaluations: `eval_every`, or a twentieth of the budget if that is 0."""
         return self.eval_every or max(1, self.primitives // 20)
 
     @classmethod
@@ -334,7 +334,7 @@ class GridRun:
 
     @property
     def name(self) -> str:
-        """Name in messages."""
+        """Agent, room and training seed, as messages name the run."""
         return f"{self.agent.label}, {self.room}, seed {self.seed}"
 
     @property

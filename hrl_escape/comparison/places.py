@@ -151,7 +151,7 @@ class RoomSpec(Settings):
     set: str | None = None
     """Room of a set, such as ladder-1/lattice/test[3]."""
     seed: Annotated[int, Range(0, 2**63 - 1)] = 0
-    """Instance seed."""
+    """Instance seed for a preset or a schematic."""
 
     @property
     def label(self) -> str:

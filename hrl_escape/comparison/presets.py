@@ -89,7 +89,7 @@ GRIDS: dict[str, Grid] = {
         ),
     )
 }
-"""Name -> grid."""
+"""Grids that `hrl-escape compare` knows by name."""
 
 
 def get_grid(name: str) -> Grid:

@@ -110,7 +110,7 @@ class CommonSpacesEnv(gymnasium.Wrapper, RecordConstructorArgs):
             self.action_space = PointingDiscrete(len(every), about)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode."""
+        """Begin an episode; observation and action mask are those of the common spaces."""
         observation, info = self.env.reset(seed=seed, options=options)
         return self._show(observation), self._mask(info)
 

@@ -30,7 +30,7 @@ class SetRecord(Settings):
 
     _section = "set"
     count: Annotated[int, Range(1, 1_000_000)] = 64
-    """Number of rooms."""
+    """Rooms in the set."""
     root: str = ""
     """Merkle root over the rooms' content hashes, in order."""
     skipped: tuple[int, ...] = ()

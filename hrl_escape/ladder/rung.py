@@ -72,7 +72,7 @@ class Rung:
 
     @property
     def sets(self) -> dict[str, InstanceSet]:
-        """Sets by role."""
+        """Sets that the rung has, by role: `train`, `valid`, `test` and, if there is one, `test_task`."""
         every = {role: getattr(self, role) for role in ROLES}
         return {role: rooms for role, rooms in every.items() if rooms is not None}
 

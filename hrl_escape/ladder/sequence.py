@@ -93,7 +93,7 @@ class SequenceEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return observation, reward, terminated, truncated, info
 
     def close(self) -> None:
-        """Close all floors."""
+        """Close the environments of all floors that were built."""
         for floor in self.floors:
             floor.close()
 

@@ -49,7 +49,7 @@ class Server(viser.ViserServer):
         self.guard.title = title
 
     def request_share_url(self, verbose: bool = True) -> str | None:
-        """Refuse."""
+        """Return None: viser would publish the page through a server elsewhere."""
         del verbose
         return None
 

@@ -167,7 +167,7 @@ def _tell_sufficient(sufficient: Mapping[str, bool | None]) -> list[str]:
         sentences.append(f"{_capitalise(join_words(short))} alone {'brings' if len(short) == 1 else 'bring'} less than "
                          f"three quarters of {of_all}.")
     if unclear:
-        sentences.append(f"Whether {join_words(unclear, 'or')} alone would do is not shown.")
+        sentences.append(f"These runs do not show whether {join_words(unclear, 'or')} alone would do.")
     return sentences
 
 

@@ -51,7 +51,7 @@ def tell_calibration(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], run
         told.append(_tell_chance_order({rung: _average_rooms(enough[rung, CHANCE]) for rung in chance}))
     if known := curves.get(KNOWN):
         below = [rung for rung, value in known.items() if find_miscalibration(0.0, value, rung in noisy)]
-        told.append(f"The planner, who knows the graph, is as efficient as can be {_count(below, known)}.")
+        told.append(f"The planner, which knows the graph, is as efficient as possible {_count(below, known)}.")
     if order := _tell_order(enough, rungs):
         told.append(order)
     learners = {agent: curve for agent, curve in curves.items()
@@ -126,10 +126,11 @@ def _tell_order(enough: Mapping[tuple[str, str], Sequence[BaselineRun]], rungs: 
     adjusted = correct_by_holm([test.p for test in tests.values()])
     better = [f"`{rung}` (by {test.difference:.2f})"
               for (rung, test), p in zip(tests.items(), adjusted, strict=True) if p < ALPHA and test.difference > 0]
-    begins = "Rounds in the order of the buttons' numbers are more efficient than rounds in an order drawn by lot on"
+    begins = "Rounds in the order of the buttons' numbers are more efficient than rounds in a random order on"
     if better:
-        return f"{begins} {join_words(better)}, so numbers tell something there."
-    return f"{begins} none of {len(tests)} rungs (paired by room, Holm): numbers are not shown to tell anything."
+        return f"{begins} {join_words(better)}, so numbers say something of the graph there."
+    return (f"{begins} none of {len(tests)} rungs (paired by room, Holm): these runs do not show that numbers say "
+            "anything of the graph.")
 
 
 def _count(exceptions: Collection[str], curve: Mapping[str, float]) -> str:

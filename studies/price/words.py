@@ -84,21 +84,21 @@ def _conclude(ratios: Sequence[CostRatio], one: str, other: str, cost: RunCost) 
     if dearer := groups["dearer"]:
         parts.append(f"pays {_list_times(dearer, unit, tell_factor)}")
     if beyond := groups["beyond"]:
-        parts.append(f"pays more than {_list_times(beyond, unit, lambda median: tell_number(median.low))}, for too few "
-                     "of its runs get there to say how much")
+        parts.append(f"pays more than {_list_times(beyond, unit, lambda median: tell_number(median.low))} (too few "
+                     "of its runs get there to say how much more)")
     if cheaper := groups["cheaper"]:
         parts.append(f"pays only {_list_times(cheaper, unit, tell_factor)}")
     if below := groups["below"]:
-        parts.append(f"pays less than {_list_times(below, unit, lambda median: tell_number(median.high))}, for too few "
-                     f"runs of `{other}` get there to say how much")
+        parts.append(f"pays less than {_list_times(below, unit, lambda median: tell_number(median.high))} (too few "
+                     f"runs of `{other}` get there to say how much less)")
     if equal := groups["equal"]:
         parts.append(f"is not shown to pay more or fewer {cost.unit} than `{other}` with {_name_sizes(equal)}")
     if not parts:
-        return (f"How much `{one}` pays until {cost.event} is not known: no size of room has runs enough of it and of "
-                f"`{other}` that tell it.")
-    if unknown := groups["unknown"]:
-        parts.append(f"pays a price that is not known with {_name_sizes(unknown)}")
-    return f"Until {cost.event}, `{one}` {'; it '.join(parts)}."
+        return (f"How much `{one}` pays until {cost.event} could not be estimated in rooms of any size: too few runs "
+                f"of it and of `{other}` were made, or got there.")
+    unknown = groups["unknown"]
+    left_out = f"; with {_name_sizes(unknown)} the price could not be estimated" if unknown else ""
+    return f"Until {cost.event}, `{one}` {'; it '.join(parts)}{left_out}."
 
 
 def _classify(median: Median) -> str:
@@ -124,14 +124,15 @@ def _name_sizes(ratios: Sequence[CostRatio]) -> str:
 
 def _tell_growth(growth: Growth) -> str:
     if growth.median.knowledge == "unknown":
-        return "How the factor grows with a button is not known."
+        return "How the factor grows with each button could not be estimated."
     span, factor = f"from {growth.smallest} to {growth.largest}", tell_factor(growth.median)
     if growth.median.p < ALPHA and growth.median.low > 1:
         more = factor if growth.median.knowledge == "measured" else f"more than {tell_number(growth.median.low)}"
         return f"Each button {span} multiplies the factor by {more}."
     if growth.median.p < ALPHA and growth.median.high < 1:
         return f"Each button {span} multiplies the factor by {factor}, so that it falls."
-    return f"That the factor grows with a button is not shown ({span}: times {factor} each)."
+    return (f"These runs do not show that the factor grows with the number of buttons: {span}, each multiplies it by "
+            f"{factor}.")
 
 
 def compare_with_chance(learner: Sequence[PriceRun], chance: Sequence[PriceRun], label: str, horizon: int) -> str:

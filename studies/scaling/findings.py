@@ -71,7 +71,7 @@ def tell_replication(fresh: Sequence[ScalingRun], published: Sequence[ScalingRun
         seeds = sorted(run.run for run in own)
         exact = sum(bool(run.structure) and run.structure[-1][1:] == (1.0, 1.0) for run in own)
         sentences.append(
-            f"{task.buttons} buttons, {task.graph}, {task.rule}: {now[0]} of {now[1]} come to {NEAR_BEST:.0%} of the "
+            f"{task.buttons} buttons, {task.graph}, {task.rule}: {now[0]} of {now[1]} reach {NEAR_BEST:.0%} of the "
             f"best return (seeds {seeds[0]} to {seeds[-1]}), {_compare(now, before, corrected)}, and {exact} have the "
             f"whole graph without an edge too many; first escape after {_tell_median(own)} primitives, "
             f"where the published runs take {_tell_median(known)} (medians).")
@@ -86,9 +86,9 @@ def _count_near(runs: Sequence[ScalingRun]) -> tuple[int, int]:
 def _compare(now: tuple[int, int], before: tuple[int, int], p: float) -> str:
     published = f"the published {before[0]} of {before[1]}"
     if min(now[1], before[1]) < LEAST_RUNS:
-        return f"too few runs to hold against {published}"
+        return f"too few runs to compare with {published}"
     if p >= ALPHA:
-        return f"which cannot be told from {published}"
+        return f"which does not differ significantly from {published}"
     return f"{'more' if now[0] * before[1] > before[0] * now[1] else 'fewer'} than {published}"
 
 

@@ -28,7 +28,7 @@ class PackArgs:
 
 
 def run(args: PackArgs) -> None:
-    """Write the archive."""
+    """Pack a run folder into one archive, and print its size and parts."""
     out = Path(f"{args.folder.absolute().name}.zip") if args.out is None else args.out
     summary = pack_run(args.folder, out)
     Console(soft_wrap=True).print(f"wrote {make_console_text(str(out))}: {len(summary.parts)} parts, "

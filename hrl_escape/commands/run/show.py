@@ -30,7 +30,7 @@ class ShowRunArgs:
 
 
 def run(args: ShowRunArgs) -> None:
-    """Print the summary."""
+    """Print what a run folder or archive holds, as text or JSON; no code of it is run."""
     summary = read_summary(args.path)
     described = summary.described
     report = {

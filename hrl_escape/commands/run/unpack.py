@@ -28,7 +28,7 @@ class UnpackArgs:
 
 
 def run(args: UnpackArgs) -> None:
-    """Make the folder."""
+    """Unpack an archive into a run folder, and print its size and parts."""
     out = Path(args.archive.stem) if args.out is None else args.out
     summary = unpack_run(args.archive, out)
     Console(soft_wrap=True).print(f"wrote {make_console_text(str(out))}: {len(summary.parts)} parts, "

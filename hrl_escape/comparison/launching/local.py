@@ -68,7 +68,7 @@ class Listener(Protocol):
 
 
 class Launcher(Protocol):
-    """Executor of runs."""
+    """Executes runs, here or on a cluster, and tells a listener what becomes of them."""
 
     def run(self, runs: Sequence[GridRun], out: Path, listener: Listener) -> None:
         """Execute all runs; return once each has finished or failed."""

@@ -104,14 +104,14 @@ class _Listener:
     errors: Errors
 
     def finish(self, run: GridRun, result: RunResult) -> None:
-        """Nothing to keep."""
+        """Keep nothing: the run's folder holds its result."""
 
     def fail(self, failure: Failure) -> None:
-        """Keep the error."""
+        """Note the message and traceback under the run's folder."""
         self.errors[failure.run.folder] = {"message": failure.message, "traceback": failure.traceback}
 
     def tick(self, progress: Mapping[str, int], workers: int) -> None:
-        """Nobody looks on."""
+        """Show nothing: a job on a cluster has no terminal."""
 
 
 def _get_errors(job: Any, runs: Sequence[GridRun], out: Path) -> Errors:

@@ -25,7 +25,7 @@ from hrl_escape.viewer.server import open_server
 __all__ = ["make_motion", "save_motion"]
 
 FRAME_RATE = 30.0
-"""Frames a second."""
+"""Most frames of a saved page for each second of the motion."""
 MOST_SAMPLES = 12_000
 """Number of frames above which there are fewer a second, so that pages stay small."""
 PAUSE = 2.0

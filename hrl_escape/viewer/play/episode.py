@@ -133,7 +133,7 @@ class Episode:
             raise EpisodeFileError(f"the replay ends {self.end.value}, the file says {saved.end.value}")
 
     def close(self) -> None:
-        """Free the engine."""
+        """Close the room's environment; the moves so far stay readable."""
         self._env.close()
 
     def _note(self, step: PrimitiveStep) -> None:
@@ -145,7 +145,7 @@ class Episode:
 
     @property
     def state(self) -> RoomState:
-        """The present state."""
+        """State of the room after the last primitive."""
         return self._env.get_state()
 
     @property

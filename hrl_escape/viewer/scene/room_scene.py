@@ -71,7 +71,7 @@ class RoomScene:
         self._set_initial_camera()
 
     def remove(self) -> None:
-        """Remove everything."""
+        """Take the room, its robot and its labels out of the scene."""
         self._root.remove()
 
     # --- what moves ----------------------------------------------------------------------

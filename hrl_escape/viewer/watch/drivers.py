@@ -60,7 +60,7 @@ class Driver:
 
     @property
     def room(self) -> EscapeRoomEnv:
-        """The flat environment."""
+        """The room under all wrappers, which shows where the robot is."""
         room: Any = self.env.unwrapped
         return room
 

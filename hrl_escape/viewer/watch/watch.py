@@ -92,7 +92,7 @@ class ShownCall:
 
     @property
     def name(self) -> str:
-        """Task and context."""
+        """Task of the call, with its context in brackets."""
         context = "" if self.call.context is None else f"({self.call.context})"
         return f"{self.call.task}{context}"
 
