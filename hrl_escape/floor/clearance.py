@@ -142,7 +142,7 @@ class CollisionMap:
         return all(compute_distance(x, y, f) >= need for f in self._list_near(cell))
 
     def _list_near(self, cell: int) -> tuple[Footprint, ...]:
-        """Solids within the horizon of some place in a cell; remembered."""
+        """Solids within the horizon of some place in a cell; cached."""
         near = self._near.get(cell)
         if near is None:
             i, j = divmod(cell, self.distance.shape[1])
@@ -168,7 +168,7 @@ class CollisionMap:
         return self.base.grow(margin).measure_gap(x, y, rotation, self._list_near(self._find_cell(x, y))) >= -TOUCH
 
     def is_free(self, x: float, y: float) -> bool:
-        """Return whether the body, with its clearance, fits at a place on the floor, at some heading of its. Exact."""
+        """Return whether the body, with its clearance, fits at a place on the floor at some heading. Exact."""
         if self.base.turns_anywhere or self.is_clear(x, y, self.radius):
             return self.is_clear(x, y, self.radius - TOUCH)
         return any(self.does_fit(x, y, rotation) for rotation in self._rotations)
@@ -179,7 +179,7 @@ class CollisionMap:
 
     def is_move_free(self, x: float, y: float, to_x: float, to_y: float,
                      rotation: tuple[float, float] = (1.0, 0.0)) -> bool:
-        """Return whether the body can go straight from one free place to another, turned like that. Exact."""
+        """Return whether the body at this heading can go straight from one free place to another. Exact."""
         if not (self.does_fit(x, y, rotation) and self.does_fit(to_x, to_y, rotation)):
             return False
         dx, dy = to_x - x, to_y - y
@@ -206,7 +206,7 @@ class CollisionMap:
         return np.where(cells >= 0, self._labels.ravel()[cells], 0)
 
     def find_proof(self, x: float, y: float, goal: Footprint, reach: float) -> Literal["solid", "apart"] | None:
-        """Prove that the body cannot get from a place to within `reach` of a footprint, if the grid can.
+        """Try to prove, by the grid, that the body cannot get from a place to within `reach` of a footprint.
 
         Returns:
             `"solid"` if the body fits nowhere there, `"apart"` if no path leads there, None without a proof.

@@ -32,9 +32,9 @@ __all__ = ["FieldMaker", "Seeds", "count_classes", "lay_grid", "make_collision"]
 
 MOST_STATES = 1_500_000
 CACHE_BYTES = 64_000_000
-"""Fields of one grid that are kept, B; a field of a room of 20 m has 0.1 to 0.3 MB."""
+"""Memory for the cached fields of one grid, bytes; a field of a room of 20 m takes 0.1 to 0.3 MB."""
 SLICE = 100_000
-"""States that a kernel works on between two looks at a clock."""
+"""States that a kernel processes between two checks of a clock."""
 
 
 def make_collision(instance: RoomInstance, door_shut: bool) -> CollisionMap:
@@ -62,12 +62,12 @@ class Seeds(NamedTuple):
 
 
 def count_classes(rules: Rules) -> int:
-    """Headings that moves distinguish: those of a quarter or half a turn, or more where that is no whole number."""
+    """Number of heading classes: turn steps of a quarter or half a turn, or more where that is no whole number."""
     return rules.headings // math.gcd(rules.headings, rules.symmetry)
 
 
 def lay_grid(instance: RoomInstance, rules: Rules, refinement: int = 0) -> FloorGrid:
-    """Lay a grid over a room's floor; `FieldMaker` says how, and `refinement` halves its cells."""
+    """Lay a grid over a room's floor as `FieldMaker` describes; each `refinement` halves its cells."""
     area = 4 * instance.reach_x * instance.reach_y
     step = rules.actions.stride
     size = max(min(step / 4, 0.25), math.sqrt(area * count_classes(rules) / MOST_STATES)) / 2**refinement
@@ -151,7 +151,7 @@ class FieldMaker:
         self._choose_headings(clock)
         self._find_landings(0, columns, clock)
         self._link_cells()
-        if refinement:  # these grids are large, and are not adapted
+        if refinement:  # refined grids are large and never adapted
             del self._landing, self._link_cost
         self._fields: OrderedDict[object, _KeptField] = OrderedDict()
 
@@ -176,7 +176,7 @@ class FieldMaker:
                                            self._within, self.points, self.standing)
 
     def _choose_headings(self, clock: Clock) -> None:
-        """Find the headings at which the base fits, and the turns that are free; one that turns anywhere has all."""
+        """Find the headings at which the base fits and its free turns; for a disc, all of them."""
         self._fits, self._can_turn = None, np.zeros(0, dtype=np.bool_)
         if self.scene.kind < 0:
             return
@@ -264,7 +264,7 @@ class FieldMaker:
         return joined
 
     def _repair(self, old: _KeptField, seeds: Seeds) -> NDArray[np.int16]:
-        """Field of the same seeds on the grid as it was before some cells changed, made that of this grid."""
+        """Repair a field of the grid before its cells changed, for the same seeds."""
         field = old.costs.copy()
         starts, sources, costs = self._links
         states, values = dijkstra.forget_changed(
@@ -274,7 +274,7 @@ class FieldMaker:
 
     @cached_property
     def everywhere(self) -> NDArray[np.bool_]:
-        """Mask that allows every cell."""
+        """Mask that allows every cell, bool (cells,)."""
         return np.ones(len(self.points), dtype=bool)
 
     def find_seeds(self, goal: Footprint, reach: float, facing: NDArray[np.bool_] | None = None,
@@ -285,7 +285,7 @@ class FieldMaker:
             goal: footprint of the goal.
             reach: largest distance from it, m.
             facing: headings that reach it, shape (headings,); by default any heading will do.
-            presser: what must touch the goal; within `reach` a base only may.
+            presser: shape that must touch the goal; for a rectangle, `reach` alone is only necessary.
         """
         row = stack_footprints([goal])[0]
         away = compute_distance_many(self.points, row[None])

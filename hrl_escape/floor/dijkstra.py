@@ -2,8 +2,8 @@
 
 Arrays in, arrays out; `cost_to_go.py` gives them their meaning and keeps them. `forget_changed` repairs a
 field after its grid has changed in some cells (Ramalingam and Reps 1996): it finds all states whose
-cost-to-go rested on changed cells, and the costs by which the search goes on from the rest. The
-repaired field is the one that a search from nothing would give: all costs are positive, so there is only
+cost-to-go depended on changed cells, and the costs from which the search continues. The
+repaired field is the one that a new search would give: all costs are positive, so there is only
 one. Kernels are compiled on first use and kept on disk.
 """
 
@@ -375,7 +375,7 @@ def fill_gaps(field, known, headings, rows):
 
 @kernel_part
 def _find_least(field, gone, landing, link_cost, classes, headings, turn_steps, translations, cell, heading):
-    """Least cost-to-go by way of a successor that is not gone."""
+    """Least cost-to-go through a successor that has not been forgotten."""
     least = UNREACHED
     for k in range(turn_steps.shape[0]):
         after = cell * headings + (heading + turn_steps[k] + headings) % headings
@@ -426,7 +426,7 @@ def forget_changed(starts, sources, costs, landing, link_cost, classes, headings
             if field[state] < 0:
                 field[state] = UNREACHED
             if not standing[cell]:
-                field[state] = UNREACHED  # it held the least of its neighbours
+                field[state] = UNREACHED  # its value was the least of its neighbours' (see `fill_gaps`)
     for k in range(changed.shape[0]):
         for heading in range(headings):
             state = changed[k] * headings + heading
@@ -443,7 +443,7 @@ def forget_changed(starts, sources, costs, landing, link_cost, classes, headings
             heading = state - cell * headings
             known = cell * classes + heading % classes
             for k in range(starts[known] - turn_steps.shape[0], starts[known + 1]):
-                if k < starts[known]:  # the turns that lead here
+                if k < starts[known]:  # turns that end at this heading
                     source, cost = cell, 1
                     before = cell * headings + (heading - turn_steps[starts[known] - 1 - k] + headings) % headings
                 else:

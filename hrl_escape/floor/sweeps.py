@@ -1,6 +1,6 @@
 """Sweeps and clearances of the body in compiled code, bit for bit those of `Kinematics`.
 
-The geometry is the own source of `env/geometry.py` and of the bases, compiled by numba as it stands.
+The geometry is the source of `env/geometry.py` and of the bases, compiled unchanged by numba.
 Importing this module imports numba. Kernels that loop over sweeps are in `dijkstra.py` and `planning/search/a_star.py`.
 """
 
@@ -45,7 +45,7 @@ def compile_geometry() -> tuple[Any, Any]:
 
 
 def _compile_choice(name: str) -> Any:
-    """Compile one of the functions that bases state, to be called with the number of a base in `BASES` and its size."""
+    """Compile a function that every base defines; it is called with the number of a base in `BASES` and its size."""
     chosen = None
     for number, base in reversed(list(enumerate(_BASES))):
         chosen = _choose(number, _compile(getattr(base, name)), chosen)
@@ -74,7 +74,7 @@ class Presser(NamedTuple):
     """The thing that must touch a goal: a base at a heading, or a point.
 
     Attributes:
-        kind: number of the base in `BASES`; -1 for a point, and for bases that the distance of their axis decides for.
+        kind: number of the base in `BASES`; -1 for a point, and for bases whose axis distance decides.
         size: of the base, without clearance, m.
         inner: radius of the largest disc within it, m.
         outer: radius of the smallest disc round it, m.
@@ -90,7 +90,7 @@ POINT = Presser(-1, np.zeros(1), 0.0, 0.0)
 
 
 def number_base(base: Base) -> int:
-    """Number by which compiled code knows a base; -1 for one that turns anywhere, of which a radius says all.
+    """Number of a base in compiled code; -1 for one that turns anywhere, which its radius describes fully.
 
     Raises:
         UnsupportedError: the base came into `BASES` after its compiled code was made.
@@ -109,7 +109,7 @@ def make_presser(base: Base) -> Presser:
 
 
 class SweepScene(NamedTuple):
-    """Room for the sweeps: its solids, indexed by floor cell, and its clearances.
+    """Arrays of a room for the sweeps: its solids, indexed by floor cell, and its clearances.
 
     Attributes:
         solids: rows of `stack_footprints`, shape (n, 7).
@@ -154,7 +154,7 @@ def get_shape(row):
 def is_clear_of_all(scene, x, y, length):
     """Return whether no solid is within a distance of the base at a place, by the grid of clearances.
 
-    From the middle of a move, half of its length decides: that is more than its length does from where it begins.
+    A test from the middle of a move needs half its length as distance; one from its start needs all of it.
     """
     i = int(math.floor((x - scene.low[0]) / scene.resolution))
     j = int(math.floor((y - scene.low[1]) / scene.resolution))
@@ -205,7 +205,7 @@ def _list_near(scene, x, y):
 
 @kernel_part
 def _lets_out(scene, item, x, y, turn, shape):
-    """Return whether a shut door lets out a base that stands in it."""
+    """Return whether a base stands in the shut door, which then lets it out."""
     return item == scene.door and _base_gap(scene.kind, x, y, turn[0], turn[1], scene.size, shape) < -1e-6
 
 

@@ -1,7 +1,7 @@
 """`TaskMotionPlanner`: a room's task for planners that know no geometry, with costs and constraints from motion.
 
 A task is exported as PDDL whose actions cost the primitives of their legs, from where the action
-before ends. A leg that no motion makes is no action. What a stranger's planner answers is carried out by
+before ends. A leg without a motion is not exported. The plan of an external planner is carried out by
 the room's own planner; a leg that fails then goes back as a constraint, and the task is solved again.
 Solving needs the extra `pddl`.
 """
@@ -51,7 +51,7 @@ class TaskMotionPlanner:
                                    "use export_pddl, or RoomPlanner.solve")
         self._operators = {clean_name(op.name): op for op in self._model.operators}
 
-    # --- our problem out -----------------------------------------------------------------
+    # --- export of the task -----------------------------------------------------------------
 
     def compute_costs(self, state: RoomState, goals: Iterable[str] | None = None) -> dict[tuple[str, str], int]:
         """Primitives of each leg that can be made, by (place before, operator or `leave`).
@@ -145,10 +145,10 @@ class TaskMotionPlanner:
         """
         return read_problem(*self.export(state, goals, forbidden))
 
-    # --- a stranger's plan in ------------------------------------------------------------
+    # --- an external plan ------------------------------------------------------------
 
     def follow(self, state: RoomState, actions: Any) -> Plan:
-        """Plan the motion of a stranger's plan, each leg from the true end of the one before.
+        """Plan the motion of an external planner's plan, each leg from the true end of the one before.
 
         Args:
             state: first state.

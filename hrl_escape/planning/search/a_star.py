@@ -51,8 +51,8 @@ class SearchQuery(NamedTuple):
         presser: position of the presser relative to the body's axis, shape (headings, 2), m.
         targets: footprints of the targets, shape (n, 7).
         reaches: floor distance at which the presser touches each target, or -1, shape (n,), m.
-        pressers: whether the outline of `base` must touch each target, bool, shape (n,).
-        base: what presses then.
+        pressers: True where the outline of `base` must touch the target, bool, shape (n,).
+        base: the base whose outline presses.
         forbidden: bits of the targets that must not be touched anew.
         keep_out: footprints that the body must not meet, shape (n, 7).
         closed: rectangle (x_min, x_max, y_min, y_max) that must not be entered; empty if x_min > x_max.
@@ -188,9 +188,9 @@ def _push(frontier, node, estimate):
 
 @kernel_part
 def _add(query, frontier, x, y, heading, sector, layer, touching, spent, parent, action, is_goal):
-    """Put a pose into the frontier unless its bin holds one that is as cheap.
+    """Add a pose to the frontier unless its bin holds one at most as expensive.
 
-    The sector of its heading tells bins apart, the layer states of the field; modulo is dear, and moves keep both.
+    Bins use the sector of its heading, the field its layer; both are passed on, as modulo is slow and moves keep them.
     """
     node = frontier.counts[0]
     estimate, slot, key = spent, np.int64(-1), np.int64(-1)
@@ -312,7 +312,7 @@ def expand_until_goal(scene, query, frontier, expansions):
 
 
 class FrontierPool:
-    """Frontiers that one search after another uses: clearing one is quicker than memory that is touched anew."""
+    """Pool of frontiers that searches reuse: clearing one is faster than touching new memory."""
 
     def __init__(self) -> None:
         self._kept: dict[int, Frontier] = {}
@@ -333,13 +333,13 @@ class FrontierPool:
         return frontier
 
     def give_back(self, frontier: Frontier) -> None:
-        """Keep a frontier that nobody reads any more, unless it is large."""
+        """Return a frontier to the pool, unless it is large; the caller must not read it any more."""
         if len(frontier.links) <= MOST_KEPT_NODES:
             heads = frontier.heads if frontier.heads.base is None else frontier.heads.base
             self._kept[len(frontier.links)] = frontier._replace(heads=heads)
 
     def enlarge(self, old: Frontier) -> Frontier:
-        """Move a frontier into one for four times as many nodes."""
+        """Copy a frontier into one with four times the capacity."""
         used = len(old.links)
         new = self.take(4 * used, len(old.heads))
         for name in ("places", "facts", "touching", "links"):

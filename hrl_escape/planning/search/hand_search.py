@@ -1,9 +1,9 @@
-"""Whole escapes at once where the hand presses: a beam search over presses, each planned with what comes after.
+"""Joint search for whole escapes by hand: a beam search over presses, each planned with the rest of the escape.
 
 After a press by hand the arm's posture counts as well as the base's pose, so no field over poses
 tells exactly what the rest costs. Fields of the puzzle's states tell it with an arm that reaches at once. A leg
 is searched by base and arm together, and ends where its primitives and such a field are least; several of its ends
-are kept. From each, the next leg's own field, with the joint steps from its posture, says which to go on from.
+are kept. The next leg's own field, with the joint steps from the posture, ranks the ends to continue from.
 Kinematic arms pass through everything, so base and arm meet only in the presses.
 """
 
@@ -30,20 +30,20 @@ from hrl_escape.planning.search.search_run import SearchProblem, SearchResult, S
 __all__ = ["HandSearch"]
 
 LIKELY = 2
-"""Ends whose rest is looked up in the next leg's own field, for each that is gone on with."""
+"""Ends ranked by the next leg's own field, for each end that is continued."""
 ENDS_TRIED = 3
-"""Ends that are looked at for each that is kept; some are as good as the same."""
+"""Ends examined for each that is kept, as some nearly coincide."""
 NODES_A_PRESS = 20_000
 """Search nodes of a leg to a press."""
 SLACK = 1
-"""Primitives by which a field may overestimate a rest: ends are dropped only beyond."""
+"""Primitives by which a field may overestimate the rest: only ends worse by more are dropped."""
 
 
 class Beam(NamedTuple):
     """Effort of a beam search.
 
     Attributes:
-        width: escapes begun that are gone on with, after each press.
+        width: partial escapes continued after each press.
         ends: ends of a leg that are kept.
         place: ends in one square of this side, with the same posture, count as one, m.
         sector: if their headings are in one sector of this size, too, rad.
@@ -66,7 +66,7 @@ _Search: TypeAlias = tuple[SearchProblem, NDArray[np.int16]]
 
 
 class _Leg(NamedTuple):
-    """A leg that may come next: its goal, about how many primitives the rest takes with it, and a press's search."""
+    """A possible next leg: its goal, the estimated primitives of the rest with it, and the search of a press."""
 
     goal: Goal
     rest: int
@@ -74,7 +74,7 @@ class _Leg(NamedTuple):
 
 
 class _Begun(NamedTuple):
-    """An escape begun: its primitives, where they lead, and about how many it will have."""
+    """A partial escape: its primitives, the state they lead to, and the estimated length of the whole."""
 
     primitives: tuple[int, ...]
     state: RoomState
@@ -86,7 +86,7 @@ class HandSearch(JointSearch):
     """Fields of one room's puzzle states for presses by hand, and a beam search through them."""
 
     def __init__(self, search: PrimitiveSearch) -> None:
-        """Prepare nothing yet.
+        """Store the searches; fields are made on first use.
 
         Args:
             search: searches of the room's legs.
@@ -114,7 +114,7 @@ class HandSearch(JointSearch):
 
     def _search_beam(self, state: RoomState, rests: Fields, most: int, beam: Beam, budget: int, clock: Clock
                      ) -> tuple[tuple[int, ...] | None, int]:
-        """Search press after press, with the most promising escapes begun."""
+        """Search press after press, and keep the most promising partial escapes."""
         best: tuple[int, ...] | None = None
         spent, begun = 0, [self._open_legs(_Begun((), state, 0), rests, clock)]
         while begun and spent < budget:
@@ -175,7 +175,7 @@ class HandSearch(JointSearch):
         return self._problems[key]
 
     def _add_onward(self, table: ReachTable, onward: NDArray[np.int16]) -> ReachTable:
-        """The joint steps of a press, and what comes after it."""
+        """Add the cost of the rest to the joint steps of a press."""
         maker = self._shut
         cells = maker.grid.find_numbers(table.get_centres())
         after = np.where(cells[..., None] >= 0, onward.reshape(-1, maker.headings)[cells], -1)
@@ -208,13 +208,13 @@ class HandSearch(JointSearch):
                 return
 
     def _describe(self, state: RoomState, beam: Beam) -> Hashable:
-        """All that tells an end of a leg from others."""
+        """Key of an end: ends of a leg with the same key count as one."""
         sector = int(state.heading_steps * self.rules.turn_step / beam.sector)
         column, row = math.floor(state.x / beam.place), math.floor(state.y / beam.place)
         return state.puzzle, column, row, sector, state.joint_steps
 
     def _look_up(self, rests: Fields, state: RoomState) -> int:
-        """About how many primitives are left by the fields; -1 if there is no way out."""
+        """Estimate by the fields of the primitives that are left; -1 if there is no way out."""
         field = rests.get(state.puzzle)
         return -1 if field is None else self._shut.get_cost(field, state)
 

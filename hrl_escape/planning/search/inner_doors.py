@@ -1,4 +1,4 @@
-"""Searches of a room by its inner doors: to a planner, a shut door is a wall of an edited room.
+"""Searches of a room for each set of shut inner doors: to a planner, a shut door is a wall of an edited room.
 
 The search of the room with some doors shut is adapted from that with all open: it takes over the grid and the fields,
 and repairs what the doors change.
@@ -22,9 +22,9 @@ from hrl_escape.planning.search.primitive_search import PrimitiveSearch
 __all__ = ["DoorKey", "DoorSearches", "find_move", "is_way_open", "list_places"]
 
 MOST_SEARCHES = 16
-"""Sets of shut doors whose searches are kept."""
+"""Most sets of shut doors whose searches are kept."""
 _MOST_CELLS = 12
-"""Cells that are tried for putting something down."""
+"""Most cells tried for putting something down."""
 _SIDES = {"east": (1, 0, 0.0), "north": (0, 1, math.pi / 2), "west": (-1, 0, math.pi), "south": (0, -1, -math.pi / 2)}
 """Steps along x and y to each side, and the heading for it."""
 
@@ -44,7 +44,7 @@ class DoorSearches:
         self._searches: OrderedDict[int, PrimitiveSearch] = OrderedDict()
 
     def choose(self, state: RoomState) -> PrimitiveSearch:
-        """The search of the room as its inner doors stand in a state."""
+        """Return the search of the room with its inner doors as in a state."""
         walls = self.find_walls(state)
         if not walls:
             return self._opened
@@ -58,14 +58,14 @@ class DoorSearches:
         return self._searches[walls]
 
     def find_walls(self, state: RoomState) -> int:
-        """Bits of the inner doors that are shut, but for those in which the body stands."""
+        """Bits of the shut inner doors, except those in which the body stands."""
         doors = self._rules.inner_doors
         return 0 if doors is None else doors.find_blocking(state.x, state.y, state.puzzle)
 
     def can_walk(self, state: RoomState, goal: GripGoal) -> bool:
         """Return whether free cells lead to one from which the goal's thing is pushed.
 
-        Of other goals than pushes, the puzzle's own model says what bars the way.
+        For goals other than pushes, the puzzle's own model accounts for what blocks the way.
         """
         doors, side = self._rules.inner_doors, goal.action.partition("push-")[2]
         if doors is None or not side:
@@ -90,7 +90,7 @@ class DoorSearches:
             for cell in self._room.inner_doors]
 
     def make_key(self, state: RoomState, goal: Goal) -> DoorKey:
-        """All that a route to a goal depends on of the inner doors."""
+        """Cache key: everything about the inner doors on which a route to a goal depends."""
         return self.find_walls(state), list_cells(self._room, state, goal) if isinstance(goal, GripGoal) else ()
 
 
@@ -100,7 +100,7 @@ def list_cells(room: RoomInstance, state: RoomState, goal: GripGoal) -> tuple[in
 
 
 def is_way_open(rules: Kinematics, state: RoomState, goal: Goal) -> bool:
-    """Return whether the inner doors on the way to a target or the exit are open; true where nothing is known of it."""
+    """Return whether the inner doors on the way to a target or the exit are open; true where the ways are unknown."""
     ways, doors = rules.instance.ways, rules.inner_doors
     number = goal.target if isinstance(goal, (PressGoal, GripGoal)) else len(rules.instance.targets)
     if doors is None or number >= len(ways) or not isinstance(goal, (PressGoal, GripGoal, ExitGoal)):
@@ -110,7 +110,7 @@ def is_way_open(rules: Kinematics, state: RoomState, goal: Goal) -> bool:
 
 
 def list_places(goal: GripGoal, state: RoomState, rules: Kinematics) -> Iterator[list[PoseGoal]]:
-    """Places from which a grip, release, use or push is possible, those round one cell at a time.
+    """List the places from which a grip, release, use or push is possible, cell by cell.
 
     There are four, or one behind a thing that is pushed. What is held may be put down in several cells: the nearest
     ones come first.
@@ -119,7 +119,7 @@ def list_places(goal: GripGoal, state: RoomState, rules: Kinematics) -> Iterator
     cells = [room.inner_doors[number] for number in list_cells(room, state, goal)]
     cells.sort(key=lambda cell: math.hypot(cell.x - state.x, cell.y - state.y))
     side = goal.action.partition("push-")[2]
-    any_heading = bool(side) and rules.headings == rules.actions.symmetry  # some move leads to that side from each
+    any_heading = bool(side) and rules.headings == rules.actions.symmetry  # a move leads to that side from each place
     for cell in cells[:_MOST_CELLS]:
         yield [PoseGoal(cell.x - step * x, cell.y - step * y, None if any_heading else heading, step / 4,
                         rules.turn_step / 2 - 1e-6)
@@ -127,7 +127,7 @@ def list_places(goal: GripGoal, state: RoomState, rules: Kinematics) -> Iterator
 
 
 def find_move(goal: GripGoal, state: RoomState, rules: Kinematics) -> int | None:
-    """The primitive that reaches a goal from its place; None if none does, as in another heading."""
+    """Primitive that reaches a goal from its place; None if none does, such as at a wrong heading."""
     if not goal.action.startswith("push-"):
         return rules.actions.find(goal.action)
     moves = (move for move in rules.actions.translations

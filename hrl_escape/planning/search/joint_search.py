@@ -1,4 +1,4 @@
-"""Whole escapes at once: one A* over poses and states of the puzzle, so that each leg ends where the rest is shortest.
+"""Joint search for whole escapes: one A* over poses and puzzle states, so that legs end where the rest is shortest.
 
 Options reach one goal after another, each with the fewest primitives, and so may end where the next
 leg is longer, or press in an order whose legs do not fit together. Here every state of the puzzle has a
@@ -30,16 +30,16 @@ from hrl_escape.planning.search import a_star
 __all__ = ["Fields", "JointSearch", "Presses"]
 
 MOST_PUZZLE_STATES = 64
-"""Puzzle states that get fields: all subsets of six buttons. A puzzle with more gets those along given orders."""
+"""Most puzzle states with fields: all subsets of six buttons. A puzzle with more has them along given orders only."""
 HEURISTIC_OFFSETS = (0, 2, 3, 5)
 """Primitives subtracted from the cost-to-go in each search: none for a quick plan, then some for shorter ones; the last
 two only where more effort is asked for."""
 NODES_A_SEARCH = 20_000
-"""Nodes that each search may expand."""
+"""Most nodes expanded by each search."""
 NODES_A_LEG = 2_000
-"""Nodes that the search for one leg may expand."""
+"""Most nodes expanded by the search for one leg."""
 MOST_FIELDS = 256
-"""Fields that are kept: those of four sets of puzzle states."""
+"""Most fields kept: those of four sets of puzzle states."""
 
 
 Fields: TypeAlias = dict[Hashable, NDArray[np.int16]]
@@ -88,10 +88,10 @@ class JointSearch:
 
         Args:
             state: first state; heading and joints are on their lattices.
-            order: an order of goals, whose puzzle states are looked at if the puzzle has more than fit.
+            order: an order of goals; its puzzle states are used if the puzzle has more than `MOST_PUZZLE_STATES`.
             most: plans of this many primitives or more are discarded.
             clock: time limit.
-            effort: 0, 1 or 2, to look further.
+            effort: 0, 1 or 2; higher values search longer.
             budget: search nodes that may be expanded.
 
         Returns:
@@ -114,7 +114,7 @@ class JointSearch:
 
         Args:
             state: first state, whatever its heading.
-            order: goals that are left, looked at if the puzzle has more states than fit.
+            order: goals that are left; used if the puzzle has more than `MOST_PUZZLE_STATES` states.
 
         Returns:
             The primitives; None if the fields lead nowhere from here.
@@ -141,7 +141,7 @@ class JointSearch:
         return self.rules.instance.puzzle.update(puzzle, Contacts((target,)))
 
     def _list_puzzle_states(self, begin: Hashable, order: Sequence[Goal]) -> list[Hashable]:
-        """All puzzle states that presses lead to, or those along an order if there are too many."""
+        """List the puzzle states reachable by presses, or those along an order if there are too many."""
         targets = range(len(self.rules.instance.targets))
         known, queue = {begin: None}, [begin]
         while queue and len(known) <= MOST_PUZZLE_STATES:
@@ -160,7 +160,7 @@ class JointSearch:
         return list(known)
 
     def get_fields(self, state: RoomState, order: Sequence[Goal], clock: Clock) -> Fields:
-        """Fields of the puzzle states ahead; those of the call before if it asked for the same."""
+        """Fields of the puzzle states ahead; those of the previous call if its states were the same."""
         key = (state.puzzle, tuple(order))
         if self._recent is None or self._recent[0] != key:
             if len(self._fields) > MOST_FIELDS:
@@ -208,7 +208,7 @@ class JointSearch:
         return self._shut.make_field(Seeds(np.concatenate(states), np.concatenate(costs), self._layers), clock=clock)
 
     def find_presses(self, state: RoomState, target: int) -> Presses:
-        """Poses from which one primitive presses a target; of the state only what no pose says is read."""
+        """Find the poses from which one primitive presses a target; the pose of the state itself is not read."""
         if target not in self._presses:
             maker, rules = self._shut, self.rules
             area = compute_goal_area(PressGoal(target), rules.instance)

@@ -64,7 +64,7 @@ Field: TypeAlias = NDArray[np.int16]
 
 
 class _Variant(NamedTuple):
-    """Variant of the search for one problem."""
+    """Variant of the search for one problem: grid, field, whether other targets are avoided, and method."""
 
     maker: FieldMaker
     field: Field
@@ -83,7 +83,7 @@ class PrimitiveSearch:
     """
 
     def __init__(self, instance: RoomInstance, kinematics: Kinematics | None = None) -> None:
-        """Prepare nothing yet; everything is computed on first use.
+        """Store the room; everything else is computed on first use.
 
         Args:
             instance: the room. Noise and slip are ignored; physics is planned as if kinematic.
@@ -204,7 +204,7 @@ class PrimitiveSearch:
                 problem = problem._replace(seed=seed, effort=effort)
                 result = self._solve(problem, method, planner, avoid, refine, budget_expansions)
                 if result.is_reached or problem.table is None or problem.table.complete_to == NEVER:
-                    break  # else the first table of an arm with many joints was not complete
+                    break  # otherwise the first table of an arm with many joints was incomplete
                 clock.check()
         except OutOfTime:
             result = dataclasses.replace(result, status=clock.reason)
@@ -227,7 +227,7 @@ class PrimitiveSearch:
 
     def make_problem(self, state: RoomState, goal: Goal, keep_out: tuple[Footprint, ...] = (),
                      clock: Clock = NO_LIMIT, thorough: bool = False) -> SearchProblem:
-        """State the problem of a search; `thorough` tables every posture of an arm with many joints."""
+        """Make the problem of a search; `thorough` tabulates every posture of an arm with many joints."""
         area = compute_goal_area(goal, self.instance)
         table = None
         if isinstance(goal, PressGoal) and self.instance.dynamics.press_with == "hand":
@@ -245,7 +245,7 @@ class PrimitiveSearch:
             return SearchResult(PlanningReason.START_INVALID, (), (state,), nearest=(x, y))
         if problem.table is not None and (problem.table.costs < 0).all():
             return SearchResult(PlanningReason.NO_POSTURE, (), (state,), nearest=(x, y))
-        escapes = isinstance(goal, ExitGoal) and self.instance.puzzle.is_solved(state.puzzle)  # takes a primitive
+        escapes = isinstance(goal, ExitGoal) and self.instance.puzzle.is_solved(state.puzzle)  # needs a primitive
         if not escapes and is_reached(goal, state, state, self.kinematics):
             return SearchResult("reached", (), (state,))
         return None
@@ -271,7 +271,7 @@ class PrimitiveSearch:
             run = SearchRun(problem, self.kinematics, maker, field, avoiding=avoiding,
                             headings=self.headings if offset == 0.0 else HeadingTable.make(self.kinematics, offset),
                             reacher=None if problem.table is None else self.reacher, frontiers=self.frontiers)
-            limit = (budget - spent) // 2 if avoiding else budget - spent  # leave some for a search without avoiding
+            limit = (budget - spent) // 2 if avoiding else budget - spent  # keep some for a search without avoiding
             ended, nodes = self._run_schedule(run, limit)
             spent += nodes
             if isinstance(ended, SearchResult):
@@ -317,7 +317,7 @@ class PrimitiveSearch:
         avoid = avoid and bool(others or (is_open and not isinstance(problem.goal, ExitGoal)))
         door_shut, state = not is_open, problem.state
         pose = state.x, state.y, self.kinematics.get_rotation(state.heading_steps, state.heading_offset)
-        if door_shut and not self.get_collision(True).does_fit(*pose):  # in the doorway a shut door does not block it
+        if door_shut and not self.get_collision(True).does_fit(*pose):  # the door lets a body in it out
             door_shut = not self.get_collision(False).does_fit(*pose)
         if method == "corridor":
             for maker in self._iterate_corridors(problem, door_shut, planner):
@@ -388,12 +388,12 @@ class PrimitiveSearch:
 
 
 def _get_floor(instance: RoomInstance) -> tuple:
-    """All that the grids of a room depend on, but for its solids."""
+    """Everything except solids on which the grids of a room depend."""
     robot = instance.robot
     return (instance.reach_x, instance.reach_y, instance.door, robot.outer_radius, robot.body_height, robot.actions,
             robot.turn_step_deg, instance.dynamics.press_margin, instance.dynamics.press_with)
 
 
 def _list_differences(before: Sequence[Solid], after: Sequence[Solid]) -> list[Solid]:
-    """Solids that only one of two rooms has."""
+    """Footprints of the solids that only one of two rooms has."""
     return [*(Counter(before) - Counter(after)), *(Counter(after) - Counter(before))]

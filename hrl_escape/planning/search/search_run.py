@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 __all__ = ["HeadingTable", "SearchProblem", "SearchResult", "SearchRun"]
 
-_SLICE = 5_000  # nodes between two looks at the clock
+_SLICE = 5_000  # nodes between two checks of the clock
 _NODES = 1 << 11
 MOST_PATHS = 4
 """Paths of the arm round solids that one search plans: each takes a tenth of a second or two."""
@@ -67,7 +67,7 @@ class SearchResult:
 
     @property
     def is_reached(self) -> bool:
-        """The primitives reach the goal."""
+        """True if the primitives reach the goal."""
         return self.status == "reached"
 
 
@@ -117,7 +117,7 @@ class HeadingTable(NamedTuple):
 
     @classmethod
     def make(cls, rules: Kinematics, heading_offset: float) -> HeadingTable:
-        """Compute the table for headings that lie beside the lattice by an offset, rad."""
+        """Compute the table for headings that are offset from the lattice, rad."""
         turns = np.array([rules.get_rotation(n, heading_offset) for n in range(rules.headings)])
         instance = rules.instance
         pressers = np.array([get_presser(PressGoal(i), instance).kind >= 0 for i in range(len(instance.targets))],
@@ -172,7 +172,7 @@ class SearchRun:
         self._completed.clear()
 
     def end(self) -> None:
-        """Give the memory back; only `restart` may follow."""
+        """Return the frontier to the pool; only `restart` may follow."""
         if self._frontier is not None:
             self._frontiers.give_back(self._frontier)
         self._frontier = None
@@ -257,7 +257,7 @@ class SearchRun:
     # --- candidates --------------------------------------------------------------------
 
     def _finish(self, node: int) -> SearchResult | None:
-        """Complete and replay a goal node; None if it is dropped, or put back because its true cost is higher."""
+        """Complete and replay a goal node; None if it is dropped, or put back at its true, higher cost."""
         primitives = self._completed.pop(node, None)
         if primitives is None:
             primitives = self._complete(node)
@@ -311,7 +311,7 @@ class SearchRun:
         return steps if steps is not None or not self._reacher.collide else self._plan_round(moves, joints, target)
 
     def _plan_round(self, moves: Sequence[int], joints: tuple[int, ...], target: int) -> tuple[int, ...] | None:
-        """Primitives to a press whose joint steps go round solids after the moves; few such paths are planned."""
+        """Primitives to a press by moves, then joint steps round solids; at most `MOST_PATHS` paths are planned."""
         assert self._reacher is not None
         others = ~(1 << target) if self._avoiding else 0
         end = self._reacher.move_base(self.problem.state, moves, others) if self._paths_left else None

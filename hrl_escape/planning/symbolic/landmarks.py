@@ -1,7 +1,7 @@
 """Landmarks of a symbolic model: facts that every plan makes true on its way to the goal, and their forced order.
 
-Exact for the delete relaxation, in which nothing that was true stops being so (Keyder, Richter and Helmert 2010, by the
-propagation of Zhu and Givan 2003). What an operator forbids counts as a fact of its own, which deletes make true.
+Exact for the delete relaxation, in which a true fact stays true (Keyder, Richter and Helmert 2010, by the
+propagation of Zhu and Givan 2003). A forbidden fact is a fact of its own, which deletes make true.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Literal: TypeAlias = tuple[str, bool]
 
 def find_landmarks(model: SymbolicModel, facts: frozenset[str], goal: Iterable[str] | None = None
                    ) -> Mapping[str, frozenset[str]] | None:
-    """Facts that do not hold and that every plan from here makes true.
+    """Find the facts that do not hold and that every plan from here makes true.
 
     Args:
         model: operators and propositions.
@@ -55,7 +55,7 @@ def find_landmarks(model: SymbolicModel, facts: frozenset[str], goal: Iterable[s
 
 
 def _split(operator: Operator) -> list[Operator]:
-    """The operator without conditional effects, and one for each of these."""
+    """Split an operator into one without conditional effects and one for each conditional effect."""
     parts = [dataclasses.replace(operator, preconditions=operator.preconditions | effect.condition,
                                  forbidden=operator.forbidden | effect.forbidden, add=effect.add, delete=effect.delete,
                                  when=()) for effect in operator.when]

@@ -61,15 +61,15 @@ class TaskPlan:
 
     @property
     def is_optimal(self) -> bool:
-        """No order of these legs is cheaper."""
+        """True if no order of these legs is cheaper."""
         return self.cost <= self.lower_bound
 
 
 def find_relevant_operators(model: SymbolicModel, goal: Iterable[str] | None = None) -> tuple[Operator, ...]:
-    """Operators relevant to a goal; without the others it can be reached from the same facts, by no longer a plan.
+    """Operators relevant to a goal: leaving out the others changes neither its reachability nor the shortest plan.
 
-    Wanted are the goal's facts, and what a relevant operator needs: facts that must hold, facts that must not. An
-    operator is relevant if it brings about something wanted. Nothing is wanted for its own opposite: an operator that
+    The wanted facts are the goal's and those a relevant operator needs: facts that must hold, facts that must not. An
+    operator is relevant if it makes a wanted fact true. No fact is wanted for its own opposite: an operator that
     lights a lamp asks that it be dark, but a lit lamp need not be put out for that.
     """
     wanted = {(fact, True) for fact in (model.goal if goal is None else goal)}
@@ -180,7 +180,7 @@ class TaskSearch:
         return [n for n, op in enumerate(self._coded) if op.needs & ~facts == 0 and not op.forbids & facts]
 
     def _estimate(self, facts: int) -> float:
-        """Lower bound of the primitives still to come, from operators that nothing can replace."""
+        """Lower bound of the remaining primitives, from operators that no other can replace."""
         known = self._estimates.get(facts)
         if known is None:
             pending: set[int] = set()
@@ -245,7 +245,7 @@ class TaskSearch:
                     heapq.heappush(heap, (total, next(tie), total, then, n, leg.place, (trail, n, leg)))
                 elif total < best.get((then, n), math.inf):
                     best[then, n] = total
-                    least = max(bound, total + self._estimate(then))  # no cheaper than what led here
+                    least = max(bound, total + self._estimate(then))  # at least the bound of its parent
                     heapq.heappush(heap, (least, next(tie), total, then, n, leg.place, (trail, n, leg)))
         return None
 
@@ -296,7 +296,7 @@ class TaskSearch:
 
     def _search_beam(self, begin: int, place: Any, extend: ExtendLeg, bound: float, searched: int,
                      width: int) -> TaskPlan | None:
-        """Keep the most promising `width` after every operator; the best complete order wins."""
+        """Beam search: keep the `width` most promising orders after every operator; returns the best complete ones."""
         layer: list[tuple[float, float, int, int, Any, Any]] = [(0.0, 0.0, begin, -1, place, None)]
         finished: tuple[float, Any] | None = None
         for _ in range(4 * len(self.operators) + 1):

@@ -138,7 +138,7 @@ def solve_pddl(instance: RoomInstance, state: RoomState | None = None, engine: s
     """
     model = instance.symbolic_model
     if state is not None and model.goal <= instance.puzzle.symbolic.get_facts(state.puzzle):
-        read_problem(*export_pddl(instance, state))  # says if the extra is missing
+        read_problem(*export_pddl(instance, state))  # raises if the extra is missing
         return ()
     plan, status = run_engine(read_problem(*export_pddl(instance, state)), engine, time_limit)
     if plan is None:
@@ -163,7 +163,7 @@ def read_problem(domain: str, problem: str) -> Any:
         from unified_planning.shortcuts import get_environment
     except ImportError:
         raise MissingExtraError("unified-planning", "pddl", "solving PDDL") from None
-    get_environment().credits_stream = None  # else it prints a banner
+    get_environment().credits_stream = None  # otherwise it prints a banner
     return PDDLReader().parse_problem_string(domain, problem)
 
 
