@@ -1,4 +1,4 @@
-"""Best return within reach of given options alone, without noise, slip and physics.
+"""Best return attainable with given options alone, without noise, slip and physics.
 
 A search over sequences of options, each run to its end by the room's kinematics. The difference
 from `hrl_escape.planning.best_known` is the option gap.
@@ -42,7 +42,7 @@ def best_return_with_options(instance: RoomInstance, options: str | Sequence[Opt
 
 
 def find_best_with_options(instance: RoomInstance, state: RoomState, options: str | Sequence[Option]) -> BestKnown:
-    """Find the best return from one state with options alone; one that beats the best known is taken over there.
+    """Find the best return from one state with options alone; one above the best known return is recorded there.
 
     Args:
         instance: the room.
@@ -109,7 +109,7 @@ def simulate(option: Option, state: RoomState, rules: Kinematics, most: int) -> 
             here, count = step.state, count + 1
             if step.terminated:
                 escaped = rules.has_escaped(here)
-                return here, count if escaped else 0, escaped  # what fails the puzzle leads nowhere
+                return here, count if escaped else 0, escaped  # a failed puzzle has no continuation
             if run.ends_at(here):
                 break
     except PlanningFailed:

@@ -1,4 +1,4 @@
-"""Closed-loop execution: meta-actions towards a goal, chosen anew after each from the state reached.
+"""Closed-loop execution: meta-actions towards a goal, each chosen from the state reached.
 
 A `Plan` is a fixed sequence. Closed-loop execution also works under noise, slip and physics, and
 for puzzles that take pushes.
@@ -22,7 +22,7 @@ from hrl_escape.planning.planner import RoomPlanner, get_planner
 __all__ = ["ClosedLoopExecution", "pursue"]
 
 MOST_FAILURES = 5
-"""Failures in a row after which execution stops."""
+"""Consecutive failures after which execution stops."""
 
 
 @dataclasses.dataclass(frozen=True)

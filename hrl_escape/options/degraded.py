@@ -88,7 +88,7 @@ class DegradedOption(Option):
         return self.degradation.draw(self.name, purpose, state.noise_key, state.primitives)
 
     def initiation(self, state: RoomState) -> bool:
-        """Possible wherever the other option may start; nowhere if it is missing."""
+        """True wherever the other option may start; false everywhere if it is missing."""
         return not self._is_missing and self.inner.initiation(state)
 
     def start(self, state: RoomState) -> None:
@@ -110,7 +110,7 @@ class DegradedOption(Option):
             self.inner.start(state)
         finally:
             self.report.add(self.inner.report)
-            self.inner.report = self.report  # from now on it reports to this one
+            self.inner.report = self.report  # from now on its planning counts in this option's report
 
     def policy(self, state: RoomState) -> OptionAction:
         """Follow the other option; a detour is no function of the state, so `sample_action` makes it."""

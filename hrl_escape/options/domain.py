@@ -1,7 +1,7 @@
-"""Domains: an environment as its options see it. One for any Gymnasium environment, one for rooms.
+"""Domains: the view of an environment that options have. One for any Gymnasium environment, one for rooms.
 
-`OptionsEnv` asks its domain for the state that options see, for the names of the primitives, and for what this kind of
-environment adds to `info`. Derive from `OptionDomain` to show options more than the observation.
+`OptionsEnv` gets from its domain the state that options see, the names of the primitives, and the entries that this
+kind of environment adds to `info`. Derive from `OptionDomain` to show options more than the observation.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class DomainStep(NamedTuple):
     """One step of the wrapped environment inside a decision.
 
     Attributes:
-        action: what was done.
-        state: what options saw before.
-        next_state: what they see after.
+        action: action that the wrapped environment took.
+        state: state that options saw before it.
+        next_state: state that they see after it.
         observation: of the wrapped environment, after.
         rewards: one a primitive; one, unless the wrapped environment has options itself.
         info: of the wrapped environment, after.
@@ -62,7 +62,7 @@ class RoomEnv(Protocol):
 
 @runtime_checkable
 class OptionLevel(Protocol):
-    """Environment of options, as another one above it sees it.
+    """Interface of an environment of options to one above it.
 
     Attributes:
         action_names: names of its actions, in their order.
@@ -104,11 +104,11 @@ class OptionDomain:
 
     @property
     def subject(self) -> Any:
-        """Argument of a function that makes options."""
+        """Argument for a function that makes options: the environment itself."""
         return self.env
 
     def has_left(self, subject: Any) -> bool:
-        """Return whether the options of a former subject must be made anew."""
+        """Return whether the subject has changed, so that its options must be made anew."""
         del subject
         return False
 
@@ -210,7 +210,7 @@ class OptionDomain:
         return None if seed is None else [seed, TERMINATIONS, *([self.level] if self.level else [])]
 
     def inform(self, info: dict[str, Any], steps: Sequence[DomainStep], option: Option | None) -> None:
-        """Add what this kind of environment tells of a decision; nothing here.
+        """Add the entries of this kind of environment to a decision's `info`; none here.
 
         Args:
             info: of the decision, changed in place; of a reset where there are no steps.
@@ -220,7 +220,7 @@ class OptionDomain:
 
 
 class RoomDomain(OptionDomain):
-    """A room: options see its full state, are made for its instance, and are told which targets were pressed.
+    """Domain of a room: options see its full state and are made for its instance; `info` lists the pressed targets.
 
     Raises:
         UnsupportedError: a wrapper below changed the action space.

@@ -1,4 +1,4 @@
-"""One decision from the inside: an option runs, primitives are stepped, and everything is recorded.
+"""Execution of one decision: an option runs, primitives are stepped, and rewards and calls are recorded.
 
 `OptionsEnv` turns these records into an SMDP transition. Nothing here knows action numbers,
 masks or discounts.
@@ -32,7 +32,7 @@ class OptionCall(NamedTuple):
         state: state where it began.
         next_state: state where it ended.
         rewards: one a primitive.
-        ended: as in `info["option"]`; an option that its caller took down with it ended as its caller did.
+        ended: as in `info["option"]`; an option ended by its caller's end has the caller's ending.
     """
 
     name: str
@@ -49,7 +49,7 @@ class OptionCall(NamedTuple):
 
 
 class _Frame(NamedTuple):
-    """A running option: where it began, and after how many primitives."""
+    """A running option with the state and primitive count at its start."""
 
     option: Option
     state: Any
@@ -125,7 +125,7 @@ class OptionExecution:
             self._close(state, ended)
 
     def collect(self) -> tuple[OptionCall, ...]:
-        """Runs that ended since the last call of this, innermost first."""
+        """Return the runs that ended since the last call, innermost first."""
         ended, self._ended = tuple(self._ended), []
         return ended
 
@@ -134,7 +134,7 @@ class OptionExecution:
         self._ended.append(OptionCall(option.name, len(self._stack), first, state, tuple(self.rewards[begin:]), ended))
 
     def take_report(self) -> PlanningReport:
-        """Planning of the option and of all options nested in it, since the last call of this."""
+        """Return the planning report of the option and all options nested in it, since the last call."""
         total = PlanningReport()
         total.add(self._finished)
         for frame in self._stack:
@@ -157,7 +157,7 @@ class RunningDecision:
 
     @property
     def is_over(self) -> bool:
-        """The episode has ended."""
+        """True once the episode has ended."""
         return self.terminated or self.truncated
 
     def do(self, action: Any) -> tuple[float, ...]:

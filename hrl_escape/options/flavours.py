@@ -3,5 +3,5 @@
 __all__ = ["FLAVOURS"]
 
 FLAVOURS = ("press", "press-with-ancestors", "press-markov")
-"""Kinds of meta-actions: press one target only, or first whatever must be pressed before it, or one target by a policy
-that is a function of the state."""
+"""Kinds of meta-actions: press one target only, or its ancestors first, or press it by a policy that is a function of
+the state."""

@@ -1,7 +1,7 @@
-"""Options of what an agent learned: the tasks of a hierarchy, the ways to subgoals, macros, or its whole policy.
+"""Options from a trained agent: the tasks of a hierarchy, the ways to subgoals, macros, or its whole policy.
 
-An agent gives its policies as data, by `get_options`; here each becomes an `Option`. No agent is loaded: what one must
-offer is said by protocols.
+An agent gives its policies as data, by `get_options`; here each becomes an `Option`. No agent is imported: protocols
+state what one must offer.
 """
 
 from __future__ import annotations
@@ -39,12 +39,12 @@ class GivenPolicy(Protocol):
 
     @property
     def name(self) -> str:
-        """Unique among the agent's."""
+        """Name, unique among the agent's policies."""
         ...
 
     @property
     def agent(self) -> Any:
-        """The agent, by whose state runs over this option are recognised."""
+        """The agent, whose state identifies runs over this option."""
         ...
 
     @property
@@ -54,23 +54,23 @@ class GivenPolicy(Protocol):
 
     @property
     def can_start(self) -> Callable[[Any, NDArray[np.bool_]], bool]:
-        """Tells whether it may start, by observation and action mask."""
+        """Function of observation and action mask: whether it may start there."""
         ...
 
     @property
     def is_markov(self) -> bool:
-        """Choice and end are functions of observation and action mask."""
+        """True if choice and end are functions of observation and action mask."""
         ...
 
     @property
     def origin(self) -> Mapping[str, Any]:
-        """Run in which it was learned."""
+        """Run in which it was learned: `agent`, `run`, `seed`, `primitives`."""
         ...
 
 
 @runtime_checkable
 class TeachingAgent(Protocol):
-    """Agent that gives what it learned; those of `hrl_escape.agents` do."""
+    """Agent that offers its learned policies, as those of `hrl_escape.agents` do."""
 
     def get_options(self) -> Sequence[GivenPolicy]:
         """Policies that the trained agent teaches as options, in its own order."""
@@ -78,7 +78,7 @@ class TeachingAgent(Protocol):
 
 
 class AgentOption(Option):
-    """Option by a policy that an agent learned.
+    """Option that follows a policy of a trained agent.
 
     Args:
         learned: the policy.
@@ -108,7 +108,7 @@ class AgentOption(Option):
         return state if self._observe is None else self._observe(state), find_legal(self._legal, state)
 
     def _get_run(self) -> GivenRun:
-        """The present run; of a policy that is a function of the state, any."""
+        """Return the present run; a policy that is a function of the state can use any run."""
         if self._run is None or self.is_markov:
             self._run = self._learned.begin()
         return self._run
@@ -122,7 +122,7 @@ class AgentOption(Option):
         check_legal(self.name, self._legal, state, count)
 
     def initiation(self, state: Any) -> bool:
-        """Ask the policy; where `until` is certain it may not start."""
+        """Ask the policy; false where `until` is certain to end it."""
         return bool(self._learned.can_start(*self._look(state))) and (self._until is None or self._until(state) < 1.0)
 
     def start(self, state: Any) -> None:
@@ -169,11 +169,11 @@ def make_learned_options(
     until: Callable[[Any], float] | None = None,
     prefix: str = "",
 ) -> tuple[AgentOption, ...]:
-    """Make options of all that an agent learned.
+    """Make options of all policies that an agent has learned.
 
     Of a hierarchical agent these are its tasks, goals, orders, machines or macros, each until it is over; of any other
-    agent its greedy policy, under the name `policy`, which ends where `until` says so and nowhere else. An option acts
-    by what the agent knows at that moment: go on training it elsewhere only after a copy.
+    agent its greedy policy, under the name `policy`, which ends where `until` says so and nowhere else. An option uses
+    the agent's present knowledge: copy the agent before you train it further.
 
     Args:
         agent: a trained agent, as `train` and `load_agent` return it.
@@ -184,7 +184,7 @@ def make_learned_options(
         prefix: put before every name, to tell the options of several agents apart.
 
     Raises:
-        OptionError: it is no agent that could give anything, gives nothing, or `legal` is neither a number nor a
+        OptionError: it is no such agent, has no policies to give, or `legal` is neither a number nor a
             function.
     """
     if not isinstance(agent, TeachingAgent):

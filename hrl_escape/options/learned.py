@@ -1,6 +1,6 @@
 """Options whose policy was learned: by an agent of this package, by Stable-Baselines3, or by any function.
 
-Nothing here loads an agent or Stable-Baselines3: what a policy must offer is said by two protocols.
+No agent or Stable-Baselines3 is imported here: two protocols state what a policy must offer.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ class TrainedAgent(Protocol):
 
 @runtime_checkable
 class PredictingModel(Protocol):
-    """Model of Stable-Baselines3, or of anybody with its `predict`."""
+    """Model of Stable-Baselines3, or any other with its `predict`."""
 
     def predict(self, observation: Any, *, deterministic: bool = False) -> tuple[Any, Any]:
-        """Action and the policy's memory."""
+        """Return the action and the policy's memory."""
         ...
 
 
@@ -128,7 +128,7 @@ class _LearnedPolicy:
         return self
 
     def describe(self) -> Mapping[str, Any]:
-        """Learned part and the way it is asked; of a model, its network."""
+        """Learned part and its settings, for the identity of a run; of a model, its network."""
         network = getattr(self.learned, "policy", None) if isinstance(self.learned, PredictingModel) else None
         return {"learned": self.learned if network is None else network, "observe": self.observe, "legal": self.legal,
                 "is_stochastic": self._is_stochastic}

@@ -1,6 +1,6 @@
 """Memory of an episode's decisions, as further numbers in the rows of the observation `objects`.
 
-Which button depends on which is hidden, so an agent that sees the present alone cannot know what it has tried. This
+The dependencies between buttons are hidden, so an agent that sees only the present cannot know what it has tried. This
 wrapper writes it beside each object: a summary of all decisions so far that is enough for puzzles without chance.
 """
 
@@ -23,7 +23,7 @@ MEMORY_WORDS = ("failed", "recent", "rank")
 
 
 class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
-    """Appends to each object's row what the decisions of this episode have shown of it.
+    """Appends to each object's row a summary of the episode's decisions about it.
 
     | word | meaning |
     |---|---|
@@ -59,7 +59,7 @@ class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
 
     def _forget(self) -> None:
         rows = self._shape[0]
-        self._failures: dict[bytes, NDArray[np.bool_]] = {}  # by what is lit
+        self._failures: dict[bytes, NDArray[np.bool_]] = {}  # failures by the set of lit objects
         self._since, self._ranks = np.full(rows, np.inf), np.zeros(rows)
         self._shown = np.zeros(rows, dtype=np.bool_)
 
@@ -71,7 +71,7 @@ class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
         return self._remember(observation), info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Decide, and remember what came of it."""
+        """Run a decision, and remember its outcome."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         before, after = self._shown, self._read_lit(observation)
         self._since += 1
@@ -85,7 +85,7 @@ class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
         return self._remember(observation), reward, terminated, truncated, info
 
     def _read_lit(self, observation: NDArray[Any]) -> NDArray[np.bool_]:
-        """Lit objects, bool (rows,)."""
+        """Read from an observation which objects are lit, bool (rows,)."""
         rows, words = self._shape
         return observation[: rows * words].reshape(rows, words)[:, self._lit] > 0.5
 

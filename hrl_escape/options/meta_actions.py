@@ -27,7 +27,7 @@ __all__ = ["AncestorsOption", "MarkovOption", "PlannedOption", "list_goals", "ma
 PATIENCE = 40
 """Primitives without progress after which an option fails; more where primitives slip."""
 JAM, SHAKE = 8, 3
-"""Under physics: primitives without progress that count as a jam, and random primitives of the first shake."""
+"""Under physics: primitives without progress that count as a jam, and the random primitives of the first shake."""
 
 
 class PlannedOption(Option):
@@ -53,7 +53,7 @@ class PlannedOption(Option):
         self._jam = math.ceil(JAM / (1.0 - slip)) if is_rigid else self._patience + 2  # never jams
 
     def initiation(self, state: RoomState) -> bool:
-        """Possible unless the goal is reached already or planning from here is known to fail."""
+        """True unless the goal is reached already or planning from here is known to fail."""
         return self._planner.routes.can_start(state, self.goal)
 
     def start(self, state: RoomState) -> None:
@@ -138,7 +138,7 @@ class MarkovOption(Option):
     Args:
         name: stable name.
         planner: the room's planner.
-        goal: goal of the option; not a push, which a state does not tell from the one before it.
+        goal: goal of the option; not a push, whose completion one state alone does not show.
     """
 
     is_markov = True
@@ -148,10 +148,10 @@ class MarkovOption(Option):
         self.instance, self.goal = planner.instance, goal
         self.targets = (goal.target,) if isinstance(goal, (PressGoal, GripGoal)) else ()
         self._planner = planner
-        self._settings = planner.routes.settings._replace(effort=-1)  # a better one is found from the next state on
+        self._settings = planner.routes.settings._replace(effort=-1)  # a shorter route may be found from the next state
 
     def initiation(self, state: RoomState) -> bool:
-        """Possible where a route leads to the goal, and it is not reached already."""
+        """True where a route leads to the goal, and the goal is not reached already."""
         if not self._planner.routes.can_start(state, self.goal):
             return False
         try:
@@ -204,7 +204,7 @@ class AncestorsOption(Option):
         self._part = parts[goal]
 
     def initiation(self, state: RoomState) -> bool:
-        """Possible wherever the goal's own option may start, or doors shut the way; the order is found at the start."""
+        """True wherever the goal's own option may start, or doors block the way; the order is found at the start."""
         return self._parts[self.goal].initiation(state) or not is_way_open(self._planner.rules, state, self.goal)
 
     def start(self, state: RoomState) -> None:
@@ -219,19 +219,19 @@ class AncestorsOption(Option):
         return self._part
 
     def termination(self, state: RoomState) -> float:
-        """1 after the last part."""
+        """Return 1 after the last part, else 0."""
         return float(not self._order)
 
 
 class AbsentOption(Option):
-    """The option of a target that other instances of the schematic have and this one has not: always masked."""
+    """Option of a target that this instance lacks and others of the schematic have: always masked."""
 
     def initiation(self, state: RoomState) -> bool:
         """Always false: the option is never available."""
         return False
 
     def policy(self, state: RoomState) -> OptionAction:
-        """Refuse: nothing starts this option."""
+        """Raise `OptionError`, as this option can never start."""
         raise OptionError(f"option {self.name!r} belongs to a target that this room does not have")
 
     def termination(self, state: RoomState) -> float:

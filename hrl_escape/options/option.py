@@ -34,7 +34,7 @@ class Option(ABC):
 
     Attributes:
         name: stable name; a verb phrase or `meta-NN`.
-        is_markov: policy and termination are functions of the state alone.
+        is_markov: true if policy and termination are functions of the state alone.
         instance: the room that the option was made for; None if it suits any.
         targets: indices of the targets it means to press; None if it makes no promise. All other targets that
             it presses are listed in `info["option"]["also_pressed"]`.
@@ -116,7 +116,7 @@ class ScriptedOption(Option):
         return action
 
     def termination(self, state: Any) -> float:
-        """1 after the last primitive."""
+        """Return 1 after the last primitive, else 0."""
         return float(self._done >= len(self.actions))
 
 
@@ -144,7 +144,7 @@ class FunctionOption(Option):
         self._policy, self._termination, self._initiation = policy, termination, initiation
 
     def initiation(self, state: Any) -> bool:
-        """Ask the given function; without one, any state will do."""
+        """Ask the given function; true everywhere without one."""
         return self._initiation is None or bool(self._initiation(state))
 
     def policy(self, state: Any) -> Any:
@@ -166,7 +166,7 @@ class FunctionOption(Option):
         return float(self._termination(state))
 
     def describe(self) -> Mapping[str, Any]:
-        """Functions by which a run over this option is recognised."""
+        """Functions that identify a run over this option."""
         return {"policy": self._policy, "termination": self._termination, "initiation": self._initiation,
                 "is_stochastic": self.is_stochastic}
 
@@ -212,7 +212,7 @@ class TableOption(Option):
             (state for state in self._actions if self.termination(state) < 1.0) if initiation is None else initiation)
 
     def initiation(self, state: Any) -> bool:
-        """Look the state up."""
+        """True for a state in the table of the initiation set."""
         return _make_key(state) in self._starts
 
     def policy(self, state: Any) -> Any:
@@ -237,13 +237,13 @@ class TableOption(Option):
         return self._beta.get(_make_key(state), 1.0)
 
     def describe(self) -> Mapping[str, Any]:
-        """Tables by which a run over this option is recognised."""
+        """Tables that identify a run over this option."""
         return {"policy": _list_entries(self._rows or self._actions), "termination": _list_entries(self._beta),
                 "initiation": sorted(map(repr, self._starts))}
 
 
 def _make_table(values: Mapping[Any, Any] | Sequence[Any] | NDArray[Any]) -> dict[Any, Any]:
-    """Mapping of a mapping or of values by number."""
+    """Convert a mapping, or values by number of the state, to a dict with hashable keys."""
     entries: Iterable[tuple[Any, Any]] = values.items() if isinstance(values, Mapping) else enumerate(values)
     return {_make_key(state): value for state, value in entries}
 

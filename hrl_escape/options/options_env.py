@@ -142,8 +142,8 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             options if options is not None else self._domain.make_default_options(flavour, planner))
         self._calls = self._hits = 0
         self._run: OptionExecution | None = None
-        self._observation: Any = None  # the wrapped environment's, at the present state
-        self._shown: Any = None  # the same as the agent saw it
+        self._observation: Any = None  # of the wrapped environment, at the present state
+        self._shown: Any = None  # the same, as the agent saw it
         self._can_step = False
         self._rng: np.random.Generator | None = None
         self._subject = self._domain.subject

@@ -149,7 +149,7 @@ class PushOption(Option):
         self._place = PoseGoal(0.0, 0.0)
 
     def initiation(self, state: RoomState) -> bool:
-        """Possible if the prop is not there yet and there is a way to push it."""
+        """True if the prop is not there yet and there is a way to push it."""
         return self.termination(state) == 0.0 and math.isfinite(self._field.get_cost(*self._get_place(state)))
 
     def start(self, state: RoomState) -> None:
@@ -181,7 +181,7 @@ class PushOption(Option):
         return self._drive(state, push)
 
     def _find_push(self, state: RoomState) -> _Push | None:
-        """Best next push: round all other blocks if it can be, else at least round those that are done."""
+        """Best next push: round all other blocks if possible, else at least round those already in place."""
         for others in (list_blocks(state, self._room, without=self.goal.prop),
                        list_blocks(state, self._room, without=self.goal.prop, only_done=True), ()):
             push = self._field.find_push(*self._get_place(state), self._planner.rules.headings, others)
@@ -190,7 +190,7 @@ class PushOption(Option):
         return None
 
     def _find_pusher(self, state: RoomState, push: _Push) -> int | None:
-        """Translation that makes the push from the base's present place; None if none does."""
+        """Translation that makes the push from the base's present place, by its action number; None if none does."""
         heading = self._planner.rules.get_heading(state)
         dx, dy = push.block[0] - state.x, push.block[1] - state.y
         actions = self._planner.rules.actions

@@ -1,6 +1,6 @@
 """Skills of a finer grain than meta-actions: `go-to(pose)`, `reach(target)`, `press(target)`.
 
-They nest: to press is to go to a place from which the target can be reached, and then to reach.
+They nest: a press goes to a place from which the target can be reached, and then reaches.
 With an arm the last part is joint steps alone; without one it is the primitive that touches.
 """
 
@@ -19,7 +19,7 @@ from hrl_escape.planning.planner import RoomPlanner
 __all__ = ["PressOption", "ReachOption", "make_go_to", "make_press", "make_reach"]
 
 ARRIVAL, ARRIVAL_NOISE = 0.02, 3.0
-"""Tolerance of a place: at least so many metres, and so many standard deviations of a move's noise."""
+"""Tolerance of a place: at least this many metres, and this many standard deviations of a move's noise."""
 REMEMBERED = 10_000
 
 
@@ -92,7 +92,7 @@ class ReachOption(Option):
         return self._find(state._replace(primitives=0, noise_key=0, physics=None))
 
     def initiation(self, state: RoomState) -> bool:
-        """Possible if some posture touches the target and the hand does not touch it yet."""
+        """True if some posture touches the target and the hand does not touch it yet."""
         return not state.touching >> self._target & 1 and bool(self._get_steps(state))
 
     def policy(self, state: RoomState) -> int:
@@ -149,5 +149,5 @@ class PressOption(Option):
         return PoseGoal(state.x, state.y, rules.get_heading(state), away, turned)
 
     def termination(self, state: RoomState) -> float:
-        """1 after the last part."""
+        """Return 1 after the last part, else 0."""
         return float(self._is_last)

@@ -14,7 +14,7 @@ from hrl_escape.options.option import Option
 __all__ = ["MetaSource", "OptionsSource", "make_options"]
 
 OptionsSource: TypeAlias = Sequence[Option] | Callable[[Any], Sequence[Option]]
-"""Options, or a function that makes them of a room's instance, or of any other environment itself."""
+"""Options, or a function that makes them for a room's instance, or for any other environment."""
 
 
 def make_options(source: OptionsSource, subject: Any) -> tuple[Option, ...]:

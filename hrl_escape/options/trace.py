@@ -1,4 +1,4 @@
-"""The trace of a decision: its steps as an agent at this level would have seen them, for intra-option learning."""
+"""Trace of a decision: its steps as an agent at this level would have seen them, for intra-option learning."""
 
 from __future__ import annotations
 

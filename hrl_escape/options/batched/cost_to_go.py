@@ -42,7 +42,7 @@ __all__ = [
 ]
 
 MOST_BYTES = 512_000_000
-_MOST_VALUES = 8_000_000  # of all fields of an instance pressed by hand
+_MOST_VALUES = 8_000_000  # largest size of all fields of an instance pressed by hand
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -71,12 +71,12 @@ class InstanceFields:
 
 
 class Postures(NamedTuple):
-    """Postures that press the targets of all instances by hand; without any where the body presses.
+    """Postures that press the targets of all instances by hand; empty where the body presses.
 
     Attributes:
         steps: joint steps from home, int32 (joints, postures, targets, instances).
         hands: hand in the base frame, m, float32 (3, postures, targets, instances).
-        shifts: what is between this hand and the one of the posture's field, m, float32 (2, postures, targets,
+        shifts: offset of this hand from the one of the posture's field, m, float32 (2, postures, targets,
             instances).
         fields: number of this field, int64 (postures, targets, instances).
     """
@@ -91,7 +91,7 @@ class CostFields(NamedTuple):
     """Fields of all instances of a batch, as tensors on its device; the last axis is the instance.
 
     Attributes:
-        values: all fields, one after the other, two int16 in each int32 (numbers / 2,), for compilers load no vectors
+        values: all fields, one after the other, two int16 in each int32 (numbers / 2,), as compilers load no vectors
             of int16.
         begins: index in `values` of the start of each field, int64 (fields, instances).
         scales: primitives per unit of `values`, float32 (fields, instances).
@@ -117,7 +117,7 @@ _LOCK = threading.Lock()
 
 
 def check_presses(instance: RoomInstance) -> None:
-    """Check that presses and the exit are all that there is to do in a room.
+    """Check that a room needs nothing but presses and the exit.
 
     Raises:
         UnsupportedError: things are gripped or pushed, or stand behind inner doors, or the base is no disc.
@@ -135,7 +135,7 @@ def compute_instance_fields(instance: RoomInstance) -> InstanceFields:
     """Compute the fields of an instance, some tenths of a second, once; later calls find them by its id.
 
     Raises:
-        UnsupportedError: targets of this room are asked to be gripped, or behind inner doors; or the base is
+        UnsupportedError: targets of this room are gripped, or lie behind inner doors; or the base is
             no disc.
     """
     check_presses(instance)
@@ -187,7 +187,7 @@ def stack_fields(instances: Sequence[RoomInstance], device: torch.device) -> Cos
     most = max(2 * len(instances[0].frame.target_names) + 1, *(len(fields.values) for fields in each))
 
     def pad(fields: InstanceFields) -> list[int]:
-        """Numbers of a room's fields; those that only fill up the table are that of the exit."""
+        """Indices of a room's fields; those that only pad the table point to the exit's field."""
         last = len(fields.values) - 1
         return [*range(last), *[last] * (most - last)]
 

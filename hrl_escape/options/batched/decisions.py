@@ -19,11 +19,11 @@ ENDINGS = ("reached", "timeout", "episode-over", "planning-failed", "interrupted
 PLAN_LENGTH = 64
 """Longest plan that a room keeps, primitives."""
 ORDER_LENGTH = 16
-"""Most goals of one option that a room keeps; of a longer order it asks for the rest when these are reached."""
+"""Most goals of one option that a room keeps; it asks for the rest of a longer order once these are reached."""
 CHOSEN = 4
-"""Postures that a hand keeps to choose among on its way to a target."""
+"""Number of candidate postures that a hand keeps on its way to a target."""
 NOT_ASKED = -1
-"""Stands for a goal that the planner has to choose: the next one of an option that presses ancestors first."""
+"""Stands for a goal that the planner must still choose: the next one of an option that presses ancestors first."""
 
 
 class Transitions(NamedTuple):
@@ -77,16 +77,16 @@ class OpenDecisions(NamedTuple):
         pressed: bits of the targets pressed so far, int64.
         option: action of the option that runs, or was interrupted and may be continued, int64; -1 for none.
         run: primitives of its run so far, interruptions included, int32.
-        goal: target that it is after, the number of targets for the exit, or `NOT_ASKED`, int64.
-        age: primitives since it is after this goal, int32.
-        postures: those that a hand may press it in, int64 (`CHOSEN`, rooms).
+        goal: target of the option, the number of targets for the exit, or `NOT_ASKED`, int64.
+        age: primitives since it took up this goal, int32.
+        postures: candidate postures for a press by hand, int64 (`CHOSEN`, rooms).
         order: goals to follow, or `NOT_ASKED` to ask again, aligned to the end, int8 (`ORDER_LENGTH`, rooms).
-        order_left: how many, int32.
+        order_left: number of goals left in `order`, int32.
         least: lowest cost-to-go that the option has met, float32.
         stalled: primitives since then, int32.
         cells: cells of the last choices, int64 (memory, rooms).
         costs: cost-to-go found there, float32 (memory, rooms).
-        plan: primitives to follow where the field led nowhere, aligned to the end, int8 (`PLAN_LENGTH`, rooms).
+        plan: primitives to follow where the field made no progress, aligned to the end, int8 (`PLAN_LENGTH`, rooms).
         plan_left: primitives of the plan still to run, int32.
     """
 

@@ -21,7 +21,7 @@ _MASK = 0xFFFFFFFF
 
 
 def name_options(targets: int) -> tuple[str, ...]:
-    """Names of the batched options of rooms with so many targets, in the order of their actions."""
+    """Names of the batched options of rooms with a number of targets, in the order of their actions."""
     return (*(f"meta-{n + 1:02d}" for n in range(targets)), "meta-exit")
 
 

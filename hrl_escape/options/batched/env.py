@@ -63,7 +63,7 @@ class BatchedOptionsEnv:
 
     Actions are those of `OptionsEnv` on the same instance, with the same numbers, names and masks: primitives
     (unless `include_primitives` is false), `meta-01` to `meta-NN`, `meta-exit`. `OptionsEnv` follows plans; options
-    here are greedy on cost-to-go fields, computed once an instance, and ask the planner only where these lead
+    here are greedy on cost-to-go fields, computed once per instance, and ask the planner only where these lead
     nowhere. They reach the same goals in about as many primitives. A press by hand weighs base against joints: it
     goes where the hand touches the target in one of 64 postures, by the least sum of what base and arm have left.
 
@@ -143,7 +143,7 @@ class BatchedOptionsEnv:
         self.room = TensorRoom(collect_instances(config, instance, instance_seed, num_instances), num_envs,
                                observation=observation, autoreset="disabled", resample=resample_instance, device=device)
         self.count, self.device, self.gamma = num_envs, self.room.device, float(discount)
-        if degradation != OptionDegradation(flavour=degradation.flavour):  # its draws go by each episode's key
+        if degradation != OptionDegradation(flavour=degradation.flavour):  # draws depend on the episode's key
             self.room.layout = dataclasses.replace(self.room.layout, draws=True)
         layout = self.room.layout
         for room in self.room.instances:
@@ -291,7 +291,7 @@ class BatchedOptionsEnv:
         self._view, self._running = AgentView(**take(state["view"])), OpenDecisions(**take(state["running"]))
 
     def _plan(self, view: AgentView, running: OpenDecisions, action: Tensor) -> OpenDecisions:
-        """Ask for orders, choose postures, and plan for the rooms whose greed has made no progress."""
+        """Ask for orders, choose postures, and plan for the rooms whose greedy policy has made no progress."""
         settings, layout = self._settings, self.room.layout
         if settings.interruptible or settings.has_ancestors or self._chooser is not None:
             running = begin_decisions(layout, settings, running, self.is_waiting & (action >= 0), action,
@@ -326,7 +326,7 @@ class BatchedOptionsEnv:
 
 
 def _read_options(options: OptionDegradation | None, flavour: str) -> OptionDegradation:
-    """Degradation of the options that are asked for, with their flavour.
+    """Read `options` and `flavour` into an `OptionDegradation`, one without effect for whole options.
 
     Raises:
         ConfigError: no such flavour.

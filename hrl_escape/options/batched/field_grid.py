@@ -44,7 +44,7 @@ class FieldGrid:
     def __init__(self, instance: RoomInstance, rules: Kinematics, offset: float, door_shut: bool) -> None:
         self._instance, exit_, step = instance, instance.exit, rules.actions.longest
         by_hand = instance.dynamics.press_with == "hand"
-        headings = rules.headings if by_hand else count_classes(rules)  # a hand points one way
+        headings = rules.headings if by_hand else count_classes(rules)  # a hand points one way, so all headings differ
         states = lay_grid(instance, rules).cells * headings
         refinement = min(int(math.log(max(_FINE_STATES / states, 1.0), 4)), 2)
         grid = lay_grid(instance, rules, refinement)
@@ -65,7 +65,7 @@ class FieldGrid:
                                   np.array([exit_.x_min, exit_.x_max, exit_.y_min, exit_.y_max]))
 
     def compute_fields(self, goals: Sequence[tuple[Goal, bool]]) -> tuple[NDArray[np.int16], NDArray[np.float32]]:
-        """Compute the cost-to-go of goals, each beside whether entering the exit ends the episode without it.
+        """Compute the cost-to-go of goals; each comes with a flag: entering the exit ends the episode without it.
 
         Returns:
             `values` and `scales` of `InstanceFields`.
@@ -93,7 +93,7 @@ class FieldGrid:
         return self._iterate(values, own, [OTHER_PRESS_COST] * len(approaches) + [0.0])
 
     def _make_values(self, fields: int) -> NDArray[np.float32]:
-        """Cost-to-go of which nothing is known yet, (headings, cells, fields)."""
+        """Initial values, all `UNREACHABLE`, (headings, cells, fields)."""
         return np.full((len(self._angles), len(self._points), fields), UNREACHABLE, dtype=np.float32)
 
     def _iterate(self, values: NDArray[np.float32], own: NDArray[np.uint64], leaving: Sequence[float]

@@ -1,4 +1,4 @@
-"""Choice of a few postures that hands may press in: weighed as a hand sets out, and again where it makes no headway.
+"""Choice of a few candidate postures for presses by hand: at the start of a press, and again without progress.
 
 To weigh one takes an interpolation in its field, and there are dozens for each target. So a step of a batch weighs all
 only where a press begins or did not get nearer, and elsewhere the few that were chosen.
@@ -23,12 +23,12 @@ from hrl_escape.options.batched.hand_policy import displace, measure_drift
 
 __all__ = ["PostureChooser", "weigh_postures"]
 
-_PARTS = 8  # of a batch, of which a compiled kernel weighs one at a time: about as many as primitives in a press
+_PARTS = 8  # parts of a batch, weighed one at a time by a compiled kernel: about as many as primitives in a press
 
 
 def weigh_postures(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor, rooms: Tensor
                    ) -> Tensor:
-    """Find the postures from which least is left to do: joint steps, and the way of the base; int64 (`CHOSEN`, some).
+    """Find the postures with the least remaining joint steps plus way of the base; int64 (`CHOSEN`, some).
 
     Args:
         layout: properties that all rooms share.
@@ -56,7 +56,7 @@ def weigh_postures(layout: Layout, tables: Tables, fields: CostFields, state: Te
 
 
 class PostureChooser:
-    """Chooses for the rooms of a batch.
+    """Chooser of postures for the rooms of a batch.
 
     Args:
         room: the batch.
@@ -76,7 +76,7 @@ class PostureChooser:
             self._weigh = partial(weigh_postures, room.layout, room.tables, fields)
 
     def choose(self, running: OpenDecisions, where: Tensor) -> OpenDecisions:
-        """Choose postures where a press begins or did not get nearer with its last primitive.
+        """Choose postures where a press begins, or where its last primitive made no progress.
 
         Args:
             running: the decisions.
@@ -87,7 +87,7 @@ class PostureChooser:
         if len(rooms) == 0:
             return running
         goal = running.goal.clamp(0, self._room.layout.targets - 1)
-        # a compiled kernel takes one number of rooms only
+        # a compiled kernel takes a fixed number of rooms
         part = self._part or len(rooms)
         padded = torch.cat([rooms, rooms.new_zeros(-len(rooms) % part)])
         found = torch.cat([self._weigh(self._room.state, goal, some) for some in padded.split(part)], dim=1)

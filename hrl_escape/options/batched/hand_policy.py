@@ -1,4 +1,4 @@
-"""Cost-to-go of presses by hand in a batch: what base and arm have left to do, in every posture of a small library.
+"""Cost-to-go of presses by hand in a batch: remaining primitives of base and arm, over a small library of postures.
 
 From a place where the hand can touch the target in some posture, exactly the joint steps to it are left. From
 elsewhere they are added to the way of the base, by the field of the best of a few postures that were chosen
@@ -24,7 +24,7 @@ from hrl_escape.options.batched.value_iteration import UNREACHABLE
 
 __all__ = ["Reach", "displace", "estimate_arm_costs", "estimate_hand_costs", "find_reach", "measure_drift"]
 
-_SKIN = 1e-4  # of a touch that is foreseen, m
+_SKIN = 1e-4  # margin of a predicted touch, m
 
 
 class Reach(NamedTuple):
@@ -116,14 +116,14 @@ def estimate_hand_costs(layout: Layout, tables: Tables, fields: CostFields, stat
 
 
 def estimate_arm_costs(layout: Layout, tables: Tables, state: TensorState, reach: Reach, is_press: Tensor) -> Tensor:
-    """Cost-to-go after each joint primitive, float32 (2 * joints, rooms); `UNREACHABLE` or more if it is no use."""
+    """Cost-to-go after each joint primitive, float32 (2 * joints, rooms); `UNREACHABLE` or more if useless."""
     cos, sin = compute_rotation(layout, tables, state)
     least, best = _find_least_steps(tables, reach, state.x.unsqueeze(0), state.y.unsqueeze(0), cos.unsqueeze(0),
                                     sin.unsqueeze(0))
     wanted = reach.steps.gather(1, best.expand(len(reach.steps), -1, -1)).squeeze(1) - state.joint_steps
     nearer = torch.stack([wanted > 0, wanted < 0], dim=1).flatten(0, 1)  # in the order of the primitives
     own = torch.where(is_press, 1 << reach.target, 0)
-    is_held = state.touching & own != 0  # another press needs a moment without touch, which the base makes
+    is_held = state.touching & own != 0  # another press needs a moment without touch, which a move of the base gives
     after = torch.where(is_held, UNREACHABLE, least) + 1.0 - 2.0 * nearer
     joints = layout.robot.joints
     signs = torch.tensor([1.0, -1.0], device=after.device)
@@ -141,7 +141,7 @@ def estimate_arm_costs(layout: Layout, tables: Tables, state: TensorState, reach
 
 def _find_least_steps(tables: Tables, reach: Reach, x: Tensor, y: Tensor, cos: Tensor, sin: Tensor
                       ) -> tuple[Tensor, Tensor]:
-    """Fewest joint steps to a posture that touches from places (places, rooms), and which it is; a step at least."""
+    """Fewest joint steps, at least one, to a posture that touches from places (places, rooms), and its index."""
     target = Shapes(*(field[reach.target, reach.column] for field in tables.targets))
     dx, dy = target.x - x, target.y - y
     seen = (cos * dx + sin * dy, cos * dy - sin * dx, cos * target.cos + sin * target.sin,

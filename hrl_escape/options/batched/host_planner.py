@@ -1,6 +1,6 @@
 """Plans for rooms of a batch, made by the rooms' planners on the host.
 
-Orders of presses, where options carry out what theirs requires; and primitives, where the fields lead nowhere.
+Orders of presses, for options that press ancestors first; and primitives, where the fields make no progress.
 `stepping.py` runs the plans.
 """
 
@@ -30,11 +30,11 @@ class HostPlanner:
         self._planners: dict[int, RoomPlanner] = {}
 
     def order(self, running: OpenDecisions, where: Tensor, targets: Tensor) -> OpenDecisions:
-        """List what presses require and the presses themselves, as options with ancestors do.
+        """List the ancestors of presses and the presses themselves, in the order of options with ancestors.
 
         Args:
             running: the decisions.
-            where: the rooms that ask, bool (rooms,).
+            where: rooms that need an order, bool (rooms,).
             targets: the targets to press in the end, int64 (rooms,).
 
         Returns:
@@ -69,7 +69,7 @@ class HostPlanner:
             The decisions with plans, and the rooms in which planning failed, bool (rooms,).
         """
         rooms = where.nonzero().squeeze(1).tolist()
-        kept = 1 if self._room.layout.is_random else PLAN_LENGTH  # what follows a slip was planned from elsewhere
+        kept = 1 if self._room.layout.is_random else PLAN_LENGTH  # a slip invalidates what follows
         return self._store_plans(running, rooms, [self._find_plan(room, int(running.goal[room]))[:kept]
                                                   for room in rooms])
 

@@ -34,7 +34,7 @@ from hrl_escape.options.batched.value_iteration import UNREACHABLE
 __all__ = ["MEMORY", "Choice", "can_start", "choose_primitive"]
 
 MEMORY = 8
-"""Cells whose cost a room remembers."""
+"""Number of cells whose cost a room remembers."""
 _FINE_HEADINGS = 16  # robots with coarser turns look two primitives ahead: fields are less precise for them
 _BLOCKED = 0.01  # moves shorter than this do not count, m
 
@@ -136,7 +136,7 @@ def _estimate_costs(layout: Layout, tables: Tables, fields: CostFields, state: T
 def _estimate_from_successors(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor,
                               postures: Tensor, cells: Tensor, costs: Tensor, depth: int, x: Tensor, y: Tensor,
                               touched: Tensor, turn: Tensor) -> Tensor:
-    """Cost-to-go after each base primitive: that of the best primitive to follow it, and one."""
+    """Cost-to-go after each base primitive: one more than that of the best primitive to follow it."""
     count = len(x)
     later = TensorState(*(field.repeat(*(1,) * (field.dim() - 1), count) for field in state))
     headings = torch.remainder(state.heading_steps + turn, layout.headings).to(torch.int32)

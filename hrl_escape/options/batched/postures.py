@@ -1,8 +1,8 @@
-"""Postures for presses by hand in a batch: a few dozen for each target, each beside the field that leads towards it.
+"""Postures for presses by hand in a batch: a few dozen for each target, each with the field that leads to it.
 
 Arms of kinematic rooms pass through everything, so the cost-to-go of a press is the least, over postures, of the joint
 steps to a posture and the way of the base to where the hand then touches. Postures whose hands are close share a
-field, and the base's place is shifted by what is between their hands.
+field, and the base's place is shifted by the offset between their hands.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ __all__ = ["FAR", "POSTURES", "PostureLibrary", "choose_postures"]
 POSTURES = 64
 """Postures kept for a target."""
 FAR = 20_000
-"""Stands for the joint steps of postures that only fill up a table, more than any way is long."""
+"""Joint steps of postures that only pad a table, more than the length of any way."""
 _MOST, _LEAST = 8, 2  # fields of one target
 _NEAR = 0.15  # hands that are this close share a field, m
 
@@ -49,7 +49,7 @@ def choose_postures(instance: RoomInstance, fields: int) -> PostureLibrary:
 
     Args:
         instance: the room.
-        fields: about how many fields there may be in all; every target has two to eight.
+        fields: approximate limit of all fields together; every target has two to eight.
     """
     count, reacher = len(instance.targets), Reacher(instance)
     steps = np.full((count, POSTURES, instance.robot.joints), FAR, dtype=np.int32)

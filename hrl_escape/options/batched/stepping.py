@@ -55,8 +55,8 @@ class StepSettings(NamedTuple):
         max_duration: primitives after which it is ended.
         autoreset: begin the next episode as one ends.
         interruptible: ask the agent again after every primitive of an option.
-        has_ancestors: presses first carry out what they require.
-        degradation: known amounts by which options are worse.
+        has_ancestors: options press the ancestors of their target first.
+        degradation: amounts by which options are degraded.
     """
 
     observation: BatchObservation
@@ -104,7 +104,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     is_over = state.has_ended != 0
     running = begin_decisions(layout, settings, running, (running.action < 0) & ~is_over & (action >= 0), action,
                               view.observation)
-    is_over = is_over | (running.action < 0)  # rooms that wait and are given no action stand still as well
+    is_over = is_over | (running.action < 0)  # waiting rooms without an action stand still as well
     is_option = running.action >= settings.primitives
     option = (running.action - settings.primitives).clamp(min=0)
     goal = running.goal.clamp(min=0)
@@ -184,7 +184,7 @@ def _watch_progress(running: OpenDecisions, choice: Choice, is_wasting: Tensor) 
 
 
 def _take_next_goal(running: OpenDecisions, where: Tensor) -> OpenDecisions:
-    """Turn to the next goal of their orders in some rooms, bool (rooms,), with nothing remembered of the last."""
+    """Take up the next goal of the order in some rooms, bool (rooms,), with the memory of the last one cleared."""
     fresh = make_decisions(running.observation)
     changes = {name: torch.where(where, getattr(fresh, name), getattr(running, name)) for name in _OF_GOAL}
     following = _read_aligned(running.order, running.order_left)
@@ -193,7 +193,7 @@ def _take_next_goal(running: OpenDecisions, where: Tensor) -> OpenDecisions:
 
 
 def _read_aligned(rows: Tensor, left: Tensor) -> Tensor:
-    """Entry that comes next of lists aligned to the end, int64 (rooms,); arbitrary where nothing is left."""
+    """Next entry of lists aligned to the end, int64 (rooms,); arbitrary where nothing is left."""
     at = (len(rows) - left).clamp(max=len(rows) - 1).to(torch.int64)
     return torch.gather(rows, 0, at.unsqueeze(0))[0].to(torch.int64)
 
@@ -213,7 +213,7 @@ def begin_decisions(layout: Layout, settings: StepSettings, running: OpenDecisio
 
 
 def make_decisions(observation: Tensor) -> OpenDecisions:
-    """Decisions that have not begun yet."""
+    """Make the decisions of rooms in which none has begun."""
     number = observation.new_zeros(len(observation))
     count, word = number.to(torch.int32), number.to(torch.int64)
     return OpenDecisions(

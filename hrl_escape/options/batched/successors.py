@@ -34,7 +34,7 @@ def is_in_doorway(layout: Layout, tables: Tables, state: TensorState) -> Tensor:
 
 
 def presses_by_hand(layout: Layout) -> bool:
-    """Return whether there are targets that the hand presses."""
+    """Return whether targets are pressed by the hand."""
     return layout.targets > 0 and layout.dynamics.press_with == "hand"
 
 

@@ -36,7 +36,7 @@ class Moves(NamedTuple):
     Attributes:
         rows: cells along y; a cell's index is i * rows + j.
         reach: most columns or rows from a cell to one of the four round the end of a move.
-        offsets: how many cells after its own the lowest of the four comes if nothing is in the way, int64
+        offsets: index of the lowest of the four, relative to the cell's own, for an unblocked move, int64
             (classes, translations).
         shares: weights of the four there, lower row first, float32 (classes, translations, 4).
         listed: row of each state in the following tables, int32 (classes, cells); -1 where all its moves are free,
@@ -212,7 +212,7 @@ def iterate_values(values, moves, turn_steps, own, leaving, penalty, tolerance, 
         leaving: cost of entering the exit without the goal, float32 (fields,); `UNREACHABLE` where the episode ends.
         penalty: cost of touching another target, float32.
         tolerance: largest change that counts as none, float32.
-        most: most sweeps.
+        most: largest number of sweeps.
 
     Returns:
         The number of sweeps; `most` if values may still have changed in the last.
@@ -244,7 +244,7 @@ def iterate_values(values, moves, turn_steps, own, leaving, penalty, tolerance, 
 
 @kernel_part
 def _is_stale(changed, i, tj, side, since):
-    """Return whether a value on which those of a tile's column rest has changed since a sweep."""
+    """Return whether a value on which a tile's column depends has changed since a sweep."""
     for near_i in range(max(i - side, 0), min(i + side + 1, changed.shape[0])):
         for near_j in range(max(tj - 1, 0), min(tj + 2, changed.shape[1])):
             if changed[near_i, near_j] >= since:

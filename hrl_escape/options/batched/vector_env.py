@@ -1,7 +1,7 @@
 """Thousands of rooms with options as one Gymnasium `VectorEnv`: a step is one decision of every room.
 
 `gymnasium.make_vec("hrl_escape/PaperTwoButtonOptions-v1", num_envs=1024)` makes one. A room whose decision has ended
-stands still until the last one's has; `get_streams` gives the same rooms each at its own pace, which `train` takes.
+stands still until the last one's has; `get_streams` gives the same rooms, each at its own pace, as `train` uses them.
 """
 
 from __future__ import annotations
