@@ -27,7 +27,7 @@ class PolicyOwner(Protocol):
         ...
 
     def state_dict(self) -> Mapping[str, Any]:
-        """Everything it learned."""
+        """State of a checkpoint of it, arrays and values by name."""
         ...
 
 

@@ -27,7 +27,7 @@ class LearningSettings(AgentSettings):
     """Discounting of actions of different duration, treatment of truncated episodes, and the clock of schedules."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive."""
+    """Discount per primitive; per decision if `discounting` is `decision`."""
     discounting: Literal["primitive", "decision"] = "primitive"
     """`primitive`: an action of k primitives is worth sum gamma^i r_i and discounts by gamma^k. `decision`: it is
     worth the plain sum and discounts by gamma, as if it were one step, as the paper's agents did."""

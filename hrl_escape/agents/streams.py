@@ -72,12 +72,12 @@ class EndedDecisions(Protocol):
 
     @property
     def terminated(self) -> Tensor:
-        """Task ended, bool."""
+        """Whether the task ended, as against a cut, bool (streams,)."""
         ...
 
     @property
     def truncated(self) -> Tensor:
-        """Episode was cut off, bool."""
+        """Whether the episode was cut off, bool (streams,)."""
         ...
 
     @property
@@ -91,7 +91,7 @@ class Streams(Protocol):
 
     @property
     def count(self) -> int:
-        """Number of streams."""
+        """Environments that step together."""
         ...
 
     @property

@@ -25,7 +25,8 @@ class LaunchArgs:
     ray: bool = False
     """Run on a Ray cluster that shares the folder (extra `ray`), or on a Ray started here."""
     slurm: int | None = None
-    """Run as a Slurm array of so many jobs that share the folder (extra `slurm`); without Slurm, as processes here."""
+    """Run as a Slurm array of this many jobs that share the folder (extra `slurm`); as processes here if there is no
+    Slurm."""
     resources: tuple[str, ...] = ()
     """Resources that each run asks of Ray (num_cpus=2 num_gpus=0.5 memory=4e9), or each job of Slurm through submitit
     (timeout_min=600 mem_gb=4 cpus_per_task=8 slurm_partition=long)."""
@@ -77,6 +78,6 @@ class LaunchArgs:
         runs, missing, seconds = count_missing(grid, out)
         words = f"{runs:,} runs, {missing:,} to be made in {out}"
         if seconds is None:
-            return f"{words}; none has finished, so how long one takes is not known"
+            return f"{words}; none has finished, so the time cannot be estimated yet"
         return (f"{words}; {seconds:.3g} s of training each in the median of {runs - missing:,}, so about "
                 f"{missing * seconds / 3600:.2g} core hours")

@@ -74,9 +74,9 @@ class TrainArgs(RoomChoice):
     eval_episodes: int = 5
     """Episodes in an evaluation."""
     batch: int | None = None
-    """Train in so many copies of the room at once, by the batched engine; for ppo, dqn, dac and ppoc."""
+    """Train in this many copies of the room at once, on the batched engine; for ppo, dqn, dac and ppoc."""
     device: str = "cpu"
-    """Device of the copies, the networks and all that lies between, such as cuda; with --batch."""
+    """Device of the copies, the networks and everything between them, such as cuda; with --batch."""
     out: Path | None = None
     """Folder of log, checkpoint and result; runs/AGENT-ROOM-SEED-HASH by default."""
     tensorboard: bool = False

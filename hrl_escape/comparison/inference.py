@@ -94,7 +94,7 @@ def cut_interval(lower: Floats, upper: Floats, level: float = LEVEL) -> tuple[Fl
 
 
 def draw_weights(count: int, resamples: int, rng: np.random.Generator) -> Floats:
-    """Weights (resamples, count + 1) by a flat Dirichlet law: of so many values, and of the one that is added."""
+    """Weights (resamples, count + 1) by a flat Dirichlet law: of `count` values, and of the one that is added."""
     drawn = rng.standard_exponential((resamples, count + 1))
     drawn /= drawn.sum(axis=-1, keepdims=True)
     return drawn

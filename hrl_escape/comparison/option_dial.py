@@ -71,7 +71,7 @@ def measure_option(env: OptionsEnv, option: str, is_reached: Callable[[Any, Mapp
 
 def place_on_dial(curve: Mapping[float, ArrayLike], worth: ArrayLike, seed: int = 0, level: float = LEVEL
                   ) -> DialPlace:
-    """Find how often a planned option fails that is worth as much as a learned one.
+    """Find how often a planned option must fail to be worth as much as a learned one.
 
     Args:
         curve: probability of failing -> what calls of the planned option are worth, of as many calls as there are. It

@@ -19,7 +19,7 @@ from hrl_escape.comparison.statistics import Floats, compute_mean
 __all__ = ["ALPHA", "FEWEST_PAIRS", "Finals", "Pair", "compare_agents", "is_better"]
 
 ALPHA = 0.05
-"""Chance at most that a verdict calls some agent better where all are alike."""
+"""Highest probability that a verdict calls some agent better though all are alike."""
 FEWEST_PAIRS = 5
 """With four, a clean separation of two agents that escape in half of their runs comes by chance too often."""
 IMPROVEMENT_RESAMPLES = 1_000

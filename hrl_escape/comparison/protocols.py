@@ -217,7 +217,7 @@ class RungStanding(NamedTuple):
 
 
 def judge(agent: AgentSummary, episodes: int) -> tuple[tuple[float, float, float], bool]:
-    """Return the share of escapes with Wilson's interval over so many episodes, and whether the rung is passed.
+    """Return the share of escapes with Wilson's interval over the episodes, and whether the rung is passed.
 
     It is with the interval's lower end at 0.9 or above and an interquartile mean of efficiency of 0.5 or above.
     """

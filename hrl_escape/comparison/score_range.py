@@ -89,7 +89,7 @@ Ends = tuple[float, float, float, "float | None"]
 
 
 def _find_ends(instance: RoomInstance, state: RoomState, flavour: str | None, cache: Path) -> Ends | None:
-    """Best known results from one state, from the cache if it has them; None where no planner knows an escape.
+    """Best known results from one state, from the cache if it has them; None if no planner finds an escape.
 
     Args:
         instance: the room.

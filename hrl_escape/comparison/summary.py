@@ -234,14 +234,14 @@ def _raise_ranges(runs: Sequence[FinishedRun], instance: RoomInstance) -> list[F
 
 
 def _find_best(result: RunResult) -> list[float]:
-    """Best return of each evaluation episode, over the run; below all where it never came to be played."""
+    """Best return of each evaluation episode over the run; minus infinity if it was never played."""
     returns = np.array([evaluation.returns for evaluation in result.evaluations])
     lengths = np.array([evaluation.lengths for evaluation in result.evaluations])
     return np.where(lengths, returns, -np.inf).max(axis=0).tolist()
 
 
 def _find_fewest(result: RunResult) -> list[int]:
-    """Fewest primitives of an escape in each evaluation episode, over the run; beyond all where none escaped."""
+    """Fewest primitives of an escape in each evaluation episode over the run; the largest int64 if none escaped."""
     lengths = np.array([evaluation.lengths for evaluation in result.evaluations])
     escaped = np.array([evaluation.successes for evaluation in result.evaluations])
     return np.where(escaped, lengths, np.iinfo(np.int64).max).min(axis=0).tolist()

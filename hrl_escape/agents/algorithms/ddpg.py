@@ -46,7 +46,7 @@ __all__ = ["DDPG", "DDPGSettings", "OneHotRelaxation"]
 
 @dataclass(frozen=True)
 class DDPGSettings(NetworkSettings, LearningSettings):
-    """Settings of `ddpg`."""
+    """Relaxation of discrete actions, exploration, networks, replay and targets of `ddpg`."""
 
     relaxation: Literal["one-hot", "linear"] = "one-hot"
     """Action vector that the critic sees. `one-hot`: the action that ran, so that the actor can follow its expected

@@ -64,7 +64,7 @@ __all__ = ["DQN", "ActionValues", "DQNSettings", "sample_actions"]
 
 @dataclass(frozen=True)
 class DQNSettings(NetworkSettings, LearningSettings):
-    """Settings of `dqn`."""
+    """Exploration, network, replay and targets of `dqn`."""
 
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
     """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability

@@ -50,7 +50,7 @@ __all__ = ["PPO", "PPOSettings"]
 
 @dataclass(frozen=True)
 class PPOSettings(ClippedSettings, LearningSettings):
-    """Settings of `ppo`."""
+    """Network, rollouts, clipped objective and bonus of `ppo`."""
 
     network: Literal["mlp", "objects"] = "mlp"
     """`mlp`: a perceptron over the whole observation. `objects`: deep sets over its rows of objects, equivariant under

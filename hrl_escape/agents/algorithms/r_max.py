@@ -34,7 +34,7 @@ class RMaxSettings(AgentSettings):
     """States as `r-max` tells them apart, samples that make a pair known, and the worth of the unknown."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive."""
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
     visits: Annotated[int, Range(1)] = 1
     """Samples that make a pair of state and action known (m); 1 is enough where outcomes have no chance in them."""
     optimistic_value: float = 100.0

@@ -23,7 +23,7 @@ __all__ = ["RandomAgent", "RandomSettings"]
 
 @dataclass(frozen=True)
 class RandomSettings(AgentSettings):
-    """Settings of `random`."""
+    """A discount for the logs; the policy has nothing to set."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive, for its logs only."""
@@ -56,5 +56,5 @@ class RandomAgent(Agent):
         return sample_legal(action_mask, rng)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Nothing to learn."""
+        """Learn nothing and log nothing."""
         return {}

@@ -36,7 +36,7 @@ __all__ = ["Sarsa", "SarsaSettings"]
 
 @dataclass(frozen=True)
 class SarsaSettings(NetworkSettings, LearningSettings):
-    """Settings of `sarsa`."""
+    """Exploration, backup, network and replay of `sarsa`."""
 
     exploration: Literal["epsilon-greedy", "boltzmann"] = "epsilon-greedy"
     """`epsilon-greedy`: uniform over legal actions with probability epsilon, else greedy. `boltzmann`: probability
@@ -88,7 +88,7 @@ class SarsaSettings(NetworkSettings, LearningSettings):
     without replay."""
 
     def check(self) -> None:
-        """Refuse impossible combinations."""
+        """Refuse `late_terminal` together with replay, which knows no such mistake."""
         if self.late_terminal and self.replay_capacity:
             raise AgentSettingsError("SarsaSettings.late_terminal", True, "False, or replay_capacity = 0")
 

@@ -24,6 +24,6 @@ class FixedPolicy(Agent):
         return self.act(observation, action_mask)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
-        """Learn nothing."""
+        """Learn nothing and log nothing."""
         del transition
         return {}

@@ -31,7 +31,7 @@ class PlanningSettings(AgentSettings):
     """Hypotheses that are considered, and the bound of the search."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive."""
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
     max_parents: Annotated[int, Range(0, 8)] = 2
     """Most factors that decide an outcome, a bit's own value not counted; hypotheses grow as factors to this power."""
     conditions: Literal["all-on", "any"] = "all-on"

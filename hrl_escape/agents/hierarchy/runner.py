@@ -34,7 +34,7 @@ class StackSettings(AgentSettings):
     """Settings of how calls run."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive."""
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
     polled: Literal["never", "evaluation", "always"] = "never"
     """Choose every running call anew at each primitive, instead of letting it come to its end: never, in evaluation
     only (hierarchical greedy execution), or always."""

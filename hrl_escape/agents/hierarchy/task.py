@@ -145,9 +145,9 @@ class Task(Protocol):
 
     name: str
     space: gymnasium.spaces.Discrete
-    """Of its choices."""
+    """Space of its choices."""
     view_space: gymnasium.Space | None
-    """Of its views; None is the environment's observation space."""
+    """Space of its views; None is the environment's observation space."""
 
     def view(self, seen: Seen, stack: Stack) -> Any:
         """View that its learner has; `stack` holds the running calls, its own last."""

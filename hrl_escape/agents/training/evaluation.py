@@ -57,7 +57,7 @@ class Evaluation:
 
     @property
     def mean_return(self) -> float:
-        """Mean over episodes."""
+        """Mean undiscounted return of an episode."""
         return statistics.fmean(self.returns)
 
     @property
@@ -67,7 +67,7 @@ class Evaluation:
 
     @property
     def mean_progress(self) -> float:
-        """Mean over episodes."""
+        """Mean over episodes of the most progress in each, 0 to 1."""
         return statistics.fmean(self.progress)
 
     @property
@@ -178,7 +178,7 @@ class _Sums:
         self.total, self.length, self.count, self.success, self.progress = 0.0, 0, 0, False, 0.0
 
     def add(self, transition: SMDPTransition, info: Mapping[str, Any]) -> None:
-        """Add one decision."""
+        """Count a decision's reward, primitives and progress; success is that of the latest."""
         self.total += transition.summed_reward
         self.length += transition.duration
         self.count += 1

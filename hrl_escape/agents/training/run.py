@@ -102,7 +102,7 @@ class Run:
             self.load_state_dict(self._folder.state, self._folder.rows)
 
     def close(self) -> None:
-        """Release the folder."""
+        """Close the run folder, so that another process may go on with the run."""
         if self._folder is not None:
             self._folder.close()
 
@@ -332,7 +332,7 @@ class _Tally:
         self._counts: dict[str, int] = {}
 
     def add(self, transition: SMDPTransition, info: Mapping[str, Any], metrics: Mapping[str, float]) -> None:
-        """Add one decision."""
+        """Count a decision's reward, primitives and metrics, and how often it repeats the one before."""
         self.episode_return += transition.summed_reward
         self.length += transition.duration
         self.decisions += 1

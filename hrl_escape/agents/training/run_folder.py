@@ -45,7 +45,7 @@ from hrl_escape.processes import take_lock
 __all__ = ["BEST", "FORMAT", "LAST", "RunFolder", "check_run", "read_run"]
 
 FORMAT = 2
-"""Version of `run.json`."""
+"""Version of the fields of `run.json`; another version is refused."""
 
 LAST, BEST = "checkpoint.npz", "best.npz"
 """Checkpoints of a run: the latest, and that of its best evaluation."""

@@ -2,7 +2,7 @@
 
 Every agent is tested in the same few test rooms. Learners train in each of them from nothing, or with the protocol
 generalise in as many training rooms. A rung asks for something only where chance stays below 0.5, it is sound where the
-planner, who knows the graph, reaches 1, and it is a step too high where a learner falls there from above 0.9 on the
+planner, which knows the graph, reaches 1, and it is a step too high where a learner falls there from above 0.9 on the
 rung before to below 0.1.
 
 Examples:

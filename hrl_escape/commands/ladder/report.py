@@ -85,7 +85,7 @@ def run(args: ReportArgs) -> None:
         console.print(_make_trial_table(standings))
     for label, rung in highest.items():
         console.print(f"Highest rung that {label} passed: {rung}", markup=False)
-    over = f"over {', '.join(common)}:" if common else "over no rung, for none has runs of every agent"
+    over = f"over {', '.join(common)}:" if common else "over no rung: none has runs of every agent"
     console.print(f"Ladder score {over}")
     for label, score in scores.items():
         console.print(f"{label}: {score.value:.3f} ({score.low:.3f} to {score.high:.3f})", markup=False)

@@ -65,15 +65,15 @@ class RunArgs(LaunchArgs):
     primitives: int | None = None
     """Training budget of a run; the rung's own by default."""
     rooms: int | None = None
-    """Rooms of the test set; 10 with per-instance and on each floor of a tower, and else all by default."""
+    """Rooms of the test set; by default 10 with per-instance and on each floor of a tower, otherwise all."""
     train_sizes: tuple[int, ...] = LadderSettings().train_sizes
     """Numbers of training rooms, with all protocols but per-instance."""
     trials: int = LadderSettings().trials
     """Trials in each room with few-shot."""
     eval_episodes: int | None = None
-    """Episodes in an evaluation; 20 with per-instance, and else one in each test room, by default."""
+    """Episodes in an evaluation; by default 20 with per-instance, otherwise one in each test room."""
     observation: str | None = None
-    """Observation of all agents; by default features with per-instance where no agent is +objects, and else objects."""
+    """Observation of all agents; by default features with per-instance if no agent is +objects, otherwise objects."""
     out: Path = Path("runs/ladder")
     """Folder of all rungs and protocols."""
 
@@ -94,7 +94,7 @@ def run(args: RunArgs) -> int:
     if args.protocol == TOWER:
         floors = args.rung or choose_floors(bench)
         if left_out := [rung for rung in rungs if rung not in floors]:
-            console.print(f"Not in the tower, for their robots have other primitives: {', '.join(left_out)}")
+            console.print(f"Left out of the tower, as their robots have other primitives: {', '.join(left_out)}")
         parts = {TOWER: (floors, make_tower_grid(bench, floors, agents, settings))}
     else:
         parts = {rung: ((rung,), make_protocol_grid(bench, rung, args.protocol, agents, settings)) for rung in rungs}

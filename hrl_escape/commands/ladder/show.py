@@ -60,7 +60,7 @@ def run(args: ShowArgs) -> None:
     for role, row in report["sets"].items():
         table.add_row(role, str(row["rooms"]), str(row["skipped"]), row["root"])
     console.print(table)
-    console.print(f"Tasks of the test that training has: {rung.record.task_overlap:.0%}")
+    console.print(f"Test rooms whose task occurs in training: {rung.record.task_overlap:.0%}")
     console.print(f"Schematic: {json.dumps(report['config'])}")
     for path in report.get("files", []):
         console.print(f"wrote {path}")

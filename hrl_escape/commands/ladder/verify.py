@@ -1,6 +1,6 @@
 """Generate a benchmark's rooms anew and check that they are those of the manifest, and that no set shares a room.
 
-A rung takes some seconds, those with many obstacles up to a minute.
+A rung takes a few seconds, those with many obstacles up to a minute.
 
 Examples:
     hrl-escape ladder verify

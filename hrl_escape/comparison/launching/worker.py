@@ -63,7 +63,7 @@ def work(run: GridRun, out: Path, checkpoint_seconds: float, answer: Connection)
 
 
 def run_guarded(run: GridRun, out: Path, checkpoint_seconds: float) -> dict[str, str] | None:
-    """Run a run; returns the error that ended it, as `describe_error` has it, for a full disk takes no file."""
+    """Execute a run and return the error that ended it, as `describe_error` has it: a full disk would take no file."""
     torch.set_num_threads(1)  # the runs fill the cores already, and sums split over threads differ in the last bit
     try:
         _run_patiently(run, out, checkpoint_seconds)

@@ -189,5 +189,5 @@ def test_a_tower_that_cannot_be_climbed_is_refused_in_one_line(capsys, tmp_path)
 
 def test_a_tower_has_the_rungs_whose_robots_have_the_same_primitives(capsys, tmp_path):
     code, out, _ = call(capsys, "run", "planner", "--protocol", "tower", "--dry-run", "--out", str(tmp_path))
-    assert code == 0 and out.startswith("Not in the tower, for their robots have other primitives: reach")
+    assert code == 0 and out.startswith("Left out of the tower, as their robots have other primitives: reach")
     assert "tower: 10 runs, 10 to be made" in out

@@ -57,7 +57,7 @@ class HamqSettings(TabularSettings, ExplorationSettings):
     """Rates, exploration and discount of `hamq`, and whether choices without a primitive between share a value."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive."""
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
     internal: bool = False
     """Remember which choice point follows a choice that no primitive comes after, and use its value in place of an own
     one (HAMQ-INT)."""

@@ -44,7 +44,7 @@ class HqLearningSettings(EpsilonSettings):
     agents: Annotated[int, Range(1)] = 3
     """Reactive agents in the sequence."""
     gamma: Annotated[float, Range(0, 1)] = 0.99
-    """Discount per primitive."""
+    """Discount per primitive: a reward k primitives later counts gamma^k."""
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.05
     """Step size of values of primitives."""
     subgoal_learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.01

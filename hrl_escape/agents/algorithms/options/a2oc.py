@@ -30,7 +30,7 @@ __all__ = ["A2OC", "A2OCSettings"]
 
 @dataclass(frozen=True)
 class A2OCSettings(NetworkSettings, LearningSettings):
-    """Settings of `a2oc`."""
+    """Options, their terminations and the actor-critic update of `a2oc`."""
 
     options: Annotated[int, Range(1)] = 4
     """Options that are learned."""

@@ -30,7 +30,7 @@ __all__ = ["DAC", "DACSettings"]
 
 @dataclass(frozen=True)
 class DACSettings(ClippedSettings, LearningSettings):
-    """Settings of `dac`."""
+    """Options, their terminations and the clipped updates of `dac`."""
 
     options: Annotated[int, Range(1)] = 4
     """Options that are learned."""

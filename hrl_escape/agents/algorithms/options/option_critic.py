@@ -34,7 +34,7 @@ __all__ = ["OptionCritic", "OptionCriticSettings", "OptionTables"]
 
 @dataclass(frozen=True)
 class OptionCriticSettings(ResolutionSettings, LearningSettings):
-    """Settings of `option-critic`."""
+    """Options, step sizes and exploration of `option-critic`."""
 
     options: Annotated[int, Range(1)] = 4
     """Options that are learned."""
@@ -139,7 +139,7 @@ class OptionCritic(OptionAgent):
         return compute_softmax(mask_values(preferences, action_mask))
 
     def compute_terminations(self, observation: Any) -> NDArray[np.float64]:
-        """beta_o(s), float64 (options,)."""
+        """Probability that each option ends at the observation, beta_o(s), float64 (options,)."""
         return 1 / (1 + np.exp(-self._get(observation).endings))
 
     def compute_option_values(self, observation: Any) -> NDArray[np.float64]:

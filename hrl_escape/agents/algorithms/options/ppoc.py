@@ -30,7 +30,7 @@ __all__ = ["PPOC", "OptionSamples", "PPOCSettings"]
 
 @dataclass(frozen=True)
 class PPOCSettings(ClippedSettings, LearningSettings):
-    """Settings of `ppoc`."""
+    """Options, their terminations and the clipped updates of `ppoc`."""
 
     options: Annotated[int, Range(1)] = 2
     """Options that are learned."""

@@ -37,7 +37,7 @@ __all__ = ["DIAYN", "DIAYNSettings"]
 
 @dataclass(frozen=True)
 class DIAYNSettings(ClippedSettings, LearningSettings):
-    """Settings of `diayn`."""
+    """Skills, what the discriminator sees and the clipped update of `diayn`."""
 
     options: Annotated[int, Range(2)] = 8
     """Skills that are learned."""
@@ -64,7 +64,7 @@ class SkillHeads(OptionHeads):
         return torch.zeros((len(observation), self.options))
 
     def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:
-        """p(z), float64 (skills,)."""
+        """Probability of each skill, p(z), which is uniform, float64 (skills,)."""
         return np.full(self.options, 1 / self.options)
 
     def compute_fresh_choice(self, observation: Tensor) -> Tensor:

@@ -108,7 +108,7 @@ class _Tests:
         self._worse = np.zeros((hypotheses, hypotheses))
         """Sum of d: by how much i has erred more than j."""
         self._ranges = np.zeros((hypotheses, hypotheses))
-        """Sum of c^2."""
+        """Sum of c^2, where c is the largest difference of the two forecasts."""
 
     def add(self, contexts: NDArray[np.int64], own: int, result: int) -> None:
         """Take in one sample; hypotheses whose context is known forecast it first."""

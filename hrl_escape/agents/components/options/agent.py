@@ -52,7 +52,7 @@ class OptionAgent(Agent):
 
     @abstractmethod
     def compute_terminations(self, observation: Any) -> NDArray[np.float64]:
-        """beta_o(s), float64 (options,)."""
+        """Probability that each option ends at the observation, beta_o(s), float64 (options,)."""
 
     def list_calls(self) -> tuple[RunningCall, ...]:
         """The option of the latest choice, in evaluation or in learning."""
@@ -134,7 +134,7 @@ class OptionLog(Stateful):
         return None
 
     def measure(self) -> dict[str, float]:
-        """Numbers to log."""
+        """Mean duration of options, decisions; entropy of their use, nats; 1 if they have collapsed."""
         return {"option_duration": self.compute_duration(), "option_entropy": self.compute_entropy(),
                 "option_collapse": float(self.find_collapse() is not None)}
 

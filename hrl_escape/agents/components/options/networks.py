@@ -93,7 +93,7 @@ class OptionHeads(Stateful):
         return compute_softmax(mask_values(logits, action_mask))
 
     def compute_terminations(self, observation: Any) -> NDArray[np.float64]:
-        """beta_o(s), float64 (options,)."""
+        """Probability that each option ends at the observation, beta_o(s), float64 (options,)."""
         return 1 / (1 + np.exp(-self.compute("ending", observation) - self._shift))
 
     def compute_option_policy(self, observation: Any) -> NDArray[np.float64]:

@@ -76,7 +76,7 @@ class RolloutOptionAgent(OptionAgent):
         return self.heads.compute_policies(observation, action_mask)
 
     def compute_terminations(self, observation: Any) -> NDArray[np.float64]:
-        """beta_o(s), float64 (options,)."""
+        """Probability that each option ends at the observation, beta_o(s), float64 (options,)."""
         return self.heads.compute_terminations(observation)
 
     def compute_preferences(self, observation: Any) -> NDArray:
