@@ -35,7 +35,7 @@ class OptionRun(Protocol):
     """One run of a learned policy, from its start on."""
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
-        """Choose an action, as evaluation does; what is left to chance is drawn from `rng`."""
+        """Choose an action, as evaluation does; random choices are drawn from `rng`."""
         ...
 
     def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:

@@ -72,12 +72,12 @@ class EndedDecisions(Protocol):
 
     @property
     def terminated(self) -> Tensor:
-        """Whether the task ended, as against a cut, bool (streams,)."""
+        """True where the task ended, which a cut does not do, bool (streams,)."""
         ...
 
     @property
     def truncated(self) -> Tensor:
-        """Whether the episode was cut off, bool (streams,)."""
+        """True where the episode was cut off, bool (streams,)."""
         ...
 
     @property
@@ -279,7 +279,7 @@ class OpenChoices(Stateful):
         return self._mask[stream], self._log_probability[stream], place, self._before[stream]
 
     def has(self, count: int, device: torch.device) -> bool:
-        """True if these are the choices of so many streams on that device."""
+        """True if these are the choices of that many streams on that device."""
         return (self.count, self._place.device) == (count, device)
 
     def find_last(self, stream: Tensor, place: Tensor) -> Tensor:

@@ -32,7 +32,7 @@ Kind = Literal["presets", "environments", "puzzles", "observations", "cameras", 
 
 PRIVILEGES = {"hierarchy": "task graph", "program": "program", "goals": "goals", "landmarks": "landmarks",
               "macros": "macro-actions", "tree": "cells", "simulator": "simulator"}
-"""Arguments of agents that act by a given hierarchy -> what they tell the agent that a flat one is not told."""
+"""Arguments of agents with a given hierarchy -> what they tell the agent beyond what a flat one knows."""
 
 
 @dataclasses.dataclass(frozen=True)

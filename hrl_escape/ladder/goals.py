@@ -127,7 +127,7 @@ class GoalsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         return np.all(np.asarray(achieved_goal) == np.asarray(desired_goal), axis=-1)
 
     def _make_goal(self, lit: tuple[bool, ...], is_exit: bool) -> NDArray[np.float32]:
-        """One number a target of the frame, of which this room may lack some, and one for the exit."""
+        """One number for each target of the frame, some of which this room may lack, and one for the exit."""
         goal = np.zeros(len(self._room.frame.target_names) + 1, dtype=np.float32)
         if is_exit:
             goal[-1] = 1

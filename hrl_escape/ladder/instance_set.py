@@ -30,7 +30,7 @@ CHOOSING_ROOMS = ("config", "instance", "instance_seed", "instances", "resample_
 
 
 class LazySeeds(Sequence[int]):
-    """Instance seeds, drawn from an iterator as far as they are asked for.
+    """Instance seeds, drawn from an iterator as they are needed.
 
     Args:
         seeds: iterator over at least `count` seeds.

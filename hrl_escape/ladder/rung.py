@@ -22,7 +22,7 @@ from hrl_escape.ladder.manifest import ROLES, RungRecord
 __all__ = ["Rung", "choose_seeds", "is_held_out"]
 
 HELD_OUT = 10
-"""One task in so many is kept for `test_task`."""
+"""One task in this many is kept for `test_task`."""
 
 
 def is_held_out(task: str) -> bool:

@@ -48,7 +48,7 @@ class Tower:
 
 
 Rooms: TypeAlias = "InstanceSet | Tower"
-"""A set of rooms, of which an episode has one, or a tower, of which it has one a floor."""
+"""A set of rooms, one for each episode, or a tower, one for each floor."""
 
 
 def list_sets(rooms: Rooms) -> tuple[InstanceSet, ...]:

@@ -27,7 +27,7 @@ class FactoredRMaxSettings(PlanningSettings):
     """Samples that settle a context of `factored-r-max`, beside hypotheses and search."""
 
     visits: Annotated[int, Range(1)] = 1
-    """Samples that make a context known; 1 is enough where outcomes have no chance in them."""
+    """Samples that make a context known; 1 is enough where outcomes are deterministic."""
 
 
 class FactoredRMax(PlanningAgent):

@@ -31,12 +31,12 @@ SWEEPS = 20_000
 
 @dataclass(frozen=True)
 class RMaxSettings(AgentSettings):
-    """States as `r-max` tells them apart, samples that make a pair known, and the worth of the unknown."""
+    """States as `r-max` tells them apart, samples that make a pair known, and the value of unknown pairs."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive: a reward k primitives later counts gamma^k."""
     visits: Annotated[int, Range(1)] = 1
-    """Samples that make a pair of state and action known (m); 1 is enough where outcomes have no chance in them."""
+    """Samples that make a pair of state and action known (m); 1 is enough where outcomes are deterministic."""
     optimistic_value: float = 100.0
     """Value of a pair that is not known, in units of return: no state's true value may be higher."""
     states: Literal["factors", "cells"] = "factors"
@@ -77,7 +77,7 @@ class RMax(Agent):
         self._rebuild()
 
     def _rebuild(self) -> None:
-        """Make the table anew from the history, because states are told apart in another way."""
+        """Rebuild the table from the history, because states are now told apart in another way."""
         self._numbers: dict[bytes, int] = {}
         self._legal: list[NDArray[np.bool_]] = []  # by state, what was ever legal there
         self._counts: list[NDArray[np.int64]] = []

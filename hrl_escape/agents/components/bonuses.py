@@ -31,7 +31,7 @@ class BonusSettings(AgentSettings):
     """A decision that leads to a cell for the n-th time costs this (1 - 1 / sqrt(n)), in units of return; 0 counts
     nothing."""
     bonus_bins: Annotated[int, Range(2)] = 5
-    """A component of the observation with bounds is rounded to the nearest of so many points for counting, both ends
+    """A component of the observation with bounds is rounded to the nearest of this many points for counting, both ends
     included: 5 over a 20 m room is 5 m; a bit stays a bit."""
 
 

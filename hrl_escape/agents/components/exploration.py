@@ -85,7 +85,7 @@ def choose_best(values: NDArray, mask: NDArray[np.bool_], rng: np.random.Generat
 
 
 def compute_epsilon(settings: Any, steps: int) -> float:
-    """Epsilon after so many steps: linear from `epsilon_start` to `epsilon_end`, then constant.
+    """Epsilon after this many steps: linear from `epsilon_start` to `epsilon_end`, then constant.
 
     Settings here and below are any with the fields of `EpsilonSettings` or `ExplorationSettings`.
     """

@@ -1,4 +1,4 @@
-"""Options made while learning: a protocol for those who find them, and an agent that explores or chooses with them.
+"""Options made while learning: a protocol for what finds them, and an agent that explores or chooses with them.
 
 Found options lie in slots of a declared maximum. An empty slot is masked, numbers never change, and what is found anew
 takes the place of what was found before under the same number.

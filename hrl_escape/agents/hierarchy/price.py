@@ -195,7 +195,7 @@ class _Calls:
     # --- decision points: (state, running calls) ---
 
     def solve_root(self, fixed: bool = False) -> int:
-        """Solve the whole, for the environment's reward; returns the number of (state, stack) pairs."""
+        """Solve the whole hierarchy for the environment's reward; returns the number of (state, stack) pairs."""
         root = self._enter(self._hierarchy.root, None)
         starts = np.flatnonzero(self._model.starts).tolist()
         points = _Points()

@@ -132,7 +132,7 @@ class CallRunner(Agent):
         return action
 
     def note_outcome(self, transition: SMDPTransition, rng: np.random.Generator) -> None:
-        """Keep how many primitives a decision of evaluation took, for calls that end after so many."""
+        """Keep how many primitives a decision of evaluation took, for calls that end after a number of them."""
         if self._evaluation is not None and self._evaluation[0] is rng:
             _, stack, step = self._evaluation
             is_over = transition.terminated or transition.truncated

@@ -252,7 +252,7 @@ LearnerSpec = Callable[[gymnasium.Space, gymnasium.spaces.Discrete, int], Agent]
 
 @dataclass(frozen=True)
 class Hierarchy:
-    """Tasks below a root, who learns at each, and what all this is told that a flat agent is not.
+    """Tasks below a root, the learner of each, and what they are told that a flat agent is not.
 
     Attributes:
         root: the call that runs for the whole episode.

@@ -118,7 +118,7 @@ def make_described_env(
 
 
 def list_foreign(description: Any) -> list[Any]:
-    """Names in a description, each `module:name`, of code that is run only for who trusts it."""
+    """Names in a description, each `module:name`, of code that runs only if the caller trusts it."""
     foreign: list[Any] = []
     for name in _list_names(description):
         if name not in foreign and find_part(name) is None:

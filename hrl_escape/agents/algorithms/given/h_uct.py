@@ -65,8 +65,8 @@ class HUctSettings(StackSettings):
     """Largest minus smallest return of a task; 0 measures it in each task, which is too little where reward is rare,
     and takes 1 while all returns were equal."""
     visits: Annotated[int, Range(1)] = 1
-    """Without a simulator, samples that make a pair of state and primitive known; 1 is enough where outcomes have no
-    chance in them."""
+    """Without a simulator, samples that make a pair of state and primitive known; 1 is enough where outcomes are
+    deterministic."""
     optimistic_value: float = 0.0
     """Without a simulator, the return of an unknown pair."""
     bins: Annotated[int, Range(2)] = 11

@@ -39,7 +39,7 @@ class RMaxqSettings(StackSettings):
     """Samples that make a pair known to `r-maxq`, and bounds of its models."""
 
     visits: Annotated[int, Range(1)] = 1
-    """Samples that make a pair of state and primitive known (m); 1 is enough where outcomes have no chance in them."""
+    """Samples that make a pair of state and primitive known (m); 1 is enough where outcomes are deterministic."""
     optimistic_value: float = 100.0
     """Value of an unknown pair (V_max), in units of return: no state's true value may be higher."""
     tolerance: Annotated[float, Range(0, open_low=True)] = 1e-9
