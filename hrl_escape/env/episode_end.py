@@ -17,7 +17,7 @@ class EpisodeEnd(str, Enum):
     TRUNCATED = "truncated"
     """The horizon was reached."""
     STOPPED = "stopped"
-    """No primitive ended the episode; whoever drove stopped."""
+    """No primitive ended the episode; the driver stopped."""
 
     @classmethod
     def of_step(cls, success: bool, terminated: bool, truncated: bool) -> EpisodeEnd:

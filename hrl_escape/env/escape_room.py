@@ -134,7 +134,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
         self._instances = instances
         if instances is not None:
             if instance is not None or not len(instances):
-                raise ConfigError("instances", instances, "at least one room, and no instance beside them")
+                raise ConfigError("instances", instances, "at least one room, and no argument instance")
             instance = read_instance(instances[0])
         elif instance is None:
             self.config = read_schematic(config)
@@ -173,7 +173,7 @@ class EscapeRoomEnv(gymnasium.Env[NDArray[Any], np.int64 | int], EzPickle):
     def _enter_index(self, index: Any) -> None:
         count = 0 if self._instances is None else len(self._instances)
         if isinstance(index, bool) or not isinstance(index, (int, np.integer)) or not 0 <= index < count:
-            raise ConfigError("reset options.instance_index", index, f"a number of one of {count} instances")
+            raise ConfigError("reset options.instance_index", index, f"an index of one of {count} instances")
         self.instance_index = int(index)
         instance = read_instance(self._instances[self.instance_index])  # type: ignore[index]  # there are some
         if instance.id != self.instance.id:

@@ -251,7 +251,7 @@ class InnerDoors:
         self._cells: dict[tuple[int, int], tuple[tuple[int, Footprint], ...]] = {}
 
     def get_shut(self, puzzle: Hashable) -> int:
-        """Bits of the doors that are shut; remembered."""
+        """Bits of the shut doors in a state of the puzzle; cached."""
         shut = self._shut.get(puzzle)
         if shut is None:
             if len(self._shut) > 4096:
@@ -260,7 +260,7 @@ class InnerDoors:
         return shut
 
     def find_blocking(self, x: float, y: float, puzzle: Hashable) -> int:
-        """Bits of the doors that are shut, but for those in which the body stands at a place."""
+        """Bits of the shut doors, except those in which a body at a place stands."""
         shut = self.get_shut(puzzle)
         for number, door in enumerate(self.footprints if shut else ()):
             if shut >> number & 1 and compute_distance(x, y, door) < self._radius - 1e-6:

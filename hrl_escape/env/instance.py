@@ -280,7 +280,7 @@ class RoomInstance(Schematic):
         """Largest floor distance from which the presser touches a target; -1 where it never does.
 
         Args:
-            target: what is to be touched.
+            target: the target to touch.
             hand_height: height of the hand above the floor, m, where the hand presses.
 
         Returns:

@@ -17,7 +17,7 @@ from hrl_escape.env.instance import RoomInstance
 __all__ = ["SIGHT_SLACK", "Scanner", "list_hiders"]
 
 SIGHT_SLACK = 1e-3
-"""Length in metres before an object within which nothing hides it, besides its own half thickness."""
+"""Distance from an object within which nothing hides it, m, in addition to its own half thickness."""
 _TINY = 1e-30  # replaces a zero component of a direction
 
 

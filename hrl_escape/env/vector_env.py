@@ -145,7 +145,7 @@ class EscapeRoomVectorEnv(VectorEnv):
         """Begin new episodes.
 
         Args:
-            seed: room i gets seed + i, or its own from a list; None goes on with the streams there are.
+            seed: room i gets seed + i, or its own from a list; None continues the present streams.
             options: `reset_mask`, bool (num_envs,): reset only these rooms.
         """
         self._check_open()

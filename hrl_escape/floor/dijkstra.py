@@ -234,7 +234,7 @@ def run_dijkstra(starts, sources, costs, classes, headings, turn_steps, can_turn
         costs: from `link_cells`.
         classes: heading classes of the links.
         headings: headings of the field, a multiple of `classes` or equal to it.
-        turn_steps: headings that each turn goes on, shape (turns,).
+        turn_steps: headings by which each turn advances, shape (turns,).
         can_turn: True where the body can turn from a class to the next one, shape (cells * classes,); empty where it
             always can.
         allowed: cells that may be used, shape (cells,), bool.
@@ -403,7 +403,7 @@ def forget_changed(starts, sources, costs, landing, link_cost, classes, headings
         link_cost: moves of the new grid, from `find_landings`.
         classes: heading classes of the links.
         headings: headings of the field.
-        turn_steps: headings that each turn goes on, shape (turns,).
+        turn_steps: headings by which each turn advances, shape (turns,).
         changed: cells whose moves, or whose place, differ from the old grid, shape (n,).
         standing: True where the body fits, shape (cells,).
         seeds: states with a cost-to-go of their own, the same in both grids, shape (seeds,).

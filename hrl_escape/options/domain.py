@@ -153,7 +153,7 @@ class OptionDomain:
             return np.clip(np.zeros(space.shape, space.dtype), space.low, space.high)
         if isinstance(space, (spaces.MultiDiscrete, spaces.MultiBinary)):
             return np.zeros(space.shape, space.dtype) + getattr(space, "start", 0)
-        raise UnsupportedError(f"a decision that cannot run costs one primitive, and {space} has none that stands out: "
+        raise UnsupportedError(f"a decision that cannot run costs one primitive, and {space} has no default one: "
                                "give OptionsEnv a domain with get_idle_action")
 
     def make_action(self, index: int) -> Any:

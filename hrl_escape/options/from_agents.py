@@ -84,7 +84,7 @@ class AgentOption(Option):
         learned: the policy.
         legal: number of the agent's actions, or state -> bool (actions,) of the legal ones.
         observe: state -> observation that the agent knows; None for the state itself.
-        until: state -> probability of ending there, beside the policy's own end; None for its own end alone.
+        until: state -> probability of ending there, in addition to the policy's own end; None for that alone.
         name: None for the policy's.
 
     Attributes:
@@ -180,7 +180,7 @@ def make_learned_options(
         legal: number of its actions, or state -> bool (actions,) of the legal ones.
         observe: state -> the observation it was trained on; None for the state itself. In a room that is
             `make_observer(instance, "features")` and the like, for a synthesised hierarchy `HierarchyEnv.observe`.
-        until: state -> probability of ending there, for all its options, beside their own ends.
+        until: state -> probability of ending there, for all its options, in addition to their own ends.
         prefix: put before every name, to tell the options of several agents apart.
 
     Raises:
@@ -194,5 +194,5 @@ def make_learned_options(
                           "that gives a bool for each")
     given = agent.get_options()
     if not given:
-        raise OptionError(f"{type(agent).__name__} has learned nothing that it could give: train it first")
+        raise OptionError(f"{type(agent).__name__} has no learned policies: train it first")
     return tuple(AgentOption(each, legal, observe, until, prefix + each.name) for each in given)

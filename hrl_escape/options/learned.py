@@ -88,7 +88,7 @@ class LearnedOption(FunctionOption):
             raise OptionError(f"option {name!r}: predict draws from torch's global generator, so that no run could be "
                               "repeated: leave is_stochastic false, or give a function of observation and generator")
         if isinstance(policy, TrainedAgent) and legal is None:
-            raise OptionError(f"option {name!r} follows an agent, which must be told what is legal: give legal=, the "
+            raise OptionError(f"option {name!r} follows an agent, which needs the legal actions: give legal=, the "
                               "number of its actions or a function of the state")
         if not (callable(policy) or isinstance(policy, (TrainedAgent, PredictingModel))):
             raise OptionError(f"option {name!r} has the policy {policy!r}: give a function, an agent with act_greedy, "

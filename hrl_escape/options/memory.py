@@ -1,7 +1,7 @@
 """Memory of an episode's decisions, as further numbers in the rows of the observation `objects`.
 
 The dependencies between buttons are hidden, so an agent that sees only the present cannot know what it has tried. This
-wrapper writes it beside each object: a summary of all decisions so far that is enough for puzzles without chance.
+wrapper adds to each object's row a summary of all decisions so far, which is enough for puzzles without chance.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class DecisionMemory(gymnasium.Wrapper, RecordConstructorArgs):
         self._shown = np.zeros(rows, dtype=np.bool_)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, with nothing remembered."""
+        """Begin an episode, with an empty memory."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._forget()
         self._shown = self._read_lit(observation)

@@ -131,7 +131,7 @@ class PlannedOption(Option):
 class MarkovOption(Option):
     """Reach one goal by a policy that is a function of the state: the first primitive of the shortest route from here.
 
-    The route is searched anew from every state, along the goal's cost-to-go field, and remembered by pose. So a
+    The route is searched anew from every state, along the goal's cost-to-go field, and cached by pose. So a
     primitive inside any option tells what this one would have done there, which intra-option learning needs. Noise asks
     for no replanning. A target that is touched already is left first, then pressed again.
 
@@ -242,7 +242,7 @@ class AbsentOption(Option):
 def list_goals(instance: RoomInstance) -> list[Goal]:
     """Goals of a room: presses of the targets of its frame, unless they are cells of a map; then the model's others.
 
-    What is done at every target beside presses, such as gripping, stands for the frame's other targets, too.
+    An action at every target other than a press, such as gripping, stands for the frame's other targets, too.
     """
     own, every = len(instance.targets), len(instance.frame.target_names)
     goals: list[Goal] = [PressGoal(i) for i in (() if isinstance(instance.puzzle, Mapped) else range(every))]

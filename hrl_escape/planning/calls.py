@@ -1,4 +1,4 @@
-"""Planning calls beside other work: in a thread that can be cancelled, and many at once over processes."""
+"""Planning calls that run concurrently: in a thread that can be cancelled, or many at once over processes."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class PlanningCall:
             timeout: s; None to wait for ever.
 
         Raises:
-            TimeoutError: the call goes on.
+            TimeoutError: no result within the timeout; the call continues.
             EscapeError: what `RoomPlanner.answer` raised.
         """
         return self._future.result(timeout)

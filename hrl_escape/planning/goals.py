@@ -273,7 +273,7 @@ def find_grips(goal: GripGoal, instance: RoomInstance) -> tuple[Operator, ...]:
     found = tuple(operator for operator in instance.symbolic_model.operators
                   if (operator.target, operator.action) == (name, goal.action))
     if not found:
-        raise GoalError(f"the puzzle {instance.puzzle.kind!r} does not ask to {goal.action} at {name!r}")
+        raise GoalError(f"the puzzle {instance.puzzle.kind!r} has no operator to {goal.action} at {name!r}")
     return found
 
 
@@ -287,4 +287,4 @@ def find_push(goal: PushGoal, instance: RoomInstance) -> Operator:
     for operator in instance.symbolic_model.operators:
         if operator.action == "push" and (operator.target, operator.destination) == (prop, destination):
             return operator
-    raise GoalError(f"the puzzle {instance.puzzle.kind!r} does not ask to push {prop!r} onto {destination!r}")
+    raise GoalError(f"the puzzle {instance.puzzle.kind!r} has no operator to push {prop!r} onto {destination!r}")

@@ -131,7 +131,7 @@ class Orders:
                      report: PlanningReport | None, most_nodes: float = math.inf) -> ExtendLeg:
         """Make the function that plans the next leg of a task from the true end of the one before.
 
-        It finds no further legs once `most_nodes` search nodes are spent; those of remembered routes count again.
+        It finds no further legs once `most_nodes` search nodes are spent; those of cached routes count again.
         """
         puzzle, left = self._instance.puzzle, most_nodes
 

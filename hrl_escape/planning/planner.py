@@ -35,7 +35,7 @@ ESCAPES = 8
 class RoomPlanner:
     """Planner of one room; make it once and use it for every episode.
 
-    Thread-safe by a lock. Pickling drops the remembered routes.
+    Thread-safe by a lock. Pickling drops the cached routes.
 
     Args:
         instance: the room. Under noise, slip or physics, plans are for the kinematic room without these; in a random
@@ -50,7 +50,7 @@ class RoomPlanner:
     Attributes:
         instance: the room as given.
         rules: its kinematics with nothing random, by which plans are checked.
-        routes: routes to single goals, remembered.
+        routes: cached routes to single goals.
         orders: cheapest orders of the puzzle's operators.
         escapes: legs planned together with what comes after them.
 

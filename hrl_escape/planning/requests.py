@@ -90,7 +90,7 @@ class PlanningResult:
         cost: its cost by the request's objective; infinity without a plan.
         lower_bound: no plan costs less.
         method: search that found the plan, such as `fields` or `RRTConnect`; empty without a plan.
-        spent: search nodes expanded; those of remembered routes count again.
+        spent: search nodes expanded; those of cached routes count again.
         seconds: wall time, without compilation.
         cut_short: the time limit, or a cancellation, ended the call; without it the plan may be better.
         failure: the error that says why there is no plan; None with a plan.

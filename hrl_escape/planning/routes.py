@@ -1,4 +1,4 @@
-"""Routes: primitives from a state to one goal, found once, remembered, and checked by replay.
+"""Routes: primitives from a state to one goal, found once, cached, and checked by replay.
 
 Options follow routes, and plans are made of them. A route is a function of state and goal alone,
 so remembering it saves time and changes nothing. `search/primitive_search.py` finds a single route.
@@ -190,7 +190,7 @@ class Routes:
             settings: of the search; None for the planner's own.
 
         Raises:
-            PlanningFailed: no route; a failure is remembered like a route.
+            PlanningFailed: no route; a failure is cached like a route.
             StateError, GoalError: an impossible state or goal.
         """
         began = read_clock()
@@ -221,7 +221,7 @@ class Routes:
 
     def find_route_around(self, state: RoomState, goal: Goal, keep_out: Sequence[Footprint], budget: int,
                           report: PlanningReport, *, refine: bool = True, clock: Clock | None = None) -> Route:
-        """Find the route to a goal round movable things such as blocks; it is not remembered.
+        """Find the route to a goal round movable things such as blocks; it is not cached.
 
         Args:
             state: first state.

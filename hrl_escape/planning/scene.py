@@ -43,7 +43,7 @@ class Scene:
     puzzle's props keep their own names. Targets can be moved, but the puzzle's rules say how many there are.
 
     Attributes:
-        instance: the room as it stands.
+        instance: the room with all edits so far.
         names: names of `instance.solids`, in order.
         held: the object in the hand; None for an empty hand.
     """

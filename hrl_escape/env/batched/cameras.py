@@ -55,7 +55,7 @@ class Pictures(NamedTuple):
 
 
 class _Form(NamedTuple):
-    """Constants of a picture besides the layout."""
+    """Constants of a picture in addition to the layout."""
 
     camera: str
     width: int
@@ -233,7 +233,7 @@ def _add_box_base(layout: Layout, tables: Tables, things: Scenery, state: Tensor
 
 def _find_floor_look(layout: Layout, tables: Tables, things: Scenery, view: _View, ray: list[Tensor], depth: Tensor,
                      state: TensorState) -> Tensor:
-    """Material index of the floor where each ray hits it, int64 (rooms, pixels); 0 beside the floor."""
+    """Material index of the floor where each ray hits it, int64 (rooms, pixels); 0 off the floor."""
     x, y = (eye.unsqueeze(1) + depth * part for eye, part in zip(view.eye[:2], ray[:2], strict=True))
     side = things.sizes[3].unsqueeze(1)
     is_other = torch.remainder(torch.floor(x / side) + torch.floor(y / side), 2.0) >= 1.0

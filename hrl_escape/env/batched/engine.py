@@ -214,7 +214,7 @@ class TensorRoom:
         """Begin new episodes.
 
         Args:
-            seeds: key of each room's random numbers, int64 (rooms,); None goes on with the streams there are.
+            seeds: key of each room's random numbers, int64 (rooms,); None continues the present streams.
             where: rooms to reset, bool (rooms,); None resets all.
 
         Returns:

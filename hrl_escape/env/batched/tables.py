@@ -253,7 +253,7 @@ def make_layout(instances: Sequence[RoomInstance], resample: bool) -> Layout:
                                    ("number of targets", len(first.frame.target_names),
                                     len(other.frame.target_names))):
             if mine != theirs:
-                raise UnsupportedError(f"instance {index} of a batch has another {what} than instance 0 ({theirs} "
+                raise UnsupportedError(f"instance {index} of a batch differs from instance 0 in {what} ({theirs} "
                                        f"and not {mine}): make one batch for each")
     noise = first.dynamics.noise
     is_puzzle_random = any(instance.puzzle.is_random for instance in instances)

@@ -55,7 +55,7 @@ _UPRIGHT = (0.0, 0.0, 0.0, 1.0)
 
 
 class PhysicsState(NamedTuple):
-    """Bullet's part of a state besides the pose in `RoomState`; plain numbers, hashable.
+    """Bullet's part of a state, in addition to the pose in `RoomState`; plain numbers, hashable.
 
     Attributes:
         drive_velocities: of the base along x and y, m/s, and about z, rad/s.

@@ -43,7 +43,7 @@ def compute_layout(count: int, edges: Sequence[tuple[int, int]]) -> list[tuple[f
 
     Returns:
         (x, y) per node, in units of one node's distance to the next. Layers of more than 8
-        take several rows; after 12 rows it goes on in the next column, upwards and downwards
+        take several rows; after 12 rows it continues in the next column, upwards and downwards
         in turn.
     """
     depths = compute_depths(count, edges)

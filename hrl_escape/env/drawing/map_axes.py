@@ -241,7 +241,7 @@ def _draw_trajectory(axes: Axes, trajectory: Trajectory, colour: str) -> None:
 
 
 def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
-    """Panels as coloured bars, pads as areas; names outside the nearest outer wall, beside a panel inside, on a pad."""
+    """Panels as coloured bars, pads as areas; names outside the nearest outer wall, by an inner panel, or on a pad."""
     puzzle = instance.puzzle
     sides: dict[str, list[int]] = {}
     for index, target in enumerate(instance.targets):

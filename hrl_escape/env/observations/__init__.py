@@ -1,4 +1,4 @@
-"""Observations, one file a kind: what one room shows and, beside it, what a batch of rooms shows.
+"""Observations, one file for each kind, with its form for one room and its form for a batch of rooms.
 
 Importing this package imports every module in it; each file ends with `register_observation`, so a new file is a new
 observation. Environments, command line, grids, viewer and docs read the registry.

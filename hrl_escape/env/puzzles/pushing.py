@@ -125,7 +125,7 @@ def find_fewest_shoves(rows: tuple[str, ...], player: int, boxes: frozenset[int]
     """Pushes of a solution with the fewest moves, walks included; None if there is none.
 
     A* with the fewest pushes that lone boxes need, each to a goal of its own. Boxes never enter cells from which no
-    pushes lead to a goal. Beyond 10,000 states it goes on greedily, so that there may be fewer moves; beyond 300,000 it
+    pushes lead to a goal. Beyond 10,000 states it continues greedily, so fewer moves may exist; beyond 300,000 it
     gives up.
 
     Args:

@@ -95,7 +95,7 @@ def _count_least(towers: Towers, goal: TowersGoal) -> int:
 def find_fewest_moves(towers: Towers, goal: TowersGoal) -> tuple[tuple[int, int], ...] | None:
     """The fewest moves that lead to a goal, as (1 to grip or -1 to release, lowest block of the tower); None for none.
 
-    A* with the number of blocks that must be moved. Beyond 10,000 states it goes on greedily.
+    A* with the number of blocks that must be moved. Beyond 10,000 states it continues greedily.
     """
     return find_cheapest_steps(
         towers, lambda state: meets_goal(state, goal),

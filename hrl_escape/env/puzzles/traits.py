@@ -1,7 +1,7 @@
 """Traits that some puzzles have besides their rules: a graph, signs, doors, a map, things to push.
 
-A puzzle has a trait by naming it among its bases, `class Sokoban(Pushing, Puzzle)`. Each trait, as it stands, is that
-of a puzzle without: `get_trait(puzzle, Graphed).edges` is empty for a puzzle that is not `Graphed`.
+A puzzle declares a trait as a base class, `class Sokoban(Pushing, Puzzle)`. The defaults of each trait are those
+of a puzzle without it: `get_trait(puzzle, Graphed).edges` is empty for a puzzle that is not `Graphed`.
 """
 
 from __future__ import annotations

@@ -78,4 +78,4 @@ def _sample_obstacle(config: RoomConfig, instance: RoomInstance, others: list[So
         if any(compute_distance(x, y, other) < apart for other in standing.list_near(x, y, apart)):
             continue  # obstacles may touch, but none is inside another or a wall
         return Solid("cylinder" if is_cylinder else "box", x, y, half_x, half_y, yaw, settings.height, "obstacle")
-    raise Rejected("obstacles must find places beside the start, buttons, props and exit")
+    raise Rejected("obstacles must fit clear of the start, buttons, props and exit")

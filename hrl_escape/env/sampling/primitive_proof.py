@@ -44,7 +44,7 @@ _SHIFTS = 3
 _MOST_CELLS = 40_000
 """Most cells over which waves spread; they only guide the search, so a coarse grid is enough."""
 _EXPANSIONS = 4000
-"""States that the search for one button or the exit may expand each time, besides 20 a step of the way."""
+"""Most states that one search for a button or the exit expands, plus 20 for each step of the way."""
 _FINENESS = (0.05, 0.3, 1e-4)
 """Share of a step within which two places count as one: the search is made again where it failed."""
 _HANDS = 4000

@@ -78,7 +78,7 @@ def choose_primitive(layout: Layout, tables: Tables, fields: CostFields, state: 
         state: their states.
         goal: the target to press, or the number of targets for the exit, int64 (rooms,).
         postures: postures that a hand may press in, int64 (chosen, rooms).
-        cells: cells remembered, int64 (memory, rooms).
+        cells: last cells of each room, int64 (memory, rooms).
         costs: costs found there, float32 (memory, rooms).
     """
     depth = 1 if layout.headings >= _FINE_HEADINGS else 2

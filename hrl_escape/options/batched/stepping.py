@@ -45,7 +45,7 @@ REACHED, TIMEOUT, EPISODE_OVER, FAILED, INTERRUPTED = range(len(ENDINGS))
 
 
 class StepSettings(NamedTuple):
-    """Constants of a compiled kernel besides the layout.
+    """Constants of a compiled kernel in addition to the layout.
 
     Attributes:
         observation: what agents see.
@@ -200,7 +200,7 @@ def _read_aligned(rows: Tensor, left: Tensor) -> Tensor:
 
 def begin_decisions(layout: Layout, settings: StepSettings, running: OpenDecisions, where: Tensor, action: Tensor,
                     observation: Tensor) -> OpenDecisions:
-    """Begin decisions in the rooms of `where`, bool (rooms,), for the actions given; an interrupted option goes on."""
+    """Begin decisions in the rooms of `where`, bool (rooms,), for given actions; an interrupted option continues."""
     option = torch.where(action >= settings.primitives, action, -1)
     goal = action - settings.primitives
     if settings.has_ancestors:

@@ -207,7 +207,7 @@ def iterate_values(values, moves, turn_steps, own, leaving, penalty, tolerance, 
         values: cost-to-go or more, shape (classes, cells * fields), float32: `UNREACHABLE`, and `AT_GOAL` where the
             goal is a set of states. Costs that are too low would take more sweeps to grow than those to fall.
         moves: from `trace_moves`.
-        turn_steps: heading classes that each turn goes on, shape (turns,); the first two are 1 and -1.
+        turn_steps: heading classes by which each turn advances, shape (turns,); the first two are 1 and -1.
         own: bit of the target that a move of each field is to touch, 0 for the exit, uint64 (fields,).
         leaving: cost of entering the exit without the goal, float32 (fields,); `UNREACHABLE` where the episode ends.
         penalty: cost of touching another target, float32.

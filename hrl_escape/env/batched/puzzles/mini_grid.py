@@ -36,8 +36,8 @@ class MiniGridTensorPuzzle(TensorPuzzle):
         first = grids[0]
         if any((len(g.doors), len(g.things), g.keys) != (len(first.doors), len(first.things), first.keys)
                for g in grids):
-            raise UnsupportedError("all levels of a batch have the same numbers of doors, keys and balls, and these "
-                                   "have not: make one batch for each")
+            raise UnsupportedError("the levels of a batch need equal numbers of doors, keys and balls: make one "
+                                   "batch for each")
         cells = np.full((max(1, *(len(g.blockable) for g in grids)), len(grids)), -1, dtype=np.int64)
         doors = cells.copy()
         for number, grid in enumerate(grids):
