@@ -363,7 +363,7 @@ def test_stepping_before_the_first_reset_is_refused():
         ({"autoreset": "sometimes"}, ConfigError, "next-step, same-step, disabled"),
         ({"instances": [generate(get_preset("push-block"), 0)]}, UnsupportedError, "make_vec"),
         ({"instances": [generate(get_preset(n), 0) for n in ("paper-one-button", "larg-2019")]}, UnsupportedError,
-         "another robot"),
+         "differs from instance 0 in robot"),
         ({"instances": [generate(get_preset(n), 0) for n in ("ten-button", "twenty-button")]}, UnsupportedError,
          "number of targets"),
     ],
