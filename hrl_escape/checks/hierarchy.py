@@ -272,7 +272,7 @@ class _HierarchyCheck(Claims):
     def _check_greedy(
         self, agent: CallRunner, observation: Any, mask: NDArray[np.bool_], rng: np.random.Generator
     ) -> None:
-        """Invariant 6: evaluation changes nothing; tried in the midst of learning."""
+        """Invariant 6: evaluation in the midst of learning changes nothing."""
         before = _dump(agent)
         agent.act_greedy(observation, mask, rng)
         self.require(_dump(agent) == before, "evaluation changes nothing in the agent", "state_dict changed")
@@ -306,7 +306,7 @@ class _HierarchyCheck(Claims):
                          (earned, gained))
 
     def _check_ends(self, played: _Played) -> None:
-        """Invariants 4 and 5: inner calls come back first; a cut bootstraps; only who ended gets its `final`."""
+        """Invariants 4 and 5: inner calls come back first; a cut bootstraps; only ended calls get their `final`."""
         book = played.book
         for earlier, later in zip(book.notes, book.notes[1:], strict=False):
             if earlier.clock == later.clock:

@@ -154,7 +154,7 @@ class _PuzzleCheck(Claims):
         return (self.update(state, (), poses) if poses else state), poses
 
     def finish(self, state: Hashable, poses: Poses) -> None:
-        """Follow operators that add something, as far as that leads, so that solved states are seen."""
+        """Follow operators that add facts until the goal holds or none does, so that solved states are seen too."""
         for _ in range(2 * len(self.model.operators)):
             facts = self.puzzle.symbolic.get_facts(state)
             useful = [op for op in self.model.operators if op.is_applicable(facts) and not op.apply(facts) <= facts]
@@ -213,7 +213,7 @@ class _PuzzleCheck(Claims):
         return after
 
     def draw_poses(self) -> Poses:
-        """Somewhere on a floor of 20 m, with nothing on top of anything on purpose."""
+        """Random poses on a floor of 20 m, without regard to overlaps."""
         return tuple((float(x), float(y), float(yaw)) for x, y, yaw in
                      self.rng.uniform((-10, -10, -math.pi), (10, 10, math.pi), (len(self.props), 3)))
 

@@ -106,7 +106,7 @@ def run_grid(grid: Grid, out: str | os.PathLike[str], launcher: Launcher | None 
 
 
 def read_comparison(out: str | os.PathLike[str], grid: Grid | None = None) -> Comparison:
-    """Read the finished runs of a comparison, made by whomever, without running or changing anything.
+    """Read the finished runs of a comparison, wherever they were made, without running or changing anything.
 
     Args:
         out: its folder.

@@ -248,7 +248,7 @@ def _find_fewest(result: RunResult) -> list[int]:
 
 
 def _raise_range(score_range: ScoreRange, best: dict[tuple[float, ...], tuple[float, float, str]]) -> ScoreRange:
-    """Replace the best known; who could do the old best can do the new one, as far as is known."""
+    """Replace the best known; where the old best counted as within reach, the new one does too."""
     raised, fewest, sources = zip(*(best[start] for start in score_range.starts), strict=True)
     reachable = tuple(new if reach >= old else reach
                       for reach, old, new in zip(score_range.reachable, score_range.best, raised, strict=True))

@@ -1,4 +1,4 @@
-"""Verdict of a comparison in plain words, as far as its runs support it.
+"""Verdict of a comparison in plain words: no more than its runs support.
 
 Pure functions from a `Summary` to sentences. One agent is called better than another only where a paired
 test says so after correction for all pairs of agents (`pairs.py`). Labels of agents stand between backticks.

@@ -168,7 +168,7 @@ MUTATIONS = [
     Mutation(
         "limits are held at the ends of pieces with the next piece's curvature only",
         "planning/motion/trajectory.py",
-        "2 + math.ceil((b - a) / GRID_DISTANCE))), b - LATE * (b - a))",
+        "2 + math.ceil((b - a) / GRID_DISTANCE))), b - TAIL * (b - a))",
         "2 + math.ceil((b - a) / GRID_DISTANCE))), b)",
         "planning/motion/test_trajectory.py::test_time_optimal_motion_is_nearly_as_fast_as_its_limits_allow",
     ),

@@ -41,7 +41,7 @@ GRID_DISTANCE = 0.02
 """Largest distance of toppra's grid points along a path, in metres of motion."""
 LEAST_POINTS = 12
 """Fewest grid points on each line and each rounded corner."""
-LATE = 1e-4
+TAIL = 1e-4
 """Distance before the end of a line or corner, as a share of it, at which the limits are imposed once more."""
 
 
@@ -273,7 +273,7 @@ def _time_by_toppra(path: MotionPath, limits: MotionLimits) -> _Timed:
         sides[:, 1], discretization_scheme=constraint.DiscretizationType.Interpolation)]
     ends = zip(curve.x, curve.x[1:], strict=False)
     grid = np.unique(np.concatenate([  # a piece's own curvature must hold up to its end, where the next one's begins
-        np.append(np.linspace(a, b, max(LEAST_POINTS, 2 + math.ceil((b - a) / GRID_DISTANCE))), b - LATE * (b - a))
+        np.append(np.linspace(a, b, max(LEAST_POINTS, 2 + math.ceil((b - a) / GRID_DISTANCE))), b - TAIL * (b - a))
         for a, b in ends]))
     search = algorithm.TOPPRA(wanted, Curve(), gridpoints=grid, parametrizer="ParametrizeConstAccel")
     rates_squared = search.compute_parameterization(0.0, 0.0)

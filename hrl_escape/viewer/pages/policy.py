@@ -1,4 +1,4 @@
-"""Policy of a page from disk: it runs the scripts it was written with, and asks nobody for anything.
+"""Policy of a page from disk: it runs only the scripts that it was written with, and loads nothing over the network.
 
 A page that is handed on carries names and numbers from rooms, agents and saved episodes. They are escaped where they
 stand; should one slip through, its script has no hash in this policy and is not run, and no address can be asked.

@@ -31,7 +31,7 @@ class Gate:
 
     @property
     def is_stopped(self) -> bool:
-        """Nothing passes any more, for good."""
+        """True once `stop` has closed the gate for good."""
         return self._stopped
 
     def pause(self, paused: bool = True) -> None:
