@@ -17,9 +17,8 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
-from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
+from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.factored.observation import FactorReader
-from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
 
@@ -30,7 +29,7 @@ SWEEPS = 20_000
 
 
 @dataclass(frozen=True)
-class RMaxSettings(AgentSettings):
+class RMaxSettings(ResolutionSettings):
     """States as `r-max` tells them apart, samples that make a pair known, and the value of unknown pairs."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
@@ -41,11 +40,7 @@ class RMaxSettings(AgentSettings):
     """Value of a pair that is not known, in units of return: no state's true value may be higher."""
     states: Literal["factors", "cells"] = "factors"
     """`factors`: a state is its discrete components, in a room the puzzle's bits, whatever the pose. `cells`: every
-    component counts, rounded as tabular agents round it."""
-    bins: Annotated[int, Range(2)] = 11
-    """With `cells`, points that a component with bounds is rounded to."""
-    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """With `cells`, what a component without bounds is rounded to multiples of."""
+    component counts, rounded by `bins` and `resolution`."""
     tolerance: Annotated[float, Range(0, open_low=True)] = 1e-9
     """Value iteration stops when no value moves by more than this."""
 
@@ -70,8 +65,7 @@ class RMax(Agent):
         if self.settings.states == "factors":
             self._reader = FactorReader(observation_space, "r-max")
         else:
-            table = TabularSettings(bins=self.settings.bins, resolution=self.settings.resolution)
-            self._discretise = make_discretiser(observation_space, table, "r-max")
+            self._discretise = make_discretiser(observation_space, self.settings, "r-max")
         self._rng = make_rng(seed, "actions")
         self._history: list[SMDPTransition] = []
         self._rebuild()

@@ -15,6 +15,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from hrl_escape.agents.components.exploration import ExplorationSettings
 from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import UnsupportedSpaceError
@@ -35,8 +36,8 @@ class ResolutionSettings(AgentSettings):
 
 
 @dataclass(frozen=True)
-class TabularSettings(ResolutionSettings):
-    """Resolution of states, and learning rates of the table."""
+class TabularSettings(ResolutionSettings, ExplorationSettings):
+    """Resolution of states, learning rates of the table, and exploration from it."""
 
     learning_rate: Annotated[float, Range(0, 1, open_low=True)] = 0.5
     """Step size alpha at a state and action's first update; 1 suits deterministic environments."""

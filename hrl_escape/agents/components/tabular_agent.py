@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, compute_backup, count_actions, count_steps
 from hrl_escape.agents.components.exploration import (
-    ExplorationSettings,
     choose_best,
     compute_epsilon,
     make_rng,
@@ -28,7 +27,7 @@ __all__ = ["TabularAgent", "TabularAgentSettings"]
 
 
 @dataclass(frozen=True)
-class TabularAgentSettings(TabularSettings, ExplorationSettings, LearningSettings):
+class TabularAgentSettings(TabularSettings, LearningSettings):
     """Settings of agents with a table of action values."""
 
 

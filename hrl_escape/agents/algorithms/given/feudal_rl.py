@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.exploration import (
-    ExplorationSettings,
     choose_best,
     compute_epsilon,
     make_rng,
@@ -152,7 +151,7 @@ def make_feudal_hierarchy(tree: Quadtree, primitives: int, penalty: float, patie
 
 
 @dataclass(frozen=True)
-class FeudalRlSettings(StackSettings, TabularSettings, ExplorationSettings):
+class FeudalRlSettings(StackSettings, TabularSettings):
     """Pay and patience of orders in `feudal-rl`, beside rates, exploration and discount."""
 
     penalty: Annotated[float, Range(0)] = 0.2

@@ -17,13 +17,7 @@ import torch
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
-from hrl_escape.agents.components.exploration import (
-    EpsilonSettings,
-    choose_best,
-    compute_epsilon,
-    make_rng,
-    sample_legal,
-)
+from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_legal
 from hrl_escape.agents.components.networks import (
     Learner,
     NetworkSettings,
@@ -46,8 +40,15 @@ __all__ = ["HDqn", "HDqnSettings"]
 
 
 @dataclass(frozen=True)
-class HDqnSettings(StackSettings, NetworkSettings, EpsilonSettings):
-    """Settings of `h-dqn`; the epsilon schedule is the manager's."""
+class HDqnSettings(StackSettings, NetworkSettings):
+    """Settings of `h-dqn`."""
+
+    epsilon_start: Annotated[float, Range(0, 1)] = 1.0
+    """Epsilon of the manager at the beginning."""
+    epsilon_end: Annotated[float, Range(0, 1)] = 0.05
+    """Epsilon of the manager from `epsilon_steps` on."""
+    epsilon_steps: Annotated[int, Range(1)] = 5_000
+    """Primitives over which the manager's epsilon falls linearly."""
 
     initialisation: Literal["torch", "glorot", "orthogonal"] = "torch"
     """Initial weights: `torch` U(+-1/sqrt(fan in)); `glorot` Xavier uniform with zero bias, as Keras; `orthogonal`

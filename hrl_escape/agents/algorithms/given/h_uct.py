@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
-from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
+from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
@@ -47,7 +47,7 @@ _Met = dict[tuple[bytes, int], list[Sampled]]
 
 
 @dataclass(frozen=True)
-class HUctSettings(StackSettings):
+class HUctSettings(StackSettings, ResolutionSettings):
     """Size of the searches of `h-uct`, and how they explore."""
 
     polled: Literal["never", "evaluation", "always"] = "always"
@@ -69,10 +69,6 @@ class HUctSettings(StackSettings):
     deterministic."""
     optimistic_value: float = 0.0
     """Without a simulator, the return of an unknown pair."""
-    bins: Annotated[int, Range(2)] = 11
-    """Points that a component of the observation with bounds is rounded to, to tell states apart."""
-    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this."""
 
 
 def _save_met(met: _Met) -> list[Any]:
@@ -126,8 +122,7 @@ class HUct(CallRunner):
         settings = settings or HUctSettings()
         super().__init__(hierarchy or flat(count_actions(action_space, "h-uct")), seed, settings)
         get_graph(self.hierarchy, "h-uct")
-        table = TabularSettings(bins=settings.bins, resolution=settings.resolution)
-        self._discretise = make_discretiser(observation_space, table, "h-uct")
+        self._discretise = make_discretiser(observation_space, settings, "h-uct")
         self._simulator = simulator
         self._met: _Met = {}
         self._search_rng = make_rng(seed, "search")

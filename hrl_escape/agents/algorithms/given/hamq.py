@@ -19,7 +19,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import (
-    ExplorationSettings,
     choose_best,
     compute_epsilon,
     make_rng,
@@ -53,7 +52,7 @@ MOST_INTERNAL = 10_000
 
 
 @dataclass(frozen=True)
-class HamqSettings(TabularSettings, ExplorationSettings):
+class HamqSettings(TabularSettings):
     """Rates, exploration and discount of `hamq`, and whether choices without a primitive between share a value."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99

@@ -23,7 +23,7 @@ from hrl_escape.agents.components.exploration import (
     make_rng,
     sample_legal,
 )
-from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
+from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.hierarchy.regions import Landmarks
 from hrl_escape.agents.hierarchy.task_graph import freeze
 from hrl_escape.agents.option_policy import OptionPolicy
@@ -35,8 +35,8 @@ __all__ = ["Hdg", "HdgSettings"]
 
 
 @dataclass(frozen=True)
-class HdgSettings(EpsilonSettings):
-    """Rates of distances in `hdg`, and where it aims on far ways."""
+class HdgSettings(ResolutionSettings, EpsilonSettings):
+    """Rates of distances in `hdg`, aims on far ways, and the rounding of states where no landmarks are given."""
 
     gamma: Annotated[float, Range(0, 1)] = 0.99
     """Discount per primitive of what is logged; distances are counted in primitives, without discount."""
@@ -52,10 +52,6 @@ class HdgSettings(EpsilonSettings):
     """Primitives that the end of an episode counts as on the way to another state."""
     most_states: Annotated[int, Range(1)] = 4_000
     """Bound on states met; memory grows with its square."""
-    bins: Annotated[int, Range(2)] = 11
-    """Without landmarks, points that a component with bounds is rounded to."""
-    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """Without landmarks, what a component without bounds is rounded to multiples of."""
 
 
 class Hdg(Agent):
@@ -98,8 +94,7 @@ class Hdg(Agent):
         self._landmarks, self._goal = landmarks, goal
         self._find_state: Callable[[Any], Hashable]
         if landmarks is None:
-            table = TabularSettings(bins=settings.bins, resolution=settings.resolution)
-            self._find_state = make_discretiser(observation_space, table, "hdg")
+            self._find_state = make_discretiser(observation_space, settings, "hdg")
         else:
             self._find_state = landmarks.state
         self._rng = make_rng(seed, "actions")

@@ -16,14 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
-from hrl_escape.agents.components.exploration import (
-    EpsilonSettings,
-    choose_best,
-    compute_epsilon,
-    make_rng,
-    sample_index,
-)
-from hrl_escape.agents.components.tables import QTable, TabularSettings, make_discretiser
+from hrl_escape.agents.components.exploration import choose_best, compute_epsilon, make_rng, sample_index
+from hrl_escape.agents.components.tables import QTable, ResolutionSettings, TabularSettings, make_discretiser
 from hrl_escape.agents.hierarchy.value_table import ValueTable
 from hrl_escape.agents.state import StateTree
 from hrl_escape.settings import Range
@@ -32,7 +26,7 @@ __all__ = ["HqLearning", "HqLearningSettings"]
 
 
 @dataclass(frozen=True)
-class HqLearningSettings(EpsilonSettings):
+class HqLearningSettings(ResolutionSettings):
     """Settings of `hq-learning`; defaults are those of the paper's key-and-door maze."""
 
     epsilon_start: Annotated[float, Range(0, 1)] = 0.6
@@ -53,10 +47,6 @@ class HqLearningSettings(EpsilonSettings):
     """Lambda of the returns of both."""
     temperature: Annotated[float, Range(0, open_low=True)] = 0.2
     """Temperature of the Boltzmann draws, which replace the best primitive with probability epsilon."""
-    bins: Annotated[int, Range(2)] = 11
-    """Points that a component of the observation with bounds is rounded to."""
-    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this."""
 
 
 class _Acted(NamedTuple):
@@ -112,9 +102,8 @@ class HqLearning(Agent):
     ) -> None:
         self.settings = settings = settings or HqLearningSettings()
         actions = count_actions(action_space, "hq-learning")
-        table = TabularSettings(bins=settings.bins, resolution=settings.resolution,
-                                learning_rate=settings.learning_rate)  # fmt: skip
-        self._discretise = make_discretiser(observation_space, table, "hq-learning")
+        table = TabularSettings(learning_rate=settings.learning_rate)
+        self._discretise = make_discretiser(observation_space, settings, "hq-learning")
         self.tables = [QTable(actions, table) for _ in range(settings.agents)]
         self.subgoals = ValueTable(settings.subgoal_learning_rate)
         """HQ by (agent, observation)."""

@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.exploration import (
-    ExplorationSettings,
     choose_best,
     compute_epsilon,
     make_rng,
@@ -97,7 +96,7 @@ def make_macro_hierarchy(primitives: int, macros: Sequence[Macro]) -> Hierarchy:
 
 
 @dataclass(frozen=True)
-class MacroQSettings(StackSettings, TabularSettings, ExplorationSettings):
+class MacroQSettings(StackSettings, TabularSettings):
     """Rates, exploration and discount of `macro-q`; macros are given, not set."""
 
 

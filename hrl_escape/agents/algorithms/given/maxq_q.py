@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.exploration import (
-    ExplorationSettings,
     choose_best,
     compute_epsilon,
     make_rng,
@@ -35,7 +34,7 @@ __all__ = ["MaxqQ", "MaxqQSettings"]
 
 
 @dataclass(frozen=True)
-class MaxqQSettings(StackSettings, TabularSettings, ExplorationSettings):
+class MaxqQSettings(StackSettings, TabularSettings):
     """Completions that `maxq-q` learns, beside rates, exploration and discount."""
 
     pseudo_rewards: bool = True

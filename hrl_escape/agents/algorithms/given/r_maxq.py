@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
-from hrl_escape.agents.components.tables import TabularSettings, make_discretiser
+from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
@@ -35,7 +35,7 @@ LEAK = 1e-10
 
 
 @dataclass(frozen=True)
-class RMaxqSettings(StackSettings):
+class RMaxqSettings(StackSettings, ResolutionSettings):
     """Samples that make a pair known to `r-maxq`, and bounds of its models."""
 
     visits: Annotated[int, Range(1)] = 1
@@ -46,10 +46,6 @@ class RMaxqSettings(StackSettings):
     """Value iteration stops when no value moves by more than this."""
     most_states: Annotated[int, Range(1)] = 2_000
     """Bound on states met; a task's model grows with its square."""
-    bins: Annotated[int, Range(2)] = 11
-    """Points that a component of the observation with bounds is rounded to."""
-    resolution: Annotated[float, Range(0, open_low=True)] = 1.0
-    """A component without bounds is rounded to multiples of this."""
 
 
 class _Model(NamedTuple):
@@ -100,8 +96,7 @@ class RMaxq(CallRunner):
         self._actions = count_actions(action_space, "r-maxq")
         super().__init__(hierarchy or flat(self._actions), seed, settings)
         get_graph(self.hierarchy, "r-maxq")
-        table = TabularSettings(bins=settings.bins, resolution=settings.resolution)
-        self._discretise = make_discretiser(observation_space, table, "r-maxq")
+        self._discretise = make_discretiser(observation_space, settings, "r-maxq")
         self._action_rng = make_rng(seed, "actions")
         self._forget()
 
