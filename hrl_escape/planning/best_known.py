@@ -12,6 +12,7 @@ import hashlib
 import math
 import threading
 import warnings
+from collections import OrderedDict
 from collections.abc import Hashable
 from pathlib import Path
 from typing import NamedTuple
@@ -102,8 +103,9 @@ def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | 
         found = _KNOWN.get(key)
     if found is None:
         found = find_by_plan(get_planner(instance), state, jointly=True)
-        with _LOCK:
-            found = _KNOWN.setdefault(key, found)
+    with _LOCK:
+        found = _KNOWN.get(key, found)
+        _remember(instance, state, found)
     if records is not None:
         recorded = _read_records(records).get(_name_record(instance, state))
         if recorded is not None and recorded["return"] > found.value:
@@ -116,7 +118,7 @@ def improve_best_known(instance: RoomInstance, state: RoomState, found: BestKnow
     known = find_best_known(instance, state)
     if found.value > known.value:
         with _LOCK:
-            _KNOWN[instance.id, get_pose(state), state.puzzle] = found._replace(upper_bound=known.upper_bound)
+            _remember(instance, state, found._replace(upper_bound=known.upper_bound))
 
 
 def record_return(instance: RoomInstance, state: RoomState, value: float, source: str,
@@ -130,7 +132,8 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
         state: first state of the episode.
         value: its undiscounted return.
         source: its origin, such as `dqn, seed 3`.
-        records: JSON file that keeps better returns; None keeps them for this process.
+        records: JSON file that keeps better returns; None keeps them in this process, while the state is among
+            the last `REMEMBERED`.
 
     Returns:
         True if it was better.
@@ -142,7 +145,7 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
     if value <= known.value + 1e-9:
         return False
     with _LOCK:
-        _KNOWN[instance.id, get_pose(state), state.puzzle] = _make_record(known, instance, value, source)
+        _remember(instance, state, _make_record(known, instance, value, source))
         if records is not None:
             content = _read_records(records)
             content[_name_record(instance, state)] = {"return": value, "source": source}
@@ -155,8 +158,19 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
     return True
 
 
-_KNOWN: dict[tuple[str, Pose, Hashable], BestKnown] = {}
+REMEMBERED = 512
+"""First states whose best known returns stay, with their plans; the least recently asked for goes."""
+_KNOWN: OrderedDict[tuple[str, Pose, Hashable], BestKnown] = OrderedDict()
 _LOCK = threading.RLock()
+
+
+def _remember(instance: RoomInstance, state: RoomState, found: BestKnown) -> None:
+    """Keep what is known of a state as the latest; the caller holds the lock."""
+    key = (instance.id, get_pose(state), state.puzzle)
+    _KNOWN[key] = found
+    _KNOWN.move_to_end(key)
+    if len(_KNOWN) > REMEMBERED:
+        _KNOWN.popitem(last=False)
 
 
 def _name_record(instance: RoomInstance, state: RoomState) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import warnings
+from collections import OrderedDict
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ from hrl_escape.planning.planner import RoomPlanner
 
 @pytest.fixture(autouse=True)
 def forget(monkeypatch):
-    monkeypatch.setattr(best_known, "_KNOWN", {})
+    monkeypatch.setattr(best_known, "_KNOWN", OrderedDict())
 
 
 def make_start(instance) -> RoomState:
@@ -144,7 +145,7 @@ def test_given_options_that_beat_the_plan_are_the_best_known():
     known = find_best_known(instance, start)
     assert known.plan is not None
     poor = known._replace(value=known.value - 10, plan=None)
-    best_known._KNOWN[instance.id, best_known.get_pose(start)] = poor
+    best_known._KNOWN[instance.id, best_known.get_pose(start), start.puzzle] = poor
     script = ScriptedOption("the best", known.plan.primitives)
     assert find_best_with_options(instance, start, [script]).value == known.value
     assert find_best_known(instance, start).value == known.value
@@ -193,6 +194,15 @@ def test_a_better_return_is_taken_over_and_said(tmp_path):
     assert best_known_return(instance, records=path) == before + 2, "and with it"
     assert best_return_with_options(instance, "press") <= before
     assert len(json.loads(path.read_text())) == 1
+
+
+def test_the_state_asked_for_least_recently_is_forgotten_first(monkeypatch):
+    monkeypatch.setattr(best_known, "REMEMBERED", 2)
+    names = ("paper-one-button", "paper-two-button", "bit-flip")
+    first, second, third = (generate(get_preset(name), 0) for name in names)
+    values = [best_known_return(room) for room in (first, second, first, third)]
+    assert [room for room, *_ in best_known._KNOWN] == [first.id, third.id]
+    assert best_known_return(second) == values[1], "planned anew, to the same return"
 
 
 def test_luck_is_no_record():
