@@ -23,7 +23,7 @@ __all__ = ["CHECKER_CALLS", "DEFAULT_PLANNER", "PathPlanner", "PathProblem", "Pa
 CHECKER_CALLS = 200_000
 """Default budget of a query: the limit that is the same on any machine."""
 DEFAULT_PLANNER = "RRTConnect"
-"""Default path planner."""
+"""Name of the path planner that is used by default."""
 SPACING = 0.1
 
 Status: TypeAlias = Literal["exact", "approximate", "not-found", "budget-exhausted", "timeout", "no-path",
