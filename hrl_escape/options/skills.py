@@ -20,7 +20,7 @@ __all__ = ["PressOption", "ReachOption", "make_go_to", "make_press", "make_reach
 
 ARRIVAL, ARRIVAL_NOISE = 0.02, 3.0
 """Tolerance of a place: at least this many metres, and this many standard deviations of a move's noise."""
-REMEMBERED = 10_000
+KEPT_REACHES = 10_000
 
 
 def make_go_to(planner: RoomPlanner, goal: Goal | str, name: str | None = None) -> PlannedOption:
@@ -78,7 +78,7 @@ class ReachOption(Option):
         super().__init__(f"reach({name})")
         self.instance, self.targets = planner.instance, (target,)
         self._planner, self._target = planner, target
-        self._find = lru_cache(REMEMBERED)(self._search)
+        self._find = lru_cache(KEPT_REACHES)(self._search)
 
     def _search(self, state: RoomState) -> tuple[int, ...]:
         """Joint primitives from here to the touch; empty if there are none."""
