@@ -90,7 +90,7 @@ TUTORIALS = {
                        r".*primitives: returns \[(-1000, )+-1000\].*options: returns \[-?\d+, .* [3-6]\d\] chance",
     "options_by_hand": r"reached, reward -8, discounted -7.73, gamma\^k 0.923 to-the-left-wall: cannot start here",
     "own_environment": r"fetch: 11 primitives, reached.* q-learning: mean return -200.0 .* smdp-q-learning: mean "
-                       r"return 2\d\.\d after .* smdp-random: mean return -?1?\d\.\d",
+                       r"return (?:19|2\d)\.\d after .* smdp-random: mean return -?1?\d\.\d",
     "planned_options": r"plan: (\d+) primitives, return \d+ .*by options: escaped True, return \d+ with noise .* True",
     "smdp_q_learning": r"episode 0: return .*greedy: return 64 by meta-01, then meta-02, then meta-exit",
     "maxq_taxi": r"after 3,000 episodes: greedy return (7\.[6-9]|8\.[0-3]).*optimum of the graph 7.93, of all "
