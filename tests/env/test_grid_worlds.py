@@ -267,7 +267,7 @@ def test_the_planner_drives_every_ride(rainy, fickle):
             plan = planner.solve(state)
             assert plan.compute_return() == 21 - plan.cost
         done = pursue(env, planner=planner)
-        assert done.terminated and sum(done.rewards) <= 15
+        assert done.escaped and sum(done.rewards) <= 15
 
 
 # --- Puddle World --------------------------------------------------------------------------
@@ -407,7 +407,7 @@ def test_the_planner_eats_every_worm_wherever_it_appears():
     for seed in range(4):
         env.reset(seed=seed)
         done = pursue(env, planner=planner)
-        assert done.terminated and sum(done.rewards) == 4.0
+        assert done.escaped and sum(done.rewards) == 4.0
         assert 4 + 3 * 5 <= len(done.rewards) <= 4 * 7
 
 

@@ -31,7 +31,7 @@ from hrl_escape.env.observations.base import Observer, register_observation
 
 
 class Compass(Observer):
-    name, doc = "compass", "sine and cosine of the heading"
+    name, doc = "planted-compass", "sine and cosine of the heading"
     names = ("sin-heading", "cos-heading")
     low, high = -np.ones(2, np.float32), np.ones(2, np.float32)
 
@@ -63,9 +63,9 @@ def compass(tmp_path, monkeypatch):
 
 
 def test_one_entry_shows_an_observation_in_every_environment(compass):
-    env = gymnasium.make("hrl_escape/PaperTwoButton-v1", observation="compass")
-    rooms = EscapeRoomVectorEnv(3, "paper-two-button", observation="compass")
-    tensors = EscapeRoomTorchRLEnv(3, "paper-two-button", observation="compass")
+    env = gymnasium.make("hrl_escape/PaperTwoButton-v1", observation="planted-compass")
+    rooms = EscapeRoomVectorEnv(3, "paper-two-button", observation="planted-compass")
+    tensors = EscapeRoomTorchRLEnv(3, "paper-two-button", observation="planted-compass")
     first, _ = env.reset(seed=0)
     assert env.observation_space.shape == (2,) and env.observation_space.contains(first)
     rooms.reset(seed=0)
@@ -91,7 +91,7 @@ def test_one_entry_is_offered_by_the_command_line_and_accepted_by_grids(tmp_path
         "main(['list', 'observations'])\n"
         "from hrl_escape.comparison.presets import GRIDS\n"
         "import dataclasses\n"
-        "print(dataclasses.replace(GRIDS['quickstart'], observation='compass').observation, 'in a grid')\n"
+        "print(dataclasses.replace(GRIDS['quickstart'], observation='planted-compass').observation, 'in a grid')\n"
         "main(['train', '--help'])\n"
     )
     done = run_fork(script, environment=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])})

@@ -96,7 +96,7 @@ def test_agents_over_options_are_told_of_no_success(failed):
     one = OptionsEnv(EscapeRoomEnv(instance=episode.instance))
     many = OptionsVectorEnv(2, instance=episode.instance)
     one.reset(seed=0)
-    many.reset(seed=0)
+    many.reset(seed=[0, 0])
     for action in chosen:
         _, _, terminated, _, info = one.step(action)
         _, _, ended, _, infos = many.step(np.array([action, action]))

@@ -167,10 +167,10 @@ def test_a_truncated_episode_names_file_and_place(tmp_path: Path):
 def test_an_escape_that_was_undone_can_be_made_again_by_an_option(two_buttons):
     episode = Episode(two_buttons)
     play(episode, ["meta-01", "meta-02", "meta-exit"])
-    escaped, total = episode.state, episode.total
+    ended, total = episode.state, episode.total
     episode.undo()
     play(episode, ["meta-exit"])
-    assert episode.escaped and episode.state == escaped and episode.total == total
+    assert episode.end is EpisodeEnd.ESCAPED and episode.state == ended and episode.total == total
 
 
 def test_a_file_that_is_one_primitive_off_in_its_return_is_refused(tmp_path, two_buttons):
