@@ -133,7 +133,7 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
         value: its undiscounted return.
         source: its origin, such as `dqn, seed 3`.
         records: JSON file that keeps better returns; None keeps them in this process, while the state is among
-            the last `REMEMBERED`.
+            the last `MOST_REMEMBERED`.
 
     Returns:
         True if it was better.
@@ -158,7 +158,7 @@ def record_return(instance: RoomInstance, state: RoomState, value: float, source
     return True
 
 
-REMEMBERED = 512
+MOST_REMEMBERED = 512
 """First states whose best known returns stay, with their plans; the least recently asked for goes."""
 _KNOWN: OrderedDict[tuple[str, Pose, Hashable], BestKnown] = OrderedDict()
 _LOCK = threading.RLock()
@@ -169,7 +169,7 @@ def _remember(instance: RoomInstance, state: RoomState, found: BestKnown) -> Non
     key = (instance.id, get_pose(state), state.puzzle)
     _KNOWN[key] = found
     _KNOWN.move_to_end(key)
-    if len(_KNOWN) > REMEMBERED:
+    if len(_KNOWN) > MOST_REMEMBERED:
         _KNOWN.popitem(last=False)
 
 

@@ -85,7 +85,7 @@ def test_one_entry_is_offered_by_the_command_line_and_accepted_by_grids(tmp_path
     info = tmp_path / "planted-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: planted\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[hrl_escape.observations]\ncompass = planted_compass:Compass\n")
+    (info / "entry_points.txt").write_text("[hrl_escape.observations]\nplanted-compass = planted_compass:Compass\n")
     script = (
         "from hrl_escape.cli import main\n"
         "main(['list', 'observations'])\n"
@@ -95,8 +95,8 @@ def test_one_entry_is_offered_by_the_command_line_and_accepted_by_grids(tmp_path
         "main(['train', '--help'])\n"
     )
     done = run_fork(script, environment=os.environ | {"PYTHONPATH": os.pathsep.join([str(tmp_path), *sys.path])})
-    assert "sine and cosine of the heading" in done.stdout and "compass in a grid" in done.stdout, done.stderr
-    assert ",compass}" in done.stdout.replace("\n", "").replace(" ", "").replace("\u2502", "")
+    assert "sine and cosine of the heading" in done.stdout and "planted-compass in a grid" in done.stdout, done.stderr
+    assert ",planted-compass}" in done.stdout.replace("\n", "").replace(" ", "").replace("\u2502", "")
 
 
 def test_the_registry_refuses_a_taken_name_and_names_the_closest():

@@ -197,7 +197,7 @@ def test_a_better_return_is_taken_over_and_said(tmp_path):
 
 
 def test_the_state_asked_for_least_recently_is_forgotten_first(monkeypatch):
-    monkeypatch.setattr(best_known, "REMEMBERED", 2)
+    monkeypatch.setattr(best_known, "MOST_REMEMBERED", 2)
     names = ("paper-one-button", "paper-two-button", "bit-flip")
     first, second, third = (generate(get_preset(name), 0) for name in names)
     values = [best_known_return(room) for room in (first, second, first, third)]
