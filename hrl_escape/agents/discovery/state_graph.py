@@ -8,17 +8,29 @@ from scipy import sparse
 from scipy.sparse import csgraph
 
 from hrl_escape.agents.discovery.found_option import StateModel
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept, Stateful
 
 __all__ = ["StateGraph"]
 
 
-class StateGraph:
+def _list_edges(counts: dict[tuple[int, int, int], int]) -> NDArray[np.int64]:
+    """Before, action, after, count of each, (edges, 4)."""
+    return np.array([(*edge, count) for edge, count in counts.items()], np.int64).reshape(-1, 4)
+
+
+class StateGraph(Stateful):
     """States by number in order of first meeting, and counts of what actions did.
 
     Args:
         actions: how many there are.
     """
+
+    STATE = (
+        Kept("_numbers", "keys", lambda numbers: np.array([np.frombuffer(key, np.uint8) for key in numbers], np.uint8),
+             lambda keys: {key.tobytes(): number for number, key in enumerate(np.asarray(keys, np.uint8))}),
+        Kept("_counts", "edges", _list_edges,
+             lambda edges: {(int(b), int(a), int(n)): int(count) for b, a, n, count in edges}),
+    )
 
     def __init__(self, actions: int) -> None:
         self.actions = actions
@@ -41,13 +53,9 @@ class StateGraph:
         edge = self.number(before), action, self.number(after)
         self._counts[edge] = self._counts.get(edge, 0) + 1
 
-    def _list_edges(self) -> NDArray[np.int64]:
-        """Before, action, after, count of each, (edges, 4)."""
-        return np.array([(*edge, count) for edge, count in self._counts.items()], np.int64).reshape(-1, 4)
-
     def make_model(self) -> StateModel:
         """Empirical model of the actions."""
-        before, action, after, count = self._list_edges().T
+        before, action, after, count = _list_edges(self._counts).T
         states, pairs = len(self), before * self.actions + action
         totals = np.bincount(pairs, count, states * self.actions)
         follow = sparse.csr_matrix((count / totals[pairs], (pairs, after)), (states * self.actions, states))
@@ -55,7 +63,7 @@ class StateGraph:
 
     def make_adjacency(self) -> sparse.csr_matrix:
         """1 between different states where some action led from one to the other, either way."""
-        before, _, after, _ = self._list_edges().T
+        before, _, after, _ = _list_edges(self._counts).T
         moves = before != after
         pairs = np.concatenate([np.stack([before, after]), np.stack([after, before])], axis=1)[:, np.tile(moves, 2)]
         edges = sparse.csr_matrix((np.ones(pairs.shape[1]), pairs), (len(self), len(self)))
@@ -66,13 +74,3 @@ class StateGraph:
         """States of the largest connected part, in order."""
         _, parts = csgraph.connected_components(adjacency, directed=False)
         return np.flatnonzero(parts == np.bincount(parts).argmax())
-
-    def state_dict(self) -> StateTree:
-        """States and counts in order of first meeting."""
-        return {"keys": np.array([np.frombuffer(key, np.uint8) for key in self._numbers], np.uint8),
-                "edges": self._list_edges()}  # fmt: skip
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self._numbers = {key.tobytes(): number for number, key in enumerate(np.asarray(state["keys"], np.uint8))}
-        self._counts = {(int(b), int(a), int(n)): int(count) for b, a, n, count in state["edges"]}

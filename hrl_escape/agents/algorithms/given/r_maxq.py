@@ -22,7 +22,7 @@ from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step
 from hrl_escape.agents.hierarchy.task_graph import GraphTask, flat, get_graph
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.settings import Range
 
@@ -83,6 +83,14 @@ class RMaxq(CallRunner):
     """
 
     Settings: ClassVar[type] = RMaxqSettings
+    STATE = (
+        Kept("_met", "states"),
+        Kept("_counts", pack=lambda counts: np.array(counts, np.int64), unpack=lambda saved: list(np.array(saved))),
+        Kept("_rewards", pack=np.array, unpack=lambda saved: list(np.array(saved))),
+        Kept("_weights", pack=lambda weights: list(map(repr, weights)),
+             unpack=lambda saved: list(map(ast.literal_eval, saved))),
+        "_action_rng",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -211,23 +219,12 @@ class RMaxq(CallRunner):
         """Pairs of a state met and a primitive that are not known."""
         return int(sum((counts < self.settings.visits).sum() for counts in self._counts))
 
-    def state_dict(self) -> StateTree:
-        """States met, counts, generators, running calls; plans follow from these."""
-        return {
-            **super().state_dict(),
-            "states": [[seen.observation, seen.mask] for seen in self._moments],
-            "counts": np.array(self._counts, np.int64),
-            "rewards": np.array(self._rewards),
-            "weights": [repr(weights) for weights in self._weights],
-            "action_rng": self._action_rng.bit_generator.state,
-        }
+    @property
+    def _met(self) -> list[list[Any]]:
+        return [[seen.observation, seen.mask] for seen in self._moments]
 
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore what `state_dict` gave."""
-        super().load_state_dict(state)
+    @_met.setter
+    def _met(self, saved: list[list[Any]]) -> None:
         self._forget()
-        for observation, mask in state["states"]:
+        for observation, mask in saved:
             self.number(self.hierarchy.see(observation, np.asarray(mask, np.bool_)))
-        self._counts, self._rewards = list(np.array(state["counts"])), list(np.array(state["rewards"]))
-        self._weights = [ast.literal_eval(weights) for weights in state["weights"]]
-        self._action_rng.bit_generator.state = state["action_rng"]

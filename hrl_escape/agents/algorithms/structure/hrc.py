@@ -24,7 +24,7 @@ from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_index, sample_legal
 from hrl_escape.agents.factored.observation import FactorReader
 from hrl_escape.agents.settings import AgentSettings
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept
 from hrl_escape.errors import AgentSettingsError, UnsupportedSpaceError
 from hrl_escape.settings import Range
 
@@ -165,6 +165,18 @@ class Hrc(Agent):
     name: ClassVar[str] = "hrc"
     Settings: ClassVar[type] = HrcSettings
     settings: HrcSettings
+    STATE = (
+        Kept("_samples", pack=lambda samples: [[str(before), action, str(after), over]
+                                               for before, action, after, over in samples],
+             unpack=lambda saved: [(int(before), int(action), int(after), bool(over))
+                                   for before, action, after, over in saved]),
+        "interventions", "cost",
+        Kept("_effects", pack=lambda effects: [list(item) for item in effects.items()],
+             unpack=lambda saved: {int(bit): int(action) for bit, action in saved}),
+        Kept("_tried", pack=lambda tried: [[*key, count] for key, count in tried.items()],
+             unpack=lambda saved: {(int(action), int(made)): int(count) for action, made, count in saved}),
+        "_factors", "_rng",
+    )  # fmt: skip
 
     def __init__(
         self,
@@ -305,26 +317,14 @@ class Hrc(Agent):
             if by == action:
                 self._parents[bit] = self._find_parents(bit)
 
-    def state_dict(self) -> StateTree:
-        """Samples, interventions, what was found and tried, generator."""
-        return {
-            "samples": [[str(before), action, str(after), over] for before, action, after, over in self._samples],
-            "interventions": list(self.interventions),
-            "cost": self.cost,
-            "effects": [list(item) for item in self._effects.items()],
-            "tried": [[action, made, count] for (action, made), count in self._tried.items()],
-            "factors": self._reader.components,
-            "rng": self._rng.bit_generator.state,
-        }
+    @property
+    def _factors(self) -> NDArray[np.int64]:
+        return self._reader.components
 
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        self._find_anew()
-        self._samples = [(int(before), int(action), int(after), bool(over))
-                         for before, action, after, over in state["samples"]]
-        self._reader.keep(np.asarray(state["factors"], np.int64))
-        self.interventions, self.cost = [int(bit) for bit in state["interventions"]], int(state["cost"])
-        self._effects = {int(bit): int(action) for bit, action in state["effects"]}
+    @_factors.setter
+    def _factors(self, components: NDArray[np.int64]) -> None:
+        self._reader.keep(components)
+
+    def after_load(self) -> None:
+        """Find the parents anew."""
         self._parents = {bit: self._find_parents(bit) for bit in self._effects}
-        self._tried = {(int(action), int(made)): int(count) for action, made, count in state["tried"]}
-        self._rng.bit_generator.state = state["rng"]
