@@ -24,7 +24,7 @@ from hrl_escape.ladder.certificate import compute_task_overlap
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.keys import compute_task_key
 from hrl_escape.ladder.room_sets import parse_room_set
-from hrl_escape.ladder.tower import Rooms, Tower, list_sets, load_rooms
+from hrl_escape.ladder.tower import RoomSets, Tower, list_sets, load_rooms
 from hrl_escape.names import parse_whole
 from hrl_escape.settings import Range, Settings
 
@@ -40,8 +40,8 @@ class Split:
         test: rooms to be tested in.
     """
 
-    train: Rooms
-    test: Rooms
+    train: RoomSets
+    test: RoomSets
 
     def __post_init__(self) -> None:
         first, *others = self.sets
@@ -109,7 +109,7 @@ class RunPlace:
         return cls(name or (f"{instance.name}#{instance.seed}" if instance.seed else instance.name), instance)
 
     @classmethod
-    def of_split(cls, train: Rooms, test: Rooms) -> RunPlace:
+    def of_split(cls, train: RoomSets, test: RoomSets) -> RunPlace:
         """Rooms to train in, and rooms to be tested in."""
         return cls(f"{train.name} > {test.name}", test[0], Split(train, test))
 

@@ -34,7 +34,7 @@ from hrl_escape.files import read_json, write_json
 from hrl_escape.ladder.common_spaces import CommonSpaces, CommonSpacesEnv, join_spaces
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.sequence import SequenceEnv, compute_floor_seed
-from hrl_escape.ladder.tower import Rooms, Tower, list_sets
+from hrl_escape.ladder.tower import RoomSets, Tower, list_sets
 from hrl_escape.settings import read_record
 from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.version import __version__, find_versions
@@ -135,7 +135,7 @@ def _compute_efficiency(evaluation: Evaluation, score_range: ScoreRange) -> floa
                                    score_range.is_expected)
 
 
-def make_env(agent: AgentSpec, rooms: RoomInstance | Rooms, observation: str,
+def make_env(agent: AgentSpec, rooms: RoomInstance | RoomSets, observation: str,
              schedule: Mapping[str, int] | None = None, common: CommonSpaces | None = None, trials: int = 1
              ) -> tuple[gymnasium.Env, StateRecorder]:
     """The environment an agent acts in, and the recorder inside it; in a tower the one on the lowest floor.

@@ -1,3 +1,4 @@
+from .batched.rooms import Rooms
 from .config import (
     Between,
     DynamicsConfig,
@@ -69,6 +70,7 @@ __all__ = [
     "RoomConfig",
     "RoomInstance",
     "RoomState",
+    "Rooms",
     "Rules",
     "ShapeConfig",
     "Start",

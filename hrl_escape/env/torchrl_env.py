@@ -13,10 +13,11 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
+from typing_extensions import Unpack
 
-from hrl_escape.env.batched.engine import TensorRoom, draw_seed
-from hrl_escape.env.batched.tables import InstanceSource, collect_instances
-from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.batched.engine import draw_seed
+from hrl_escape.env.batched.rooms import RoomArguments, Rooms
+from hrl_escape.env.sampling.sources import SchematicForm
 
 __all__ = ["EscapeRoomTorchRLEnv"]
 
@@ -33,36 +34,27 @@ class EscapeRoomTorchRLEnv(EnvBase):
     Args:
         num_envs: number of rooms.
         config: preset name, `RoomConfig`, or the dict form of one.
-        instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
-        instance_seed: instance seed of the first room instance.
-        num_instances: number of instances of the schematic; room i is in instance i modulo their number.
         observation: name of a vector observation.
-        resample_instance: every episode draws one of the instances.
-        device: device of the rooms; `to` moves them.
-        compile: fuse a step into compiled kernels; takes some 10 s once for each shape of batch.
+        rooms: `instance`, `instance_seed`, `num_instances`, `resample_instance`, `device` (`to` moves the rooms) and
+            `compile`; see `Rooms`.
 
     Attributes:
+        rooms: the rooms as they were asked for.
         room: the batched engine.
     """
 
     def __init__(
         self,
         num_envs: int = 1,
-        config: str | RoomConfig | dict[str, Any] = "paper-two-button",
+        config: SchematicForm = "paper-two-button",
         *,
-        instance: InstanceSource | None = None,
-        instance_seed: int = 0,
-        num_instances: int = 1,
         observation: str = "features",
-        resample_instance: bool = False,
-        device: str | torch.device = "cpu",
-        compile: bool = False,
+        **rooms: Unpack[RoomArguments],
     ) -> None:
-        room = TensorRoom(collect_instances(config, instance, instance_seed, num_instances), num_envs,
-                          observation=observation, autoreset="disabled", resample=resample_instance,
-                          device=device, compile=compile)
+        given = Rooms(num_envs, config, observation=observation, **rooms)
+        room = given.make_room("disabled", given.compile)
         super().__init__(device=room.device, batch_size=(num_envs,))
-        self.room = room
+        self.rooms, self.room = given, room
         self._first_seed = draw_seed()
         self._awaits_seed = torch.ones(num_envs, dtype=torch.bool, device=room.device)
         low, high = (torch.from_numpy(side).expand(num_envs, -1) for side in (room.low, room.high))

@@ -16,13 +16,15 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from torch import Tensor
+from typing_extensions import Unpack
 
 from hrl_escape.env.batched.cameras import BatchedCamera, Pictures
-from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom, draw_seed
+from hrl_escape.env.batched.engine import Autoreset, RoomInfo, draw_seed
 from hrl_escape.env.batched.poses import TensorState
-from hrl_escape.env.batched.tables import INSTEAD, InstanceSource, collect_instances
-from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.batched.rooms import RoomArguments, Rooms
+from hrl_escape.env.batched.tables import INSTEAD
 from hrl_escape.env.observations.objects import OBJECT_WORDS
+from hrl_escape.env.sampling.sources import SchematicForm
 from hrl_escape.errors import BatchError, ClosedError, ConfigError, UnsupportedError
 from hrl_escape.spaces import make_vector_space
 
@@ -67,19 +69,13 @@ class EscapeRoomVectorEnv(VectorEnv):
     Args:
         num_envs: number of rooms.
         config: preset name, `RoomConfig`, or the dict form of one.
-        instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
-        instance_seed: instance seed of the first room instance.
-        num_instances: number of instances of the schematic, with seeds from `instance_seed` on; room i
-            is in instance i modulo their number.
         observation: name of a vector observation.
         render_mode: `rgb_array`, or None.
         camera: `robot` or `overhead`.
         render_size: width and height of frames in pixels.
-        resample_instance: every episode draws one of the instances.
         autoreset_mode: `NextStep`, `SameStep` or `Disabled`.
         output: `numpy` arrays, or `torch` tensors on the device, which cost no copy.
-        device: device of the rooms.
-        compile: fuse a step into compiled kernels; takes some 10 s once for each shape of batch.
+        rooms: `instance`, `instance_seed`, `num_instances`, `resample_instance`, `device` and `compile`; see `Rooms`.
 
     ## Version history
     v1: numbers of buttons say nothing of their order (`graph.relabel`). v0: first release.
@@ -90,20 +86,15 @@ class EscapeRoomVectorEnv(VectorEnv):
     def __init__(
         self,
         num_envs: int = 1,
-        config: str | RoomConfig | dict[str, Any] = "paper-two-button",
+        config: SchematicForm = "paper-two-button",
         *,
-        instance: InstanceSource | None = None,
-        instance_seed: int = 0,
-        num_instances: int = 1,
         observation: str = "state",
         render_mode: str | None = None,
         camera: str = "overhead",
         render_size: tuple[int, int] = (160, 120),
-        resample_instance: bool = False,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         output: Literal["numpy", "torch"] = "numpy",
-        device: str | torch.device = "cpu",
-        compile: bool = False,
+        **rooms: Unpack[RoomArguments],
     ) -> None:
         super().__init__()
         if render_mode not in (None, *type(self).metadata["render_modes"]):
@@ -117,10 +108,8 @@ class EscapeRoomVectorEnv(VectorEnv):
         except ValueError:
             allowed = "one of " + ", ".join(repr(m.value) for m in AutoresetMode)
             raise ConfigError("autoreset_mode", autoreset_mode, allowed) from None
-        self.room = TensorRoom(
-            collect_instances(config, instance, instance_seed, num_instances), num_envs, observation=observation,
-            autoreset=_AUTORESETS[mode], resample=resample_instance, device=device, compile=compile,
-        )
+        self.rooms = Rooms(num_envs, config, observation=observation, **rooms)
+        self.room = self.rooms.make_room(_AUTORESETS[mode], self.rooms.compile)
         self.instances = self.room.instances
         self.num_envs, self.autoreset_mode = num_envs, mode
         self.metadata = type(self).metadata | {"autoreset_mode": mode}
@@ -133,7 +122,6 @@ class EscapeRoomVectorEnv(VectorEnv):
         self.single_action_space = spaces.Discrete(self.room.actions)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._observation_name = observation
         self._is_numpy, self._is_seeded = output == "numpy", False
         self._ids = np.array([one.id for one in self.instances], dtype=object)
         self._every: Any = self._give(torch.ones(num_envs, dtype=torch.bool, device=self.room.device))
@@ -221,16 +209,11 @@ class EscapeRoomVectorEnv(VectorEnv):
         """Make an `EscapeRoomEnv` with the same rooms and observation."""
         from hrl_escape.env.escape_room import EscapeRoomEnv  # brings Bullet in
 
-        if len(self.instances) == 1:
-            return EscapeRoomEnv(instance=self.instances[0], observation=self._observation_name)
-        return EscapeRoomEnv(instances=self.instances, observation=self._observation_name)
+        return EscapeRoomEnv(**self.rooms.list_single_arguments())
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments that decide the numbers, as JSON values; rooms go by their ids."""
-        return {"num_envs": self.num_envs, "instances": [str(name) for name in self._ids],
-                "observation": self._observation_name, "resample_instance": self.room.layout.resample,
-                "autoreset_mode": self.autoreset_mode.value, "device": str(self.device),
-                "compile": self.room.is_compiled}
+        return self.rooms.describe() | {"autoreset_mode": self.autoreset_mode.value}
 
     def state_dict(self) -> dict[str, Any]:
         """Return the running episodes of all rooms, as arrays."""

@@ -11,7 +11,7 @@ from hrl_escape.env.instance import RoomInstance
 from hrl_escape.ladder.instance_set import InstanceSet
 from hrl_escape.ladder.room_sets import parse_room_set
 
-__all__ = ["TOWER_HORIZON", "Rooms", "Tower", "join_floors", "list_sets", "load_rooms", "parse_rooms"]
+__all__ = ["TOWER_HORIZON", "RoomSets", "Tower", "join_floors", "list_sets", "load_rooms", "parse_rooms"]
 
 TOWER_HORIZON = 20_000
 """Primitives of an episode, on all floors together."""
@@ -47,11 +47,11 @@ class Tower:
         return {"id": digest[:16], "content": {"floors": [part["content"] for part in parts]}}
 
 
-Rooms: TypeAlias = "InstanceSet | Tower"
+RoomSets: TypeAlias = "InstanceSet | Tower"
 """A set of rooms, one for each episode, or a tower, one for each floor."""
 
 
-def list_sets(rooms: Rooms) -> tuple[InstanceSet, ...]:
+def list_sets(rooms: RoomSets) -> tuple[InstanceSet, ...]:
     """The floors of a tower; a set alone."""
     return rooms.floors if isinstance(rooms, Tower) else (rooms,)
 
@@ -61,7 +61,7 @@ def join_floors(texts: Iterable[str]) -> str:
     return _ABOVE.join(texts)
 
 
-def parse_rooms(text: str) -> Rooms:
+def parse_rooms(text: str) -> RoomSets:
     """Rooms of a short text: a set, or with ` + ` between several the floors of a tower.
 
     Raises:
@@ -71,7 +71,7 @@ def parse_rooms(text: str) -> Rooms:
     return Tower((first, *above)) if above else first
 
 
-def load_rooms(content: Mapping[str, Any]) -> Rooms:
+def load_rooms(content: Mapping[str, Any]) -> RoomSets:
     """Make rooms from the content of their description."""
     if "floors" in content:
         return Tower([InstanceSet.from_description(floor) for floor in content["floors"]])

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -22,18 +22,14 @@ from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.primitives import ActionTable
 from hrl_escape.env.puzzles.traits import Mapped, Pushing
 from hrl_escape.env.robot import make_robot
-from hrl_escape.env.sampling.generation import generate
-from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
 from hrl_escape.env.sight import list_hiders
 from hrl_escape.env.tensor_geometry import Shapes, SplitShapes, stack_shapes
-from hrl_escape.errors import ConfigError, UnsupportedError
+from hrl_escape.errors import UnsupportedError
 
 __all__ = [
-    "InstanceSource",
     "Layout",
     "RoomSolids",
     "Tables",
-    "collect_instances",
     "make_layout",
     "map_tensors",
     "pick",
@@ -160,30 +156,6 @@ class Tables(NamedTuple):
     puzzle_start_counts: Tensor
     headings: Tensor
     total: Tensor
-
-
-InstanceSource: TypeAlias = InstanceForm | Sequence[InstanceForm]
-
-
-def collect_instances(config: SchematicForm, instance: InstanceSource | None = None,
-                      instance_seed: int = 0, num_instances: int = 1) -> list[RoomInstance]:
-    """Collect the instances of a batch.
-
-    Args:
-        config: preset name, `RoomConfig`, or the dict form of one.
-        instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
-        instance_seed: instance seed of the first.
-        num_instances: number of instances of the schematic.
-    """
-    if instance is not None:
-        if isinstance(instance, Sequence) and not isinstance(instance, str):
-            return [read_instance(one) for one in instance]
-        return [read_instance(instance)]
-    for name, value, least in (("num_instances", num_instances, 1), ("instance_seed", instance_seed, 0)):
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
-            raise ConfigError(name, value, f"a whole number of at least {least}")
-    schematic = read_schematic(config)
-    return [generate(schematic, instance_seed + i) for i in range(num_instances)]
 
 
 def map_tensors(function: Callable[[Tensor], Any], tree: Any) -> Any:

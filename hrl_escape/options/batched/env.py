@@ -17,16 +17,18 @@ import gymnasium
 import numpy as np
 import torch
 from torch import Tensor
+from typing_extensions import Unpack
 
 from hrl_escape.env.batched.compilation import CompiledStep
 from hrl_escape.env.batched.devices import check_compiler
-from hrl_escape.env.batched.engine import TensorRoom, list_shapes
+from hrl_escape.env.batched.engine import list_shapes
 from hrl_escape.env.batched.observations import load_observation
 from hrl_escape.env.batched.poses import TensorState
-from hrl_escape.env.batched.tables import InstanceSource, Layout, collect_instances, map_tensors
-from hrl_escape.env.config import RoomConfig
+from hrl_escape.env.batched.rooms import RoomArguments, Rooms
+from hrl_escape.env.batched.tables import Layout, map_tensors
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.observations.objects import OBJECT_WORDS
+from hrl_escape.env.sampling.sources import SchematicForm
 from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError, UnsupportedError, show_value
 from hrl_escape.options.batched.cost_to_go import check_presses, stack_fields
 from hrl_escape.options.batched.decisions import ENDINGS, NOT_ASKED, OpenDecisions, Transitions
@@ -82,11 +84,7 @@ class BatchedOptionsEnv:
     Args:
         num_envs: number of rooms.
         config: preset name, `RoomConfig`, or the dict form of one.
-        instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
-        instance_seed: instance seed of the first room instance.
-        num_instances: number of instances of the schematic; room i is in instance i modulo this number.
         observation: name of a vector observation.
-        resample_instance: every episode draws one of the instances.
         options: an `OptionDegradation`, whose options fail, stop early, waste time or are missing as they would in
             `OptionsEnv`; None for whole ones.
         include_primitives: whether primitives are actions too.
@@ -97,8 +95,7 @@ class BatchedOptionsEnv:
             again continues it, choosing another drops it.
         max_duration: primitives after which an option is ended (`timeout`), interruptions included; None for no limit.
         autoreset: begin the next episode of a room as soon as one ends; else it stands still until `reset`.
-        device: device of the rooms.
-        compile: fuse a step into compiled kernels; takes some 20 s once for each shape of batch.
+        rooms: `instance`, `instance_seed`, `num_instances`, `resample_instance`, `device` and `compile`; see `Rooms`.
 
     Attributes:
         room: the batched engine: instances, layout, states.
@@ -118,13 +115,9 @@ class BatchedOptionsEnv:
     def __init__(
         self,
         num_envs: int = 1,
-        config: str | RoomConfig | dict[str, Any] = "paper-two-button",
+        config: SchematicForm = "paper-two-button",
         *,
-        instance: InstanceSource | None = None,
-        instance_seed: int = 0,
-        num_instances: int = 1,
         observation: str = "features",
-        resample_instance: bool = False,
         options: OptionDegradation | None = None,
         include_primitives: bool = True,
         discount: float = 0.99,
@@ -132,16 +125,15 @@ class BatchedOptionsEnv:
         interruptible: bool = False,
         max_duration: int | None = None,
         autoreset: bool = True,
-        device: str | torch.device = "cpu",
-        compile: bool = False,
+        **rooms: Unpack[RoomArguments],
     ) -> None:
         if not 0.0 <= discount <= 1.0:
             raise ConfigError("BatchedOptionsEnv.discount", discount, "a number from 0 to 1")
         if max_duration is not None and max_duration < 1:
             raise ConfigError("BatchedOptionsEnv.max_duration", max_duration, "at least 1, or None for no limit")
         degradation = _read_options(options, flavour)
-        self.room = TensorRoom(collect_instances(config, instance, instance_seed, num_instances), num_envs,
-                               observation=observation, autoreset="disabled", resample=resample_instance, device=device)
+        self.rooms = Rooms(num_envs, config, observation=observation, **rooms)
+        self.room = self.rooms.make_room("disabled")
         self.count, self.device, self.gamma = num_envs, self.room.device, float(discount)
         if degradation != OptionDegradation(flavour=degradation.flavour):  # draws depend on the episode's key
             self.room.layout = dataclasses.replace(self.room.layout, draws=True)
@@ -157,18 +149,17 @@ class BatchedOptionsEnv:
         self.action_space = PointingDiscrete(self.actions, (*(None for _ in names), *targets, "exit"))
         self.observation_space = make_vector_space(self.room.low, self.room.high, self.room.rows, OBJECT_WORDS)
         fail_after = math.ceil(FAIL_AFTER / (1.0 - layout.dynamics.slip)) if layout.dynamics.slip < 1.0 else FAIL_AFTER
-        self._arguments = {"observation": observation, "resample_instance": resample_instance, "options": options,
-                           "include_primitives": include_primitives, "discount": self.gamma, "flavour": flavour,
-                           "interruptible": interruptible, "max_duration": max_duration, "autoreset": autoreset,
-                           "compile": compile}
+        self._arguments = {"options": options, "include_primitives": include_primitives, "discount": self.gamma,
+                           "flavour": flavour, "interruptible": interruptible, "max_duration": max_duration,
+                           "autoreset": autoreset}
         self._settings = StepSettings(load_observation(observation), len(names), self.gamma, fail_after,
                                       max_duration or 2**31 - 1, autoreset, interruptible,
                                       degradation.flavour == "press-with-ancestors", degradation)
         self._view: AgentView | None = None
         self._running: OpenDecisions | None = None
-        self._chooser = PostureChooser(self.room, self._fields, compile) if presses_by_hand(layout) else None
+        self._chooser = PostureChooser(self.room, self._fields, self.rooms.compile) if presses_by_hand(layout) else None
         self._kernel: DecisionKernel | None = None
-        if compile:
+        if self.rooms.compile:
             check_compiler(self.device)
             shapes = (num_envs, *list_shapes(self.room.tables), *list_shapes(self._fields))
             compiled = _compile_step(layout, self._settings, self.device.type, torch.get_num_threads(), shapes)
@@ -265,16 +256,13 @@ class BatchedOptionsEnv:
 
     def make_single_env(self) -> gymnasium.Env:
         """Make an `OptionsEnv` of the same rooms, options and observation; its options follow plans."""
-        rooms = self.room.instances
-        given: dict[str, Any] = {"instance": rooms[0]} if len(rooms) == 1 else {"instances": rooms}
-        env = EscapeRoomEnv(**given, observation=self._arguments["observation"])
+        env = EscapeRoomEnv(**self.rooms.list_single_arguments())
         return OptionsEnv(env, **{name: self._arguments[name] for name in _SHARED})
 
     def describe(self) -> dict[str, Any]:
         """Return the arguments that decide the numbers, as JSON values; rooms go by their ids."""
         options = self._arguments["options"]
-        return {**self._arguments, "options": options and options.to_dict(), "num_envs": self.count,
-                "device": str(self.device), "instances": [str(room.id) for room in self.room.instances]}
+        return self.rooms.describe() | self._arguments | {"options": options and options.to_dict()}
 
     def state_dict(self) -> dict[str, Any]:
         """Return episodes and decisions in progress, as arrays."""

@@ -1,0 +1,97 @@
+"""The arguments that all classes of many rooms take, as one value: which rooms, what they show, where they run."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass
+from functools import cached_property
+from typing import Any, TypeAlias, TypedDict
+
+import numpy as np
+import torch
+
+from hrl_escape.env.batched.devices import find_device
+from hrl_escape.env.batched.engine import Autoreset, TensorRoom
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
+from hrl_escape.errors import ConfigError
+
+__all__ = ["InstanceSource", "RoomArguments", "Rooms"]
+
+InstanceSource: TypeAlias = InstanceForm | Sequence[InstanceForm]
+
+
+class RoomArguments(TypedDict, total=False):
+    """Arguments of `Rooms` that constructors hand on as they are."""
+
+    instance: InstanceSource | None
+    instance_seed: int
+    num_instances: int
+    resample_instance: bool
+    device: str | torch.device
+    compile: bool
+
+
+@dataclass(frozen=True)
+class Rooms:
+    """Many rooms that step together, room i in instance i modulo the number of instances.
+
+    Attributes:
+        num_envs: number of rooms.
+        config: preset name, `RoomConfig`, or the dict form of one.
+        instance: a `RoomInstance`, the path of one, or several of them, instead of `config`.
+        instance_seed: instance seed of the first instance.
+        num_instances: number of instances of the schematic, with seeds from `instance_seed` on.
+        observation: name of a vector observation.
+        resample_instance: every episode draws one of the instances.
+        device: device of the rooms.
+        compile: fuse a step into compiled kernels; takes 5 to 30 s once for each shape of batch.
+
+    Raises:
+        ConfigError: an impossible number of instances, seed or device.
+    """
+
+    num_envs: int
+    config: SchematicForm
+    _: KW_ONLY
+    instance: InstanceSource | None = None
+    instance_seed: int = 0
+    num_instances: int = 1
+    observation: str
+    resample_instance: bool = False
+    device: str | torch.device = "cpu"
+    compile: bool = False
+
+    def __post_init__(self) -> None:
+        for name, value, least in (("num_instances", self.num_instances, 1), ("instance_seed", self.instance_seed, 0)):
+            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
+                raise ConfigError(name, value, f"a whole number of at least {least}")
+        object.__setattr__(self, "device", find_device(self.device))
+
+    @cached_property
+    def instances(self) -> tuple[RoomInstance, ...]:
+        """The instances, read or generated when first asked for."""
+        if self.instance is None:
+            schematic = read_schematic(self.config)
+            return tuple(generate(schematic, self.instance_seed + i) for i in range(self.num_instances))
+        if isinstance(self.instance, Sequence) and not isinstance(self.instance, str):
+            return tuple(read_instance(one) for one in self.instance)
+        return (read_instance(self.instance),)
+
+    def make_room(self, autoreset: Autoreset, compile: bool = False) -> TensorRoom:
+        """Make the batched engine of these rooms; who compiles steps of its own asks for one that does not."""
+        return TensorRoom(self.instances, self.num_envs, observation=self.observation, autoreset=autoreset,
+                          resample=self.resample_instance, device=self.device, compile=compile)
+
+    def list_single_arguments(self) -> dict[str, Any]:
+        """Arguments of an `EscapeRoomEnv` with the same rooms and observation."""
+        rooms = self.instances
+        given: dict[str, Any] = {"instance": rooms[0]} if len(rooms) == 1 else {"instances": rooms}
+        return {**given, "observation": self.observation}
+
+    def describe(self) -> dict[str, Any]:
+        """Return what decides the numbers, as JSON values; instances go by their ids."""
+        return {"num_envs": self.num_envs, "instances": [str(room.id) for room in self.instances],
+                "observation": self.observation, "resample_instance": self.resample_instance,
+                "device": str(self.device), "compile": self.compile}
