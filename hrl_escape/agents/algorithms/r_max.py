@@ -19,7 +19,7 @@ from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import choose_best, make_rng, sample_legal
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.factored.observation import FactorReader
-from hrl_escape.agents.state import StateTree
+from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.settings import Range
 
 __all__ = ["RMax", "RMaxSettings"]
@@ -45,11 +45,23 @@ class RMaxSettings(ResolutionSettings):
     """Value iteration stops when no value moves by more than this."""
 
 
+def _save_history(history: list[SMDPTransition]) -> StateTree:
+    """Columns by name; no traces."""
+    return {name: np.array([getattr(each, name) for each in history]) for name in SMDPTransition._fields[:-1]}
+
+
+def _load_history(columns: StateTree) -> list[SMDPTransition]:
+    rows = (column.tolist() if column.ndim == 1 else list(column)
+            for column in (np.asarray(columns[name]) for name in SMDPTransition._fields[:-1]))
+    return [SMDPTransition(*row) for row in zip(*rows, strict=True)]
+
+
 class RMax(Agent):
     """Optimism over a table: every pair is tried `visits` times before it is weighed."""
 
     Settings: ClassVar[type] = RMaxSettings
     settings: RMaxSettings
+    STATE = (Kept("_history", pack=_save_history, unpack=_load_history), "_values", Kept("_is_stale", "stale"), "_rng")
 
     def __init__(
         self,
@@ -214,28 +226,11 @@ class RMax(Agent):
             self._is_stale = True
         self._known_values = None
 
-    def state_dict(self) -> StateTree:
-        """All transitions, values, generator."""
-        fields = SMDPTransition._fields[:-1]
-        columns = {name: np.array([getattr(each, name) for each in self._history]) for name in fields}
-        return {"history": columns, "values": self._values, "stale": self._is_stale,
-                "rng": self._rng.bit_generator.state}  # fmt: skip
-
-    def load_state_dict(self, state: StateTree) -> None:
-        """Restore the result of `state_dict`."""
-        columns = state["history"]
-        self._history = [
-            SMDPTransition(
-                columns["observation"][n], int(columns["action"][n]), columns["action_mask"][n],
-                float(columns["reward"][n]), float(columns["summed_reward"][n]), int(columns["duration"][n]),
-                float(columns["discount"][n]), columns["next_observation"][n], columns["next_action_mask"][n],
-                bool(columns["terminated"][n]), bool(columns["truncated"][n]),
-            )
-            for n in range(len(columns["action"]))
-        ]  # fmt: skip
+    def after_load(self) -> None:
+        """Make the table anew from the history; the values are those that were kept."""
         if self._reader is not None and self._history:
             observations = [each for row in self._history for each in (row.observation, row.next_observation)]
             self._reader.notice(np.stack([self._reader.flatten(each) for each in observations]))
+        kept = self._values, self._is_stale
         self._rebuild()
-        self._values, self._is_stale, self._known_values = np.array(state["values"]), bool(state["stale"]), None
-        self._rng.bit_generator.state = state["rng"]
+        self._values, self._is_stale = kept
