@@ -84,7 +84,8 @@ class OptionsVectorEnv(VectorEnv):
 
     def get_streams(self) -> BatchedOptionsEnv:
         """Make the same rooms, each deciding at its own pace, with automatic reset."""
-        return BatchedOptionsEnv(**self._arguments | {"instance": self._batch.rooms.instances})
+        arguments: dict[str, Any] = {**self._arguments, "instance": self._batch.rooms.instances}
+        return BatchedOptionsEnv(**arguments)
 
     def make_single_env(self) -> gymnasium.Env:
         """Make an `OptionsEnv` of the same rooms and options."""
