@@ -3,7 +3,7 @@ from .certificate import certify_rung
 from .goals import GoalsEnv
 from .hidden import compute_commitment, derive_hidden_seed
 from .instance_set import InstanceSet, InstanceSetEnv
-from .keys import RoomKeys, compute_keys
+from .keys import compute_keys
 from .rung import Rung
 from .sequence import SequenceEnv
 
@@ -12,7 +12,6 @@ __all__ = [
     "GoalsEnv",
     "InstanceSet",
     "InstanceSetEnv",
-    "RoomKeys",
     "Rung",
     "SequenceEnv",
     "certify_rung",

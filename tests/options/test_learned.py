@@ -135,7 +135,7 @@ def test_a_model_of_stable_baselines_is_an_option():
 @pytest.mark.parametrize(("arguments", "message"), [
     ({"policy": 3}, "give a function, an agent with act_greedy, or a model with predict"),
     ({"policy": Model(), "is_stochastic": True}, "torch's global generator"),
-    ({"policy": make_agent("random", make_lake().observation_space, make_lake().action_space, 0)}, "what is legal"),
+    ({"policy": make_agent("random", make_lake().observation_space, make_lake().action_space, 0)}, "legal actions"),
 ])
 def test_impossible_policies_are_refused(arguments, message):
     with pytest.raises(OptionError, match=message):
