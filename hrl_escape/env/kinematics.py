@@ -16,7 +16,7 @@ from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, InnerDoors, compute_distance
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.noise import compute_noise, draw_chance, draw_puzzle_start
-from hrl_escape.env.poses import RobotPoses, RoomState
+from hrl_escape.env.poses import RobotPoses, RoomState, list_touched
 from hrl_escape.env.primitives import list_slips
 from hrl_escape.env.puzzles.base import PUSH, Contacts
 from hrl_escape.env.puzzles.traits import Barring, Pushing, get_trait
@@ -141,11 +141,11 @@ class Rules(RobotPoses):
         puzzle = moved.puzzle
         begun = moved.touching & ~before.touching
         if begun:
-            pressed = tuple(i for i in range(begun.bit_length()) if begun >> i & 1)
+            pressed = list_touched(begun)
         more, failed = 0.0, False
         if begun or prop_poses or grip or self._is_watching or puzzle != before.puzzle:
             chance = draw_chance(before.noise_key, before.primitives) if self._is_random else 0.0
-            touching = tuple(i for i in range(moved.touching.bit_length()) if moved.touching >> i & 1)
+            touching = list_touched(moved.touching)
             has_moved = moved.x != before.x or moved.y != before.y
             ahead = -1 if not grip or self.inner_doors is None else self.inner_doors.find_ahead(
                 moved.x, moved.y, *self.get_rotation(moved.heading_steps, moved.heading_offset))

@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.robot import make_robot
 
-__all__ = ["RobotPoses", "RoomState"]
+__all__ = ["RobotPoses", "RoomState", "list_touched"]
 
 
 class RoomState(NamedTuple):
@@ -61,6 +61,11 @@ class RoomState(NamedTuple):
         return (self.x == other.x and self.y == other.y and self.heading_steps == other.heading_steps
                 and self.heading_offset == other.heading_offset and self.joint_steps == other.joint_steps
                 and self.joint_offsets == other.joint_offsets)
+
+
+def list_touched(bits: int) -> tuple[int, ...]:
+    """Indices of the targets whose bits are set, as in `RoomState.touching`, in rising order."""
+    return tuple(i for i in range(bits.bit_length()) if bits >> i & 1)
 
 
 class RobotPoses:

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.poses import list_touched
 from hrl_escape.errors import OptionError, StepContractError, UnsupportedError
 from hrl_escape.options.option import Option
 
@@ -304,8 +305,7 @@ class RoomDomain(OptionDomain):
         if self.lower is not None:
             names = [target.name for target in self.room.instance.targets]
             return [names.index(name) for name in step.info["option"]["pressed"]]
-        begun = step.next_state.touching & ~step.state.touching
-        return [i for i in range(begun.bit_length()) if begun >> i & 1] if begun else ()
+        return list_touched(step.next_state.touching & ~step.state.touching)
 
 
 def make_option_domain(env: gymnasium.Env) -> OptionDomain:

@@ -20,6 +20,7 @@ from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.poses import list_touched
 from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.env.state_checks import check_fields
 from hrl_escape.errors import ActionError, ConfigError, EscapeError, PlanningFailed, PlanningReason, UnknownNameError
@@ -298,7 +299,7 @@ class Routes:
             pressed |= after.touching & ~here.touching
             if is_reached(goal, here, after, self.rules):
                 others = pressed & ~(1 << goal.target) if isinstance(goal, PressGoal) else pressed
-                also = tuple(i for i in range(others.bit_length()) if others >> i & 1)
+                also = list_touched(others)
                 return Route(tuple(primitives[:count]), tuple(poses), also, 0)
             here = after
         return None

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.kinematics import Rules
+from hrl_escape.env.poses import list_touched
 from hrl_escape.env.puzzles.base import Contacts
 from hrl_escape.env.puzzles.traits import Pushing
 from hrl_escape.errors import UnsupportedError
@@ -61,6 +62,6 @@ def _list_begun(touching: Iterable[int]) -> list[tuple[int, ...]]:
     for now in touching:
         new = now & ~before
         if new:
-            begun.append(tuple(target for target in range(new.bit_length()) if new >> target & 1))
+            begun.append(list_touched(new))
         before = now
     return begun

@@ -18,6 +18,7 @@ from hrl_escape.clock import Clock
 from hrl_escape.env.geometry import Footprint, compute_distance_many, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.poses import list_touched
 from hrl_escape.errors import PlanningReason
 from hrl_escape.floor.cost_to_go import FieldMaker
 from hrl_escape.floor.sweeps import make_presser
@@ -341,7 +342,7 @@ class SearchRun:
                 others = pressed & ~(1 << goal.target) if isinstance(goal, PressGoal) else pressed
                 if others and self._avoiding:
                     return None
-                also = tuple(i for i in range(others.bit_length()) if others >> i & 1)
+                also = list_touched(others)
                 return SearchResult("reached", tuple(primitives[:count]), tuple(states), also)
             if terminated:
                 return None
