@@ -14,6 +14,7 @@ import numpy as np
 import torch
 
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.batched.tables import map_tensors
 from hrl_escape.env.config import DynamicsConfig, ObstaclesConfig, RobotConfig, RoomConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
@@ -160,8 +161,8 @@ def list_makers(scenes: Sequence[str], sizes: Sequence[int], engines: Sequence[s
 def _make_batch(scene: str, rooms: int, engine: str, settings: BatchSettings) -> Contender:
     instances = [generate(make_scene(scene), seed) for seed in range(settings.instances)]
     begun = time.perf_counter()
-    batch = TensorRoom(instances, rooms, observation=settings.observation, device=settings.device,
-                       compile=engine == "compiled")
+    batch = TensorRoom(Rooms(rooms, instance=instances, observation=settings.observation, device=settings.device,
+                             compile=engine == "compiled"))
     batch.reset(torch.arange(rooms, device=batch.device))
     generator = torch.Generator().manual_seed(0)
     pool = [torch.randint(batch.actions, (rooms,), generator=generator).to(batch.device) for _ in range(POOL)]

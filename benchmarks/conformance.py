@@ -22,6 +22,7 @@ import torch
 from benchmarks.findings import list_batched_rooms, load_findings
 from hrl_escape.env.batched.engine import Outcome, TensorRoom
 from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState, Transition
 from hrl_escape.env.sampling.generation import generate
@@ -64,7 +65,7 @@ def compare(instances: Sequence[RoomInstance], primitives: int, *, copies: int =
         seed: of the primitives and of the episodes.
     """
     rooms = len(instances) * copies
-    batch = TensorRoom(instances, rooms, autoreset="disabled")
+    batch = TensorRoom(Rooms(rooms, instance=instances), autoreset="disabled")
     scalar = [Kinematics(instances[i % len(instances)]) for i in range(rooms)]
     batch.reset(torch.arange(rooms) + seed)
     rng = np.random.default_rng(seed)

@@ -15,7 +15,7 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 from typing_extensions import Unpack
 
-from hrl_escape.env.batched.engine import draw_seed
+from hrl_escape.env.batched.engine import TensorRoom, draw_seed
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
 from hrl_escape.env.sampling.sources import SchematicForm
 
@@ -52,7 +52,7 @@ class EscapeRoomTorchRLEnv(EnvBase):
         **rooms: Unpack[RoomArguments],
     ) -> None:
         given = Rooms(num_envs, config, observation=observation, **rooms)
-        room = given.make_room("disabled", given.compile)
+        room = TensorRoom(given, autoreset="disabled")
         super().__init__(device=room.device, batch_size=(num_envs,))
         self.rooms, self.room = given, room
         self._first_seed = draw_seed()

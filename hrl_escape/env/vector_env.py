@@ -19,7 +19,7 @@ from torch import Tensor
 from typing_extensions import Unpack
 
 from hrl_escape.env.batched.cameras import BatchedCamera, Pictures
-from hrl_escape.env.batched.engine import Autoreset, RoomInfo, draw_seed
+from hrl_escape.env.batched.engine import Autoreset, RoomInfo, TensorRoom, draw_seed
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
 from hrl_escape.env.batched.tables import INSTEAD
@@ -109,7 +109,7 @@ class EscapeRoomVectorEnv(VectorEnv):
             allowed = "one of " + ", ".join(repr(m.value) for m in AutoresetMode)
             raise ConfigError("autoreset_mode", autoreset_mode, allowed) from None
         self.rooms = Rooms(num_envs, config, observation=observation, **rooms)
-        self.room = self.rooms.make_room(_AUTORESETS[mode], self.rooms.compile)
+        self.room = TensorRoom(self.rooms, autoreset=_AUTORESETS[mode])
         self.instances = self.room.instances
         self.num_envs, self.autoreset_mode = num_envs, mode
         self.metadata = type(self).metadata | {"autoreset_mode": mode}

@@ -17,6 +17,7 @@ from benchmarks.batch_contenders import (
     set_arithmetic_bounds,
 )
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
 from tests.command_line import call_script
@@ -49,7 +50,7 @@ def test_it_measures_our_batches_beside_others_in_one_run(capsys, tmp_path):
 
 
 def test_the_bytes_of_a_step_are_those_counted_by_hand():
-    batch = TensorRoom([generate(get_preset("paper-two-button"), 0)], 3, observation="features")
+    batch = TensorRoom(Rooms(3, instance=generate(get_preset("paper-two-button"), 0), observation="features"))
     batch.reset(torch.arange(3))
     before, action = batch.state, torch.zeros(3, dtype=torch.int64)
     outcome = batch.step(action)

@@ -13,6 +13,7 @@ from benchmarks.conformance import compare
 from benchmarks.options_conformance import compare_options
 from benchmarks.reference_search import find_fewest_primitives
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import DynamicsConfig, ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
@@ -81,7 +82,7 @@ def test_the_batched_engine_agrees_with_the_scalar_rules(dynamics):
 
 def test_the_batched_engine_agrees_with_the_bullet_engine():
     room = generate(SMALL, 1)
-    batch, bullet = TensorRoom([room], 1, autoreset="disabled"), BulletRoom(room)
+    batch, bullet = TensorRoom(Rooms(instance=room), autoreset="disabled"), BulletRoom(room)
     batch.reset(torch.tensor([4]))
     bullet.set_state(batch.get_room_state(0))
     for action in np.random.default_rng(0).integers(4, size=100).tolist():

@@ -12,6 +12,7 @@ import torch
 
 from benchmarks.conformance import compare
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import CONTACT_SKIN, DynamicsConfig, RoomConfig
 from hrl_escape.env.geometry import Solid
@@ -48,7 +49,7 @@ def test_the_engines_agree_on_every_puzzle_over_a_hundred_thousand_primitives(na
 @pytest.mark.parametrize("name", ["paper-two-button", "arm-two-button", "clutter", "noisy"])
 def test_the_batched_engine_agrees_with_the_bullet_engine(name):
     instance = generate(all_schematics()[name], 1)
-    batch, bullet = TensorRoom([instance], 1, autoreset="disabled"), BulletRoom(instance)
+    batch, bullet = TensorRoom(Rooms(instance=instance), autoreset="disabled"), BulletRoom(instance)
     batch.reset(torch.tensor([4]))
     bullet.set_state(batch.get_room_state(0))
     for action in np.random.default_rng(0).integers(batch.actions, size=300).tolist():
@@ -68,9 +69,9 @@ def test_of_two_solids_that_touch_the_one_that_truly_does_stops_the_body():
     """Seven micrometres from a wall, which single precision takes for touching, and against a cylinder."""
     wall = Solid(x=0, y=1, half_x=10, half_y=0.1)
     pillar = Solid("cylinder", x=-1.2, y=-0.8, half_x=0.8, half_y=0.8)
-    schematic = RoomConfig(dynamics=DynamicsConfig(noise=0.1))
-    instance = dataclasses.replace(generate(schematic, 0), solids=(wall, pillar))
-    scalar, room = Kinematics(instance), TensorRoom([instance], 1)
+    empty = generate(RoomConfig(dynamics=DynamicsConfig(noise=0.1)), 0)
+    instance = dataclasses.replace(empty, solids=(*empty.solids, wall, pillar), starts=(Start(0.0, 5.0),))
+    scalar, room = Kinematics(instance), TensorRoom(Rooms(instance=instance))
     room.reset(torch.tensor([0]))
     radius = instance.robot.body_radius + CONTACT_SKIN
     y = 0.9 - radius - 7e-6
@@ -88,8 +89,9 @@ def test_of_two_solids_that_touch_the_one_that_truly_does_stops_the_body():
 def test_a_wall_that_the_body_leaves_does_not_hold_it():
     """Nearly as far behind it as it moves, so that the contact is near the share that no solid limits."""
     wall = Solid(x=0, y=1, half_x=10, half_y=0.1)
-    instance = dataclasses.replace(generate(RoomConfig(), 0), solids=(wall,))
-    scalar, room = Kinematics(instance), TensorRoom([instance], 1)
+    empty = generate(RoomConfig(), 0)
+    instance = dataclasses.replace(empty, solids=(*empty.solids, wall), starts=(Start(0.0, 5.0),))
+    scalar, room = Kinematics(instance), TensorRoom(Rooms(instance=instance))
     room.reset(torch.tensor([0]))
     away = round(math.radians(270) / scalar.turn_step)
     for behind in (0.9992, 0.9995, 0.9999):

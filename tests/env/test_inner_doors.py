@@ -12,6 +12,7 @@ from benchmarks.conformance import compare
 from hrl_escape.checks import check_puzzle
 from hrl_escape.env import RoomInstance, generate
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.config import (
     Between,
     DynamicsConfig,
@@ -122,7 +123,7 @@ def test_both_engines_agree_over_100_000_primitives():
 def test_both_engines_agree_along_an_escape_and_on_what_is_seen():
     """Random play opens few doors: a plan opens all that it needs, and lidar looks through them."""
     room = make_room()
-    rules, batch = Kinematics(room), TensorRoom([room], 1, observation="egocentric", autoreset="disabled")
+    rules, batch = Kinematics(room), TensorRoom(Rooms(instance=room, observation="egocentric"), autoreset="disabled")
     observer = make_observer("egocentric", rules)
     batch.reset(torch.tensor([0]))
     state = batch.get_room_state(0)

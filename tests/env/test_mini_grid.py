@@ -15,6 +15,7 @@ from benchmarks.conformance import compare
 from hrl_escape.checks import check_isomorphism, check_puzzle
 from hrl_escape.checks.isomorphism import GridOutcome
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.presets import get_preset
@@ -201,7 +202,7 @@ def test_levels_of_a_batch_have_as_many_doors_each():
     rooms = [generate(get_preset("key-corridor"), seed) for seed in (0, 4)]
     assert [len(room.puzzle.grid.doors) for room in rooms] == [6, 7]
     with pytest.raises(UnsupportedError, match="make one batch for each"):
-        TensorRoom(rooms, 2)
+        TensorRoom(Rooms(2, instance=rooms))
 
 
 LEVELS = [("door-key", {"size": 5}), ("door-key", {}), ("key-corridor", {}), ("multi-room", {"rooms": 3})]
@@ -236,7 +237,7 @@ def test_both_engines_agree_over_100_000_primitives(name):
 def test_both_engines_agree_along_an_escape_and_on_what_is_seen():
     """Random play seldom opens a door: the plan does, and lidar looks through it."""
     room = generate(get_preset("key-corridor", size=3), 0)
-    rules, batch = Kinematics(room), TensorRoom([room], 1, observation="egocentric", autoreset="disabled")
+    rules, batch = Kinematics(room), TensorRoom(Rooms(instance=room, observation="egocentric"), autoreset="disabled")
     observer = make_observer("egocentric", rules)
     batch.reset(torch.tensor([0]))
     state = batch.get_room_state(0)
@@ -283,7 +284,7 @@ def test_a_door_stops_the_robot_until_it_is_open_and_lets_it_out():
     beside = inside._replace(x=door.x + 0.25, puzzle=before.puzzle)  # off its middle, where contact has a direction
     out = rules.step(beside, back).state
     assert out.x == door.x - 1.75
-    batch = TensorRoom([room], 1, autoreset="disabled")
+    batch = TensorRoom(Rooms(instance=room), autoreset="disabled")
     batch.reset(torch.tensor([0]))
     batch.set_room_state(0, beside)
     batch.step(torch.tensor([back]))

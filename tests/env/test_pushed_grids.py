@@ -15,6 +15,7 @@ from benchmarks.conformance import compare
 from hrl_escape.checks import check_isomorphism, check_puzzle
 from hrl_escape.checks.isomorphism import GridOutcome
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.noise import compute_noise
 from hrl_escape.env.presets import get_preset
@@ -184,7 +185,7 @@ def test_both_engines_agree_where_boxes_are_pushed(size, boxes):
 
 def test_both_engines_agree_along_an_escape():
     room = generate(get_preset("sokoban", rows=MICROBAN[33]), 0)
-    rules, batch = Kinematics(room), TensorRoom([room], 1, autoreset="disabled")
+    rules, batch = Kinematics(room), TensorRoom(Rooms(instance=room), autoreset="disabled")
     batch.reset(torch.tensor([0]))
     state, puzzles = batch.get_room_state(0), set()
     for primitive in RoomPlanner(room).solve(state).primitives:

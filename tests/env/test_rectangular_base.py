@@ -14,6 +14,7 @@ from matplotlib.patches import Polygon
 
 from benchmarks.conformance import compare
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import DynamicsConfig, ExitConfig, ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.drawing.maps import make_map
@@ -189,7 +190,7 @@ def test_the_batched_engine_agrees_with_the_scalar_rules(config, seeds):
 
 def test_the_batched_engine_agrees_with_the_bullet_engine_whose_base_is_a_box():
     room = generate(SMALL, 1)
-    batch, bullet = TensorRoom([room], 1, autoreset="disabled"), BulletRoom(room)
+    batch, bullet = TensorRoom(Rooms(instance=room), autoreset="disabled"), BulletRoom(room)
     assert '<box size="1.2 0.6 1.0"/>' in bullet.rules.robot.urdf.replace(" />", "/>")
     batch.reset(torch.tensor([4]))
     bullet.set_state(batch.get_room_state(0))

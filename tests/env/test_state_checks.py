@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.config import ExitConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.escape_room import EscapeRoomEnv
 from hrl_escape.env.kinematics import Kinematics
@@ -95,7 +96,7 @@ def test_every_state_that_physics_reaches_passes_and_parts_of_another_room_do_no
 
 def test_the_batched_engine_refuses_the_same_states():
     instance = generate(all_schematics()["arm-two-button"], 0)
-    room = TensorRoom([instance], 2)
+    room = TensorRoom(Rooms(2, instance=instance))
     room.reset(torch.tensor([0, 1]))
     state = room.get_room_state(1)
     for field, value in IMPOSSIBLE:

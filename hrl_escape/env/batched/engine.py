@@ -8,7 +8,7 @@ decided in single precision, so flags can differ within a micrometre of a thresh
 from __future__ import annotations
 
 import secrets
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import lru_cache, partial
 from typing import Literal, NamedTuple
 
@@ -20,9 +20,9 @@ from hrl_escape.env.batched.devices import check_compiler, find_device
 from hrl_escape.env.batched.observations import compute_bounds, load_observation, observe
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle, unpack_bits
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.batched.rules import begin, is_in_exit, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables, make_layout, map_tensors, pick_rules, stack_instances
-from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations.base import BatchObservation, make_observer
 from hrl_escape.env.state_checks import check_state
@@ -145,47 +145,28 @@ class TensorRoom:
         rows: names of the objects to which the observation's first rows belong, if any.
     """
 
-    def __init__(
-        self,
-        instances: Sequence[RoomInstance],
-        rooms: int,
-        *,
-        observation: str = "state",
-        autoreset: Autoreset = "next-step",
-        resample: bool = False,
-        device: str | torch.device = "cpu",
-        compile: bool = False,
-    ) -> None:
+    def __init__(self, rooms: Rooms, *, autoreset: Autoreset = "next-step") -> None:
         """Stack instances and lay out the batch; the first episodes begin with `reset`.
 
         Args:
-            instances: at least one; they share robot, dynamics, and kind and size of puzzle.
-            rooms: number of rooms; room i begins in instance i modulo their number.
-            observation: name of a vector observation.
+            rooms: which rooms, what they show and where they run; their instances share robot, dynamics, and kind and
+                size of puzzle.
             autoreset: start of the next episode after one ends: in the next step, in the same step, or by `reset` only.
-            resample: draw one of the instances anew for every episode.
-            device: device of all tensors.
-            compile: fuse a step into compiled kernels, once for each shape of batch (5 to 30 s).
 
         Raises:
             UnsupportedError: these rooms need the Bullet engine, or there is no compiler.
             UnknownNameError: no such observation.
-            ConfigError: no rooms, no instances, or no such autoreset or device.
+            ConfigError: no such autoreset.
         """
-        if not instances:
-            raise ConfigError("instances", instances, "at least one RoomInstance")
-        if isinstance(rooms, bool) or not isinstance(rooms, int) or rooms < 1:
-            raise ConfigError("rooms", rooms, "a whole number of at least 1")
         if autoreset not in AUTORESETS:
             raise ConfigError("autoreset", autoreset, f"one of {', '.join(AUTORESETS)}")
-        self.instances = tuple(instances)
-        self.layout = make_layout(self.instances, resample)
-        self.device = find_device(device)
+        self.instances, self.device = rooms.instances, find_device(rooms.device)
+        self.layout = make_layout(self.instances, rooms.resample_instance)
         self.tables = stack_instances(self.instances, self.layout, self.device)
-        self.count, self.actions = rooms, len(self.layout.actions)
-        self._observation, self.is_compiled = load_observation(observation), compile
-        self.low, self.high = compute_bounds(self.instances, observation)
-        self.rows = make_observer(observation, Rules(self.instances[0])).rows
+        self.count, self.actions = rooms.num_envs, len(self.layout.actions)
+        self._observation, self.is_compiled = load_observation(rooms.observation), rooms.compile
+        self.low, self.high = compute_bounds(self.instances, rooms.observation)
+        self.rows = make_observer(rooms.observation, Rules(self.instances[0])).rows
         self._autoreset: Autoreset = autoreset
         self._state: TensorState | None = None
         self._rules: dict[int, Rules] = {}

@@ -11,7 +11,6 @@ import numpy as np
 import torch
 
 from hrl_escape.env.batched.devices import find_device
-from hrl_escape.env.batched.engine import Autoreset, TensorRoom
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
@@ -49,22 +48,23 @@ class Rooms:
         compile: fuse a step into compiled kernels; takes 5 to 30 s once for each shape of batch.
 
     Raises:
-        ConfigError: an impossible number of instances, seed or device.
+        ConfigError: an impossible number of rooms or instances, seed or device.
     """
 
-    num_envs: int
-    config: SchematicForm
+    num_envs: int = 1
+    config: SchematicForm = "paper-two-button"
     _: KW_ONLY
     instance: InstanceSource | None = None
     instance_seed: int = 0
     num_instances: int = 1
-    observation: str
+    observation: str = "state"
     resample_instance: bool = False
     device: str | torch.device = "cpu"
     compile: bool = False
 
     def __post_init__(self) -> None:
-        for name, value, least in (("num_instances", self.num_instances, 1), ("instance_seed", self.instance_seed, 0)):
+        for name, least in (("num_envs", 1), ("num_instances", 1), ("instance_seed", 0)):
+            value = getattr(self, name)
             if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < least:
                 raise ConfigError(name, value, f"a whole number of at least {least}")
         object.__setattr__(self, "device", find_device(self.device))
@@ -76,13 +76,10 @@ class Rooms:
             schematic = read_schematic(self.config)
             return tuple(generate(schematic, self.instance_seed + i) for i in range(self.num_instances))
         if isinstance(self.instance, Sequence) and not isinstance(self.instance, str):
+            if not self.instance:
+                raise ConfigError("instance", self.instance, "at least one RoomInstance")
             return tuple(read_instance(one) for one in self.instance)
         return (read_instance(self.instance),)
-
-    def make_room(self, autoreset: Autoreset, compile: bool = False) -> TensorRoom:
-        """Make the batched engine of these rooms; who compiles steps of its own asks for one that does not."""
-        return TensorRoom(self.instances, self.num_envs, observation=self.observation, autoreset=autoreset,
-                          resample=self.resample_instance, device=self.device, compile=compile)
 
     def list_single_arguments(self) -> dict[str, Any]:
         """Arguments of an `EscapeRoomEnv` with the same rooms and observation."""

@@ -21,7 +21,7 @@ from typing_extensions import Unpack
 
 from hrl_escape.env.batched.compilation import CompiledStep
 from hrl_escape.env.batched.devices import check_compiler
-from hrl_escape.env.batched.engine import list_shapes
+from hrl_escape.env.batched.engine import TensorRoom, list_shapes
 from hrl_escape.env.batched.observations import load_observation
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rooms import RoomArguments, Rooms
@@ -133,7 +133,7 @@ class BatchedOptionsEnv:
             raise ConfigError("BatchedOptionsEnv.max_duration", max_duration, "at least 1, or None for no limit")
         degradation = _read_options(options, flavour)
         self.rooms = Rooms(num_envs, config, observation=observation, **rooms)
-        self.room = self.rooms.make_room("disabled")
+        self.room = TensorRoom(dataclasses.replace(self.rooms, compile=False), autoreset="disabled")
         self.count, self.device, self.gamma = num_envs, self.room.device, float(discount)
         if degradation != OptionDegradation(flavour=degradation.flavour):  # draws depend on the episode's key
             self.room.layout = dataclasses.replace(self.room.layout, draws=True)

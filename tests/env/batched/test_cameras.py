@@ -9,6 +9,7 @@ import torch
 import hrl_escape  # noqa: F401  # registers the environments
 from hrl_escape.env.batched.cameras import BatchedCamera
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.batched.scenery import LABELS
 from hrl_escape.env.bullet import cameras as bullet_cameras
 from hrl_escape.env.bullet.cameras import BulletRenderer
@@ -62,7 +63,7 @@ def list_neighbours(picture):
 @pytest.mark.parametrize("name", ["paper-two-button", "clutter", "door-key", "sokoban"])
 def test_depth_and_labels_are_those_of_bullets_cameras(name):
     instance = generate(all_schematics()[name], 1)
-    batch = TensorRoom([instance], 3)
+    batch = TensorRoom(Rooms(3, instance=instance))
     batch.reset(torch.arange(3))
     generator = torch.Generator().manual_seed(0)
     for _ in range(25):
@@ -130,7 +131,7 @@ def test_distance_to_a_wall_is_exact():
 
 def test_a_rectangular_base_is_seen_as_one():
     config = RoomConfig(robot=RobotConfig(footprint="rectangle", body_length=3.0, body_width=1.0))
-    batch = TensorRoom([generate(config, 0)], 1)
+    batch = TensorRoom(Rooms(instance=generate(config, 0)))
     batch.reset(torch.arange(1))
     batch.set_room_state(0, batch.get_room_state(0)._replace(x=0.0, y=0.0, heading_steps=0))
     seen = BatchedCamera(batch, "overhead", 200, 200).take().segmentation[0] == LABELS.index("robot")
@@ -140,7 +141,7 @@ def test_a_rectangular_base_is_seen_as_one():
 
 def test_a_room_looks_the_same_in_any_batch():
     instances = [generate(all_schematics()["clutter"], seed) for seed in (0, 1)]
-    many, one = TensorRoom(instances, 4), TensorRoom(instances[1:], 1)
+    many, one = TensorRoom(Rooms(4, instance=instances)), TensorRoom(Rooms(instance=instances[1:]))
     many.reset(torch.arange(4))
     one.reset(torch.arange(1))
     one.set_room_state(0, many.get_room_state(3))

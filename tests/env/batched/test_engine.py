@@ -9,6 +9,7 @@ import torch
 from hrl_escape.env.batched import compilation
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.puzzles.base import TensorContacts, as_signed, get_tensor_puzzle
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.batched.tables import map_tensors
 from hrl_escape.env.config import DynamicsConfig, ObstaclesConfig, RoomConfig, ShapeConfig, StartConfig
 from hrl_escape.env.instance import SpaceLayout
@@ -35,7 +36,8 @@ FORWARD, LEFT = 0, 2
 
 
 def make_rooms(rooms, instances=3, config=NOISY, **more):
-    return TensorRoom([generate(config, seed) for seed in range(instances)], rooms, **more)
+    autoreset = more.pop("autoreset", "next-step")
+    return TensorRoom(Rooms(rooms, config, num_instances=instances, **more), autoreset=autoreset)
 
 
 def actions_of(seeds, steps, count):
@@ -73,13 +75,13 @@ def test_a_room_meets_the_same_fate_alone_and_in_any_batch():
 
 
 def test_resampling_draws_every_instance_and_depends_on_the_rooms_own_seed():
-    room = make_rooms(64, instances=3, resample=True)
+    room = make_rooms(64, instances=3, resample_instance=True)
     room.reset(torch.arange(64))
     begun = room.state.instance.clone()
     assert set(begun.tolist()) == {0, 1, 2}
     room.reset()
     assert not torch.equal(room.state.instance, begun)
-    alone = make_rooms(1, instances=3, resample=True)
+    alone = make_rooms(1, instances=3, resample_instance=True)
     alone.reset(torch.tensor([5]))
     alone.reset()
     assert alone.state.instance[0] == room.state.instance[5]
@@ -97,7 +99,7 @@ def test_each_way_of_resetting():
     instance = dataclasses.replace(generate(get_preset("paper-one-button"), 0), horizon=3)
     ends = {}
     for autoreset in ("next-step", "same-step", "disabled"):
-        room = TensorRoom([instance], 2, autoreset=autoreset)
+        room = TensorRoom(Rooms(2, instance=instance), autoreset=autoreset)
         room.reset(torch.tensor([0, 1]))
         steps = [room.step(torch.tensor([LEFT, LEFT])) for _ in range(3)]
         assert [bool(s.truncated[0]) for s in steps] == [False, False, True]
@@ -120,7 +122,7 @@ def test_each_way_of_resetting():
 
 
 def test_what_a_last_primitive_did_is_told_in_the_final_info_only():
-    room = TensorRoom([generate(get_preset("paper-one-button"), 0)], 1, autoreset="same-step")
+    room = TensorRoom(Rooms(instance=generate(get_preset("paper-one-button"), 0)), autoreset="same-step")
     room.reset(torch.tensor([0]))
     last = [room.step(torch.tensor([LEFT])) for _ in range(9)][-1]
     assert bool(last.terminated) and last.reward.item() == 99.0
@@ -214,7 +216,7 @@ def test_solving_a_room_of_64_bits_ends_the_episode():
     config = RoomConfig(room=ShapeConfig(width=60, depth=60),
                         puzzle=ButtonsConfig(count=64, goal=63, graph=GraphConfig(kind="chain")))
     instance = generate(config, 0)
-    room = TensorRoom([instance], 1)
+    room = TensorRoom(Rooms(instance=instance))
     room.reset(torch.tensor([0]))
     x, y = instance.exit.centre
     state = room.get_room_state(0)._replace(x=x, y=y, puzzle=2**64 - 1)
@@ -230,7 +232,7 @@ def test_solving_a_room_of_64_bits_ends_the_episode():
 
 def test_the_edges_of_the_exit_count_to_the_last_bit():
     instance = generate(get_preset("paper-two-button"), 0)
-    area, room = instance.exit, TensorRoom([instance], 8)
+    area, room = instance.exit, TensorRoom(Rooms(8, instance=instance))
     inside = [(area.x_min, area.y_min), (area.x_max, area.y_max), (area.x_min, area.y_max), (area.x_max, area.y_min)]
     outside = [(np.nextafter(area.x_min, -99), 5.0), (np.nextafter(area.x_max, 99), 5.0),
                (5.0, np.nextafter(area.y_min, -99)), (5.0, np.nextafter(area.y_max, 99))]
@@ -250,7 +252,7 @@ def test_touching_begins_within_two_micrometres_of_its_reach(name, gap):
         instance = dataclasses.replace(instance, targets=(target, *instance.targets[1:]))
     else:
         hand = (0.0, 0.0, 0.0)
-    rules, room = Kinematics(instance), TensorRoom([instance], 4, autoreset="disabled")
+    rules, room = Kinematics(instance), TensorRoom(Rooms(4, instance=instance), autoreset="disabled")
     room.reset(torch.arange(4))
     reach = instance.compute_press_reach(target, hand[2])
     assert reach > 0
@@ -278,7 +280,7 @@ def test_the_door_is_shut_until_solved_but_never_on_the_robot():
             for heading in (0, 9, 18, 27):
                 x, y = np.array([door.x, door.y]) + distance * away
                 ways.append(start._replace(x=float(x), y=float(y), heading_steps=heading, puzzle=puzzle))
-    room = TensorRoom([instance], len(ways), autoreset="disabled")
+    room = TensorRoom(Rooms(len(ways), instance=instance), autoreset="disabled")
     room.reset(torch.arange(len(ways)))
     for number, state in enumerate(ways):
         room.set_room_state(number, state)
@@ -358,21 +360,25 @@ def test_stepping_before_the_first_reset_is_refused():
 @pytest.mark.parametrize(
     ("change", "error", "words"),
     [
-        ({"rooms": 0}, ConfigError, "rooms = 0"),
-        ({"instances": []}, ConfigError, "at least one RoomInstance"),
-        ({"autoreset": "sometimes"}, ConfigError, "next-step, same-step, disabled"),
-        ({"instances": [generate(get_preset("push-block"), 0)]}, UnsupportedError, "make_vec"),
-        ({"instances": [generate(get_preset(n), 0) for n in ("paper-one-button", "larg-2019")]}, UnsupportedError,
+        ({"num_envs": 0}, ConfigError, "num_envs = 0"),
+        ({"instance": []}, ConfigError, "at least one RoomInstance"),
+        ({"instance": [generate(get_preset("push-block"), 0)]}, UnsupportedError, "make_vec"),
+        ({"instance": [generate(get_preset(n), 0) for n in ("paper-one-button", "larg-2019")]}, UnsupportedError,
          "differs from instance 0 in robot"),
-        ({"instances": [generate(get_preset(n), 0) for n in ("ten-button", "twenty-button")]}, UnsupportedError,
+        ({"instance": [generate(get_preset(n), 0) for n in ("ten-button", "twenty-button")]}, UnsupportedError,
          "number of targets"),
     ],
 )
 def test_rooms_that_cannot_be_batched_get_one_clear_error(change, error, words):
-    settings = {"instances": [generate(get_preset("paper-one-button"), 0)], "rooms": 2} | change
+    settings = {"instance": [generate(get_preset("paper-one-button"), 0)], "num_envs": 2} | change
     with pytest.raises(error, match=words) as caught:
-        TensorRoom(settings.pop("instances"), settings.pop("rooms"), **settings)
+        TensorRoom(Rooms(**settings))
     assert isinstance(caught.value, EscapeError)
+
+
+def test_an_unknown_autoreset_is_refused():
+    with pytest.raises(ConfigError, match="next-step, same-step, disabled"):
+        TensorRoom(Rooms(), autoreset="sometimes")  # type: ignore[arg-type]  # refused
 
 
 def test_compiling_without_a_compiler_is_refused(monkeypatch):
@@ -383,7 +389,7 @@ def test_compiling_without_a_compiler_is_refused(monkeypatch):
 
 def test_planned_steps_are_executed_as_predicted():
     instance = generate(get_preset("paper-two-button"), 0)
-    room, rules = TensorRoom([instance], 1), Kinematics(instance)
+    room, rules = TensorRoom(Rooms(instance=instance)), Kinematics(instance)
     room.reset(torch.tensor([3]))
     state = rules.make_state(instance.starts[0], room.get_room_state(0).noise_key)
     for action in [LEFT] * 9 + [FORWARD] * 4:

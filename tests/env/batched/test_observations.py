@@ -5,6 +5,7 @@ import pytest
 import torch
 
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.observations.base import list_observations, make_observer
 from hrl_escape.env.sampling.generation import generate
@@ -19,7 +20,7 @@ NAMES = ["paper-two-button", "arm-two-button", "clutter", "bit-flip", "noisy", "
 @pytest.mark.parametrize(("name", "kind"), cover(NAMES, KINDS))
 def test_observations_are_those_of_the_scalar_rules(name, kind):
     instances = [generate(all_schematics()[name], seed) for seed in range(2)]
-    room = TensorRoom(instances, 8, observation=kind)
+    room = TensorRoom(Rooms(8, instance=instances, observation=kind))
     observers = [make_observer(kind, Kinematics(instance)) for instance in instances]
     room.reset(torch.arange(8))
     rng, blurred, total = np.random.default_rng(0), 0, 0
@@ -38,16 +39,16 @@ def test_observations_are_those_of_the_scalar_rules(name, kind):
 def test_every_observation_has_a_tensor_form_or_a_clear_refusal():
     instance = generate(all_schematics()["paper-one-button"], 0)
     for kind in KINDS:
-        TensorRoom([instance], 2, observation=kind)
+        TensorRoom(Rooms(2, instance=instance, observation=kind))
     with pytest.raises(UnsupportedError, match="vectorization_mode='sync'"):
-        TensorRoom([instance], 2, observation="pixels")
+        TensorRoom(Rooms(2, instance=instance, observation="pixels"))
     with pytest.raises(UnknownNameError, match="features"):
-        TensorRoom([instance], 2, observation="feature")
+        TensorRoom(Rooms(2, instance=instance, observation="feature"))
 
 
 def test_standing_on_the_exits_centre_gives_a_direction():
     instance = generate(all_schematics()["paper-two-button"], 0)
-    room = TensorRoom([instance], 1, observation="egocentric")
+    room = TensorRoom(Rooms(instance=instance, observation="egocentric"))
     room.reset(torch.tensor([0]))
     x, y = instance.exit.centre
     state = room.get_room_state(0)._replace(x=x, y=y, heading_steps=3)

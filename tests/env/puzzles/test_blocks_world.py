@@ -14,6 +14,7 @@ import hrl_escape
 from benchmarks.conformance import compare
 from hrl_escape.checks import check_isomorphism, check_puzzle
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.drawing.maps import save_map
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
@@ -239,7 +240,7 @@ def test_large_problems_are_solved_though_not_always_by_the_fewest_moves():
 def test_both_engines_agree_along_an_escape(hand):
     """Random play seldom builds a tower: the plan does."""
     room = generate(get_preset("blocks-world", hand=hand), 1)
-    rules, batch = Kinematics(room), TensorRoom([room], 1, autoreset="disabled")
+    rules, batch = Kinematics(room), TensorRoom(Rooms(instance=room), autoreset="disabled")
     batch.reset(torch.tensor([0]))
     state, puzzles = batch.get_room_state(0), set()
     for primitive in RoomPlanner(room).solve(state).primitives:

@@ -12,6 +12,7 @@ from hrl_escape import OptionsEnv, RoomConfig, RoomPlanner, generate
 from hrl_escape.agents import train
 from hrl_escape.checks import check_puzzle
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.config import RewardConfig, RobotConfig, ShapeConfig
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.noise import CHANCE_PURPOSE, draw_chance, draw_puzzle_start, philox
@@ -99,7 +100,7 @@ def test_chance_and_first_states_are_fair_and_have_numbers_of_their_own():
 def test_both_engines_draw_the_same_first_states_chances_rewards_and_failures():
     room = make_room()
     numbers, rooms = tabulate(room.puzzle).numbers, 32
-    batch, rules = TensorRoom([room], rooms, autoreset="disabled"), Kinematics(room)
+    batch, rules = TensorRoom(Rooms(rooms, instance=room), autoreset="disabled"), Kinematics(room)
     batch.reset(torch.arange(rooms))
     states = [batch.get_room_state(i) for i in range(rooms)]
     assert {state.puzzle for state in states} == set(room.puzzle.list_starts())

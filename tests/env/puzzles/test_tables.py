@@ -8,6 +8,7 @@ import torch
 
 from hrl_escape.env.batched.engine import TensorRoom
 from hrl_escape.env.batched.puzzles.base import TabulatedPuzzle, TensorContacts, get_tensor_puzzle
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.instance import SpaceLayout
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.observations.base import make_observer
@@ -132,7 +133,7 @@ def test_a_batch_of_codes_of_several_lengths_shows_as_many_numbers_as_one_room()
     config = dataclasses.replace(config, puzzle=dataclasses.replace(config.puzzle, length=Between(2, 6)))
     rooms = [generate(config, seed) for seed in range(8)]
     room = next(room for room in rooms if len(room.puzzle.code) < 6)
-    batch, alone = TensorRoom([room] * 2, 2, observation="state"), make_observer("state", Rules(room))
+    batch, alone = TensorRoom(Rooms(2, instance=[room] * 2, observation="state")), make_observer("state", Rules(room))
     batch.reset(torch.arange(2))
     seen = alone.observe(batch.get_room_state(0))
     assert batch.observe()[0].numpy() == pytest.approx(seen)
@@ -145,7 +146,7 @@ def test_every_kind_without_a_form_of_its_own_has_that_of_all():
 
 def test_a_state_to_which_nothing_leads_is_not_put_into_a_batch():
     config = get_preset("hanoi")
-    room = TensorRoom([generate(dataclasses.replace(config, puzzle=HanoiConfig(discs=4)), 0)], 1)
+    room = TensorRoom(Rooms(instance=generate(dataclasses.replace(config, puzzle=HanoiConfig(discs=4)), 0)))
     room.reset(torch.tensor([0]))
     puzzle, state = room.instances[0].puzzle, room.get_room_state(0)
     lifted = state._replace(puzzle=puzzle.encode((0, 0, 1, 3)))

@@ -8,6 +8,7 @@ import torch
 from hrl_escape import RoomConfig, RoomPlanner, generate
 from hrl_escape.checks import check_puzzle
 from hrl_escape.env.batched.engine import TensorRoom
+from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.drawing.palette import name_target
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
@@ -50,7 +51,7 @@ def test_six_members_make_a_puzzle_that_is_checked_planned_drawn_and_run_in_a_ba
     assert Puzzle.__abstractmethods__ == {"target_names", "make_state", "update", "is_solved", "observe"}  # and `kind`
     check_puzzle(Pair())
     room = generate(RoomConfig(name="pair", puzzle=PairConfig()), 0)
-    rules, batch = Kinematics(room), TensorRoom([room], 1)
+    rules, batch = Kinematics(room), TensorRoom(Rooms(instance=room))
     batch.reset(torch.tensor([0]))
     plan = RoomPlanner(room).solve(rules.make_state(room.starts[0], batch.get_room_state(0).noise_key))
     for number, primitive in enumerate(plan.primitives):
