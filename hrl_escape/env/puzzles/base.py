@@ -11,7 +11,7 @@ import dataclasses
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from functools import cached_property
-from typing import Annotated, Any, ClassVar, TypeAlias
+from typing import Annotated, Any, ClassVar, TypeAlias, TypeVar
 
 import numpy as np
 from typing_extensions import Self
@@ -43,6 +43,7 @@ __all__ = [
 
 PuzzleState: TypeAlias = Any
 """A hashable value of each puzzle's own type; its rules name that type."""
+PlacesType = TypeVar("PlacesType", Panels, Pads)
 Success = Annotated[float, Range(0, 1, open_low=True)]
 """Type of a field: the probability in [0, 1] that a press has its effect."""
 
@@ -84,7 +85,10 @@ class _OfKind(Schematic, ABC):
 
 @dataclasses.dataclass(frozen=True)
 class PuzzleConfig(_OfKind):
-    """The puzzle's part of the schematic; `make_puzzle` draws its random parts."""
+    """The puzzle's part of the schematic; `make_puzzle` draws its random parts.
+
+    A field of type `Panels` or `Pads` says how large its targets are and where the room places them.
+    """
 
     needs_physics: ClassVar[bool] = False
     _default_kind = "buttons"
@@ -93,19 +97,41 @@ class PuzzleConfig(_OfKind):
     def _get_member(cls, kind: PuzzleKind) -> type[PuzzleConfig]:
         return kind.config_type
 
-    @abstractmethod
+    def check(self) -> None:
+        """Check that all targets have places; puzzles with settings that relate several fields extend it."""
+        if self.panels is None or self.pads is None:
+            for places in (self.panels, self.pads):
+                if places is not None:
+                    places.check_places(self.count_targets())
+
+    def count_targets(self) -> int:
+        """Number of panels or pads: the field `count`, or that of the puzzle where nothing in it is random."""
+        count: int | None = getattr(self, "count", None)
+        return len(self.make_puzzle(np.random.default_rng(0)).target_names) if count is None else count
+
     def make_puzzle(self, rng: np.random.Generator) -> Puzzle:
-        """Sample a concrete puzzle (a graph, say) from this schematic."""
+        """Sample a concrete puzzle (a graph, say) from this schematic.
+
+        By default nothing is random: the puzzle's fields are those of the same names here.
+        """
+        puzzle = get_puzzle_kind(self.kind).puzzle_type
+        names = {field.name for field in dataclasses.fields(self)}
+        return puzzle(**{field.name: getattr(self, field.name) for field in dataclasses.fields(puzzle)
+                         if field.name in names})
 
     @property
     def panels(self) -> Panels | None:
         """Sizes and places of the puzzle's panels; None if it has none."""
-        return None
+        return self._find_field(Panels)
 
     @property
     def pads(self) -> Pads | None:
         """Sizes and places of the puzzle's pads; None if it has none."""
-        return None
+        return self._find_field(Pads)
+
+    def _find_field(self, kind: type[PlacesType]) -> PlacesType | None:
+        values = (getattr(self, field.name) for field in dataclasses.fields(self))
+        return next((value for value in values if isinstance(value, kind)), None)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -117,7 +143,10 @@ class Puzzle(_OfKind):
 
     Attributes:
         kind: registered name.
+        are_pads: true if all targets are pads on the floor.
     """
+
+    are_pads: ClassVar[bool] = False
 
     @classmethod
     def _get_member(cls, kind: PuzzleKind) -> type[Puzzle]:
@@ -131,7 +160,7 @@ class Puzzle(_OfKind):
     @property
     def pad_names(self) -> tuple[str, ...]:
         """Names of the targets that are pads on the floor; the others are panels on the walls."""
-        return ()
+        return self.target_names if self.are_pads else ()
 
     @property
     def is_watching(self) -> bool:

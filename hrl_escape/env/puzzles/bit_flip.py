@@ -14,8 +14,6 @@ from __future__ import annotations
 import dataclasses
 from typing import Annotated
 
-import numpy as np
-
 from hrl_escape.env.puzzles.base import Contacts, Panels, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.bits import BitPuzzle
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
@@ -35,19 +33,6 @@ class BitFlipConfig(PuzzleConfig):
     """Number of bits, each with a panel."""
     buttons: Panels = Panels()
     """Sizes and places of the bits' panels."""
-
-    def check(self) -> None:
-        """Check what spans several fields."""
-        self.buttons.check_places(self.count)
-
-    @property
-    def panels(self) -> Panels:
-        """Sizes and places of the bits' panels."""
-        return self.buttons
-
-    def make_puzzle(self, rng: np.random.Generator) -> BitFlipPuzzle:
-        """Make the puzzle; the generator is not used, for nothing in it is random."""
-        return BitFlipPuzzle(self.count)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -22,11 +22,6 @@ class BitPuzzle(Modelled, Puzzle):
     count: int
     """Number of targets, and of bits in the state."""
 
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest value of each number: 0 and 1."""
-        return ((0.0, 1.0),) * self.count
-
     def make_state(self) -> int:
         """State with all targets off."""
         return 0

@@ -52,14 +52,9 @@ class BlocksWorldConfig(PuzzleConfig):
     places: Panels = Panels(gap=1.0)
     """Sizes and places of the panels, one for each block."""
 
-    def check(self) -> None:
-        """Check what spans several fields."""
-        self.places.check_places(self.count if self.problem is None else len(read_towers(self.problem).names))
-
-    @property
-    def panels(self) -> Panels:
-        """Sizes and places of the panels, one for each block."""
-        return self.places
+    def count_targets(self) -> int:
+        """Number of blocks."""
+        return self.count if self.problem is None else len(read_towers(self.problem).names)
 
     def make_puzzle(self, rng: np.random.Generator) -> BlocksWorldPuzzle:
         """Read the problem, or draw one that is not solved yet."""

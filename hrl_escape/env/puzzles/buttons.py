@@ -65,7 +65,6 @@ class ButtonsConfig(PuzzleConfig):
             raise ConfigError("puzzle.goal", self.goal, f"a button from 0 to {self.count - 1}")
         if self.graph.kind == "edges":
             compute_order(self.count, self.graph.edges)
-        self.buttons.check_places(self.count)
         if self.dead_ends and (self.allow_off or self.on_violation == "reset"):
             raise ConfigError("puzzle.dead_ends", self.dead_ends, "0 where buttons can be turned off again")
         if self.doors > self.count:
@@ -73,11 +72,7 @@ class ButtonsConfig(PuzzleConfig):
         if self.doors and (self.allow_off or self.on_violation == "reset" or self.dead_ends):
             raise ConfigError("puzzle.doors", self.doors,
                               "0 where buttons can be turned off again or locked, for a door might never open again")
-
-    @property
-    def panels(self) -> Panels:
-        """Sizes and places of the buttons' panels."""
-        return self.buttons
+        super().check()
 
     def make_puzzle(self, rng: np.random.Generator) -> ButtonsPuzzle:
         """Sample the dependency graph, shuffle the buttons' numbers if it is to be relabelled, and choose openers.

@@ -41,15 +41,6 @@ class CodeLockConfig(PuzzleConfig):
     buttons: Panels = Panels(width=1.5)
     """Sizes and places of the digits' panels."""
 
-    def check(self) -> None:
-        """Check what spans several fields."""
-        self.buttons.check_places(self.digits)
-
-    @property
-    def panels(self) -> Panels:
-        """Sizes and places of the digits' panels."""
-        return self.buttons
-
     def make_puzzle(self, rng: np.random.Generator) -> CodeLockPuzzle:
         """Draw the code, uniformly among all codes."""
         code = [int(rng.integers(self.digits))]

@@ -41,19 +41,6 @@ class DeepSeaConfig(PuzzleConfig):
     buttons: Panels = Panels(width=1.5)
     """Sizes and places of the two panels."""
 
-    def check(self) -> None:
-        """Check what spans several fields."""
-        self.buttons.check_places(2)
-
-    @property
-    def panels(self) -> Panels:
-        """Sizes and places of the two panels."""
-        return self.buttons
-
-    def make_puzzle(self, rng: np.random.Generator) -> DeepSeaPuzzle:
-        """Make the puzzle; it does not depend on the instance seed."""
-        return DeepSeaPuzzle(self.size, self.mapping_seed)
-
 
 @dataclasses.dataclass(frozen=True)
 class DeepSeaPuzzle(Puzzle):

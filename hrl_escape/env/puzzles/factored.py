@@ -50,15 +50,10 @@ class FactoredConfig(PuzzleConfig):
 
     def check(self) -> None:
         """Check what spans several fields."""
-        self.buttons.check_places(self.count)
+        super().check()
         if self.arity**self.count > MOST_ENUMERATED:
             raise ConfigError("puzzle.count", self.count,
                               f"arity^count at most {MOST_ENUMERATED}, so that all are visited")
-
-    @property
-    def panels(self) -> Panels:
-        """Sizes and places of the panels."""
-        return self.buttons
 
     def make_puzzle(self, rng: np.random.Generator) -> FactoredPuzzle:
         """Draw domains until the goal is at least as far as the number of factors, then one of the furthest goals."""

@@ -10,8 +10,6 @@ from __future__ import annotations
 import dataclasses
 from typing import Annotated, Any
 
-import numpy as np
-
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.places import Pads
 from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
@@ -35,25 +33,13 @@ class ForagingConfig(PuzzleConfig):
     ends: Pads = Pads()
     """Size and places of the corridors' ends."""
 
-    def check(self) -> None:
-        """Check what spans several fields."""
-        self.ends.check_places(CORRIDOR_COUNT)
-
-    @property
-    def pads(self) -> Pads:
-        """Size and places of the corridors' ends."""
-        return self.ends
-
-    def make_puzzle(self, rng: np.random.Generator) -> ForagingPuzzle:
-        """Make the puzzle; it does not depend on the instance seed."""
-        return ForagingPuzzle(self.worms)
-
 
 @dataclasses.dataclass(frozen=True)
 class ForagingPuzzle(Modelled, Puzzle):
     """Concrete worms; the ends of the corridors are called `corridor-1` to `corridor-3`."""
 
     kind = "foraging"
+    are_pads = True
     worms: Worms = 4
     """Worms to eat before the exit opens."""
 
@@ -66,11 +52,6 @@ class ForagingPuzzle(Modelled, Puzzle):
     def target_names(self) -> tuple[str, ...]:
         """Names of the pads, `corridor-1` to `corridor-3`."""
         return tuple(f"corridor-{i + 1}" for i in range(CORRIDOR_COUNT))
-
-    @property
-    def pad_names(self) -> tuple[str, ...]:
-        """All ends are pads."""
-        return self.target_names
 
     def list_starts(self) -> tuple[int, ...]:
         """The first worm is in any corridor."""

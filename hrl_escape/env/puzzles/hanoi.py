@@ -10,8 +10,6 @@ from __future__ import annotations
 import dataclasses
 from typing import Annotated, Any
 
-import numpy as np
-
 from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
 from hrl_escape.env.puzzles.traits import Graphed
@@ -33,19 +31,6 @@ class HanoiConfig(PuzzleConfig):
     """Number of discs, all of different sizes."""
     buttons: Panels = Panels(width=1.5)
     """Sizes and places of the pegs' panels."""
-
-    def check(self) -> None:
-        """Check what spans several fields."""
-        self.buttons.check_places(PEGS)
-
-    @property
-    def panels(self) -> Panels:
-        """Sizes and places of the pegs' panels."""
-        return self.buttons
-
-    def make_puzzle(self, rng: np.random.Generator) -> HanoiPuzzle:
-        """Make the puzzle; the generator is not used, for nothing in it is random."""
-        return HanoiPuzzle(self.discs)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 
-import numpy as np
-
 from hrl_escape.env.puzzles.base import Contacts, Pads, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.codes import CodePuzzle
 
@@ -26,35 +24,18 @@ class KeyChestConfig(PuzzleConfig):
     floor: Pads = Pads()
     """Size and places of key and chest."""
 
-    def check(self) -> None:
-        """Check what spans several fields."""
-        self.floor.check_places(len(THINGS))
-
-    @property
-    def pads(self) -> Pads:
-        """Size and places of key and chest."""
-        return self.floor
-
-    def make_puzzle(self, rng: np.random.Generator) -> KeyChestPuzzle:
-        """Make the puzzle; the generator is not used, for nothing in it is random."""
-        return KeyChestPuzzle()
-
 
 @dataclasses.dataclass(frozen=True)
 class KeyChestPuzzle(CodePuzzle):
     """Concrete rules; the pads are called `key` and `chest`."""
 
     kind = "key-chest"
+    are_pads = True
     code = tuple(range(len(THINGS)))
 
     @property
     def target_names(self) -> tuple[str, ...]:
         """Names of the two pads, `key` and `chest`."""
-        return THINGS
-
-    @property
-    def pad_names(self) -> tuple[str, ...]:
-        """Names of all targets: both are pads."""
         return THINGS
 
     def update(self, state: int, contacts: Contacts) -> int:

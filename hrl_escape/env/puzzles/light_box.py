@@ -46,12 +46,7 @@ class LightBoxConfig(PuzzleConfig):
         """Check what spans several fields."""
         if self.graph.kind == "edges":
             compute_order(self.count, self.graph.edges)
-        self.lights.check_places(self.count)
-
-    @property
-    def panels(self) -> Panels:
-        """Sizes and places of the lights' panels."""
-        return self.lights
+        super().check()
 
     def make_puzzle(self, rng: np.random.Generator) -> LightBoxPuzzle:
         """Sample the dependencies, then shuffle the lights' numbers if a generated graph is to be relabelled."""

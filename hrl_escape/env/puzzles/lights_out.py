@@ -61,7 +61,6 @@ class LightsOutConfig(PuzzleConfig):
 
     def check(self) -> None:
         """Check what spans several fields."""
-        self.buttons.check_places(self.rows * self.columns)
         if self.task is not None and (self.rows, self.columns) not in TASKS:
             sizes = ", ".join(f"{rows} x {columns}" for rows, columns in TASKS)
             raise ConfigError("puzzle.task", self.task, f"a board of {sizes}")
@@ -69,11 +68,7 @@ class LightsOutConfig(PuzzleConfig):
             raise ConfigError("puzzle.scramble", self.scramble, "0 where puzzle.task is given")
         if self.scramble > self.rows * self.columns:
             raise ConfigError("puzzle.scramble", self.scramble, f"at most {self.rows * self.columns} presses")
-
-    @property
-    def panels(self) -> Panels:
-        """Sizes and places of the lights' panels."""
-        return self.buttons
+        super().check()
 
     def make_puzzle(self, rng: np.random.Generator) -> LightsOutPuzzle:
         """Draw the scrambling presses, if any."""
@@ -124,11 +119,6 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
     def goal_targets(self) -> tuple[int, ...]:
         """Numbers of the lights that are on in the goal."""
         return tuple(i for i in range(self.count) if self.goal >> i & 1)
-
-    @property
-    def bounds(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest value of each number: 0 and 1."""
-        return ((0.0, 1.0),) * (2 * self.count)
 
     def make_state(self) -> int:
         """Word of the start pattern, in which episodes begin."""

@@ -71,6 +71,7 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
     """A concrete level. Doors are called `door-1`, ..., things `key-1` and `ball-1`."""
 
     kind = "mini-grid"
+    are_pads = True
     rows: tuple[str, ...] = (">D",)
     """The map without its outer walls; see `maps.py` for its characters."""
 
@@ -98,11 +99,6 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
         keys = self.grid.keys
         return (*(f"door-{i + 1}" for i in range(len(self.grid.doors))), *(f"key-{i + 1}" for i in range(keys)),
                 *(f"ball-{i + 1}" for i in range(len(self.grid.things) - keys)))
-
-    @property
-    def pad_names(self) -> tuple[str, ...]:
-        """Names of all targets: each is a cell of the floor."""
-        return self.target_names
 
     @property
     def target_cells(self) -> tuple[int, ...]:

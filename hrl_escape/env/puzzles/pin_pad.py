@@ -30,15 +30,6 @@ class PinPadConfig(PuzzleConfig):
     floor: Pads = Pads()
     """Size and places of the pads."""
 
-    def check(self) -> None:
-        """Check what spans several fields."""
-        self.floor.check_places(self.count)
-
-    @property
-    def pads(self) -> Pads:
-        """Size and places of the pads."""
-        return self.floor
-
     def make_puzzle(self, rng: np.random.Generator) -> PinPadPuzzle:
         """Draw the order of the pads."""
         return PinPadPuzzle(tuple(rng.permutation(self.count).tolist()))
@@ -49,6 +40,7 @@ class PinPadPuzzle(CodePuzzle):
     """A concrete walk. Pad i is called `pad-<i+1>`."""
 
     kind = "pin-pad"
+    are_pads = True
     code: tuple[Annotated[int, Range(0, 7)], ...] = (0, 1)
     """Numbers of the pads in order, each of them once."""
 
@@ -61,11 +53,6 @@ class PinPadPuzzle(CodePuzzle):
     def target_names(self) -> tuple[str, ...]:
         """Names of the pads, `pad-1` to `pad-<count>`."""
         return tuple(f"pad-{i + 1}" for i in range(len(self.code)))
-
-    @property
-    def pad_names(self) -> tuple[str, ...]:
-        """Names of all targets: each is a pad."""
-        return self.target_names
 
     def update(self, state: int, contacts: Contacts) -> int:
         """Enter each pad stepped on, in index order; an open exit stays open."""

@@ -13,8 +13,6 @@ import itertools
 from functools import lru_cache
 from typing import Annotated, Any, NamedTuple
 
-import numpy as np
-
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.places import Panels
 from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
@@ -54,19 +52,6 @@ class PotionsConfig(PuzzleConfig):
     """Number of stones to make perfect before the exit opens."""
     bottles: Panels = Panels(width=1.0)
     """Sizes and places of the potions' panels."""
-
-    def check(self) -> None:
-        """Check what spans several fields."""
-        self.bottles.check_places(2 * self.features)
-
-    @property
-    def panels(self) -> Panels:
-        """Sizes and places of the potions' panels."""
-        return self.bottles
-
-    def make_puzzle(self, rng: np.random.Generator) -> PotionsPuzzle:
-        """Make the puzzle; it does not depend on the instance seed, as each episode draws its rule."""
-        return PotionsPuzzle(self.features, self.trials)
 
 
 @dataclasses.dataclass(frozen=True)

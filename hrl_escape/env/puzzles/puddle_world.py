@@ -7,9 +7,7 @@ is 1 once it has been entered. The published square of side 1 is 20 m wide here,
 from __future__ import annotations
 
 import dataclasses
-from typing import Annotated, Any
-
-import numpy as np
+from typing import Annotated
 
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.places import Capsule, Pads, Place
@@ -38,25 +36,13 @@ class PuddleWorldConfig(PuzzleConfig):
     goal: Pads = CORNER
     """Size and place of the goal."""
 
-    def check(self) -> None:
-        """Check what spans several fields."""
-        self.goal.check_places(1)
-
-    @property
-    def pads(self) -> Pads:
-        """Size and place of the goal."""
-        return self.goal
-
-    def make_puzzle(self, rng: np.random.Generator) -> PuddleWorldPuzzle:
-        """Make the puzzle; it does not depend on the instance seed."""
-        return PuddleWorldPuzzle(self.areas, self.cost)
-
 
 @dataclasses.dataclass(frozen=True)
 class PuddleWorldPuzzle(Depicted, Puzzle):
     """Concrete puddles; the only target is the pad `goal`."""
 
     kind = "puddle-world"
+    are_pads = True
     areas: tuple[Capsule, ...] = PUDDLES
     """Puddles; where they overlap, the deepest counts."""
     cost: Cost = 20.0
@@ -66,11 +52,6 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
     def target_names(self) -> tuple[str, ...]:
         """Name of the only target, the pad `goal`."""
         return ("goal",)
-
-    @property
-    def pad_names(self) -> tuple[str, ...]:
-        """Names of all targets: the goal is a pad."""
-        return self.target_names
 
     @property
     def puddles(self) -> tuple[Capsule, ...]:
@@ -85,10 +66,6 @@ class PuddleWorldPuzzle(Depicted, Puzzle):
     def make_state(self) -> int:
         """State 0: the goal has not been entered."""
         return 0
-
-    def is_state(self, state: Any) -> bool:
-        """Return whether an untrusted value is 0 or 1."""
-        return type(state) is int and state in (0, 1)
 
     def update(self, state: int, contacts: Contacts) -> int:
         """Return 1 once the goal's pad has been entered, else 0."""

@@ -12,8 +12,6 @@ from __future__ import annotations
 import dataclasses
 from typing import Any, Literal, NamedTuple, get_args
 
-import numpy as np
-
 from hrl_escape.env.puzzles.base import Contacts, Panels, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
 from hrl_escape.env.puzzles.traits import Depicted, Graphed
@@ -68,19 +66,6 @@ class RecipesConfig(PuzzleConfig):
     """The material or thing that opens the exit."""
     buttons: Panels = Panels(width=1.0, height=1.0)
     """Sizes and places of the ten panels."""
-
-    def check(self) -> None:
-        """Check that there are places for all panels."""
-        self.buttons.check_places(len(NAMES))
-
-    @property
-    def panels(self) -> Panels:
-        """Sizes and places of the panels."""
-        return self.buttons
-
-    def make_puzzle(self, rng: np.random.Generator) -> RecipesPuzzle:
-        """Make the puzzle; the generator is not used, for nothing in it is random."""
-        return RecipesPuzzle(self.goal)
 
 
 @dataclasses.dataclass(frozen=True)

@@ -50,6 +50,7 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
     """A concrete level. Boxes are called `box-1`, ..., goals `goal-1`, ..., row by row."""
 
     kind = "sokoban"
+    are_pads = True
     rows: tuple[str, ...] = ("@$.",)
     """The level, without its outer walls where it has some."""
 
@@ -74,11 +75,6 @@ class SokobanPuzzle(Pushing, Modelled, Puzzle):
     def target_names(self) -> tuple[str, ...]:
         """Names of the boxes, `box-1` and so on, then of the goals, `goal-1` and so on."""
         return tuple(f"{what}-{number + 1}" for what in ("box", "goal") for number in range(len(self.level.boxes)))
-
-    @property
-    def pad_names(self) -> tuple[str, ...]:
-        """Names of all targets: each is a cell of the floor."""
-        return self.target_names
 
     @property
     def goal_targets(self) -> tuple[int, ...]:

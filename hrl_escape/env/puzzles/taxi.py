@@ -11,11 +11,8 @@ from __future__ import annotations
 import dataclasses
 from typing import Annotated, Any, NamedTuple
 
-import numpy as np
-
 from hrl_escape.env.puzzles.base import Contacts, Pads, Puzzle, PuzzleConfig, register_puzzle
 from hrl_escape.env.puzzles.symbolic import Modelled, Operator, SymbolicModel
-from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
 __all__ = ["DEPOTS", "REFUSED", "RIDING", "Ride", "TaxiConfig", "TaxiPuzzle"]
@@ -55,26 +52,13 @@ class TaxiConfig(PuzzleConfig):
     depots: Pads = Pads()
     """Size and places of the red, green, yellow and blue depot."""
 
-    def check(self) -> None:
-        """Check what spans several fields."""
-        if isinstance(self.depots.places, tuple) and len(self.depots.places) < len(DEPOTS):
-            raise ConfigError("pads.places", len(self.depots.places), f"{len(DEPOTS)} places")
-
-    @property
-    def pads(self) -> Pads:
-        """Size and places of the depots."""
-        return self.depots
-
-    def make_puzzle(self, rng: np.random.Generator) -> TaxiPuzzle:
-        """Nothing depends on the instance seed."""
-        return TaxiPuzzle(self.fickleness)
-
 
 @dataclasses.dataclass(frozen=True)
 class TaxiPuzzle(Modelled, Puzzle):
     """A concrete ride; the depots are called `red`, `green`, `yellow` and `blue`."""
 
     kind = "taxi"
+    are_pads = True
     fickleness: Fickleness = 0.0
     """Probability that the passenger changes the destination on the first ride of one cell."""
 
@@ -92,11 +76,6 @@ class TaxiPuzzle(Modelled, Puzzle):
     @property
     def target_names(self) -> tuple[str, ...]:
         """Names of the pads: `red`, `green`, `yellow` and `blue`."""
-        return DEPOTS
-
-    @property
-    def pad_names(self) -> tuple[str, ...]:
-        """Names of all targets: each depot is a pad."""
         return DEPOTS
 
     def encode(self, ride: Ride) -> int:
