@@ -11,6 +11,7 @@ import math
 import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property
 
 from hrl_escape.clock import Clock
 from hrl_escape.env.instance import RoomInstance
@@ -51,8 +52,6 @@ class RoomPlanner:
         instance: the room as given.
         rules: its kinematics with nothing random, by which plans are checked.
         routes: cached routes to single goals.
-        orders: cheapest orders of the puzzle's operators.
-        escapes: legs planned together with what comes after them.
 
     Raises:
         UnknownNameError: no such method.
@@ -61,9 +60,17 @@ class RoomPlanner:
     def __init__(self, instance: RoomInstance, method: str = "auto", budget: int = 300_000,
                  time_limit: float | None = None) -> None:
         self.routes = Routes(instance, method, budget, time_limit)
-        self.orders = Orders(self.routes)
-        self.escapes = Escapes(self.routes)
         self.instance, self.rules = instance, self.routes.rules
+
+    @cached_property
+    def orders(self) -> Orders:
+        """Cheapest orders of the puzzle's operators."""
+        return Orders(self.routes)
+
+    @cached_property
+    def escapes(self) -> Escapes:
+        """Legs planned together with what comes after them."""
+        return Escapes(self.routes)
 
     def adapt(self, instance: RoomInstance) -> RoomPlanner:
         """Make the planner of an edited room; it plans as a new one would, and takes over what the edit leaves valid.

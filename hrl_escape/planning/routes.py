@@ -55,7 +55,7 @@ _KEY = 3
 CAREFUL = 20_000
 """Search nodes for a route that avoids all blocks, before one that may move some."""
 
-RouteKey: TypeAlias = tuple[Goal, SearchSettings, tuple[bool, DoorKey], Pose]  # is the exit open?
+RouteKey: TypeAlias = tuple[Goal, SearchSettings, tuple[bool, DoorKey | None], Pose]  # is the exit open?
 
 
 class Routes:
@@ -80,21 +80,24 @@ class Routes:
         Clock(time_limit)  # raises for a value that is no limit
         self.instance = instance
         self.method, self.budget, self.time_limit = method, budget, time_limit
-        # pressing under physics takes force: being within the margin is not enough
-        margin = 0.0 if instance.dynamics.kind == "physics" else instance.dynamics.press_margin
-        self._quiet = dataclasses.replace(
-            instance, dynamics=dataclasses.replace(instance.dynamics, press_margin=margin))
+        self._quiet = instance
+        if instance.dynamics.kind == "physics":  # pressing takes force: being within the margin is not enough
+            self._quiet = dataclasses.replace(
+                instance, dynamics=dataclasses.replace(instance.dynamics, press_margin=0.0))
         self.rules = Kinematics(self._quiet, is_still=True)
         self._radius = instance.robot.outer_radius + CONTACT_SKIN
         self._open()
 
     def _open(self) -> None:
         self.search = PrimitiveSearch(self._quiet, self.rules)
-        self._doors = DoorSearches(self.search)
+        self._doors = self._make_door_searches()
         self._routes: OrderedDict[RouteKey, Route | PlanningFailed] = OrderedDict()
         self._poses = 0
         self._reasons: dict[int, str] = {}
         self.lock = threading.RLock()
+
+    def _make_door_searches(self) -> DoorSearches | None:
+        return None if self.rules.inner_doors is None else DoorSearches(self.search)
 
     def __getstate__(self) -> dict[str, Any]:
         left_out = ("search", "_doors", "_routes", "_poses", "_reasons", "lock")
@@ -108,7 +111,7 @@ class Routes:
         """Take over the grids and fields of the room as it was before an edit, as far as the edit leaves them valid."""
         with before.lock:
             self.search = before.search.adapt(self._quiet, self.rules)
-            self._doors = DoorSearches(self.search)
+            self._doors = self._make_door_searches()
 
     def prepare(self) -> None:
         """Compute now the fields that routes share, so that the first routes are as quick as later ones."""
@@ -176,7 +179,8 @@ class Routes:
                 return False
             if isinstance(goal, GripGoal):
                 facts, ways = self.instance.puzzle.symbolic.get_facts(state.puzzle), find_grips(goal, self.instance)
-                return any(op.is_applicable(facts) for op in ways) and self._doors.can_walk(state, goal)
+                return any(op.is_applicable(facts) for op in ways) and (
+                    self._doors is None or self._doors.can_walk(state, goal))
             return isinstance(goal, PressGoal) or not is_reached(goal, state, state, self.rules)
 
     def find_route(self, state: RoomState, goal: Goal, report: PlanningReport | None = None,
@@ -275,7 +279,8 @@ class Routes:
     def _make_key(self, state: RoomState, goal: Goal, settings: SearchSettings) -> RouteKey:
         """Cache key of a route: everything that it depends on."""
         props = tuple(get_prop_poses(state, self.instance)) if self.instance.props else ()
-        return goal, settings, (self.is_solved(state), self._doors.make_key(state, goal)), (*get_pose(state), props)
+        doors = None if self._doors is None else self._doors.make_key(state, goal)
+        return goal, settings, (self.is_solved(state), doors), (*get_pose(state), props)
 
     def replay(self, state: RoomState, primitives: Sequence[int], goal: Goal,
                keep_out: Sequence[Footprint] | None = None) -> Route | None:
@@ -316,6 +321,8 @@ class Routes:
         """Route that keeps away from all blocks if it can, and in any case from those that must not be moved."""
         if isinstance(goal, GripGoal):
             return self._search_grip(state, goal, clock, settings)
+        if not self.instance.props:
+            return self._search_route(state, goal, clock, settings)
         *careful, least = list_obstacles(state, self.instance)
         for keep_out in careful:
             found = self._search_route(state, goal, clock, settings._replace(budget=CAREFUL), keep_out, False)
@@ -354,7 +361,8 @@ class Routes:
         began, method = read_clock(), settings.method
         way, planner = (method, DEFAULT_PLANNER) if method in METHODS else ("corridor", method)
         way = self.search.choose_method(goal, keep_out) if way == "auto" else way
-        result = self._doors.choose(state).search(
+        search = self.search if self._doors is None else self._doors.choose(state)
+        result = search.search(
             begin, goal, method=way, planner=planner, avoid=not isinstance(self.instance.puzzle, Mapped),
             refine=refine, keep_out=keep_out, budget_expansions=settings.budget, clock=clock, seed=settings.seed,
             effort=settings.effort)

@@ -27,8 +27,8 @@ MUTATIONS = [
     Mutation(
         "routes with the exit shut are taken for those with it open",
         "planning/routes.py",
-        "return goal, settings, (self.is_solved(state), self._doors.make_key(state, goal)), (*get_pose(state), props)",
-        "return goal, settings, (False, self._doors.make_key(state, goal)), (*get_pose(state), props)",
+        "return goal, settings, (self.is_solved(state), doors), (*get_pose(state), props)",
+        "return goal, settings, (False, doors), (*get_pose(state), props)",
         "planning/test_planner.py",
     ),
     Mutation(

@@ -33,14 +33,16 @@ DoorKey: TypeAlias = tuple[int, tuple[int, ...]]
 
 
 class DoorSearches:
-    """Searches of one room, by the inner doors that are shut.
+    """Searches of one room with inner doors, by those that are shut.
 
     Args:
         opened: search of the room with all of them open.
     """
 
     def __init__(self, opened: PrimitiveSearch) -> None:
+        assert opened.kinematics.inner_doors is not None
         self._opened, self._rules, self._room = opened, opened.kinematics, opened.instance
+        self._doors = opened.kinematics.inner_doors
         self._searches: OrderedDict[int, PrimitiveSearch] = OrderedDict()
 
     def choose(self, state: RoomState) -> PrimitiveSearch:
@@ -59,16 +61,15 @@ class DoorSearches:
 
     def find_walls(self, state: RoomState) -> int:
         """Bits of the shut inner doors, except those in which the body stands."""
-        doors = self._rules.inner_doors
-        return 0 if doors is None else doors.find_blocking(state.x, state.y, state.puzzle)
+        return self._doors.find_blocking(state.x, state.y, state.puzzle)
 
     def can_walk(self, state: RoomState, goal: GripGoal) -> bool:
         """Return whether free cells lead to one from which the goal's thing is pushed.
 
         For goals other than pushes, the puzzle's own model accounts for what blocks the way.
         """
-        doors, side = self._rules.inner_doors, goal.action.partition("push-")[2]
-        if doors is None or not side:
+        doors, side = self._doors, goal.action.partition("push-")[2]
+        if not side:
             return True
         behind = (list(_SIDES).index(side) + 2) % 4
         cells = list_cells(self._room, state, goal)
@@ -84,10 +85,9 @@ class DoorSearches:
     @cached_property
     def _beside(self) -> list[list[int]]:
         """Numbers of the inner doors one move to each side of each, -1 for none."""
-        doors, step = self._rules.inner_doors, self._rules.actions.stride
-        return [] if doors is None else [
-            [doors.find_at(cell.x + step * x, cell.y + step * y) for x, y, _ in _SIDES.values()]
-            for cell in self._room.inner_doors]
+        step = self._rules.actions.stride
+        return [[self._doors.find_at(cell.x + step * x, cell.y + step * y) for x, y, _ in _SIDES.values()]
+                for cell in self._room.inner_doors]
 
     def make_key(self, state: RoomState, goal: Goal) -> DoorKey:
         """Cache key: everything about the inner doors on which a route to a goal depends."""
