@@ -33,8 +33,8 @@ from hrl_escape.planning.areas import compute_goal_area
 from hrl_escape.planning.goals import ExitGoal, Goal, PoseGoal, PressGoal, describe_goal, is_reached
 from hrl_escape.planning.motion.limits import MotionLimits, compute_duration, compute_rest_to_rest
 from hrl_escape.planning.paths.navigator import PathResult
+from hrl_escape.planning.paths.planners import list_planners
 from hrl_escape.planning.paths.problem import DEFAULT_PLANNER
-from hrl_escape.planning.paths.registry import list_planners
 from hrl_escape.planning.search.primitive_search import METHODS, PrimitiveSearch, SearchResult
 
 __all__ = ["AUTO", "FIELDS", "FLOORS", "PATH", "Floor", "Query", "QueryResult", "Score", "draw_scores",

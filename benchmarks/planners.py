@@ -9,7 +9,7 @@ again; compilation is in none of them.
 
 Examples:
     python -m benchmarks.planners
-    python -m benchmarks.planners --contenders fields RRTConnect PRM --floors empty 'interior walls'
+    python -m benchmarks.planners --contenders fields RRTConnect BITstar --floors empty 'interior walls'
     python -m benchmarks.planners --csv planners.csv --plot planners.png
 """
 

@@ -33,7 +33,7 @@ PRESETS = ("paper-one-button", "paper-two-button", "larg-2019", "clutter", "ten-
 MEDIAN_MS, P99_MS, PREPARE_S, CACHED_MS = 5.0, 50.0, 1.0, 0.2
 CANCELLED_MS, LONGEST_DELAY_S = 50.0, 0.5
 ALLOWED_GROWTH_MB = 4.0
-WATCHED = ("fields", "RRTConnect", "PRM", "answer")
+WATCHED = ("fields", "RRTConnect", "answer")
 """Plans whose memory is watched: of one search, along paths of OMPL, and answers to requests, improved now and then."""
 
 
@@ -124,7 +124,7 @@ def measure_memory(plans: int, kinds: Sequence[str]) -> bool:
             elif name == "fields":
                 search.search(state, target)
             else:
-                navigator.plan((state.x, state.y), target, name, seed=number if name != "PRM" else number % 4)
+                navigator.plan((state.x, state.y), target, name, seed=number)
         grown.append(get_memory_mb() - before)
         print(f"{plans} plans by {name}: {grown[-1]:+.2f} MB", flush=True)
     return max(grown) < ALLOWED_GROWTH_MB

@@ -63,7 +63,7 @@ _goals = (
 _texts = st.sampled_from(["exit", "button-1", "button-2", "bit-1", "block-1->plate-1", "block->plate", "->", ",", "1,2",
                           "1,2,90", "nan,1", "1e999,0", "1,2,3,4", "a,b", " exit "]) | st.text(max_size=8)
 _any_goal = _goals | _texts | _anything
-_methods = st.sampled_from([None, "auto", "fields", "corridor", "RRTConnect", "PRM"]) | _anything
+_methods = st.sampled_from([None, "auto", "fields", "corridor", "RRTConnect", "BITstar"]) | _anything
 
 
 @st.composite

@@ -47,7 +47,7 @@ class SolveArgs(RoomChoice):
     goal: str = ESCAPE
     """Goal: escape, a target's name, exit, or a pose x,y or x,y,heading (degrees)."""
     planner: str = "auto"
-    """Method: fields (cost-to-go fields), a path planner along whose path to search (RRTConnect, PRM, ...), or auto."""
+    """Method: fields (cost-to-go fields), a path planner along whose path to search (such as RRTConnect), or auto."""
     budget: int = 300_000
     """Maximum number of search nodes of one plan; a budget gives the same plan on any machine."""
     episode_seed: int = 0

@@ -6,8 +6,8 @@ from .goals import ExitGoal, Goal, GripGoal, PoseGoal, PressGoal, PushGoal, Regi
 from .motion.limits import MotionLimits
 from .motion.trajectory import TimedTrajectory, make_trajectory
 from .paths.navigator import Navigator
+from .paths.planners import list_planners, register_planner
 from .paths.problem import PathProblem, PathResult
-from .paths.registry import list_planners, register_planner
 from .plan import Execution, Plan, PlanPart
 from .planner import RoomPlanner, get_planner
 from .requests import PlanningRequest, PlanningResult

@@ -417,7 +417,7 @@ def check_method(method: str) -> None:
     """Check that a method is known. Raises `UnknownNameError`."""
     if isinstance(method, str) and method in METHODS:
         return
-    from hrl_escape.planning.paths.registry import list_planners  # loads OMPL, which fields do without
+    from hrl_escape.planning.paths.planners import list_planners  # loads OMPL, which fields do without
 
     if not isinstance(method, str) or method not in list_planners():
         raise UnknownNameError("planner", method, (*METHODS, *list_planners()))

@@ -24,7 +24,7 @@ from hrl_escape.env.puzzles.buttons import ButtonsConfig
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import GenerationError
 from hrl_escape.planning.goals import is_reached
-from hrl_escape.planning.paths.registry import list_planners
+from hrl_escape.planning.paths.planners import list_planners
 from tests.command_line import assert_script_refused, call_script
 
 

@@ -32,7 +32,7 @@ def test_json_tells_what_a_program_needs(capsys):
 
 
 @pytest.mark.parametrize(("planner", "found_by"), [
-    ("corridor", "RRTConnect"), ("PRM", "PRM"), ("auto", "joint search"),
+    ("corridor", "RRTConnect"), ("BITstar", "BITstar"), ("auto", "joint search"),
 ])
 def test_another_planner_is_chosen_by_name(capsys, planner, found_by):
     code, out, _ = run(capsys, "--preset", "paper-two-button", "--planner", planner, "--json")

@@ -35,6 +35,7 @@ from hrl_escape.planning.areas import compute_goal_area, get_presser
 from hrl_escape.planning.goals import ExitGoal, PoseGoal, PressGoal, is_reached, parse_goal
 from hrl_escape.planning.lower_bounds import LegBounds
 from hrl_escape.planning.motion.trajectory import make_trajectory
+from hrl_escape.planning.paths import planners
 from hrl_escape.planning.paths.navigator import Navigator
 from hrl_escape.planning.planner import RoomPlanner
 
@@ -79,15 +80,16 @@ def test_a_footprint_is_part_of_a_room_and_a_disc_changes_no_id():
     assert room.id != dataclasses.replace(room, robot=dataclasses.replace(room.robot, body_length=1.1)).id
 
 
-def test_what_a_rectangle_does_not_do_is_refused_in_one_message():
+def test_what_a_rectangle_does_not_do_is_refused_in_one_message(monkeypatch):
     with pytest.raises(ConfigError, match="inner doors or props"):
         generate(change(get_preset("door-key"), footprint="rectangle", body_length=0.8, body_width=0.6), 0)
     with pytest.raises(ConfigError, match="body_length / 2 = 0.6"):
         dataclasses.replace(ROBOT, mount_forward=0.7)
     with pytest.raises(UnsupportedError, match="base that is a rectangle"):
         compute_instance_fields(generate(SMALL, 0))
+    monkeypatch.setitem(planners._FACTORIES, "of-places", lambda collision: lambda problem: None)
     with pytest.raises(UnsupportedError, match="poses of a rectangular base are planned by"):
-        Navigator(generate(SMALL, 0)).plan((0.0, 0.0), ExitGoal(), "PRM")
+        Navigator(generate(SMALL, 0)).plan((0.0, 0.0), ExitGoal(), "of-places")
 
 
 def test_starts_and_states_inside_a_solid_are_refused_at_the_heading_that_they_have():

@@ -358,8 +358,8 @@ def test_a_failure_that_is_remembered_holds_no_frames():
 
 
 def test_a_path_planner_is_chosen_by_name(planner, start):
-    plan = RoomPlanner(planner.instance, "PRM").plan(start, "3,-4")
-    assert plan.planner == "PRM" and plan.cost == planner.plan(start, "3,-4").cost
+    plan = RoomPlanner(planner.instance, "BITstar").plan(start, "3,-4")
+    assert plan.planner == "BITstar" and plan.cost == planner.plan(start, "3,-4").cost
     with pytest.raises(UnknownNameError, match="did you mean 'RRTConnect'|RRTConnect"):
         RoomPlanner(planner.instance, "RRTConect")
 

@@ -27,8 +27,8 @@ from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
 from hrl_escape.planning.motion.path import MotionPath
-from hrl_escape.planning.paths.joint_space import find_joint_path
-from hrl_escape.planning.paths.single_query import SINGLE_QUERY_PLANNERS
+from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path
+from hrl_escape.planning.paths.problem import CheckerBudget
 
 __all__ = ["ArmPlanner", "ArmPosture", "ReachMap", "make_halton", "map_reach"]
 
@@ -188,7 +188,7 @@ class ArmPlanner:
         Args:
             state: base and arm at the beginning.
             goal: joint angles (joints,), or several of which any will do (n, joints), rad.
-            planner: one of OMPL's single-query planners.
+            planner: one of OMPL's, such as `RRTConnect`.
             seed: the same seed gives the same path.
             budget: places that may be tested.
             time_limit: s; None leaves the decision to the budget.
@@ -275,8 +275,8 @@ class ArmPlanner:
         between two tested places. So no point is ever farther than a quarter of the margin from where it was tested,
         two links come nearer to each other by at most half of it, and the path may still be left by a quarter.
         """
-        if planner not in SINGLE_QUERY_PLANNERS:
-            raise UnknownNameError("path planner", planner, SINGLE_QUERY_PLANNERS)
+        if planner not in OMPL_PLANNERS:
+            raise UnknownNameError("path planner", planner, OMPL_PLANNERS)
         began, clock = read_clock(), Clock(time_limit)
         place = (state.x, state.y, self.rules.get_heading(state))
 
@@ -288,7 +288,7 @@ class ArmPlanner:
         goals = np.array([goal for goal in goals if is_free(goal, 0.0)])
         if not len(goals):
             raise fail(PlanningReason.GOAL_INVALID)
-        tests = 0
+        spent = CheckerBudget(budget, clock)
         for margin in KEPT_MARGINS:
             ends = np.array([goal for goal in goals if is_free(goal, margin)])
             if not (is_free(start, margin) and len(ends)):
@@ -299,18 +299,16 @@ class ArmPlanner:
             low, high = (np.array(side) * scale for side in box)
             spacing = margin / 2.0 / math.sqrt(len(scale))
             try:
-                path, calls = find_joint_path(np.minimum(low, start * scale), np.maximum(high, start * scale),
-                                              start * scale, ends * scale,
-                                              lambda at, m=margin, s=scale: is_free(at / s, m),
-                                              spacing, planner=planner, seed=seed, budget=budget - tests, clock=clock)
+                path = find_joint_path(np.minimum(low, start * scale), np.maximum(high, start * scale), start * scale,
+                                       ends * scale, lambda at, m=margin, s=scale: is_free(at / s, m), spacing, spent,
+                                       planner=planner, seed=seed)
             except OutOfTime:
                 raise fail(clock.reason) from None
-            tests += calls
             if path is not None:
-                return MotionPath(names, path / scale, scale, margin / 4.0, planner, tests, read_clock() - began)
-            if tests >= budget:
-                break
-        raise fail(PlanningReason.BUDGET_EXHAUSTED if tests >= budget else PlanningReason.UNREACHABLE_AT_RESOLUTION)
+                return MotionPath(names, path / scale, scale, margin / 4.0, planner, spent.calls, read_clock() - began)
+            if spent.calls >= budget:
+                raise fail(PlanningReason.BUDGET_EXHAUSTED)
+        raise fail(PlanningReason.UNREACHABLE_AT_RESOLUTION)
 
 
 CONFIGURATIONS = 200_000

@@ -1,6 +1,6 @@
 """Collision-free paths for the base in the plane; headings come later, as a disc may turn anywhere.
 
-The `Navigator` states the problem, asks a planner of `registry.py`, and checks its answer
+The `Navigator` states the problem, asks a planner of `planners.py`, and checks its answer
 exactly before returning it. Paths of a rectangular base are `pose_path.py`'s.
 """
 
@@ -23,10 +23,12 @@ from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.kernels import read_clock
 from hrl_escape.planning.areas import compute_goal_area, sample_places
 from hrl_escape.planning.goals import FARTHEST, Goal, PressGoal, check_goal
+from hrl_escape.planning.paths.planners import get_factory
 from hrl_escape.planning.paths.pose_path import check_pose_planner, find_pose_path
 from hrl_escape.planning.paths.problem import (
     CHECKER_CALLS,
     DEFAULT_PLANNER,
+    CheckerBudget,
     PathPlanner,
     PathProblem,
     PathResult,
@@ -34,8 +36,8 @@ from hrl_escape.planning.paths.problem import (
     Spent,
     Status,
     compute_spacing,
+    step_aside,
 )
-from hrl_escape.planning.paths.registry import get_factory
 
 __all__ = ["Navigator"]
 
@@ -115,7 +117,8 @@ class Navigator:
                 bound = float(np.hypot(*(places - start).T).min())
             if status is None and not turns_anywhere:
                 at = np.array([*start, heading])
-                status, path, calls = self._solve_poses(collision, at, goal, places, planner, seed, budget, clock)
+                status, path, calls = self._solve_poses(collision, at, goal, places, planner, seed,
+                                                        CheckerBudget(budget, clock))
             elif status is None:
                 problem = partial(PathProblem, seed=seed, optimise=optimise, clock=clock, budget=budget)
                 status, path, calls = self._solve(collision, start, places, planner, factory, problem)
@@ -128,7 +131,7 @@ class Navigator:
         return PathResult(status, path, cost, bound, planner, read_clock() - began, calls, headings)
 
     def _solve_poses(self, collision: CollisionMap, start: NDArray[np.float64], goal: Goal | NDArray[np.float64],
-                     places: NDArray[np.float64], planner: str, seed: int, budget: int, clock: Clock
+                     places: NDArray[np.float64], planner: str, seed: int, budget: CheckerBudget
                      ) -> tuple[Status, NDArray[np.float64], int]:
         """Status, poses (n, 3) and tested poses of a rectangular base's path to places of a goal."""
         x, y, heading = start.tolist()
@@ -137,10 +140,10 @@ class Navigator:
         ends = self._list_poses(collision, goal, places)
         if not len(ends):
             return "invalid-goal", np.zeros((0, 2)), 0
-        path, calls = find_pose_path(collision, start, ends, planner, seed=seed, budget=budget, clock=clock)
+        path = find_pose_path(collision, start, ends, planner, seed, budget)
         if path is not None:
-            return "exact", path, calls
-        return "budget-exhausted" if calls > budget else "not-found", np.zeros((0, 2)), calls
+            return "exact", path, budget.calls
+        return "budget-exhausted" if budget.calls > budget.most else "not-found", np.zeros((0, 2)), budget.calls
 
     def _list_poses(self, collision: CollisionMap, goal: Goal | NDArray[np.float64], places: NDArray[np.float64]
                     ) -> NDArray[np.float64]:
@@ -202,8 +205,8 @@ class Navigator:
         factory: PlannerFactory, make_problem: Callable[..., PathProblem],
     ) -> tuple[Status, NDArray[np.float64], int]:
         none = np.zeros((0, 2))
-        begin = _step_aside(collision, np.array(start))
-        ends = [(place, aside) for place in places if (aside := _step_aside(collision, place)) is not None]
+        begin = _move_aside(collision, np.array(start))
+        ends = [(place, aside) for place in places if (aside := _move_aside(collision, place)) is not None]
         if begin is None or not ends:
             return "not-found", none, 0
         problem = make_problem(collision, begin, np.array([aside for _, aside in ends]))
@@ -232,19 +235,13 @@ class Navigator:
         return "exact" if is_exact else "approximate", path, problem.calls
 
 
-def _step_aside(collision: CollisionMap, place: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def _move_aside(collision: CollisionMap, place: NDArray[np.float64]) -> NDArray[np.float64] | None:
     """Nearest place with the clearance that motion tests need, straight from a place that may touch a wall."""
     spacing, need = compute_spacing(collision)
     x, y = place.tolist()
-    if collision.is_clear(x, y, need):
-        return place
-    for distance in (need - collision.radius + 1e-6, 0.01, spacing / 2, spacing, 2 * spacing):
-        for k in range(16):
-            aside_x = x + distance * math.cos(k * math.pi / 8)
-            aside_y = y + distance * math.sin(k * math.pi / 8)
-            if collision.is_clear(aside_x, aside_y, need) and collision.is_move_free(x, y, aside_x, aside_y):
-                return np.array([aside_x, aside_y])
-    return None
+    found = step_aside((x, y), 0.0, (need - collision.radius + 1e-6, 0.01, spacing / 2, spacing, 2 * spacing),
+                       lambda x, y: collision.is_clear(x, y, need), collision.is_move_free)
+    return None if found is None else np.array(found)
 
 
 def _choose_goals(places: NDArray[np.float64], start: tuple[float, float]) -> NDArray[np.float64]:

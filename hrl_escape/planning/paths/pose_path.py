@@ -12,18 +12,15 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.clock import Clock
 from hrl_escape.errors import PathPlannerError, UnsupportedError
 from hrl_escape.floor.clearance import CollisionMap
-from hrl_escape.planning.paths.joint_space import find_joint_path
-from hrl_escape.planning.paths.problem import SPACING
-from hrl_escape.planning.paths.single_query import SINGLE_QUERY_PLANNERS
+from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path
+from hrl_escape.planning.paths.problem import SPACING, CheckerBudget, step_aside
 
 __all__ = ["check_pose_planner", "find_pose_path"]
 
 _ASIDE = (1.0, 1.5, 2.0, 4.0)
 """Margins by which a pose in contact is left before the search."""
-_DIRECTIONS = 16
 _MOST_ENDS = 64
 
 
@@ -33,26 +30,25 @@ def check_pose_planner(name: str) -> None:
     Raises:
         UnsupportedError: the message lists those that plan poses.
     """
-    if name not in SINGLE_QUERY_PLANNERS:
+    if name not in OMPL_PLANNERS:
         raise UnsupportedError(f"path planner {name!r} plans places of a disc; poses of a rectangular base are planned "
-                               f"by {', '.join(SINGLE_QUERY_PLANNERS)}")
+                               f"by {', '.join(OMPL_PLANNERS)}")
 
 
-def find_pose_path(collision: CollisionMap, start: NDArray[np.float64], ends: NDArray[np.float64], planner: str, *,
-                   seed: int, budget: int, clock: Clock) -> tuple[NDArray[np.float64] | None, int]:
+def find_pose_path(collision: CollisionMap, start: NDArray[np.float64], ends: NDArray[np.float64], planner: str,
+                   seed: int, budget: CheckerBudget) -> NDArray[np.float64] | None:
     """Find a path of poses from a start to any of some ends.
 
     Args:
         collision: the room.
         start: x, y and heading, shape (3,), m and rad; the base fits there.
         ends: poses of which any will do, shape (n, 3); the base fits there.
-        planner: one of OMPL's single-query planners.
+        planner: one of `OMPL_PLANNERS`.
         seed: the same seed gives the same path.
-        budget: poses that may be tested.
-        clock: time limit.
+        budget: poses that may be tested, and the time limit.
 
     Returns:
-        Poses to go through in straight lines while turning evenly, shape (k, 3), or None; and the poses tested.
+        Poses to go through in straight lines while turning evenly, shape (k, 3), or None.
 
     Raises:
         OutOfTime: the clock has run out before there was a path.
@@ -62,10 +58,10 @@ def find_pose_path(collision: CollisionMap, start: NDArray[np.float64], ends: ND
     margin = spacing * math.sqrt(0.5)
     ends = ends[np.linspace(0, len(ends) - 1, min(len(ends), _MOST_ENDS)).astype(int)].copy()
     ends[:, 2] = start[2] + np.remainder(ends[:, 2] - start[2] + math.pi, math.tau) - math.pi
-    begin = _step_aside(collision, start, margin)
-    pairs = [(end, aside) for end in ends if (aside := _step_aside(collision, end, margin)) is not None]
+    begin = _move_aside(collision, start, margin)
+    pairs = [(end, aside) for end in ends if (aside := _move_aside(collision, end, margin)) is not None]
     if begin is None or not pairs:
-        return None, 0
+        return None
     goals = np.array([aside for _, aside in pairs])
     scale = np.array([1.0, 1.0, collision.radius])
     high = np.array([*-collision.low, start[2] + 1.5 * math.pi])
@@ -75,32 +71,26 @@ def find_pose_path(collision: CollisionMap, start: NDArray[np.float64], ends: ND
         x, y, heading = (at / scale).tolist()
         return collision.does_fit(x, y, (math.cos(heading), math.sin(heading)), margin)
 
-    path, tested = find_joint_path(low * scale, high * scale, begin * scale, goals * scale, is_free, spacing,
-                                   planner=planner, seed=seed, budget=budget, clock=clock)
+    path = find_joint_path(low * scale, high * scale, begin * scale, goals * scale, is_free, spacing, budget,
+                           planner=planner, seed=seed)
     if path is None:
-        return None, tested
+        return None
     path = path / scale
     reached = pairs[int(np.abs((goals - path[-1]) * scale).sum(axis=1).argmin())][0]
     path = np.concatenate([[start], path, [reached]])
     path = path[np.concatenate([[True], np.abs(np.diff(path, axis=0)).max(axis=1) > 1e-12])]
     _check(collision, path, scale, spacing / 4, planner)
-    return path, tested
+    return path
 
 
-def _step_aside(collision: CollisionMap, pose: NDArray[np.float64], margin: float) -> NDArray[np.float64] | None:
-    """Nearest pose with the clearance that motion tests need, straight from a pose that may touch a wall."""
+def _move_aside(collision: CollisionMap, pose: NDArray[np.float64], margin: float) -> NDArray[np.float64] | None:
+    """Nearest pose with a margin, straight from one that may touch a wall."""
     x, y, heading = pose.tolist()
     rotation = math.cos(heading), math.sin(heading)
-    if collision.does_fit(x, y, rotation, margin):
-        return pose
-    for distance in _ASIDE:
-        for k in range(_DIRECTIONS):
-            angle = heading + k * math.tau / _DIRECTIONS
-            to_x = x + (distance * margin + 1e-6) * math.cos(angle)
-            to_y = y + (distance * margin + 1e-6) * math.sin(angle)
-            if collision.does_fit(to_x, to_y, rotation, margin) and collision.is_move_free(x, y, to_x, to_y, rotation):
-                return np.array([to_x, to_y, heading])
-    return None
+    place = step_aside((x, y), heading, [distance * margin + 1e-6 for distance in _ASIDE],
+                       lambda x, y: collision.does_fit(x, y, rotation, margin),
+                       lambda x, y, to_x, to_y: collision.is_move_free(x, y, to_x, to_y, rotation))
+    return None if place is None else np.array([*place, heading])
 
 
 def _check(collision: CollisionMap, path: NDArray[np.float64], scale: NDArray[np.float64], spacing: float, name: str

@@ -1,7 +1,7 @@
 """Path problems and their results: the interface of every path planner.
 
 A path planner is a function from a `PathProblem` to places to go through; a factory makes one
-for a room. `registry.py` knows the planners by name, `navigator.py` checks every answer.
+for a room. `planners.py` knows the planners by name, `navigator.py` checks every answer.
 """
 
 from __future__ import annotations
@@ -17,14 +17,16 @@ from numpy.typing import NDArray
 from hrl_escape.clock import NO_LIMIT, Clock
 from hrl_escape.floor.clearance import CollisionMap
 
-__all__ = ["CHECKER_CALLS", "DEFAULT_PLANNER", "PathPlanner", "PathProblem", "PathResult", "PlannerFactory", "Spent",
-           "Status", "compute_spacing"]
+__all__ = ["CHECKER_CALLS", "DEFAULT_PLANNER", "CheckerBudget", "PathPlanner", "PathProblem", "PathResult",
+           "PlannerFactory", "Spent", "Status", "compute_spacing", "step_aside"]
 
 CHECKER_CALLS = 200_000
 """Default budget of a query: the limit that is the same on any machine."""
 DEFAULT_PLANNER = "RRTConnect"
 """Name of the path planner that is used by default."""
 SPACING = 0.1
+"""Largest distance of the places at which a motion is tested, m."""
+_DIRECTIONS = 16
 
 Status: TypeAlias = Literal["exact", "approximate", "not-found", "budget-exhausted", "timeout", "no-path",
                             "invalid-start", "invalid-goal"]
@@ -64,7 +66,28 @@ class Spent(Exception):
     """Checker calls or time are used up; goes through OMPL and stops it."""
 
 
-class PathProblem:
+class CheckerBudget:
+    """Checker calls of one query: places tested, and rounds of a planner's own loop.
+
+    Args:
+        most: calls that may be made.
+        clock: time limit.
+
+    Attributes:
+        calls: made so far.
+    """
+
+    def __init__(self, most: int, clock: Clock = NO_LIMIT) -> None:
+        self.most, self.clock, self.calls = most, clock, 0
+
+    def spend(self, calls: int) -> None:
+        """Charge calls; raises `Spent` once calls or time are used up."""
+        self.calls += calls
+        if self.calls > self.most or self.clock.is_up():
+            raise Spent
+
+
+class PathProblem(CheckerBudget):
     """Query of a path planner, with the tests of places that it may use.
 
     Attributes:
@@ -75,18 +98,17 @@ class PathProblem:
         spacing: a motion is free if places on it at most this far apart are free, m.
         seed: for all randomness.
         optimise: search for a shorter path until the budget is spent, instead of stopping at the first.
-        calls: places tested so far.
     """
 
     def __init__(self, collision: CollisionMap, start: NDArray[np.float64], goals: NDArray[np.float64], *,
                  seed: int = 0, optimise: bool = False, budget: int = CHECKER_CALLS, clock: Clock = NO_LIMIT) -> None:
         """State a problem; see the attributes and `Navigator.plan`."""
-        self.start, self.goals, self.seed, self.optimise, self.calls = start, goals, seed, optimise, 0
+        super().__init__(budget, clock)
+        self.start, self.goals, self.seed, self.optimise = start, goals, seed, optimise
         self.low = collision.low
         self.high = collision.low + collision.resolution * np.array(collision.distance.shape)
         self.spacing, self._need = compute_spacing(collision)
-        self._collision, self._budget = collision, budget
-        self._clock = clock
+        self._collision = collision
 
     def is_free(self, x: float, y: float) -> bool:
         """Return whether the body fits at a place, with the clearance that tests of motions at `spacing` need.
@@ -101,12 +123,6 @@ class PathProblem:
         self.spend(10)
         return self._collision.is_move_free(x, y, to_x, to_y)
 
-    def spend(self, calls: int) -> None:
-        """Charge checker calls to the budget; raises `Spent` once calls or time are used up."""
-        self.calls += calls
-        if self.calls > self._budget or self._clock.is_up():
-            raise Spent
-
 
 def compute_spacing(collision: CollisionMap) -> tuple[float, float]:
     """Spacing of tests on a motion, and the clearance they need so that everything between is free.
@@ -116,6 +132,30 @@ def compute_spacing(collision: CollisionMap) -> tuple[float, float]:
     """
     spacing = min(SPACING, collision.radius / 5)
     return spacing, math.sqrt(collision.radius**2 + spacing**2 / 4)
+
+
+def step_aside(place: tuple[float, float], angle: float, distances: Sequence[float],
+               is_clear: Callable[[float, float], bool], is_move_free: Callable[[float, float, float, float], bool]
+               ) -> tuple[float, float] | None:
+    """Nearest place with the clearance that tests of motions need, straight from one that may touch a wall.
+
+    Args:
+        place: the place, m.
+        angle: direction that is tried first, rad.
+        distances: tried in this order, each in 16 directions, m.
+        is_clear: says whether a place has that clearance.
+        is_move_free: says whether the base can go straight between two places.
+    """
+    x, y = place
+    if is_clear(x, y):
+        return place
+    for distance in distances:
+        for k in range(_DIRECTIONS):
+            to_x = x + distance * math.cos(angle + k * math.tau / _DIRECTIONS)
+            to_y = y + distance * math.sin(angle + k * math.tau / _DIRECTIONS)
+            if is_clear(to_x, to_y) and is_move_free(x, y, to_x, to_y):
+                return to_x, to_y
+    return None
 
 
 PathPlanner: TypeAlias = Callable[[PathProblem], "Sequence[Sequence[float]] | NDArray[np.float64] | None"]

@@ -1,0 +1,202 @@
+"""Path planners by name: OMPL's, all behind one search through a box of coordinates, and those that a user registers.
+
+The only module that imports OMPL. Every query is planned from nothing, so that it depends on no earlier one. The
+coordinates are places in the plane, or places, headings and joint angles scaled to metres of motion.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from ompl import base, geometric, util
+
+from hrl_escape.errors import PathPlannerError, UnknownNameError
+from hrl_escape.planning.paths.problem import CheckerBudget, PathProblem, PlannerFactory, Spent
+
+__all__ = ["ANYTIME", "OMPL_PLANNERS", "find_joint_path", "get_factory", "list_planners", "register_planner"]
+
+util.setLogLevel(util.LogLevel.LOG_NONE)
+
+# Not AORRTC: in OMPL 2.0.1 it returns paths that do not begin at the start, and crashes when asked to continue. Not the
+# roadmaps, PRM and PRM*: they wait for ever for a condition that Python decides.
+OMPL_PLANNERS = ("BFMT", "BITstar", "BKPIECE1", "FMT", "InformedRRTstar", "KPIECE1", "LBKPIECE1", "RRT", "RRTConnect",
+                 "RRTstar", "SORRTstar")
+ANYTIME = ("BITstar", "InformedRRTstar", "RRTstar", "SORRTstar")
+"""Planners whose paths become shorter the longer they search."""
+STAGES = (5_000, 10_000, 20_000, 40_000, 80_000, 160_000, 320_000)
+"""Checker calls after which an anytime planner is asked for its path in the plane."""
+
+
+def register_planner(name: str, factory: PlannerFactory) -> None:
+    """Register a path planner under a name; try it with `hrl_escape.checks.check_path_planner` first.
+
+    Args:
+        name: unused so far.
+        factory: called once for each room and door, with its `CollisionMap`; returns the planner. The
+            same problem must give the same path, independent of earlier queries.
+
+    Raises:
+        PathPlannerError: another planner has that name.
+    """
+    if _FACTORIES.setdefault(name, factory) is not factory:
+        raise PathPlannerError(f"a path planner named {name!r} is registered already; choose another name")
+
+
+def list_planners() -> tuple[str, ...]:
+    """Names of all path planners, OMPL's and registered ones."""
+    return tuple(sorted(_FACTORIES))
+
+
+def get_factory(name: str) -> PlannerFactory:
+    """The factory registered under a name.
+
+    Raises:
+        UnknownNameError: there is none.
+    """
+    if not isinstance(name, str) or name not in _FACTORIES:
+        raise UnknownNameError("path planner", name, _FACTORIES)
+    return _FACTORIES[name]
+
+
+def _find_plane_path(planner: str, problem: PathProblem) -> NDArray[np.float64] | None:
+    """Path of a disc: straight to the nearest goal in sight, else OMPL's; shape (n, 2), m, or None."""
+    for goal in problem.goals:
+        if problem.is_move_free(*problem.start.tolist(), *goal.tolist()):
+            return np.stack([problem.start, goal])
+    return _search(planner, problem.low, problem.high, problem.start, problem.goals,
+                   lambda state: problem.is_free(state[0], state[1]), problem.spacing, problem, problem.seed, STAGES,
+                   problem.optimise)
+
+
+_FACTORIES: dict[str, PlannerFactory] = {
+    name: lambda collision, name=name: partial(_find_plane_path, name) for name in OMPL_PLANNERS}
+
+
+def find_joint_path(low: NDArray[np.float64], high: NDArray[np.float64], start: NDArray[np.float64],
+                    goals: NDArray[np.float64], is_free: Callable[[NDArray[np.float64]], bool], spacing: float,
+                    budget: CheckerBudget, *, planner: str = "RRTConnect", seed: int = 0
+                    ) -> NDArray[np.float64] | None:
+    """Find a path from a start to any of some goals through coordinates scaled to metres of motion.
+
+    Args:
+        low: least coordinates, shape (n,).
+        high: largest coordinates, shape (n,).
+        start: first place, shape (n,).
+        goals: places of which any will do, shape (m, n).
+        is_free: tests one place.
+        spacing: distance between tested places of a motion.
+        budget: places that may be tested, and the time limit.
+        planner: one of `OMPL_PLANNERS`.
+        seed: the same seed gives the same path.
+
+    Returns:
+        Places to go through in straight lines, shape (k, n); None if the planner gave up or the budget is used up.
+
+    Raises:
+        OutOfTime: the clock has run out before there was a path.
+    """
+    axes, stages = range(len(low)), (budget.most / 4, budget.most / 2)
+
+    def check(state: Any) -> bool:
+        budget.spend(1)
+        return bool(is_free(np.array([state[k] for k in axes])))
+
+    try:
+        path = _search(planner, low, high, start, goals, check, spacing, budget, seed, stages)
+    except Spent:
+        path = None
+    if path is not None and np.abs(goals - path[-1]).max(axis=1).min() <= 1e-9:
+        return path
+    budget.clock.check()
+    return None
+
+
+def _search(planner: str, low: NDArray[np.float64], high: NDArray[np.float64], start: NDArray[np.float64],
+            goals: NDArray[np.float64], is_free: Callable[[Any], bool], spacing: float,
+            budget: CheckerBudget, seed: int, stages: Sequence[float], optimise: bool = False
+            ) -> NDArray[np.float64] | None:
+    """Search by a planner of OMPL, set up and seeded afresh; its path may end short of every goal.
+
+    A planner of `ANYTIME` stops at the first stage (checker calls) that has a path, or, to `optimise`, goes on until
+    the budget is spent and returns the shortest path of all stages. The others have the whole budget for their only
+    path: BFMT, interrupted, cannot go on. `is_free` tests a state of OMPL and charges the budget; raises `Spent` if that
+    ends before any path.
+    """
+    information, (_, scratch) = _make_information(low, high, is_free, spacing), _get_scratch(len(low))
+
+    def add(places: NDArray[np.float64], take: Callable[[Any], None]) -> None:
+        for place in places.tolist():
+            for k, coordinate in enumerate(place):
+                scratch[k] = coordinate
+            take(scratch)  # copies it
+
+    util.RNG.setSeed(seed + 1)
+    wanted = base.GoalStates(information)
+    add(goals, wanted.addState)
+    definition: Any = base.ProblemDefinition(information)
+    add(start[None], definition.addStartState)
+    definition.setGoal(wanted)
+    search = getattr(geometric, planner)(information)
+    search.setProblemDefinition(definition)
+    search.setup()
+
+    def stop(most: float) -> bool:
+        budget.spend(1)  # some planners loop for ever without testing a place
+        return budget.calls > most
+
+    shortest: NDArray[np.float64] | None = None
+    is_anytime = planner in ANYTIME
+    try:
+        for calls in (*(stages if is_anytime else ()), math.inf):
+            search.solve(base.PlannerTerminationCondition(partial(stop, calls)))
+            if definition.hasExactSolution():
+                shortest = _choose_shorter(shortest, _read_path(definition, len(low)))
+                geometric.PathSimplifier(information).simplifyMax(definition.getSolutionPath())
+                shortest = _choose_shorter(shortest, _read_path(definition, len(low)))
+                if not (optimise and is_anytime):
+                    return shortest
+    except Spent:
+        if not definition.hasSolution():
+            raise
+        if definition.hasExactSolution():
+            shortest = _choose_shorter(shortest, _read_path(definition, len(low)))
+    return _read_path(definition, len(low)) if shortest is None else shortest
+
+
+def _make_information(low: NDArray[np.float64], high: NDArray[np.float64], is_free: Callable[[Any], bool],
+                      spacing: float) -> Any:
+    """Make OMPL's box of coordinates and its checker; not by `SimpleSetup`, whose planners are never freed."""
+    space = base.RealVectorStateSpace(len(low))
+    bounds = base.RealVectorBounds(len(low))
+    for k in range(len(low)):
+        bounds.setLow(k, float(low[k]))
+        bounds.setHigh(k, float(high[k]))
+    space.setBounds(bounds)
+    information: Any = base.SpaceInformation(space)
+    information.setStateValidityChecker(is_free)
+    information.setStateValidityCheckingResolution(spacing / space.getMaximumExtent())
+    information.setup()
+    return information
+
+
+@lru_cache
+def _get_scratch(dimensions: int) -> tuple[Any, Any]:
+    """Space and state of a dimension, allocated once: the bindings never free a state."""
+    space = base.RealVectorStateSpace(dimensions)
+    return space, space.allocState()
+
+
+def _read_path(definition: Any, dimensions: int) -> NDArray[np.float64] | None:
+    path = definition.getSolutionPath()
+    return None if path is None else np.array([[state[k] for k in range(dimensions)] for state in path.getStates()])
+
+
+def _choose_shorter(one: NDArray[np.float64] | None, other: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
+    """The shorter of two paths."""
+    known = [path for path in (one, other) if path is not None]
+    return min(known, key=lambda path: float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum()), default=None)
