@@ -380,13 +380,12 @@ class Routes:
                      result.method, result.timed_out)
 
     def _explain(self, goal: Goal) -> str:
-        """Reason why the hand never touches a target, empty if it can; cached by target, as the proof takes seconds."""
+        """Reason why the hand never touches a target, empty if none is known; cached by target."""
         if not isinstance(goal, PressGoal) or self.instance.dynamics.press_with != "hand":
             return ""
         if goal.target not in self._reasons:
-            from hrl_escape.planning.arm.unreachable import explain_unreachable  # loads Pinocchio
-
-            self._reasons[goal.target] = explain_unreachable(self.search.reacher, goal.target) or ""
+            floor = self.search.get_collision(door_shut=False)
+            self._reasons[goal.target] = self.search.reacher.explain_unreachable(goal.target, floor)
         return self._reasons[goal.target]
 
     def follow(self, state: RoomState, route: Route) -> RoomState:

@@ -265,5 +265,5 @@ def test_a_held_object_collides_where_the_empty_hand_does_not():
     held = scene.add("pole", place(0.6, 0.55)).attach("pole", state)
     for room, is_free in ((scene.add("post", place(1.0, 0.1)), True), (held, True),
                           (held.add("post", place(1.0, 0.1)), False)):
-        reacher = Reacher(room.instance, collide=True)
+        reacher = Reacher(room.instance)
         assert reacher.is_collision_free(state.x, state.y, heading, angles) == is_free

@@ -13,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.planning.arm.postures import list_postures
 from hrl_escape.planning.arm.reacher import Reacher
 
 __all__ = ["FAR", "POSTURES", "PostureLibrary", "choose_postures"]
@@ -58,7 +57,7 @@ def choose_postures(instance: RoomInstance, fields: int) -> PostureLibrary:
     approaches: list[tuple[float, ...]] = []
     most = min(max(fields // max(count, 1), _LEAST), _MOST)
     for target in range(count):
-        every, places = list_postures(reacher, target)
+        every, places = reacher.list_postures(target)
         if len(every) == 0:
             continue
         chosen = _spread(every, list(range(min(len(every), POSTURES * 7 // 8))), POSTURES, 0.0)

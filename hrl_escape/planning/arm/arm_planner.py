@@ -137,7 +137,7 @@ class ArmPlanner:
         starts = np.concatenate([here[None], low + (high - low) * make_halton(max(0, seeds - 1), len(low))])
         found: list[NDArray[np.float64]] = []
         for seed in starts.tolist():
-            angles = self.kinematics.descend(goal, seed, tolerance)
+            angles = self.kinematics.solve_ik(goal, seed, tolerance)
             if angles is not None and all(np.abs(angles - other).max() > DISTINCT for other in found):
                 found.append(angles)
         rows = 3 if goal.shape == (3,) else 6

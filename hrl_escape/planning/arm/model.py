@@ -11,7 +11,7 @@ configuration. Frame `base`: origin on the floor below the base's axis, x ahead,
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import coal
@@ -107,30 +107,16 @@ class ArmKinematics:
             _set_joint(self.model, q, joint, angle)
         return q
 
-    def solve_ik(self, target: ArrayLike, seeds: Iterable[Sequence[float]], tolerance: float, limits: bool = True
-                 ) -> NDArray[np.float64] | None:
-        """Joint angles that bring the hand to a position or a pose; the first that a seed leads to.
+    def solve_ik(self, target: ArrayLike, seed: Sequence[float], tolerance: float) -> NDArray[np.float64] | None:
+        """Joint angles that bring the hand to a position or a pose, by the Levenberg-Marquardt method (Sugihara 2011).
 
         Args:
             target: in the base frame: position of the hand (3,), m, or placement of its link (4, 4).
-            seeds: first joint angles of each attempt, rad.
+            seed: joint angles to begin at, rad; joints are held at their limits from there on.
             tolerance: largest distance from the target, m; for a pose also the largest rotation from it, rad.
-            limits: keep the joint limits.
 
         Returns:
-            Shape (joints,), rad, or None if no seed led there.
-        """
-        for seed in seeds:
-            angles = self.descend(target, seed, tolerance, limits)
-            if angles is not None:
-                return angles
-        return None
-
-    def descend(self, target: ArrayLike, seed: Sequence[float], tolerance: float, limits: bool = True
-                ) -> NDArray[np.float64] | None:
-        """Go from one seed to a target by the Levenberg-Marquardt method (Sugihara 2011), joints held at their limits.
-
-        Arguments and result are those of `solve_ik`.
+            Shape (joints,), rad, or None if the seed does not lead there.
         """
         wanted = np.asarray(target, dtype=np.float64)
         low, high = np.array(self.robot.limits).T
@@ -140,13 +126,12 @@ class ArmKinematics:
             if np.linalg.norm(error[:3]) <= tolerance and np.linalg.norm(error[3:]) <= tolerance:
                 return angles
             gradient = jacobian.T @ error
-            if limits:  # a joint at its limit that would pass it is left out of the step
-                stuck = ((angles <= low) & (gradient < 0.0)) | ((angles >= high) & (gradient > 0.0))
-                jacobian = np.where(stuck, 0.0, jacobian)
+            # a joint at its limit that would pass it is left out of the step
+            stuck = ((angles <= low) & (gradient < 0.0)) | ((angles >= high) & (gradient > 0.0))
+            jacobian = np.where(stuck, 0.0, jacobian)
             square = float(error @ error)
             matrix = jacobian @ jacobian.T + damping * square * np.eye(len(error)) + 1e-12 * np.eye(len(error))
-            step = angles + np.clip(jacobian.T @ np.linalg.solve(matrix, error), -0.5, 0.5)
-            step = np.clip(step, low, high) if limits else step
+            step = np.clip(angles + np.clip(jacobian.T @ np.linalg.solve(matrix, error), -0.5, 0.5), low, high)
             new_error, new_jacobian = self._compute_error(step, wanted)
             if float(new_error @ new_error) < square:
                 angles, error, jacobian, damping = step, new_error, new_jacobian, damping / 4.0

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.errors import PlanningFailed
 from hrl_escape.search import find_cheapest_steps
 
 if TYPE_CHECKING:
@@ -22,6 +23,8 @@ if TYPE_CHECKING:
 __all__ = ["follow_path", "plan_steps"]
 
 Posture: TypeAlias = tuple[int, ...]
+PATH_TESTS = 20_000
+"""Most configurations tested for one path."""
 TUBES = (1.0, 2.0)
 """Half widths of the tubes that are tried, in joint steps."""
 TESTED_SHARES = (0.25, 0.5, 0.75, 1.0)
@@ -32,7 +35,7 @@ def plan_steps(reacher: Reacher, state: RoomState, joint_steps: Posture, others:
     """Plan joint steps round solids, along a path through the space of joint angles, the base at rest.
 
     Args:
-        reacher: the room's arm, with its path finder.
+        reacher: the room's arm.
         state: base and arm at the beginning.
         joint_steps: last posture, from home.
         others: bits of targets that may not be pressed on the way.
@@ -43,8 +46,10 @@ def plan_steps(reacher: Reacher, state: RoomState, joint_steps: Posture, others:
     rules, robot, offsets = reacher.kinematics, reacher.kinematics.robot, state.joint_offsets
     heading = reacher.kinematics.get_heading(state)
     home = np.array(robot.compute_angles((0,) * len(joint_steps), offsets))
-    path = reacher.paths and reacher.paths.find_path(state, home + robot.step * np.array(joint_steps), robot.step / 4)
-    if path is None:
+    goal = home + robot.step * np.array(joint_steps)
+    try:
+        path = reacher.planner.plan(state, goal, budget=PATH_TESTS).interpolate(robot.step / 4)
+    except PlanningFailed:
         return None
 
     @cache

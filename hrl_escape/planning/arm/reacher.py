@@ -14,18 +14,23 @@ import heapq
 import math
 from collections.abc import Sequence
 from functools import cached_property, lru_cache
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hrl_escape.env.geometry import compute_distance_many
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import UnsupportedError
+from hrl_escape.floor.clearance import CollisionMap
 from hrl_escape.planning.arm.joint_lattice import NEVER, UNLIMITED, ArmLattice, Halves, make_halves, make_lattice
 from hrl_escape.planning.arm.model import ArmCollisions, ArmKinematics
 from hrl_escape.planning.arm.search import find_heights, find_touching, measure_gap
 from hrl_escape.planning.arm.tables import bound_costs, map_hands
+
+if TYPE_CHECKING:
+    from hrl_escape.planning.arm.arm_planner import ArmPlanner
 
 __all__ = ["UNLIMITED", "NEVER", "QUICK", "ReachTable", "Reacher"]
 
@@ -36,19 +41,13 @@ HAND_CELL = 0.02
 """Side of the cells of hand positions in a table, m."""
 BASE_CELL = 0.05
 """Side of a table's cells, m."""
+POSTURE_CELL = 0.1
+"""Side of the cells in which one posture is listed, m."""
 
 _MOST_HALVES = 60_000
 _CANDIDATES = 64  # configurations with equally many joint steps tested for collisions
 _SKIN = 1e-9  # rounding margin of a touch, m
 _PUSH = 0.01  # depth of a touch that presses by force, m
-
-
-class PathFinder(Protocol):
-    """Finder of paths of the arm round solids, such as `ArmPaths`."""
-
-    def find_path(self, state: RoomState, angles: NDArray[np.float64], step: float) -> NDArray[np.float64] | None:
-        """Joint angles along a path, (n, joints), rad, at most `step` apart; None if none is found."""
-        ...
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -99,19 +98,17 @@ class Reacher:
     Attributes:
         instance: the room.
         kinematics: its exact kinematics, without noise and slip.
-        collide: whether configurations must be clear of walls, obstacles and the robot itself.
+        collide: whether configurations must be clear of walls, obstacles and the robot itself: under physics only, as
+            kinematic arms pass through everything.
         limit: largest distance from the hand's centre to a target that counts, m: a touch, or, where a press
             takes force, a push into the target.
     """
 
-    def __init__(self, instance: RoomInstance, *, collide: bool | None = None, paths: PathFinder | None = None) -> None:
+    def __init__(self, instance: RoomInstance) -> None:
         """Store the room; everything else is computed on first use.
 
         Args:
             instance: the room.
-            collide: whether configurations must be clear of walls, obstacles and the robot itself; by
-                default in physics dynamics only, as kinematic arms pass through everything.
-            paths: finds paths of the arm round solids for `path_steps.plan_steps`; None for no such paths.
 
         Raises:
             UnsupportedError: targets of this room are pressed with the body.
@@ -120,8 +117,8 @@ class Reacher:
             raise UnsupportedError("targets of this room are pressed with the body, so no arm has to reach them: "
                                    "a Reacher is for dynamics.press_with = 'hand'")
         self.instance = instance
-        self.collide = instance.dynamics.kind == "physics" if collide is None else collide
-        self.kinematics, self.paths = Kinematics(instance, is_still=True), paths
+        self.collide = instance.dynamics.kind == "physics"
+        self.kinematics = Kinematics(instance, is_still=True)
         hand = instance.robot.hand_radius
         self.limit = (max(hand - _PUSH, hand / 2) if self.collide else hand + instance.dynamics.press_margin) - _SKIN
         self._boxes = np.array([
@@ -134,12 +131,19 @@ class Reacher:
         self._get_costs = lru_cache(kept)(self._compute_costs)
 
     def __reduce__(self) -> tuple:
-        return _remake, (self.instance, self.collide, self.paths)
+        return type(self), (self.instance,)
 
     @cached_property
     def arm(self) -> ArmKinematics:
         """Kinematics of the arm."""
         return ArmKinematics(self.kinematics.robot)
+
+    @cached_property
+    def planner(self) -> ArmPlanner:
+        """Planner of the arm's paths round solids."""
+        from hrl_escape.planning.arm.arm_planner import ArmPlanner  # loads OMPL and scipy, which few presses need
+
+        return ArmPlanner(self.instance)
 
     # --- the lattice -------------------------------------------------------------------
 
@@ -154,34 +158,21 @@ class Reacher:
         lattice, firsts, lasts = make_lattice(halves, joint_steps)
         return _Ordered(lattice, halves.first_steps[firsts], halves.last_steps[lasts], halves.complete_to)
 
-    def get_lattice(self, joint_steps: tuple[int, ...] | None = None) -> ArmLattice:
-        """Configurations of the arm, ordered by joint steps from one of them (by default home)."""
-        return self._get_ordered(joint_steps or (0,) * self.instance.robot.joints, ()).lattice
-
-    @cached_property
-    def is_whole(self) -> bool:
-        """True if lattices hold every configuration, false if joint steps are too fine for that."""
-        return self._get_ordered((0,) * self.instance.robot.joints, ()).complete_to == NEVER
-
-    @cached_property
-    def reach(self) -> float:
-        """Upper bound of the hand's distance from the base's axis, m."""
-        return _bound_reach(self.get_lattice())
-
-    @cached_property
-    def heights(self) -> tuple[float, float]:
-        """Lowest and highest position of the hand, m."""
-        return find_heights(self.get_lattice())
-
     def _map_hands(self, z: float, half_z: float, joint_steps: tuple[int, ...], joint_offsets: tuple[float, ...],
                    budget: int) -> tuple[NDArray[np.int16], int]:
-        lattice, _, _, complete_to = self._get_ordered(joint_steps, joint_offsets)
+        ordered = self._get_ordered(joint_steps, joint_offsets)
+        hands, _, gone_to = self._map_lattice(ordered.lattice, z, half_z, HAND_CELL, budget)
+        return hands, min(gone_to, ordered.complete_to)
+
+    def _map_lattice(self, lattice: ArmLattice, z: float, half_z: float, cell: float, budget: int
+                     ) -> tuple[NDArray[np.int16], NDArray[np.int32], int]:
+        """`map_hands` at the heights of a target; with no limit where the budget leads to none of them."""
         low, high = z - half_z - self.limit, z + half_z + self.limit
-        half_cells = math.ceil(_bound_reach(lattice) / HAND_CELL) + 1
-        hands, _, gone_to = map_hands(lattice, low, high, HAND_CELL, half_cells, budget)
-        if gone_to != NEVER and (hands == NEVER).all():
-            hands, _, gone_to = map_hands(lattice, low, high, HAND_CELL, half_cells, UNLIMITED)
-        return hands, min(gone_to, complete_to)
+        half_cells = math.ceil(_bound_reach(lattice) / cell) + 1
+        found = map_hands(lattice, low, high, cell, half_cells, budget)
+        if found[2] != NEVER and (found[0] == NEVER).all():
+            found = map_hands(lattice, low, high, cell, half_cells, UNLIMITED)
+        return found
 
     def _compute_costs(self, z: float, sizes: tuple[float, float, float], yaw: float, joint_steps: tuple[int, ...],
                        joint_offsets: tuple[float, ...], heading_offset: float, budget: int
@@ -209,6 +200,53 @@ class Reacher:
                                              heading_offset, budget)
         low = np.array([t.x, t.y]) - np.array(costs.shape[:2]) // 2 * BASE_CELL
         return ReachTable(target, joint_steps, costs, low, BASE_CELL, complete_to)
+
+    def list_postures(self, target: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """List postures at the height of a target, the cheapest from home first; one for each place of the hand.
+
+        One in each cell of 0.1 m is enough, as cells are smaller than the reach of a touch.
+
+        Args:
+            target: index of the target.
+
+        Returns:
+            Joint steps from home (postures, joints), and positions of the hand in the base frame (postures, 3), m.
+            Empty where the hand never gets to that height.
+        """
+        goal, joints = self.instance.targets[target], self.instance.robot.joints
+        lattice, first_steps, last_steps, _ = self._get_ordered((0,) * joints, ())
+        costs, halves, _ = self._map_lattice(lattice, goal.z, goal.half_z, POSTURE_CELL, QUICK)
+        cells = np.argwhere(costs < NEVER)
+        cells = cells[np.argsort(costs[cells[:, 0], cells[:, 1]], kind="stable")]
+        i, j = halves[cells[:, 0], cells[:, 1]].T
+        steps = np.concatenate([first_steps[i], last_steps[j]], axis=1)
+        steps = np.pad(steps, ((0, 0), (0, joints - steps.shape[1])))  # last joints may never move the hand
+        rows = lattice.first[i].reshape(-1, 3, 4)
+        return steps, np.einsum("nij,nj->ni", rows[:, :, :3], lattice.last[j]) + rows[:, :, 3]
+
+    def explain_unreachable(self, target: int, floor: CollisionMap) -> str:
+        """Say whether a target is too high, too low or too far for the hand; empty if neither is certain.
+
+        Args:
+            target: index of the target.
+            floor: the room's clearances, the exit door open.
+        """
+        goal, home, room = self.instance.targets[target], (0,) * self.instance.robot.joints, self.instance
+        lattice = self._get_ordered(home, ()).lattice
+        lowest, highest = find_heights(lattice)
+        low, high = goal.z - goal.half_z, goal.z + goal.half_z
+        if low - self.limit > highest:
+            return f"too high: {goal.name} hangs from {low:.2f} m up, the hand gets to {highest:.2f} m"
+        if high + self.limit < lowest:
+            return f"too low: {goal.name} hangs up to {high:.2f} m, the hand gets to {lowest:.2f} m"
+        table = self.make_table(target, home, budget=UNLIMITED)
+        places, slack = table.get_centres()[(table.costs >= 0).any(axis=2)], table.cell * math.sqrt(0.5) + 1e-6
+        on_floor = (np.abs(places) <= np.array([room.reach_x, room.reach_y]) + slack).all(axis=1)
+        fits = compute_distance_many(places, floor.solids) >= floor.inner - slack
+        if table.complete_to < NEVER or (on_floor & fits).any():
+            return ""
+        return (f"too far: the body fits nowhere within reach of {goal.name}, the hand reaches out "
+                f"{_bound_reach(lattice):.2f} m")
 
     # --- one configuration -------------------------------------------------------------
 
@@ -377,6 +415,3 @@ class Reacher:
 def _bound_reach(lattice: ArmLattice) -> float:
     return float(np.hypot(lattice.first[:, 3], lattice.first[:, 7]).max()) + lattice.longest
 
-
-def _remake(instance: RoomInstance, collide: bool, paths: PathFinder | None) -> Reacher:
-    return Reacher(instance, collide=collide, paths=paths)

@@ -13,7 +13,7 @@ import numpy as np
 from hrl_escape.kernels import kernel, kernel_part
 from hrl_escape.planning.arm.joint_lattice import GRID, NEVER
 
-__all__ = ["collect_hands", "find_heights", "find_place", "find_touching", "measure_gap"]
+__all__ = ["find_heights", "find_touching", "measure_gap"]
 
 
 @kernel
@@ -121,71 +121,6 @@ def find_touching(lattice, pose, boxes, target, limit, avoid, least, most):
                         found[count, 0], found[count, 1] = i, j
                         count += 1
     return found[:count], best
-
-
-@kernel
-def collect_hands(lattice, z, half_z, limit, cell, half_cells):
-    """Hand position in each cell of the floor that is nearest to the heights of a target.
-
-    Args:
-        lattice: the arm's configurations.
-        z: middle of the target, m.
-        half_z: half its height, m.
-        limit: largest distance from the target that matters, m.
-        cell: side of a cell, m.
-        half_cells: cells from the base's axis to each edge.
-
-    Returns:
-        Shape (cells, cells, 3), float32, in the base frame, x ahead first; NaN where there is none.
-    """
-    hands = np.full((2 * half_cells, 2 * half_cells, 3), np.nan, dtype=np.float32)
-    for i in range(lattice.first.shape[0]):
-        row = lattice.first[i]
-        if abs(row[11] - z) > half_z + limit + lattice.longest:
-            continue
-        for j in range(lattice.last.shape[0]):
-            u, v, w = lattice.last[j, 0], lattice.last[j, 1], lattice.last[j, 2]
-            height = row[8] * u + row[9] * v + row[10] * w + row[11]
-            gap = abs(height - z) - half_z
-            if gap <= limit:
-                x = row[0] * u + row[1] * v + row[2] * w + row[3]
-                y = row[4] * u + row[5] * v + row[6] * w + row[7]
-                a, b = int(math.floor(x / cell)) + half_cells, int(math.floor(y / cell)) + half_cells
-                known = abs(hands[a, b, 2] - z) - half_z
-                if not known <= max(gap, 0.0):
-                    hands[a, b, 0], hands[a, b, 1], hands[a, b, 2] = x, y, height
-    return hands
-
-
-@kernel
-def find_place(hands, cell, places, rotation, box, limit):
-    """Index of the first place of the base at one heading from which a hand of `collect_hands` touches a box, or -1.
-
-    Args:
-        hands: of `collect_hands`.
-        cell: side of its cells, m.
-        places: shape (n, 2), m.
-        rotation: cosine and sine of the heading.
-        box: (x, y, z, cos, sin, half_x, half_y, half_z).
-        limit: largest distance from the hand's centre that touches, m.
-    """
-    half_cells = hands.shape[0] // 2
-    cos, sin = rotation
-    to_cos, to_sin = box[3] * cos + box[4] * sin, box[3] * sin - box[4] * cos  # from the base to the box's own frame
-    wide, deep = box[5] + limit, box[6] + limit
-    half_x, half_y = abs(to_cos) * wide + abs(to_sin) * deep, abs(to_sin) * wide + abs(to_cos) * deep
-    for n in range(places.shape[0]):
-        dx, dy = box[0] - places[n, 0], box[1] - places[n, 1]
-        ahead, left = cos * dx + sin * dy, cos * dy - sin * dx
-        i0, i1 = int(math.floor((ahead - half_x) / cell)), int(math.floor((ahead + half_x) / cell))
-        j0, j1 = int(math.floor((left - half_y) / cell)), int(math.floor((left + half_y) / cell))
-        for i in range(max(i0, -half_cells), min(i1, half_cells - 1) + 1):
-            for j in range(max(j0, -half_cells), min(j1, half_cells - 1) + 1):
-                hand = hands[i + half_cells, j + half_cells]
-                x, y = hand[0] - ahead, hand[1] - left
-                if _exceed(to_cos * x - to_sin * y, to_sin * x + to_cos * y, hand[2] - box[2], box) <= limit:
-                    return n
-    return -1
 
 
 @kernel_part

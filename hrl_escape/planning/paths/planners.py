@@ -124,8 +124,8 @@ def _search(planner: str, low: NDArray[np.float64], high: NDArray[np.float64], s
 
     A planner of `ANYTIME` stops at the first stage (checker calls) that has a path, or, to `optimise`, goes on until
     the budget is spent and returns the shortest path of all stages. The others have the whole budget for their only
-    path: BFMT, interrupted, cannot go on. `is_free` tests a state of OMPL and charges the budget; raises `Spent` if that
-    ends before any path.
+    path: BFMT, interrupted, cannot go on. `is_free` tests a state of OMPL and charges the budget; raises `Spent` if
+    that ends before any path.
     """
     information, (_, scratch) = _make_information(low, high, is_free, spacing), _get_scratch(len(low))
 

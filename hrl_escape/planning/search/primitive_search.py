@@ -111,9 +111,9 @@ class PrimitiveSearch:
     @cached_property
     def reacher(self) -> Reacher:
         """Arm of a room whose targets are pressed by hand."""
-        from hrl_escape.planning.arm.arm_paths import ArmPaths
         from hrl_escape.planning.arm.reacher import Reacher  # loads Pinocchio, which body presses do not need
-        return Reacher(self.instance, paths=ArmPaths(self.instance))
+
+        return Reacher(self.instance)
 
     def get_collision(self, door_shut: bool) -> CollisionMap:
         """Clearances of the room with the exit door shut or open, computed on first use."""
