@@ -55,11 +55,6 @@ class Seeds(NamedTuple):
     costs: NDArray[np.int64]
     headings: int
 
-    def equals(self, other: Seeds) -> bool:
-        """Return whether these are the same states with the same costs."""
-        return (self.headings == other.headings and np.array_equal(self.states, other.states)
-                and np.array_equal(self.costs, other.costs))
-
 
 def count_classes(rules: Rules) -> int:
     """Number of heading classes: turn steps of a quarter or half a turn, or more where that is no whole number."""
@@ -72,14 +67,6 @@ def lay_grid(instance: RoomInstance, rules: Rules, refinement: int = 0) -> Floor
     step = rules.actions.stride
     size = max(min(step / 4, 0.25), math.sqrt(area * count_classes(rules) / MOST_STATES)) / 2**refinement
     return FloorGrid.cover(instance.reach_x, instance.reach_y, size)
-
-
-class _KeptField(NamedTuple):
-    """A field, its seeds, and the cells of the grid that have changed since it was computed."""
-
-    costs: NDArray[np.int16]
-    seeds: Seeds
-    changed: NDArray[np.int64]
 
 
 class FieldMaker:
@@ -153,7 +140,7 @@ class FieldMaker:
         self._link_cells()
         if refinement:  # refined grids are large and never adapted
             del self._landing, self._link_cost
-        self._fields: OrderedDict[object, _KeptField] = OrderedDict()
+        self._fields: OrderedDict[object, NDArray[np.int16]] = OrderedDict()
 
     def _find_corridor(self, path: NDArray[np.float64] | None, width: float) -> NDArray[np.bool_]:
         """Cells whose centres are within a distance of a path; all without one."""
@@ -218,8 +205,7 @@ class FieldMaker:
               keeps: Callable[[Any], bool]) -> FieldMaker:
         """Make the grid of a room that differs in some solids only, equal to one made anew; the base turns anywhere.
 
-        Columns of cells that no changed solid comes near are taken over. Fields are, too: when one is asked for, the
-        part of it that rested on changed cells is searched again.
+        Columns of cells that no changed solid comes near are taken over, and fields where no cell has changed.
 
         Args:
             instance: the edited room: same floor, same base.
@@ -244,9 +230,8 @@ class FieldMaker:
         new._link_cells()
         links = (new._landing != self._landing) | (new._link_cost != self._link_cost)
         moved = (new.standing != self.standing) | (new.points != self.points).any(axis=1)
-        cells = np.flatnonzero(moved | links.reshape(len(moved), -1).any(axis=1))
-        new._fields = OrderedDict((key, field._replace(changed=np.union1d(field.changed, cells)))
-                                  for key, field in self._fields.items() if keeps(key))
+        is_same = not (moved.any() or links.any())
+        new._fields = OrderedDict((key, field) for key, field in self._fields.items() if is_same and keeps(key))
         return new
 
     def _find_columns(self, shapes: Sequence[Footprint], around: float) -> list[tuple[int, int]]:
@@ -262,15 +247,6 @@ class FieldMaker:
             elif begin < end:
                 joined.append((begin, end))
         return joined
-
-    def _repair(self, old: _KeptField, seeds: Seeds) -> NDArray[np.int16]:
-        """Repair a field of the grid before its cells changed, for the same seeds."""
-        field = old.costs.copy()
-        starts, sources, costs = self._links
-        states, values = dijkstra.forget_changed(
-            starts, sources, costs, self._landing, self._link_cost, self.classes, seeds.headings, self._turn_steps,
-            old.changed, self.standing, seeds.states, seeds.costs, field)
-        return self._search(field, states, values, seeds.headings, self.everywhere, NO_LIMIT)
 
     @cached_property
     def everywhere(self) -> NDArray[np.bool_]:
@@ -328,15 +304,11 @@ class FieldMaker:
             Shape (cells * headings,), int16, with the headings of the seeds; -1 where none of them can be reached.
             Cells in which the body does not fit take the least cost-to-go of their neighbours.
         """
-        field = np.full(len(self.points) * seeds.headings, dijkstra.UNREACHED, dtype=np.int16)
-        return self._search(field, seeds.states, seeds.costs, seeds.headings,
-                            self.everywhere if allowed is None else allowed, clock)
-
-    def _search(self, field: NDArray[np.int16], states: NDArray[np.int64], costs: NDArray[np.int64], headings: int,
-                allowed: NDArray[np.bool_], clock: Clock) -> NDArray[np.int16]:
-        """Complete a field, in place, from states with a known cost-to-go."""
-        order = np.argsort(costs, kind="stable")
-        seeds, seed_costs = states[order].astype(np.int64), costs[order].astype(np.int64)
+        headings = seeds.headings
+        allowed = self.everywhere if allowed is None else allowed
+        field = np.full(len(self.points) * headings, dijkstra.UNREACHED, dtype=np.int16)
+        order = np.argsort(seeds.costs, kind="stable")
+        states, costs = seeds.states[order].astype(np.int64), seeds.costs[order].astype(np.int64)
         starts, sources, costs_of_links = self._links
         levels = max(2, int(costs_of_links.max(initial=0)) + 1)
         buckets, filled = np.empty((levels, 4096), dtype=np.int32), np.zeros(levels, dtype=np.int64)
@@ -344,7 +316,7 @@ class FieldMaker:
         while counts[0] >= 0:
             clock.check()
             buckets = dijkstra.run_dijkstra(starts, sources, costs_of_links, self.classes, headings, self._turn_steps,
-                                            self._can_turn, allowed, seeds, seed_costs, field, buckets, filled,
+                                            self._can_turn, allowed, states, costs, field, buckets, filled,
                                             counts, SLICE)
         known = self.fits & np.repeat(allowed, len(self.fits) // len(allowed))
         return dijkstra.fill_gaps(field, known, headings, self.shape[1])
@@ -358,18 +330,12 @@ class FieldMaker:
             find_seeds: finds them.
             clock: time limit.
         """
-        kept = self._fields.get(key)
-        if kept is None or len(kept.changed):
-            seeds = find_seeds(self)
-            if kept is not None and kept.seeds.equals(seeds):
-                field = self._repair(kept, seeds)
-            else:
-                field = self.make_field(seeds, clock=clock)
-            self._fields[key] = _KeptField(field, seeds, np.zeros(0, dtype=np.int64))
-            while len(self._fields) > 1 and sum(f.costs.nbytes for f in self._fields.values()) > CACHE_BYTES:
+        if key not in self._fields:
+            self._fields[key] = self.make_field(find_seeds(self), clock=clock)
+            while len(self._fields) > 1 and sum(field.nbytes for field in self._fields.values()) > CACHE_BYTES:
                 self._fields.popitem(last=False)
         self._fields.move_to_end(key)
-        return self._fields[key].costs
+        return self._fields[key]
 
     @property
     def states(self) -> int:

@@ -163,15 +163,22 @@ def is_clear_of_all(scene, x, y, length):
 
 
 @kernel_part
+def _list_near(scene, x, y):
+    """First and last place in `near_items` of the solids near a place."""
+    i = min(max(int((x - scene.low[0]) / scene.near_size), 0), scene.near_shape[0] - 1)
+    j = min(max(int((y - scene.low[1]) / scene.near_size), 0), scene.near_shape[1] - 1)
+    cell = i * scene.near_shape[1] + j
+    return scene.near_starts[cell], scene.near_starts[cell + 1]
+
+
+@kernel_part
 def sweep(scene, x, y, dx, dy, length):
     """Free fraction of a displacement of a disc, as `Kinematics.compute_free_fraction` computes it."""
     if is_clear_of_all(scene, x + 0.5 * dx, y + 0.5 * dy, 0.5 * length):
         return 1.0
-    i = min(max(int((x - scene.low[0]) / scene.near_size), 0), scene.near_shape[0] - 1)
-    j = min(max(int((y - scene.low[1]) / scene.near_size), 0), scene.near_shape[1] - 1)
-    cell = i * scene.near_shape[1] + j
     fraction = 1.0
-    for k in range(scene.near_starts[cell], scene.near_starts[cell + 1]):
+    first, last = _list_near(scene, x, y)
+    for k in range(first, last):
         item = scene.near_items[k]
         shape = get_shape(scene.solids[item])
         if item == scene.door and measure_distance(x, y, shape) < scene.radius - 1e-6:
@@ -186,21 +193,10 @@ def sweep(scene, x, y, dx, dy, length):
 def measure_clearance(scene, x, y):
     """Distance to the nearest solid among those near the place."""
     nearest = 1e9
-    i = min(max(int((x - scene.low[0]) / scene.near_size), 0), scene.near_shape[0] - 1)
-    j = min(max(int((y - scene.low[1]) / scene.near_size), 0), scene.near_shape[1] - 1)
-    cell = i * scene.near_shape[1] + j
-    for k in range(scene.near_starts[cell], scene.near_starts[cell + 1]):
+    first, last = _list_near(scene, x, y)
+    for k in range(first, last):
         nearest = min(nearest, measure_distance(x, y, get_shape(scene.solids[scene.near_items[k]])))
     return nearest
-
-
-@kernel_part
-def _list_near(scene, x, y):
-    """First and last place in `near_items` of the solids near a place."""
-    i = min(max(int((x - scene.low[0]) / scene.near_size), 0), scene.near_shape[0] - 1)
-    j = min(max(int((y - scene.low[1]) / scene.near_size), 0), scene.near_shape[1] - 1)
-    cell = i * scene.near_shape[1] + j
-    return scene.near_starts[cell], scene.near_starts[cell + 1]
 
 
 @kernel_part
