@@ -7,13 +7,13 @@ same steps give the same floats, whatever led to them. Metres, radians.
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable
+from collections.abc import Hashable, Sequence
 from typing import Any, NamedTuple
 
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.robot import make_robot
 
-__all__ = ["RobotPoses", "RoomState", "list_touched"]
+__all__ = ["RobotPoses", "RoomState", "get_planar_pose", "list_touched"]
 
 
 class RoomState(NamedTuple):
@@ -66,6 +66,12 @@ class RoomState(NamedTuple):
 def list_touched(bits: int) -> tuple[int, ...]:
     """Indices of the targets whose bits are set, as in `RoomState.touching`, in rising order."""
     return tuple(i for i in range(bits.bit_length()) if bits >> i & 1)
+
+
+def get_planar_pose(numbers: Sequence[float]) -> tuple[float, float, float]:
+    """x, y and yaw of a rigid body whose numbers begin with its position and quaternion (x, y, z, w); m, rad."""
+    x, y, _, qx, qy, qz, qw = numbers[:7]
+    return x, y, math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
 
 
 class RobotPoses:

@@ -7,8 +7,8 @@ import numbers
 from typing import Any
 
 from hrl_escape.env.geometry import compute_distance
+from hrl_escape.env.instance import is_on_floor
 from hrl_escape.env.kinematics import RoomState, Rules
-from hrl_escape.env.room_checks import is_on_floor
 from hrl_escape.errors import StateError, show_value
 
 __all__ = ["check_fields", "check_state"]

@@ -21,8 +21,8 @@ from torch import Tensor
 
 from hrl_escape.env.geometry import Footprint
 
-__all__ = ["Shapes", "SplitShapes", "cast_rays", "compute_distance", "compute_first_contact", "refine_first_contact",
-           "stack_shapes", "store"]
+__all__ = ["Shapes", "SplitShapes", "as_flags", "cast_rays", "compute_distance", "compute_first_contact",
+           "refine_first_contact", "stack_shapes", "store"]
 
 _NEVER = 1e6  # position of the outlines that only pad a table
 _TINY = 1e-18  # keeps a velocity from zero
@@ -35,6 +35,14 @@ def store(value: Tensor) -> Tensor:
     from tables, above all. Nothing fuses across a change of strides, be it to the same ones.
     """
     return value.as_strided(value.shape, value.stride())
+
+
+def as_flags(where: Tensor) -> Tensor:
+    """The same truth values, found in double precision, in the form in which kernels combine truth values, bool.
+
+    The compiler combines them 32 bits wide, and would narrow the 64-bit outcomes of comparisons one by one.
+    """
+    return torch.where(where, 1.0, 0.0).to(torch.float32) > 0.5
 
 
 class Shapes(NamedTuple):

@@ -84,7 +84,7 @@ class CollisionMap:
         self._index()
 
     def _take_solids(self, instance: RoomInstance, door_shut: bool) -> None:
-        solids = (*instance.solids, instance.door) if instance.door and door_shut else instance.solids
+        solids = instance.all_solids if door_shut else instance.solids
         self.footprints: tuple[Footprint, ...] = tuple(solid.footprint for solid in solids)
         self.solids = stack_footprints(self.footprints)
         self._around = np.where(self.solids[:, 0] > 0.5, self.solids[:, 5], np.hypot(*self.solids[:, 5:].T))

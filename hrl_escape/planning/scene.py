@@ -20,11 +20,10 @@ from typing_extensions import Self
 
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.geometry import Solid, compute_distance, make_footprint
-from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target
+from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target, check_room
 from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.puzzles.traits import Propped, get_trait
 from hrl_escape.env.robot import BASE_LINK, make_robot
-from hrl_escape.env.room_checks import check_room
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.props import get_prop_poses

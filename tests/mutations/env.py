@@ -40,7 +40,7 @@ MUTATIONS = [
     ),
     Mutation(
         "starts of rectangles are tested as if they were discs",
-        "env/room_checks.py",
+        "env/instance.py",
         "return robot.base.turns_anywhere or robot.base",
         "return True or robot.base",
         "env/test_rectangular_base.py::test_starts_and_states_inside_a_solid_are_refused_at_the_heading_that_they_have",

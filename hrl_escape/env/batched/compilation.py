@@ -6,6 +6,9 @@ the step. Here a batch keeps its shapes and types, so that comparing those is en
 
 from __future__ import annotations
 
+import os
+import shutil
+import sys
 from collections.abc import Callable, Sequence
 from itertools import count
 from operator import itemgetter
@@ -17,14 +20,26 @@ from torch._inductor import standalone_compile
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from hrl_escape.env.batched.tables import map_tensors
-from hrl_escape.errors import BatchError
+from hrl_escape.errors import BatchError, UnsupportedError
 
-__all__ = ["CompiledStep"]
+__all__ = ["CompiledStep", "check_compiler"]
 
 # Keep loops over a few solids as loops, and read far ahead before storing shared results. Both halve the time of a
 # step (`python -m benchmarks.batch`). Shapes are compared here, and indices come from the tables.
 _OPTIONS: dict[str, bool] = {"size_asserts": False, "assert_indirect_indexing": False}
 _CPU_OPTIONS: dict[str, int] = {"unroll_reductions_threshold": 1, "realize_reads_threshold": 8}
+
+
+def check_compiler(device: torch.device) -> None:
+    """Check that a device can be compiled for.
+
+    Raises:
+        UnsupportedError: there is no C++ compiler.
+    """
+    program = os.environ.get("CXX", "clang++" if sys.platform == "darwin" else "g++")
+    if device.type == "cpu" and shutil.which(program) is None:
+        raise UnsupportedError(f"compile=True needs a C++ compiler, and there is no {program!r}: install one, set CXX, "
+                               "or step eagerly with compile=False")
 
 
 class CompiledStep:

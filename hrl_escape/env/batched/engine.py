@@ -15,12 +15,11 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from hrl_escape.env.batched.compilation import CompiledStep
-from hrl_escape.env.batched.devices import check_compiler, find_device
+from hrl_escape.env.batched.compilation import CompiledStep, check_compiler
 from hrl_escape.env.batched.observations import compute_bounds, load_observation, observe
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle, unpack_bits
-from hrl_escape.env.batched.rooms import Rooms
+from hrl_escape.env.batched.rooms import Rooms, find_device
 from hrl_escape.env.batched.rules import begin, is_in_exit, restart, step
 from hrl_escape.env.batched.tables import Layout, Tables, make_layout, map_tensors, pick_rules, stack_instances
 from hrl_escape.env.kinematics import RoomState, Rules

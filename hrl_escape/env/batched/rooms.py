@@ -10,13 +10,12 @@ from typing import Any, TypeAlias, TypedDict
 import numpy as np
 import torch
 
-from hrl_escape.env.batched.devices import find_device
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.env.sampling.sources import InstanceForm, SchematicForm, read_instance, read_schematic
 from hrl_escape.errors import ConfigError
 
-__all__ = ["InstanceSource", "RoomArguments", "Rooms"]
+__all__ = ["InstanceSource", "RoomArguments", "Rooms", "find_device"]
 
 InstanceSource: TypeAlias = InstanceForm | Sequence[InstanceForm]
 
@@ -92,3 +91,19 @@ class Rooms:
         return {"num_envs": self.num_envs, "instances": [str(room.id) for room in self.instances],
                 "observation": self.observation, "resample_instance": self.resample_instance,
                 "device": str(self.device), "compile": self.compile}
+
+
+def find_device(device: str | torch.device) -> torch.device:
+    """Return the torch device of a name, after a test that it holds double precision.
+
+    Raises:
+        ConfigError: this torch has no such device, or it lacks double precision.
+    """
+    try:
+        found = torch.empty(0, dtype=torch.float64, device=device).device
+        if found.type == "meta":
+            raise TypeError("its tensors hold no numbers")
+        return found
+    except (RuntimeError, AssertionError, TypeError) as error:  # devices differ in the error for a missing one
+        allowed = f"a device of this torch that has double precision ({str(error).splitlines()[0]})"
+        raise ConfigError("device", str(device), allowed) from None

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from hrl_escape.env.bases import TensorBase
-from hrl_escape.env.batched.devices import as_flags
 from hrl_escape.env.batched.noise import compute_noise, draw_chance, draw_puzzle_start, draw_words, scale_word
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation, compute_touching, place_base
 from hrl_escape.env.batched.puzzles.base import TensorContacts
@@ -21,7 +20,7 @@ from hrl_escape.env.batched.tables import Layout, RoomSolids, Tables, pick, pick
 from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.primitives import list_slips
 from hrl_escape.env.puzzles.base import PUSH
-from hrl_escape.env.tensor_geometry import Shapes, compute_distance, store
+from hrl_escape.env.tensor_geometry import Shapes, as_flags, compute_distance, store
 
 __all__ = ["TensorTransition", "begin", "find_shut", "is_in_exit", "restart", "step"]
 

@@ -28,6 +28,7 @@ from hrl_escape.env.bullet.scene import SceneBodies
 from hrl_escape.env.instance import Start
 from hrl_escape.env.kinematics import RoomState, Rules, Transition
 from hrl_escape.env.noise import compute_noise
+from hrl_escape.env.poses import get_planar_pose
 from hrl_escape.env.primitives import Primitive
 from hrl_escape.errors import StateError, show_value
 
@@ -242,7 +243,7 @@ class PhysicsDynamics:
         else:
             pressed = self._drive(state, primitive, scale)
         moved = self._read(state, pressed)
-        poses = tuple(_get_planar_pose(numbers) for numbers in moved.physics.props)
+        poses = tuple(get_planar_pose(numbers) for numbers in moved.physics.props)
         transition = self._rules.judge(state, moved, poses)
         self._written = transition.state
         return transition
@@ -353,9 +354,3 @@ def _make_profile(seconds: float) -> tuple[float, ...]:
     rates = [min(1.0, (i + 0.5) / ramp, (count - i - 0.5) / ramp) for i in range(count)]
     unit = RATE / math.fsum(rates)
     return (*(rate * unit for rate in rates), *(0.0,) * round(_SETTLE * RATE))
-
-
-def _get_planar_pose(numbers: tuple[float, ...]) -> tuple[float, float, float]:
-    """(x, y, yaw) of a prop."""
-    x, y, z, w = numbers[3:7]
-    return numbers[0], numbers[1], math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))

@@ -8,15 +8,17 @@ state. The copy follows a `BulletRoom`; it moves nothing by itself. Metres, the 
 from __future__ import annotations
 
 import math
+import threading
 import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 from xml.etree import ElementTree
 
 import pybullet
+from numpy.typing import NDArray
 
 from hrl_escape.env.bullet.engine import BulletRoom
-from hrl_escape.env.bullet.mesh_shapes import create_mesh_shape
 from hrl_escape.env.config import RobotConfig
 from hrl_escape.env.drawing import palette
 from hrl_escape.env.drawing.meshes import (
@@ -40,7 +42,7 @@ from hrl_escape.env.puzzles.traits import Barring, Depicted, get_trait
 from hrl_escape.env.robot import BASE_LINK, Robot
 from hrl_escape.files import temporary_folder
 
-__all__ = ["CURB", "SUN", "Stage", "Standing"]
+__all__ = ["CURB", "SUN", "Stage", "Standing", "create_mesh_shape"]
 
 SUN = (-4.0, 2.6, 9.0)
 """Direction of the light; the shadows that `meshes.py` lays on the floor agree with it."""
@@ -331,3 +333,47 @@ def _adapt_urdf(robot: Robot, config: RobotConfig, cylinder: str) -> str:
 def _make_material(colour: str) -> ElementTree.Element:
     red, green, blue = palette.to_rgb(colour)
     return ElementTree.fromstring(f'<material name="{colour}"><color rgba="{red} {green} {blue} 1"/></material>')
+
+
+# --- visual shapes from meshes, made without a memory leak -----------------------------------
+
+
+class _Rows:
+    """A list of [x, y, z] that reuses the same list objects for every mesh.
+
+    pybullet never drops its references to the lists that `createVisualShape` reads: the outer lists and each vertex.
+    Every shape is therefore read from the same lists, filled anew.
+    """
+
+    def __init__(self) -> None:
+        self._made: list[list[float]] = []
+        self._shown: list[list[float]] = []
+
+    def fill(self, rows: NDArray[Any]) -> list[list[float]]:
+        """The rows, in lists that the next call fills again."""
+        self._made.extend([0.0, 0.0, 0.0] for _ in range(len(rows) - len(self._made)))
+        for made, row in zip(self._made, rows.tolist(), strict=False):
+            made[:] = row
+        self._shown[:] = self._made[: len(rows)]
+        return self._shown
+
+
+_LOCK = threading.Lock()
+_VERTICES, _NORMALS = _Rows(), _Rows()
+_INDICES: list[int] = []
+
+
+def create_mesh_shape(client: int, mesh: Mesh, colour: tuple[float, ...]) -> int:
+    """Make a matt visual shape in a physics client; returns its number.
+
+    Args:
+        client: pybullet's number of the physics client.
+        mesh: the triangles.
+        colour: red, green, blue and opacity, 0 to 1.
+    """
+    with _LOCK:
+        _INDICES[:] = mesh.triangles.ravel().tolist()
+        return pybullet.createVisualShape(
+            pybullet.GEOM_MESH, vertices=_VERTICES.fill(mesh.vertices), normals=_NORMALS.fill(mesh.normals),
+            indices=_INDICES, rgbaColor=colour, specularColor=(0, 0, 0), physicsClientId=client,
+        )

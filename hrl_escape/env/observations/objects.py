@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hrl_escape.env.engine import Renderer
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations.base import BatchView, Observer, register_observation
+from hrl_escape.env.poses import get_planar_pose
 
 if TYPE_CHECKING:
     from torch import Tensor
@@ -61,7 +62,7 @@ class ObjectObserver(Observer):
         cos, sin = self._rules.get_rotation(state.heading_steps, state.heading_offset)
         poses, rows = self._poses.copy(), self._rows.copy()
         if state.physics is not None and self._props.stop > self._props.start:
-            poses[self._props] = [_get_planar_pose(numbers) for numbers in state.physics.props]
+            poses[self._props] = [get_planar_pose(numbers) for numbers in state.physics.props]
         away_x, away_y = (poses[:, 0] - state.x) / self._diagonal, (poses[:, 1] - state.y) / self._diagonal
         thing_cos, thing_sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
         rows[self._places, 5:9] = np.stack([
@@ -103,12 +104,6 @@ class ObjectObserver(Observer):
         limits = torch.tensor([max(abs(low), abs(high)) for low, high in rooms.limits], device=nought.device)
         joints = rooms.angles.to(torch.float32) / limits.unsqueeze(1)
         return [part.clamp(-1.0, 1.0) for part in (rows.flatten(0, 1), way_out.flatten(0, 1), joints)]
-
-
-def _get_planar_pose(numbers: tuple[float, ...]) -> tuple[float, float, float]:
-    """x, y and yaw of a rigid body, whose quaternion (x, y, z, w) follows its position."""
-    x, y, _, qx, qy, qz, qw = numbers[:7]
-    return x, y, math.atan2(2.0 * (qw * qz + qx * qy), 1.0 - 2.0 * (qy * qy + qz * qz))
 
 
 register_observation(ObjectObserver)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from functools import cached_property
 from typing import Annotated, Any, ClassVar, TypeAlias, TypeVar
 
@@ -18,16 +18,19 @@ from typing_extensions import Self
 
 from hrl_escape.env.puzzles.contacts import PUSH, USE, Contacts
 from hrl_escape.env.puzzles.places import Pads, Panels, Place, Prop
-from hrl_escape.env.puzzles.symbolic import DerivedModel, Modelled
+from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
 from hrl_escape.env.schema import Schematic
-from hrl_escape.errors import ConfigError, UnknownNameError
+from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
 from hrl_escape.plugins import load_entry_points
 from hrl_escape.settings import Range
 
 __all__ = [
+    "MOST_DERIVED",
     "PUSH",
+    "SOLVED",
     "USE",
     "Contacts",
+    "DerivedModel",
     "Pads",
     "Panels",
     "Place",
@@ -41,6 +44,10 @@ __all__ = [
     "register_puzzle",
 ]
 
+MOST_DERIVED = 20_000
+"""Most states of a puzzle whose symbolic model is derived."""
+SOLVED = "solved"
+"""Proposition of a derived model that holds in the solved states."""
 PuzzleState: TypeAlias = Any
 """A hashable value of each puzzle's own type; its rules name that type."""
 PlacesType = TypeVar("PlacesType", Panels, Pads)
@@ -252,6 +259,74 @@ class Puzzle(_OfKind):
     @cached_property
     def _derived(self) -> DerivedModel:
         return DerivedModel(self)
+
+
+class DerivedModel(Modelled):
+    """The model of a puzzle's rules, by a visit to every reachable state on first use.
+
+    It has a proposition per state, and an operator per target with a conditional effect per state. Effects are those of
+    the most likely outcome; other outcomes lead to states as well.
+
+    Args:
+        puzzle: the puzzle.
+    """
+
+    def __init__(self, puzzle: Puzzle) -> None:
+        self._puzzle = puzzle
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Names of the puzzle's targets."""
+        return self._puzzle.target_names
+
+    def make_symbolic_model(self) -> SymbolicModel:
+        """The model.
+
+        Raises:
+            UnsupportedError: there are more than `MOST_DERIVED` states.
+        """
+        return self._derived[0]
+
+    def get_facts(self, state: Hashable) -> frozenset[str]:
+        """The state's own proposition, and `SOLVED`."""
+        number = self._derived[1].get(state)
+        if number is None:
+            raise ConfigError("puzzle.state", state, "a state that presses lead to from a start")
+        return self._list_facts(state, number)
+
+    def _list_facts(self, state: Hashable, number: int) -> frozenset[str]:
+        return frozenset({f"state({number})", *([SOLVED] if self._puzzle.is_solved(state) else [])})
+
+    @cached_property
+    def _derived(self) -> tuple[SymbolicModel, dict[Hashable, int]]:
+        """The model, and the number of each state."""
+        puzzle, numbers = self._puzzle, dict[Hashable, int]()
+        for state in puzzle.list_starts():
+            numbers.setdefault(state, len(numbers))
+        queue = list(numbers)
+        changes: list[list[tuple[Hashable, Hashable]]] = [[] for _ in self.target_names]
+        for state in queue:
+            for target, changed in enumerate(changes):
+                outcomes = [puzzle.update(state, Contacts((target,), uniform=chance))
+                            for chance in (0.0, *puzzle.chances)]
+                if outcomes[0] != state:
+                    changed.append((state, outcomes[0]))
+                for after in outcomes:
+                    if after not in numbers:
+                        if len(numbers) == MOST_DERIVED:
+                            raise UnsupportedError(f"puzzle {puzzle.kind!r} has more than {MOST_DERIVED:,} states: "
+                                                   "make it Modelled, with make_symbolic_model and get_facts")
+                        numbers[after] = len(numbers)
+                        queue.append(after)
+        none: frozenset[str] = frozenset()
+        facts = {state: self._list_facts(state, number) for state, number in numbers.items()}
+        operators = tuple(
+            Operator(f"press-{name}", name, "press", none, none, none, none, when=tuple(
+                Effect(facts[before] - {SOLVED}, none, facts[after] - facts[before], facts[before] - facts[after])
+                for before, after in changed))
+            for name, changed in zip(self.target_names, changes, strict=True))
+        propositions = (*(f"state({number})" for number in range(len(numbers))), SOLVED)
+        return SymbolicModel(propositions, operators, frozenset({SOLVED})), numbers
 
 
 @dataclasses.dataclass(frozen=True)

@@ -1,22 +1,15 @@
-"""Symbolic models of puzzles for planners: given by the author, or derived by enumeration of the states."""
+"""Symbolic models of puzzles for planners; a puzzle without one of its own gets a `DerivedModel` (`base.py`)."""
 
 from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
-from collections.abc import Hashable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar, Protocol
+from typing import TYPE_CHECKING, Any
 
 from hrl_escape.env.puzzles.contacts import Contacts
-from hrl_escape.errors import ConfigError, UnsupportedError
 
-__all__ = ["MOST_DERIVED", "SOLVED", "DerivedModel", "Effect", "Modelled", "Operator", "SymbolicModel"]
-
-MOST_DERIVED = 20_000
-"""Most states of a puzzle whose symbolic model is derived."""
-SOLVED = "solved"
-"""Proposition of a derived model that holds in the solved states."""
+__all__ = ["Effect", "Modelled", "Operator", "SymbolicModel"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -173,89 +166,3 @@ class Modelled(ABC):
         `place` is the number of the inner door in whose cell the robot stands, on a map; -1 where there is none.
         """
         return None
-
-
-class _Rules(Protocol):
-    """The part of a puzzle from which a model is derived."""
-
-    kind: ClassVar[str]
-
-    @property
-    def target_names(self) -> tuple[str, ...]: ...
-
-    @property
-    def chances(self) -> tuple[float, ...]: ...
-
-    def list_starts(self) -> tuple[Any, ...]: ...
-
-    def update(self, state: Any, contacts: Contacts) -> Any: ...
-
-    def is_solved(self, state: Any) -> bool: ...
-
-
-class DerivedModel(Modelled):
-    """The model of a puzzle's rules, by a visit to every reachable state on first use.
-
-    It has a proposition per state, and an operator per target with a conditional effect per state. Effects are those of
-    the most likely outcome; other outcomes lead to states as well.
-
-    Args:
-        puzzle: the puzzle.
-    """
-
-    def __init__(self, puzzle: _Rules) -> None:
-        self._puzzle = puzzle
-
-    @property
-    def target_names(self) -> tuple[str, ...]:
-        """Names of the puzzle's targets."""
-        return self._puzzle.target_names
-
-    def make_symbolic_model(self) -> SymbolicModel:
-        """The model.
-
-        Raises:
-            UnsupportedError: there are more than `MOST_DERIVED` states.
-        """
-        return self._derived[0]
-
-    def get_facts(self, state: Hashable) -> frozenset[str]:
-        """The state's own proposition, and `SOLVED`."""
-        number = self._derived[1].get(state)
-        if number is None:
-            raise ConfigError("puzzle.state", state, "a state that presses lead to from a start")
-        return self._list_facts(state, number)
-
-    def _list_facts(self, state: Hashable, number: int) -> frozenset[str]:
-        return frozenset({f"state({number})", *([SOLVED] if self._puzzle.is_solved(state) else [])})
-
-    @cached_property
-    def _derived(self) -> tuple[SymbolicModel, dict[Hashable, int]]:
-        """The model, and the number of each state."""
-        puzzle, numbers = self._puzzle, dict[Hashable, int]()
-        for state in puzzle.list_starts():
-            numbers.setdefault(state, len(numbers))
-        queue = list(numbers)
-        changes: list[list[tuple[Hashable, Hashable]]] = [[] for _ in self.target_names]
-        for state in queue:
-            for target, changed in enumerate(changes):
-                outcomes = [puzzle.update(state, Contacts((target,), uniform=chance))
-                            for chance in (0.0, *puzzle.chances)]
-                if outcomes[0] != state:
-                    changed.append((state, outcomes[0]))
-                for after in outcomes:
-                    if after not in numbers:
-                        if len(numbers) == MOST_DERIVED:
-                            raise UnsupportedError(f"puzzle {puzzle.kind!r} has more than {MOST_DERIVED:,} states: "
-                                                   "make it Modelled, with make_symbolic_model and get_facts")
-                        numbers[after] = len(numbers)
-                        queue.append(after)
-        none: frozenset[str] = frozenset()
-        facts = {state: self._list_facts(state, number) for state, number in numbers.items()}
-        operators = tuple(
-            Operator(f"press-{name}", name, "press", none, none, none, none, when=tuple(
-                Effect(facts[before] - {SOLVED}, none, facts[after] - facts[before], facts[before] - facts[after])
-                for before, after in changed))
-            for name, changed in zip(self.target_names, changes, strict=True))
-        propositions = (*(f"state({number})" for number in range(len(numbers))), SOLVED)
-        return SymbolicModel(propositions, operators, frozenset({SOLVED})), numbers

@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.env.geometry import Solid, compute_distance_many, stack_footprints
-from hrl_escape.env.instance import Rectangle, RoomInstance, Start, Target
+from hrl_escape.env.instance import Rectangle, RoomInstance, Start, Target, does_base_fit
 from hrl_escape.env.robot import make_robot, sample_hand_positions
-from hrl_escape.env.room_checks import does_base_fit
 from hrl_escape.env.sampling.floorplan import Rejected
 from hrl_escape.env.sampling.free_space import FreeSpace
 from hrl_escape.env.sampling.work import Work
@@ -71,7 +70,7 @@ def find_unmet(instance: RoomInstance, floors: Floors) -> str | None:
     labels = set(shut.find_labels(np.array([(start.x, start.y) for start in instance.starts])).tolist())
     if 0 in labels or len(labels) != 1:
         return "every start must be free and on one connected floor"
-    solids = [solid.footprint for solid in (*instance.solids, *((instance.door,) if instance.door else ()))]
+    solids = [solid.footprint for solid in instance.all_solids]
     if not all(does_base_fit(instance.robot, start, solids) for start in instance.starts):
         return "the base must be clear of walls and obstacles at every start"
     if not all(has_arm_free(instance, start) for start in instance.starts):
@@ -100,8 +99,7 @@ def has_arm_free(instance: RoomInstance, start: Start) -> bool:
         return True
     robot = make_robot(instance.robot)
     elbows, thick = robot.compute_elbows(robot.home), max(instance.robot.hand_radius, _ARM_THICKNESS)
-    solids = (*instance.solids, *((instance.door,) if instance.door else ()))
-    standing = [solid.footprint for solid in solids if solid.height > elbows[:, 2].min() - thick]
+    standing = [solid.footprint for solid in instance.all_solids if solid.height > elbows[:, 2].min() - thick]
     heading = start.heading_steps * math.radians(instance.robot.turn_step_deg) + start.heading_offset
     cos, sin = math.cos(heading), math.sin(heading)
     longest = np.linalg.norm(np.diff(elbows, axis=0), axis=1).max()

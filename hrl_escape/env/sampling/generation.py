@@ -14,17 +14,22 @@ import math
 import numpy as np
 
 from hrl_escape.env.config import PASSAGE_SLACK, RoomConfig
-from hrl_escape.env.geometry import Solid, compute_distance, compute_distance_many, make_footprint, stack_footprints
-from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target
+from hrl_escape.env.geometry import (
+    Neighbourhood,
+    Solid,
+    compute_distance,
+    compute_distance_many,
+    make_footprint,
+    stack_footprints,
+)
+from hrl_escape.env.instance import PlacedProp, RoomInstance, Start, Target, does_base_fit
 from hrl_escape.env.puzzles.base import Pads, Panels, Place, Puzzle
 from hrl_escape.env.puzzles.maps import GridMap
 from hrl_escape.env.puzzles.traits import Mapped, Propped, get_trait
-from hrl_escape.env.room_checks import does_base_fit
-from hrl_escape.env.sampling.certificate import find_unmet, has_arm_free, make_floors
+from hrl_escape.env.sampling.certificate import Floors, find_unmet, has_arm_free, make_floors
 from hrl_escape.env.sampling.doors import DoorPlan, sample_doors
 from hrl_escape.env.sampling.floorplan import Face, Floorplan, Rejected, compute_cell, sample_floorplan
 from hrl_escape.env.sampling.free_space import FreeSpace
-from hrl_escape.env.sampling.obstacles import place_obstacles
 from hrl_escape.env.sampling.primitive_proof import find_unproven
 from hrl_escape.env.sampling.ranges import make_frame, sample_puzzle
 from hrl_escape.env.sampling.work import OutOfWork, Work
@@ -91,7 +96,7 @@ def _sample(config: RoomConfig, seed: int, puzzle: Puzzle, rng: np.random.Genera
     unmet = find_unmet(instance, floors)
     if unmet:
         raise Rejected(unmet)
-    instance, floors = place_obstacles(config, instance, floors, rng)
+    instance, floors = _place_obstacles(config, instance, floors, rng)
     unproven = find_unproven(instance, floors)
     if unproven:
         raise Rejected(unproven)
@@ -261,7 +266,7 @@ def _place_start(config: RoomConfig, instance: RoomInstance, space: FreeSpace, d
         Start(float(x), float(y), int(rng.integers(turns)))
         for x, y in centres[rng.integers(len(centres), size=config.start.choices)]
     ]
-    solids = [solid.footprint for solid in (*instance.solids, *((instance.door,) if instance.door else ()))]
+    solids = [solid.footprint for solid in instance.all_solids]
     for number in range(len(starts)):
         for _ in range(_START_TRIES):
             if has_arm_free(instance, starts[number]) and does_base_fit(instance.robot, starts[number], solids):
@@ -309,3 +314,60 @@ def _place_props(instance: RoomInstance, rng: np.random.Generator) -> RoomInstan
         else:
             raise Rejected(f"{entry.prop.name} must fit onto the floor")
     return dataclasses.replace(instance, props=tuple(placed))
+
+
+def _place_obstacles(config: RoomConfig, instance: RoomInstance, floors: Floors,
+                    rng: np.random.Generator) -> tuple[RoomInstance, Floors]:
+    """Add obstacles in batches; a batch that breaks the certificate is halved, a single one is drawn anew."""
+    left, batch, failures = config.obstacles.count, max(1, config.obstacles.count // 4), 0
+    while left:
+        number = min(batch, left)
+        obstacles: list[Solid] = []
+        for _ in range(number):
+            obstacles.append(_sample_obstacle(config, instance, obstacles, rng, floors.shut.work))
+        candidate = dataclasses.replace(instance, solids=(*instance.solids, *obstacles))
+        crowded = floors.extend(obstacles)
+        if find_unmet(candidate, crowded) is None:
+            instance, floors, left = candidate, crowded, left - number
+            continue
+        if number > 1:
+            batch = max(1, number // 2)
+            continue
+        failures += 1
+        if failures > 40:
+            raise Rejected(f"{config.obstacles.count} obstacles must leave the way free "
+                           f"(only {config.obstacles.count - left} did)")
+    return instance, floors
+
+
+def _sample_obstacle(config: RoomConfig, instance: RoomInstance, others: list[Solid], rng: np.random.Generator,
+                     work: Work) -> Solid:
+    """Sample an obstacle clear of starts, props, targets and the middle of the exit."""
+    settings = config.obstacles
+    body = instance.robot.outer_radius + 0.05
+    keep = [(p.x, p.y, p.prop.half_size * 1.5 + 2.2 * body) for p in instance.props]
+    keep.append((*instance.exit.centre, body))
+    starts = np.array([(s.x, s.y) for s in instance.starts])
+    standing = Neighbourhood([solid.footprint for solid in (*instance.solids, *others)])
+    for _ in range(200):
+        work.spend(40 + len(standing.footprints) // 4 + len(starts) // 20)
+        is_cylinder = bool(rng.random() < settings.cylinder_share)
+        half_x, half_y = (float(v) / 2 for v in rng.uniform(settings.size_min, settings.size_max, 2))
+        x = float(rng.uniform(-instance.half_width, instance.half_width))
+        y = float(rng.uniform(-instance.half_depth, instance.half_depth))
+        yaw = 0.0 if settings.aligned else float(rng.uniform(-math.pi, math.pi))
+        if is_cylinder:
+            half_y, yaw = half_x, 0.0
+        shape = make_footprint(x, y, half_x, half_y, yaw, is_cylinder)
+        if any(compute_distance(a, b, shape) < room for a, b, room in keep):
+            continue
+        if (compute_distance_many(starts, stack_footprints([shape])) < body).any():
+            continue
+        around = math.hypot(half_x, half_y)
+        if any(compute_distance(x, y, t.footprint) < around for t in instance.targets):
+            continue
+        apart = 0.5 * min(half_x, half_y)
+        if any(compute_distance(x, y, other) < apart for other in standing.list_near(x, y, apart)):
+            continue  # obstacles may touch, but none is inside another or a wall
+        return Solid("cylinder" if is_cylinder else "box", x, y, half_x, half_y, yaw, settings.height, "obstacle")
+    raise Rejected("obstacles must fit clear of the start, buttons, props and exit")

@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from hrl_escape.env.config import RoomConfig
-from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.instance import RoomInstance, check_room
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.room_checks import check_room
 from hrl_escape.errors import ConfigError
 
 __all__ = ["InstanceForm", "SchematicForm", "read_instance", "read_schematic"]

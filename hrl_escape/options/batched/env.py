@@ -19,8 +19,7 @@ import torch
 from torch import Tensor
 from typing_extensions import Unpack
 
-from hrl_escape.env.batched.compilation import CompiledStep
-from hrl_escape.env.batched.devices import check_compiler
+from hrl_escape.env.batched.compilation import CompiledStep, check_compiler
 from hrl_escape.env.batched.engine import TensorRoom, list_shapes
 from hrl_escape.env.batched.observations import load_observation
 from hrl_escape.env.batched.poses import TensorState

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.puzzles.base import MOST_DERIVED, Contacts, DerivedModel
 from hrl_escape.env.puzzles.code_lock import CodeLockConfig
 from hrl_escape.env.puzzles.hanoi import HanoiPuzzle
 from hrl_escape.env.puzzles.lights_out import LightsOutPuzzle
-from hrl_escape.env.puzzles.symbolic import MOST_DERIVED, DerivedModel, Effect, Operator, SymbolicModel
+from hrl_escape.env.puzzles.symbolic import Effect, Operator, SymbolicModel
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.planning.symbolic.operator_order import Leg, TaskSearch, find_relevant_operators
 

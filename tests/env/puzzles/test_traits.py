@@ -12,8 +12,8 @@ from hrl_escape.env.batched.rooms import Rooms
 from hrl_escape.env.drawing.palette import name_target
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
-from hrl_escape.env.puzzles.base import Panels, Puzzle, PuzzleConfig
-from hrl_escape.env.puzzles.symbolic import DerivedModel, Modelled
+from hrl_escape.env.puzzles.base import DerivedModel, Panels, Puzzle, PuzzleConfig
+from hrl_escape.env.puzzles.symbolic import Modelled
 from hrl_escape.env.puzzles.traits import Barring, Depicted, Doored, Graphed, Mapped, Propped, Pushing, get_trait
 from hrl_escape.errors import UnsupportedError
 
