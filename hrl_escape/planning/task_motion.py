@@ -8,20 +8,24 @@ Solving needs the extra `pddl`.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable
 from typing import Any
 
 from hrl_escape.clock import Clock
 from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
 from hrl_escape.errors import PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
 from hrl_escape.planning.goals import ExitGoal, Goal, PushGoal, make_goal
 from hrl_escape.planning.plan import Plan
 from hrl_escape.planning.planner import RoomPlanner
-from hrl_escape.planning.symbolic.pddl import clean_name, read_problem, run_engine, write_all, write_atom
+from hrl_escape.planning.symbolic.pddl import clean_name, make_domain, make_problem, read_problem, run_engine
 
 __all__ = ["TaskMotionPlanner"]
 
 START, LEAVE = "start", "leave"
+DOMAIN, ESCAPED = "task-and-motion", "escaped"
+_LEAVING = Operator(LEAVE, "exit", LEAVE, frozenset(), frozenset(), frozenset(), frozenset())
 MOST_ROUNDS = 50
 """Plans of the symbolic planner that are tried before the task is given up."""
 
@@ -106,35 +110,23 @@ class TaskMotionPlanner:
         for fact in wanted:
             if fact not in self._model.propositions:
                 raise UnknownNameError("fact", fact, self._model.propositions)
-        costs, barred = self.compute_costs(state, goals), set(forbidden)
-        places = [START, *self._operators]
-        atoms = [write_atom(fact)[1:-1].split() for fact in self._model.propositions]
-        arities = {(words[0], len(words) - 1) for words in atoms} | {("at", 1), ("escaped", 0)}
-        names = sorted({word for words in atoms for word in words[1:]} | {f"place-{place}" for place in places})
-        predicates = " ".join(f"({' '.join([head, *(f'?x{i}' for i in range(n))])})" for head, n in sorted(arities))
-        lines = ["(define (domain task-and-motion)",
-                 "  (:requirements :strips :negative-preconditions :action-costs)",
-                 f"  (:constants {' '.join(names)})", f"  (:predicates {predicates})",
-                 "  (:functions (total-cost) - number)"]
-        for (before, name), cost in costs.items():
+        barred, operators = set(forbidden), []
+        for (before, name), cost in self.compute_costs(state, goals).items():
             if (before, name) in barred:
                 continue
-            at = f"(at place-{before})"
-            if name == LEAVE:
-                needs, effect = write_all(wanted), f"(escaped) (not {at})"
-            else:
-                op = self._operators[name]
-                needs = write_all(op.preconditions, op.forbidden)
-                effect = f"{write_all(op.add, op.delete - op.add)[5:-1]} (not {at}) (at place-{name})"
-            lines += [f"  (:action {name}-from-{before}", "    :parameters ()",
-                      f"    :precondition (and {at} {needs[5:-1]})",
-                      f"    :effect (and {effect} (increase (total-cost) {cost})))"]
-        facts = " ".join(sorted(map(write_atom, self.planner.instance.puzzle.symbolic.get_facts(state.puzzle))))
-        goal = "(and (escaped))" if goals is None else write_all(wanted)
-        problem = (f"(define (problem room-{self.planner.instance.id})\n  (:domain task-and-motion)\n"
-                   f"  (:init (at place-{START}) (= (total-cost) 0) {facts})\n  (:goal {goal})\n"
-                   "  (:metric minimize (total-cost)))\n")
-        return "\n".join(lines) + ")\n", problem
+            here = frozenset({_name_place(before)})
+            op, there = _LEAVING, frozenset({ESCAPED})
+            if name != LEAVE:
+                op, there = self._operators[name], frozenset({_name_place(name)})
+            needs = wanted if name == LEAVE else op.preconditions
+            operators.append(dataclasses.replace(
+                op, name=f"{name}-from-{before}", preconditions=needs | here, add=op.add | there,
+                delete=op.delete | here, cost=float(cost)))
+        places = map(_name_place, (START, *self._operators))
+        model = SymbolicModel((*self._model.propositions, *places, ESCAPED), tuple(operators),
+                              frozenset({ESCAPED}) if goals is None else wanted)
+        facts = self.planner.instance.puzzle.symbolic.get_facts(state.puzzle) | {_name_place(START)}
+        return make_domain(model, DOMAIN), make_problem(model, facts, f"room-{self.planner.instance.id}", DOMAIN)
 
     def make_problem(self, state: RoomState, goals: Iterable[str] | None = None,
                      forbidden: Iterable[tuple[str, str]] = ()) -> Any:
@@ -213,6 +205,11 @@ class TaskMotionPlanner:
             else:
                 return self.follow(state, names)
         raise self.planner.routes.make_failure(PlanningReason.BUDGET_EXHAUSTED, state, None, planners=(engine,))
+
+
+def _name_place(place: str) -> str:
+    """Fact that the robot is where an operator ends, or at the start."""
+    return f"at(place-{place})"
 
 
 def _list_names(actions: Any) -> list[str]:

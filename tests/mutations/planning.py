@@ -118,8 +118,8 @@ MUTATIONS = [
     Mutation(
         "a search that was cut short calls its order optimal",
         "planning/symbolic/operator_order.py",
-        "self._report(finished[1], finished[0], min(bound, finished[0]), searched)",
-        "self._report(finished[1], finished[0], finished[0], searched)",
+        "return self._report(trail, cost, min(bound, cost), searched + more)",
+        "return self._report(trail, cost, cost, searched + more)",
         "planning/symbolic/test_operator_order.py::test_an_order_beyond_the_search_limit_states_a_lower_bound_that_holds",
     ),
     Mutation(

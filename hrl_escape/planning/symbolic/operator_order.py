@@ -237,7 +237,11 @@ class TaskSearch:
                 continue
             if searched >= largest:
                 width = max(4, largest // (4 * len(self.operators) ** 2))
-                return self._search_beam(begin, place, extend, bound, searched, width)
+                finished, more = self._search_beam(begin, place, extend, width, 1, 4 * len(self.operators) + 1)
+                if not finished:
+                    return None
+                cost, trail = min(finished, key=lambda order: order[0])
+                return self._report(trail, cost, min(bound, cost), searched + more)
             for n, leg, then in self._expand(at, here, extend):
                 searched += 1
                 total = cost + leg.cost
@@ -264,23 +268,10 @@ class TaskSearch:
             most: legs to examine, roughly: the beam is as wide as that allows.
         """
         width = max(1, 2 * most // max(len(self.operators), 1) ** 2)
-        layer: list[tuple[float, float, int, int, Any, Any]] = [(0.0, 0.0, self._encode(facts), -1, place, None)]
-        finished: list[TaskPlan] = []
-        searched = 0
-        for _ in range(2 * len(self.operators) + 1):
-            found: dict[tuple[int, int], list[tuple[float, float, int, int, Any, Any]]] = {}
-            for _, cost, at, _, here, trail in layer:
-                for n, leg, then in self._expand(at, here, extend):
-                    searched += 1
-                    total = cost + leg.cost
-                    if n == -2:
-                        finished.append(self._report((trail, n, leg), total, 0.0, searched))
-                    else:
-                        found.setdefault((then, n), []).append(
-                            (total + self._estimate(then), total, then, n, leg.place, (trail, n, leg)))
-            kept = (sorted(entries, key=lambda entry: entry[:2])[:count] for entries in found.values())
-            layer = sorted(itertools.chain(*kept), key=lambda entry: entry[:4])[:width]
-        return sorted(finished, key=lambda plan: plan.cost)[:count]
+        finished, searched = self._search_beam(self._encode(facts), place, extend, width, count,
+                                               2 * len(self.operators) + 1)
+        plans = [self._report(trail, cost, 0.0, searched) for cost, trail in finished]
+        return sorted(plans, key=lambda plan: plan.cost)[:count]
 
     def _expand(self, at: int, here: Any, extend: ExtendLeg) -> Iterable[tuple[int, Leg, int]]:
         """Legs that can follow, as (operator, leg, facts after it); only the exit once the goal holds."""
@@ -294,26 +285,38 @@ class TaskSearch:
             if leg is not None:
                 yield n, leg, self._apply(n, at) if leg.facts is None else self._encode(leg.facts)
 
-    def _search_beam(self, begin: int, place: Any, extend: ExtendLeg, bound: float, searched: int,
-                     width: int) -> TaskPlan | None:
-        """Beam search: keep the `width` most promising orders after every operator; returns the best complete ones."""
+    def _search_beam(self, begin: int, place: Any, extend: ExtendLeg, width: int, kept: int, most: int
+                     ) -> tuple[list[tuple[float, Any]], int]:
+        """Beam search: after every operator keep the most promising orders.
+
+        Args:
+            begin: facts that hold.
+            place: the place, as `extend` needs it.
+            extend: costs a leg.
+            width: orders kept.
+            kept: most of them with the same facts and last operator, the cheapest.
+            most: most legs of an order.
+
+        Returns:
+            Complete orders as (cost, trail), and the number of legs examined.
+        """
         layer: list[tuple[float, float, int, int, Any, Any]] = [(0.0, 0.0, begin, -1, place, None)]
-        finished: tuple[float, Any] | None = None
-        for _ in range(4 * len(self.operators) + 1):
-            found: dict[tuple[int, int], tuple[float, float, int, int, Any, Any]] = {}
+        finished: list[tuple[float, Any]] = []
+        searched = 0
+        for _ in range(most):
+            found: dict[tuple[int, int], list[tuple[float, float, int, int, Any, Any]]] = {}
             for _, cost, at, _, here, trail in layer:
                 for n, leg, then in self._expand(at, here, extend):
                     searched += 1
                     total = cost + leg.cost
                     if n == -2:
-                        if finished is None or total < finished[0]:
-                            finished = (total, (trail, n, leg))
-                    elif (then, n) not in found or total < found[then, n][1]:
-                        found[then, n] = (total + self._estimate(then), total, then, n, leg.place, (trail, n, leg))
-            layer = sorted(found.values(), key=lambda entry: entry[:4])[:width]
-            if not layer:
-                break
-        return finished and self._report(finished[1], finished[0], min(bound, finished[0]), searched)
+                        finished.append((total, (trail, n, leg)))
+                    else:
+                        found.setdefault((then, n), []).append(
+                            (total + self._estimate(then), total, then, n, leg.place, (trail, n, leg)))
+            cheapest = (sorted(entries, key=lambda entry: entry[:2])[:kept] for entries in found.values())
+            layer = sorted(itertools.chain(*cheapest), key=lambda entry: entry[:4])[:width]
+        return finished, searched
 
     def _report(self, trail: Any, cost: float, bound: float, searched: int) -> TaskPlan:
         steps = []
