@@ -8,14 +8,27 @@ from __future__ import annotations
 
 import difflib
 import enum
+import functools
 import math
 import reprlib
 from collections.abc import Iterable
 from typing import Any
 
+from typing_extensions import Self
+
 
 class EscapeError(Exception):
-    """Base of every error that hrl_escape raises on purpose."""
+    """Base of every error that hrl_escape raises on purpose; a worker's errors reach the parent process whole."""
+
+    def __new__(cls, *given: Any, **named: Any) -> Self:
+        """Keep the arguments, of which a copy in another process is made."""
+        made: Any = super().__new__(cls, *given)
+        made._given = given, named
+        return made
+
+    def __reduce__(self) -> tuple[Any, tuple]:
+        given, named = vars(self)["_given"]
+        return functools.partial(type(self), **named), given
 
 
 _SHORT = reprlib.Repr()
@@ -47,9 +60,6 @@ class ConfigError(EscapeError, ValueError):
         self.field, self.value, self.allowed = field, value, allowed
         super().__init__(f"{field} = {show_value(value)} is not possible: {allowed}")
 
-    def __reduce__(self) -> tuple[type, tuple]:
-        return type(self), (self.field, self.value, self.allowed)
-
 
 class GenerationError(EscapeError, RuntimeError):
     """No solvable room was found for a schematic within the bounded number of tries.
@@ -62,9 +72,6 @@ class GenerationError(EscapeError, RuntimeError):
     def __init__(self, constraint: str, tries: int, advice: str) -> None:
         self.constraint, self.tries, self.advice = constraint, tries, advice
         super().__init__(f"no solvable room in {tries} tries; the last failed at: {constraint}. {advice}")
-
-    def __reduce__(self) -> tuple[type, tuple]:
-        return type(self), (self.constraint, self.tries, self.advice)
 
 
 class InstanceFileError(EscapeError, ValueError):
@@ -89,9 +96,6 @@ class UnknownNameError(EscapeError, KeyError):
     def __str__(self) -> str:
         return self.message
 
-    def __reduce__(self) -> tuple[type, tuple]:
-        return type(self), (self.what, self.name, self.known)
-
 
 class ActionError(EscapeError, ValueError):
     """An action is outside the action space."""
@@ -99,9 +103,6 @@ class ActionError(EscapeError, ValueError):
     def __init__(self, action: object, count: int) -> None:
         self.action, self.count = action, count
         super().__init__(f"action {action!r} is not one of 0 to {count - 1}")
-
-    def __reduce__(self) -> tuple[type, tuple]:
-        return type(self), (self.action, self.count)
 
 
 class ResetNeededError(EscapeError, RuntimeError):
@@ -126,9 +127,6 @@ class MissingExtraError(EscapeError, ImportError):
     def __init__(self, package: str, extra: str, purpose: str) -> None:
         self.package, self.extra, self.purpose = package, extra, purpose
         super().__init__(f"{purpose} needs {package}: pip install 'hrl-escape[{extra}]'")
-
-    def __reduce__(self) -> tuple[type, tuple]:
-        return type(self), (self.package, self.extra, self.purpose)
 
 
 class FileWriteError(EscapeError, OSError):
@@ -155,9 +153,6 @@ class ContractError(EscapeError, AssertionError):
     def __init__(self, what: str, claim: str, seen: str) -> None:
         self.what, self.claim, self.seen = what, claim, seen
         super().__init__(f"{what} breaks its contract: {claim}; found {seen}")
-
-    def __reduce__(self) -> tuple[type, tuple]:
-        return type(self), (self.what, self.claim, self.seen)
 
 
 # --- agents and training ---------------------------------------------------------------
@@ -193,9 +188,6 @@ class DiscountMismatchError(EscapeError, ValueError):
             "environment put the primitive rewards into info['rewards'], which suits any gamma"
         )
 
-    def __reduce__(self) -> tuple[type, tuple]:
-        return type(self), (self.agent_gamma, self.env_discount, self.duration)
-
 
 class DivergenceError(EscapeError, ArithmeticError):
     """A loss or its gradient became NaN or infinite, so that the agent cannot go on learning.
@@ -222,9 +214,6 @@ class DivergenceError(EscapeError, ArithmeticError):
             "Lower learning_rate, set max_grad_norm, or look for rewards and observations of extreme size"
         )
 
-    def __reduce__(self) -> tuple[type, tuple]:
-        return type(self), (self.agent, self.updates, self.run, self.primitives, self.loss, self.gradient_norm)
-
 
 class TrustError(EscapeError, ValueError):
     """A run's folder names code that is neither this package's nor registered; nothing was imported.
@@ -239,9 +228,6 @@ class TrustError(EscapeError, ValueError):
         more = f" and {len(self.names) - 8} more" if len(self.names) > 8 else ""
         super().__init__(f"this run would import and call {shown}{more}, which may do anything on this machine. If you "
                          "trust where the run comes from, allow it by trust=True (--trust)")
-
-    def __reduce__(self) -> tuple[type, tuple]:
-        return type(self), (self.names,)
 
 
 class CheckpointError(FileReadError):
@@ -326,10 +312,6 @@ class PlanningFailed(EscapeError, RuntimeError):  # noqa: N818  # an outcome tha
             + (f"; nearest: {nearest}" if nearest else "")
             + (f". {advice}" if advice else "")
         )
-
-    def __reduce__(self) -> tuple[type, tuple]:
-        return type(self), (self.reason, self.goal, self.start, self.seconds, self.planners, self.nearest,
-                            self.advice, self.expansions)
 
 
 # --- the batched engine ----------------------------------------------------------------

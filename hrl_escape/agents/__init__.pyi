@@ -1,9 +1,8 @@
-from .agent import Agent, SMDPTransition, compute_backup, make_transition
+from .agent import Agent, OptionPolicy, SMDPTransition, compute_backup, make_transition
 from .hierarchy.machine import choose, do, machine
 from .hierarchy.stack_agent import StackAgent
 from .hierarchy.task import BaseTask, Call, Hierarchy
 from .hierarchy.task_graph import maxq
-from .option_policy import OptionPolicy
 from .registry import get_recipe, list_agents, make_agent
 from .settings import AgentSettings, LearningSettings
 from .state import Kept, Stateful

@@ -9,22 +9,26 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import Self
 
-from hrl_escape.agents.option_policy import OptionPolicy, make_whole_policy
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Stateful
 from hrl_escape.errors import DiscountMismatchError, StepContractError, UnsupportedSpaceError
 
 __all__ = [
     "Agent",
+    "GoalRule",
+    "MarkovRun",
+    "OptionPolicy",
+    "OptionRun",
     "RunningCall",
     "SMDPTransition",
     "check_actions",
@@ -34,8 +38,10 @@ __all__ = [
     "count_steps",
     "make_transition",
     "read_action_mask",
+    "read_goal_rule",
     "read_success",
 ]
+
 
 class SMDPTransition(NamedTuple):
     """One decision and its outcome.
@@ -182,11 +188,106 @@ class Agent(Stateful, ABC):
         `hrl_escape.options.make_learned_options` makes options of them. By default the whole greedy policy, which never
         ends by itself.
         """
-        return (make_whole_policy(self),)
+        return (OptionPolicy("policy", self, lambda: _WholeRun(self), is_markov=self.is_markov),)
 
     def get_graph(self) -> frozenset[tuple[int, int]] | None:
         """Edges (parent, child) of a learned dependency graph, by component of the observation; None without one."""
         return None
+
+
+# --- what an agent learned, as data -----------------------------------------------------
+
+
+class OptionRun(Protocol):
+    """One run of a learned policy, from its start on."""
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """Choose an action, as evaluation does; random choices are drawn from `rng`."""
+        ...
+
+    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
+        """Probability beta(s') of ending at the state that the latest action led to."""
+        ...
+
+
+def _anywhere(observation: Any, action_mask: NDArray[np.bool_]) -> bool:
+    return True
+
+
+@dataclass(frozen=True)
+class OptionPolicy:
+    """Something that an agent learned to do, with its own beginning and end.
+
+    It acts by what the agent knows when it is asked: an agent that goes on learning changes it.
+
+    Attributes:
+        name: unique among the policies of an agent.
+        agent: whose it is.
+        begin: makes a run.
+        can_start: (observation, action mask) -> whether it may start there.
+        is_markov: choice and end are functions of the observation and the legal actions alone.
+    """
+
+    name: str
+    agent: Agent
+    begin: Callable[[], OptionRun]
+    can_start: Callable[[Any, NDArray[np.bool_]], bool] = _anywhere
+    is_markov: bool = False
+
+    @property
+    def origin(self) -> Mapping[str, Any]:
+        """Run in which the agent learned, see `Agent.origin`."""
+        return self.agent.origin
+
+
+class MarkovRun(NamedTuple):
+    """A run that remembers nothing, made of the two functions of an `OptionRun`."""
+
+    act: Callable[[Any, NDArray[np.bool_], np.random.Generator], int]
+    compute_termination: Callable[[Any, NDArray[np.bool_]], float]
+
+
+class _WholeRun:
+    """The greedy policy of an agent for as long as it is asked."""
+
+    def __init__(self, agent: Agent) -> None:
+        self._agent = agent
+        self._rng: np.random.Generator | None = None
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        if self._agent.is_markov:
+            return self._agent.act_greedy(observation, action_mask, rng)
+        # Agents know an episode by its generator, so a run has one of its own.
+        self._rng = self._rng or np.random.default_rng(int(rng.integers(2**63)))
+        return self._agent.act_greedy(observation, action_mask, self._rng)
+
+    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
+        return 0.0
+
+
+# --- what an environment says -----------------------------------------------------------
+
+
+class GoalRule(NamedTuple):
+    """Reward and termination of an environment with goals, by the convention of Gymnasium-Robotics' `GoalEnv`.
+
+    Its observations are a Dict of `observation`, `achieved_goal` and `desired_goal` (Plappert et al. 2018). Agents give
+    an empty `info`: both must be functions of the two goals alone.
+
+    Attributes:
+        compute_reward: (achieved, desired, info) -> reward of a step after which these were the goals.
+        compute_terminated: the same -> whether this ends the episode, whatever else may end it.
+    """
+
+    compute_reward: Callable[[Any, Any, Mapping[str, Any]], Any]
+    compute_terminated: Callable[[Any, Any, Mapping[str, Any]], Any]
+
+
+def read_goal_rule(env: gymnasium.Env) -> GoalRule | None:
+    """The rule of an environment, through any wrappers; None where it lacks one of the two methods."""
+    if not all(env.has_wrapper_attr(name) for name in GoalRule._fields):
+        return None
+    return GoalRule(*map(env.get_wrapper_attr, GoalRule._fields))
 
 
 def read_action_mask(info: Mapping[str, Any], actions: int) -> NDArray[np.bool_]:

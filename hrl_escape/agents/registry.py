@@ -21,8 +21,7 @@ from typing import Any
 
 import gymnasium
 
-from hrl_escape.agents.agent import Agent
-from hrl_escape.agents.goal_rule import read_goal_rule
+from hrl_escape.agents.agent import Agent, read_goal_rule
 from hrl_escape.agents.larg2019.recipes import PAPER
 from hrl_escape.errors import AgentSettingsError, UnknownNameError
 from hrl_escape.plugins import load_entry_point

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent, SMDPTransition, make_transition, read_action_mask
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
 from hrl_escape.agents.hierarchy.stack_agent import StackAgent
-from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step, Task
+from hrl_escape.agents.hierarchy.task import BaseTask, Call, Frame, Hierarchy, Seen, Stack, Step
 from hrl_escape.checks.claims import Claims
 from hrl_escape.errors import ContractError, StepContractError
 
@@ -81,7 +81,7 @@ class _Book:
 class _Watched(BaseTask):
     """A task that notes what it answers; with `order`, its choices are numbered anew."""
 
-    def __init__(self, task: Task, book: _Book, order: NDArray[np.int64]) -> None:
+    def __init__(self, task: BaseTask, book: _Book, order: NDArray[np.int64]) -> None:
         super().__init__(task.name, int(task.space.n), task.view_space)
         self.task, self._book, self.order = task, book, order
         self.others: dict[str, _Watched] = {}
@@ -156,7 +156,7 @@ class _Recorder(Agent):
 class _Chain(BaseTask):
     """A task whose only choice is to call another."""
 
-    def __init__(self, below: Task) -> None:
+    def __init__(self, below: BaseTask) -> None:
         super().__init__(f"{below.name} (called by a chain)", 1, below.view_space)
         self._below = below
 
@@ -208,7 +208,7 @@ class _HierarchyCheck(Claims):
             each.others = watched
         root, *below = watched.values()
         learners = {name: self._make_recorder(name, each, book) for name, each in watched.items()}
-        top: Task = root
+        top: BaseTask = root
         if chain:
             top, below = _Chain(root), [root, *below]
         hierarchy = dataclasses.replace(

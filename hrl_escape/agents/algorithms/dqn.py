@@ -23,7 +23,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from hrl_escape.agents.agent import SMDPTransition, count_actions, count_steps
+from hrl_escape.agents.agent import GoalRule, SMDPTransition, count_actions, count_steps
 from hrl_escape.agents.components.distillation import make_bonus
 from hrl_escape.agents.components.exploration import (
     choose_best,
@@ -52,7 +52,6 @@ from hrl_escape.agents.components.replay import (
     UpdateSchedule,
     make_experience,
 )
-from hrl_escape.agents.goal_rule import GoalRule
 from hrl_escape.agents.settings import LearningSettings
 from hrl_escape.agents.state import Kept, Stateful
 from hrl_escape.agents.streams import OpenChoices, StreamAgent, StreamTransitions, compute_backups

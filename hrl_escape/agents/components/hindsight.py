@@ -15,10 +15,9 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition, compute_backup
+from hrl_escape.agents.agent import GoalRule, SMDPTransition, compute_backup
 from hrl_escape.agents.components.networks import ObservationEncoder, is_goal_space
 from hrl_escape.agents.components.replay import Experience
-from hrl_escape.agents.goal_rule import GoalRule
 from hrl_escape.agents.state import Kept, Stateful, StateTree, read_value
 from hrl_escape.errors import AgentSettingsError, StepContractError
 

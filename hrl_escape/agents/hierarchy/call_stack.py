@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.hierarchy.task import Decision, Frame, Hierarchy, Seen, Stack, Step, Task
+from hrl_escape.agents.hierarchy.task import BaseTask, Decision, Frame, Hierarchy, Seen, Stack, Step
 from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import StepContractError
 
@@ -98,7 +98,7 @@ def descend(stack: Stack, seen: Seen, choose: Chooser) -> tuple[Stack, int]:
 def arrive(
     stack: Stack,
     step: Step,
-    get_gamma: Callable[[Task], float],
+    get_gamma: Callable[[BaseTask], float],
     draw: Callable[[float], bool],
     polled: bool = False,
     paid: bool = True,

@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from hrl_escape.agents.hierarchy.machine import Choose, Do, Input, Machine, MachineRun
 from hrl_escape.agents.hierarchy.tabular_model import TabularModel
-from hrl_escape.agents.hierarchy.task import Frame, Hierarchy, Seen, Step, Task
+from hrl_escape.agents.hierarchy.task import BaseTask, Frame, Hierarchy, Seen, Step
 from hrl_escape.agents.hierarchy.task_graph import flat, freeze
 from hrl_escape.errors import StepContractError, UnsupportedError
 
@@ -155,7 +155,7 @@ class _Calls:
     def __init__(self, model: TabularModel, hierarchy: Hierarchy, gamma: float) -> None:
         self._model, self._hierarchy, self._gamma = model, hierarchy, gamma
         self._seen = model.see(hierarchy)
-        self._frames: dict[Hashable, tuple[Task, Frame, Frame]] = {}
+        self._frames: dict[Hashable, tuple[BaseTask, Frame, Frame]] = {}
         """Call -> its task, and two frames of it that differ in their duration alone."""
         self._is_over: dict[tuple[Hashable, int], float] = {}
         self._legal: dict[tuple[Hashable, int], list[int]] = {}
@@ -167,7 +167,7 @@ class _Calls:
 
     # --- what tasks answer, asked once ---
 
-    def _enter(self, task: Task, context: Any) -> Hashable:
+    def _enter(self, task: BaseTask, context: Any) -> Hashable:
         call = task.name, freeze(context)
         if call not in self._frames:
             some = self._seen[0]

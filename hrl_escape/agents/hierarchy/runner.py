@@ -16,11 +16,10 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition
+from hrl_escape.agents.agent import Agent, OptionPolicy, RunningCall, SMDPTransition
 from hrl_escape.agents.components.exploration import make_rng
 from hrl_escape.agents.hierarchy.call_stack import Return, arrive, descend, load_stack, save_stack
-from hrl_escape.agents.hierarchy.task import Frame, Hierarchy, Seen, Stack, Step, Task
-from hrl_escape.agents.option_policy import OptionPolicy
+from hrl_escape.agents.hierarchy.task import BaseTask, Frame, Hierarchy, Seen, Stack, Step
 from hrl_escape.agents.settings import AgentSettings
 from hrl_escape.agents.state import Kept, StateTree
 from hrl_escape.errors import StepContractError
@@ -100,7 +99,7 @@ class CallRunner(Agent):
     def learn(self, step: Step, returns: list[Return]) -> Mapping[str, float]:
         """Learn from one primitive and the decisions that came back with it, the innermost first."""
 
-    def get_gamma(self, task: Task) -> float:
+    def get_gamma(self, task: BaseTask) -> float:
         """Discount at which a task's decisions are summed."""
         return self.gamma
 
@@ -155,7 +154,7 @@ class CallRunner(Agent):
         calls = [(name, task, context) for task in self.hierarchy.below for name, context in task.list_calls().items()]
         return tuple(self._export(*call) for call in calls) or super().get_options()
 
-    def _export(self, name: str, task: Task, context: Any) -> OptionPolicy:
+    def _export(self, name: str, task: BaseTask, context: Any) -> OptionPolicy:
         def can_start(observation: Any, action_mask: NDArray[np.bool_]) -> bool:
             return task.is_callable(self.hierarchy.see(observation, action_mask), context)
 
@@ -197,7 +196,7 @@ class CallRunner(Agent):
 class _CallRun:
     """One call by itself, as the root's only choice, run by the agent's greedy policy."""
 
-    def __init__(self, runner: CallRunner, task: Task, context: Any) -> None:
+    def __init__(self, runner: CallRunner, task: BaseTask, context: Any) -> None:
         self._runner, self._task, self._context = runner, task, context
         self._running: tuple[Stack, Seen, int] | None = None
         """The stack down to the latest primitive, the moment, and the primitive."""

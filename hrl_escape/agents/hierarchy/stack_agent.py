@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from hrl_escape.agents.agent import Agent, SMDPTransition
 from hrl_escape.agents.hierarchy.call_stack import Return
 from hrl_escape.agents.hierarchy.runner import CallRunner, StackSettings
-from hrl_escape.agents.hierarchy.task import Hierarchy, Seen, Stack, Step, Task
+from hrl_escape.agents.hierarchy.task import BaseTask, Hierarchy, Seen, Stack, Step
 from hrl_escape.agents.state import Kept
 from hrl_escape.errors import DiscountMismatchError
 
@@ -63,7 +63,7 @@ class StackAgent(CallRunner):
             self._owned[name] = make(tasks[name].view_space or observation_space, tasks[name].space, child_seed)
         self.learners = self._owned | {name: self._owned[owner] for name, owner in hierarchy.share.items()}
 
-    def get_gamma(self, task: Task) -> float:
+    def get_gamma(self, task: BaseTask) -> float:
         """The discount of the task's learner; the agent's own where nobody learns."""
         learner = self.learners.get(task.name)
         return self.gamma if learner is None else learner.gamma

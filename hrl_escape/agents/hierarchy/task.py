@@ -1,4 +1,4 @@
-"""The words of a hierarchy: what a task sees, what it calls, what a running call is, and the Task protocol.
+"""The words of a hierarchy: what a task sees, what it calls, what a running call is, and the base of tasks.
 
 A hierarchical method is a stack of running calls. At each primitive the top call chooses, the world
 moves once, and every running call is paid and asked whether it is over. Methods differ in the answers
@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Literal, NamedTuple, Protocol
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -28,7 +28,6 @@ __all__ = [
     "Seen",
     "Stack",
     "Step",
-    "Task",
     "allow_only",
 ]
 
@@ -60,7 +59,7 @@ class Call(NamedTuple):
         context: what the child is told: a goal, a command, a length.
     """
 
-    child: Task | int
+    child: BaseTask | int
     context: Any = None
 
 
@@ -98,7 +97,7 @@ class Frame(NamedTuple):
         decision: its latest choice; None before the first.
     """
 
-    task: Task
+    task: BaseTask
     context: Any
     start: Seen
     primitives: int = 0
@@ -137,66 +136,18 @@ class Step(NamedTuple):
     arrival: float = 1.0
 
 
-class Task(Protocol):
-    """A kind of call. `BaseTask` has the usual answers.
+class BaseTask:
+    """A kind of call: by default it sees the observation, is paid by the environment, and calls primitives until told.
 
     Views and contexts are numbers, arrays, or None, so that a checkpoint can hold a running call.
-    """
-
-    name: str
-    space: gymnasium.spaces.Discrete
-    """Space of its choices."""
-    view_space: gymnasium.Space | None
-    """Space of its views; None is the environment's observation space."""
-
-    def view(self, seen: Seen, stack: Stack) -> Any:
-        """View that its learner has; `stack` holds the running calls, its own last."""
-        ...
-
-    def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        """Choices it has here, bool (choices,); children that would be over at once are not among them."""
-        ...
-
-    def find_place(self, context: Any) -> tuple[float, float] | None:
-        """Place (x, y) of the goal of a call on the floor, m, for drawings; None where it has no place."""
-        ...
-
-    def is_callable(self, seen: Seen, context: Any) -> bool:
-        """A call may begin here: it would not be over at once, and has something to choose."""
-        ...
-
-    def list_calls(self) -> Mapping[str, Any]:
-        """Calls that stand on their own, as options: name -> what the caller says."""
-        ...
-
-    def decode(self, choice: int, seen: Seen, context: Any) -> Call:
-        """The call that a choice stands for."""
-        ...
-
-    def ends(self, frame: Frame, seen: Seen) -> float:
-        """Probability that the call is over here; 1.0 is certain."""
-        ...
-
-    def pay(self, step: Step, frame: Frame) -> float:
-        """Its reward for one primitive, the environment's by default; for what it reached, times `step.arrival`."""
-        ...
-
-    def final(self, frame: Frame, seen: Seen) -> float:
-        """Pseudo-reward where it ended by itself: for its own learner, never for its caller's."""
-        ...
-
-    def decide(self, seen: Seen, context: Any, rng: np.random.Generator) -> int:
-        """Its choice where no learner makes it."""
-        ...
-
-
-class BaseTask:
-    """A task that sees the observation, is paid by the environment, and calls primitives at random until told to end.
 
     Args:
         name: unique in its hierarchy.
         choices: how many it has.
         view_space: of its views; None is the environment's observation space.
+
+    Attributes:
+        space: of its choices.
     """
 
     def __init__(self, name: str, choices: int, view_space: gymnasium.Space | None = None) -> None:
@@ -204,43 +155,43 @@ class BaseTask:
         self.space = gymnasium.spaces.Discrete(choices)
 
     def view(self, seen: Seen, stack: Stack) -> Any:
-        """The whole observation, as the environment gave it."""
+        """View that its learner has, the observation by default; `stack` holds the running calls, its own last."""
         return seen.observation
 
     def legal(self, seen: Seen, context: Any) -> NDArray[np.bool_]:
-        """The primitives that are legal at the moment, bool (primitives,)."""
+        """Choices it has here, bool (choices,): legal primitives by default; no child that would be over at once."""
         return seen.mask
 
     def find_place(self, context: Any) -> tuple[float, float] | None:
-        """None: it has no place on the floor."""
+        """Place (x, y) of the goal of a call on the floor, m, for drawings; None where it has no place."""
         return None
 
     def is_callable(self, seen: Seen, context: Any) -> bool:
-        """Not over here, and with something to choose."""
+        """A call may begin here: it would not be over at once, and has something to choose."""
         return self.ends(Frame(self, context, seen), seen) < 1.0 and bool(self.legal(seen, context).any())
 
     def list_calls(self) -> Mapping[str, Any]:
-        """One, to which the caller says nothing."""
+        """Calls that stand on their own, as options: name -> what the caller says, by default one, told nothing."""
         return {self.name: None}
 
     def decode(self, choice: int, seen: Seen, context: Any) -> Call:
-        """The primitive of this number."""
+        """The call that a choice stands for, by default the primitive of this number."""
         return Call(int(choice))
 
     def ends(self, frame: Frame, seen: Seen) -> float:
-        """0, so that only a caller or the episode ends it."""
+        """Probability that the call is over here; 1.0 is certain, and by 0.0 only a caller or the episode ends it."""
         return 0.0
 
     def pay(self, step: Step, frame: Frame) -> float:
-        """The reward of the environment, as the step brought it."""
+        """Its reward for one primitive, the environment's by default; for what it reached, times `step.arrival`."""
         return step.reward
 
     def final(self, frame: Frame, seen: Seen) -> float:
-        """0: its end earns nothing beside its pay."""
+        """Pseudo-reward where it ended by itself: for its own learner, never for its caller's."""
         return 0.0
 
     def decide(self, seen: Seen, context: Any, rng: np.random.Generator) -> int:
-        """Any legal choice, uniformly."""
+        """Its choice where no learner makes it, by default any legal one, uniformly."""
         legal = self.legal(seen, context).nonzero()[0]
         return int(legal[rng.integers(len(legal))])
 
@@ -264,8 +215,8 @@ class Hierarchy:
         read: makes `Seen.state` of an observation.
     """
 
-    root: Task
-    below: tuple[Task, ...] = ()
+    root: BaseTask
+    below: tuple[BaseTask, ...] = ()
     learners: Mapping[str, LearnerSpec] = field(default_factory=dict)
     share: Mapping[str, str] = field(default_factory=dict)
     source: Literal["given", "synthesised", "learned"] = "given"
@@ -280,7 +231,7 @@ class Hierarchy:
         return Seen(observation, mask, None if self.read is None else self.read(observation))
 
     @property
-    def tasks(self) -> dict[str, Task]:
+    def tasks(self) -> dict[str, BaseTask]:
         """All tasks by name, the root first."""
         return {task.name: task for task in (self.root, *self.below)}
 

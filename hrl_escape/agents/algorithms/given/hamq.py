@@ -17,7 +17,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, RunningCall, SMDPTransition, count_actions
+from hrl_escape.agents.agent import Agent, OptionPolicy, RunningCall, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import (
     choose_best,
     compute_epsilon,
@@ -39,7 +39,6 @@ from hrl_escape.agents.hierarchy.machine import (
 from hrl_escape.agents.hierarchy.task import Seen
 from hrl_escape.agents.hierarchy.task_graph import freeze
 from hrl_escape.agents.hierarchy.value_table import ValueTable
-from hrl_escape.agents.option_policy import OptionPolicy
 from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import StepContractError
 from hrl_escape.settings import Range

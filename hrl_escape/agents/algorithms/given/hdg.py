@@ -15,7 +15,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
+from hrl_escape.agents.agent import Agent, OptionPolicy, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import (
     EpsilonSettings,
     choose_best,
@@ -26,7 +26,6 @@ from hrl_escape.agents.components.exploration import (
 from hrl_escape.agents.components.tables import ResolutionSettings, make_discretiser
 from hrl_escape.agents.hierarchy.regions import Landmarks
 from hrl_escape.agents.hierarchy.task_graph import freeze
-from hrl_escape.agents.option_policy import OptionPolicy
 from hrl_escape.agents.state import StateTree
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.settings import Range

@@ -17,10 +17,9 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import SMDPTransition
+from hrl_escape.agents.agent import OptionPolicy, SMDPTransition
 from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRMaxSettings
 from hrl_escape.agents.factored.structure import StructureLearner
-from hrl_escape.agents.option_policy import OptionPolicy
 from hrl_escape.settings import Range
 
 __all__ = ["GrowingSets", "VigoritoBarto", "VigoritoBartoSettings"]

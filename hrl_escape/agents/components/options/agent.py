@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.agents.agent import Agent, RunningCall
+from hrl_escape.agents.agent import Agent, OptionPolicy, RunningCall
 from hrl_escape.agents.components.exploration import sample_index
-from hrl_escape.agents.option_policy import OptionPolicy
 from hrl_escape.agents.state import Kept, Stateful
 
 __all__ = ["OptionAgent", "OptionLog"]
