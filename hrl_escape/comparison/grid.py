@@ -20,7 +20,7 @@ from typing_extensions import Self
 
 from hrl_escape.agents.registry import SMDP_PREFIX, get_agent_class, get_recipe
 from hrl_escape.comparison.places import RoomSpec, RunPlace
-from hrl_escape.comparison.references import REFERENCES
+from hrl_escape.comparison.references.registry import REFERENCES
 from hrl_escape.env.observations.base import get_observation
 from hrl_escape.errors import EscapeError, GridError, UnknownNameError
 from hrl_escape.files import read_json, read_toml

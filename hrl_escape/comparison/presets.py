@@ -6,7 +6,7 @@ from typing import Any
 
 from hrl_escape.comparison.grid import AgentSpec, Grid
 from hrl_escape.comparison.places import RoomSpec
-from hrl_escape.comparison.references import REFERENCES
+from hrl_escape.comparison.references.registry import REFERENCES
 from hrl_escape.errors import UnknownNameError
 
 __all__ = ["GRIDS", "get_grid"]

@@ -23,7 +23,7 @@ from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.comparison.episodes import StateRecorder, find_recorder, record_episode
 from hrl_escape.comparison.grid import AgentSpec, GridRun
 from hrl_escape.comparison.places import RoomSchedule, RunPlace, Split
-from hrl_escape.comparison.references import make_reference
+from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.score_range import ScoreRange, compute_score_range
 from hrl_escape.comparison.solved_probe import Solution, SolvedProbe
 from hrl_escape.comparison.statistics import compute_final, compute_mean_efficiency

@@ -20,7 +20,7 @@ from hrl_escape.comparison.grid import AgentSpec, Grid, GridRun
 from hrl_escape.comparison.inference import Estimate, Statistic, compute_interval, compute_wilson_interval
 from hrl_escape.comparison.pairs import Pair, compare_agents
 from hrl_escape.comparison.places import RunPlace
-from hrl_escape.comparison.references import PLANNER
+from hrl_escape.comparison.references.registry import PLANNER
 from hrl_escape.comparison.runs import RunResult
 from hrl_escape.comparison.score_range import ScoreRange
 from hrl_escape.comparison.statistics import (

@@ -11,9 +11,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from hrl_escape.comparison import references
 from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.pairs import FEWEST_PAIRS, is_better
+from hrl_escape.comparison.references import registry as references
 from hrl_escape.comparison.score_range import CEILING, PLANNER
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.comparison.summary import AgentSummary, Summary
@@ -40,7 +40,7 @@ class Sentence:
 
 def write_verdict(summary: Summary) -> list[Sentence]:
     """Write the verdict: one headline, then findings, then cautions."""
-    findings = [*_compare_views(summary), *_compare_with_chance(summary), *_compare_with_index_order(summary),
+    findings = [*_compare_views(summary), *_compare_with_chance(summary), *_compare_with_searchers(summary),
                 *_describe_generalisation(summary), *_describe_trials(summary), *_describe_speed(summary),
                 *_describe_gap(summary), *_describe_stuck(summary), *_describe_better_ways(summary)]
     return [Sentence("headline", _write_headline(summary)), *(Sentence("finding", text) for text in findings),
@@ -150,24 +150,22 @@ def _compare_with_chance(summary: Summary) -> list[str]:
     return sentences
 
 
-def _compare_with_index_order(summary: Summary) -> list[str]:
-    """Learners over options or hierarchies against pressing all buttons in the order of their numbers."""
-    sentences = []
-    for reference in summary.agents:
-        learners = [agent for agent in summary.agents
-                    if (agent.spec.chooses_options or agent.spec.leaves) and agent.spec.learns]
-        if reference.spec.name != references.INDEX_ORDER or not learners:
-            continue
-        best = find_leader(learners)
-        start = (f"Pressing all buttons in the order of their numbers (`{reference.label}`) "
-                 f"{_describe_escapes(reference)}")
-        if _beats(summary, best, reference):
-            sentences.append(f"{start}; `{best.label}` is better.")
-        elif _beats(summary, reference, best):
-            sentences.append(f"{start}; no learner matches that.")
-        else:
-            sentences.append(f"{start}; these runs do not show that any learner does better.")
-    return sentences
+def _compare_with_searchers(summary: Summary) -> list[str]:
+    """Learners over options or hierarchies against the best searcher that learns nothing."""
+    learners = [agent for agent in summary.agents
+                if (agent.spec.chooses_options or agent.spec.leaves) and agent.spec.learns]
+    searchers = [agent for agent in summary.agents if agent.spec.name in references.SEARCHERS]
+    if not learners or not searchers:
+        return []
+    best, searcher = find_leader(learners), find_leader(searchers)
+    rule = references.describe_rule(searcher.spec.name)
+    start = (f"The best searcher that learns nothing (`{searcher.label}`, which {rule}) "
+             f"{_describe_escapes(searcher)}")
+    if _beats(summary, best, searcher):
+        return [f"{start}; `{best.label}` is better."]
+    if _beats(summary, searcher, best):
+        return [f"{start}; no learner matches that."]
+    return [f"{start}; these runs do not show that any learner does better."]
 
 
 def _describe_speed(summary: Summary) -> list[str]:
@@ -256,9 +254,9 @@ def _write_cautions(summary: Summary) -> list[str]:
     if unmatched:
         cautions.append(f"No random policy over the same options was run beside {join_words(unmatched)}, so the "
                         "share of the score that the options' planners bring is unknown.")
-    if learners and not any(agent.spec.name == references.INDEX_ORDER for agent in summary.agents):
-        cautions.append(f"`{references.INDEX_ORDER}` was not run beside the learners, so what pressing all buttons in "
-                        "the order of their numbers would bring is unknown.")
+    if learners and not any(agent.spec.name in references.BY_LIGHTS for agent in summary.agents):
+        cautions.append(f"No searcher such as `{references.UNTRIED_NEAREST}` was run beside the learners, so what can "
+                        "be reached without learning is unknown.")
     for room in summary.rooms:
         if room.place.split is not None and (known := room.place.split.room_overlap):
             cautions.append(f"{known:.0%} of the test rooms of {room.name} are training rooms too, so efficiency there "

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from hrl_escape.agents.training.evaluation import Evaluation, evaluate
 from hrl_escape.agents.training.train import train
 from hrl_escape.comparison.grid import AgentSpec
-from hrl_escape.comparison.references import make_reference
+from hrl_escape.comparison.references.registry import make_reference
 from hrl_escape.comparison.runs import make_env
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics

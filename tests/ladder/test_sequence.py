@@ -11,7 +11,7 @@ from hrl_escape.agents.algorithms.random import RandomAgent
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
 from hrl_escape.agents.training.env_description import describe_env, make_described_env
 from hrl_escape.agents.training.evaluation import compute_episode_seed, evaluate, evaluate_trials
-from hrl_escape.comparison.references import ReferenceSettings
+from hrl_escape.comparison.references.registry import ReferenceSettings
 from hrl_escape.comparison.statistics import compute_mean_efficiency
 from hrl_escape.env.config import RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.puzzles.base import Panels

@@ -4,6 +4,43 @@ from tests.mutations.mutation import Mutation
 
 MUTATIONS = [
     Mutation(
+        "a searcher remembers what failed under other lights",
+        "comparison/references/by_lights.py",
+        """            self._tried.clear()
+        else:""",
+        """            self._tried.add(action)
+        else:""",
+        "comparison/test_searchers.py",
+    ),
+    Mutation(
+        "a searcher goes back to the pattern that is nearest, however dark",
+        "comparison/references/by_lights.py",
+        "key=lambda place: (self._count_lit(place), -len(ways[place])))",
+        "key=lambda place: -len(ways[place]))",
+        "comparison/test_searchers.py",
+    ),
+    Mutation(
+        "a wrong press leaves the lights on in beliefs, where it resets them",
+        "comparison/references/belief_graph.py",
+        "self._add(lit if self.on_violation == \"ignore\" else 0, graphs[~allowed])",
+        "self._add(lit, graphs[~allowed])",
+        "comparison/test_searchers.py",
+    ),
+    Mutation(
+        "outcomes of a draw are all as likely",
+        "comparison/references/graph_family.py",
+        "        self.probability /= count\n",
+        "        self.probability = 1.0 / count\n",
+        "comparison/test_searchers.py",
+    ),
+    Mutation(
+        "particles that a press contradicts stay",
+        "comparison/references/graph_particles.py",
+        "doubts += DOUBT * (allowed != has_lit)",
+        "doubts += 0.0",
+        "comparison/test_searchers.py",
+    ),
+    Mutation(
         "equal differences are certain, however few they are",
         "comparison/inference.py",
         "math.prod(4.0 ** (1 - len(room)) for room in lasting)",

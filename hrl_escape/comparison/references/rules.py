@@ -1,4 +1,4 @@
-"""References beside the learners of a comparison: policies by rule, evaluated on the same episodes without training.
+"""References by rule: rounds of all buttons, and the planner that knows the dependency graph.
 
 `smdp-index-order` presses buttons 1, 2, ..., n and then leaves, over and over: the score that needs no knowledge of a
 room. `smdp-shuffled-round` does the same in an order drawn anew for each episode: where numbers say nothing of the
@@ -17,13 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.components.fixed_policy import FixedPolicy
-from hrl_escape.comparison.episodes import StateRecorder, find_recorder
-from hrl_escape.ladder.sequence import SequenceEnv
+from hrl_escape.comparison.episodes import StateRecorder
 
-__all__ = ["INDEX_ORDER", "PLANNER", "REFERENCES", "SHUFFLED_ROUND", "make_reference"]
-
-INDEX_ORDER, SHUFFLED_ROUND, PLANNER = "smdp-index-order", "smdp-shuffled-round", "planner"
-REFERENCES = (INDEX_ORDER, SHUFFLED_ROUND, PLANNER)
+__all__ = ["IndexOrder", "PlanFollower", "Reference", "ReferenceSettings", "ShuffledRound"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -34,9 +30,14 @@ class ReferenceSettings:
 
 
 class Reference(FixedPolicy):
-    """Rule that reads the environment itself."""
+    """Rule that reads the environment itself.
+
+    Attributes:
+        RULE: what it does, to follow its name and "which".
+    """
 
     Settings: ClassVar[type] = ReferenceSettings
+    RULE: ClassVar[str]
 
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
         self.settings = ReferenceSettings()
@@ -46,6 +47,8 @@ class Reference(FixedPolicy):
 
 class IndexOrder(Reference):
     """Options in the order of their numbers, the exit last, then from the first again."""
+
+    RULE = "presses all buttons in the order of their numbers"
 
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
         super().__init__(env, recorder)
@@ -69,6 +72,8 @@ class IndexOrder(Reference):
 class ShuffledRound(IndexOrder):
     """Options in an order that is drawn for the episode, the exit last, then from the first again."""
 
+    RULE = "presses all buttons in an order drawn for the episode"
+
     def act_greedy(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """Next option in order that may be taken; an episode begins with a new order."""
         if len(self._recorder.states) == 1:
@@ -79,6 +84,8 @@ class ShuffledRound(IndexOrder):
 
 class PlanFollower(Reference):
     """Best known plan, made anew where noise has led away from it; stands where there is none."""
+
+    RULE = "follows the best known plan"
 
     def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
         super().__init__(env, recorder)
@@ -94,32 +101,3 @@ class PlanFollower(Reference):
             self._policy = Replanner(self._env.unwrapped.instance)
         primitive = self._policy.choose(self._recorder.states[-1], begins)
         return int(np.flatnonzero(action_mask)[-1]) if primitive is None else primitive
-
-
-class Climber(FixedPolicy):
-    """A reference on every floor of a tower."""
-
-    Settings: ClassVar[type] = ReferenceSettings
-
-    def __init__(self, name: str, tower: SequenceEnv) -> None:
-        self.settings = ReferenceSettings()
-        self._tower = tower
-        self._players = {id(floor.unwrapped): make_reference(name, floor, find_recorder(floor))
-                         for floor in tower.floors}
-
-    def act(self, observation: Any, action_mask: NDArray[np.bool_]) -> int:
-        """Action of the reference on the present floor."""
-        return self._players[id(self._tower.unwrapped)].act(observation, action_mask)
-
-
-def make_reference(name: str, env: gymnasium.Env, recorder: StateRecorder) -> FixedPolicy:
-    """Make the reference of this name.
-
-    Args:
-        name: one of `REFERENCES`.
-        env: its environment, with options for all but `planner`.
-        recorder: around the flat room; of a tower the recorders on its floors count.
-    """
-    if isinstance(env, SequenceEnv) and len(env.floors) > 1:
-        return Climber(name, env)
-    return {INDEX_ORDER: IndexOrder, SHUFFLED_ROUND: ShuffledRound, PLANNER: PlanFollower}[name](env, recorder)

@@ -1,0 +1,1 @@
+"""Policies that learn nothing from training, beside the learners of a comparison."""

@@ -1,0 +1,173 @@
+"""The searcher that knows how graphs are drawn: fewest expected primitives until the exit, without learning.
+
+It knows the schematic, the room and what every press showed, and nothing of the room's graph. Up to six buttons (five
+where wrong presses reset) its choices are optimal in expectation over the schematic's graphs, with the lengths of ways
+from button to button as the planner finds them; with more it takes the button with the best odds per primitive, odds
+estimated by a sample of graphs. Nobody who must discover the graph can need fewer primitives in the mean, but for what
+these lengths leave out.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, cast
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.comparison.episodes import StateRecorder
+from hrl_escape.comparison.references.belief_graph import BeliefGraph, Ways, make_belief_graph
+from hrl_escape.comparison.references.by_lights import Searcher
+from hrl_escape.comparison.references.graph_family import MOST_BUTTONS, find_schematic, make_family
+from hrl_escape.comparison.references.graph_particles import GraphParticles
+from hrl_escape.env.kinematics import RoomState
+from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle
+from hrl_escape.errors import PlanningFailed, UnsupportedError
+from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
+from hrl_escape.planning.planner import RoomPlanner, get_planner
+
+__all__ = ["BayesSearcher", "measure_ways"]
+
+FARTHEST = 1e4
+"""Primitives of a way that the planner does not find."""
+
+
+class BayesSearcher(Searcher):
+    """Fewest expected primitives, over the graphs that the room's schematic can draw.
+
+    Raises:
+        UnsupportedError: with the first decision, in rooms whose puzzle is not of buttons that stay on, or whose
+            schematic is not known.
+    """
+
+    RULE = "needs the fewest expected primitives over the graphs that the schematic can draw"
+
+    def __init__(self, env: gymnasium.Env, recorder: StateRecorder) -> None:
+        super().__init__(env, recorder)
+        self._minds: dict[str, _Mind] = {}
+
+    def _begin(self, is_new: bool) -> None:
+        room = self._room.instance
+        if room.id not in self._minds:
+            self._minds[room.id] = _Mind(room)
+        self._mind = self._minds[room.id]
+        if is_new:
+            self._mind.forget()
+
+    def _note(self, action: int, before: RoomState, after: RoomState) -> None:
+        target, = self._options[action].targets
+        lit = _get_bits(before)
+        if (after.touching & ~before.touching) >> target & 1 and not lit >> target & 1:
+            self._mind.learn(target, lit, bool(_get_bits(after) >> target & 1), self._puzzle.is_solved(after.puzzle))
+
+    def _choose(self, legal: Sequence[int], state: RoomState, rng: np.random.Generator) -> int:
+        actions = {self._options[action].targets[0]: action for action in legal}
+        return actions[self._mind.choose(state, sorted(actions))]
+
+
+class _Mind:
+    """What is known about one room: its ways, and the graphs that agree with the presses."""
+
+    def __init__(self, room: Any) -> None:
+        puzzle = room.puzzle
+        if not isinstance(puzzle, ButtonsPuzzle) or puzzle.allow_off or puzzle.locks:
+            raise UnsupportedError(f"smdp-bayes knows rooms of buttons that stay on and do not lock each other; in "
+                                   f"{room.name} take smdp-retrace")
+        self._room, self._puzzle, self._planner = room, puzzle, get_planner(room)
+        config = find_schematic(room).puzzle
+        assert isinstance(config, ButtonsConfig)
+        self._config = config
+        self._graph: BeliefGraph | None = None
+        if puzzle.count <= MOST_BUTTONS - (puzzle.on_violation == "reset"):
+            self._family = make_family(self._config, puzzle.count)
+            self._graph = make_belief_graph(self._family, puzzle.on_violation)
+            self._ways = measure_ways(self._planner)
+            self._costs = self._graph.solve(self._ways)
+
+    def forget(self) -> None:
+        """Return to the schematic's odds."""
+        self._last: int | None = None  # button pressed last
+        if self._graph is not None:
+            self._graphs = np.arange(len(self._family.weights), dtype=np.int32)
+        else:
+            self._particles = GraphParticles(self._config, self._puzzle.count, np.random.default_rng(self._room.seed))
+
+    def learn(self, target: int, lit: int, has_lit: bool, has_opened: bool) -> None:
+        """Take note of a press of an unlit button, `lit` being the bits before it."""
+        self._last = target
+        if self._graph is None:
+            self._particles.learn((target, lit, has_lit, has_opened))
+            return
+        family, kept = self._family, self._graphs
+        allowed = (family.parents[kept, target] & np.uint64(~lit & (1 << family.count) - 1)) == 0
+        agrees = allowed == has_lit
+        if has_lit:
+            agrees &= (family.goals[kept] == target) == has_opened
+        self._graphs = kept[agrees]
+
+    def choose(self, state: RoomState, targets: Sequence[int]) -> int:
+        """The button to press next, among those whose options may be taken."""
+        lit = _get_bits(state)
+        legs = np.array([_count_primitives(self._planner, state, PressGoal(target)) for target in targets])
+        belief = None if self._graph is None else self._graph.find(lit, self._graphs)
+        if self._graph is not None and belief is not None:
+            at, count = np.array([belief]), self._puzzle.count
+            last = count if self._last is None else self._last
+            after = [self._graph.compute_costs_after(self._costs, at, target, self._ways) for target in targets]
+            costs = legs + [cost[0, last * count + target] for cost, target in zip(after, targets, strict=True)]
+            if np.isfinite(costs).any():
+                return targets[int(costs.argmin())]
+        odds = self._compute_odds(lit)[list(targets)]
+        unlit = np.array([not lit >> target & 1 for target in targets])
+        return targets[int(np.argmax(unlit * (odds + 1e-9) / (legs + 1.0)))]
+
+    def _compute_odds(self, lit: int) -> NDArray[np.float64]:
+        if self._graph is None:
+            return self._particles.compute_odds(lit)
+        family, kept = self._family, self._graphs
+        allowed = (family.parents[kept] & np.uint64(~lit & (1 << family.count) - 1)) == 0
+        return family.weights[kept] @ allowed / family.weights[kept].sum()
+
+
+def measure_ways(planner: RoomPlanner) -> Ways:
+    """Ways from button to button and to the exit, every inner door open, as the planner finds them.
+
+    A place is where the robot presses a button when it comes from the start or from another button, for a way depends
+    on the heading at its beginning: place `before * buttons + button`, where `before` is the number of buttons for the
+    start.
+    """
+    room = planner.instance
+    count = len(room.targets)
+    legs = np.full(((count + 1) * count, count), FARTHEST, np.float32)
+    leaving = np.full((count + 1) * count, FARTHEST, np.float32)
+    start = planner.rules.make_state(room.starts[0])._replace(puzzle=(1 << count) - 1)
+    states = [*(_find_end(planner, start, PressGoal(target)) for target in range(count)), start]
+    for before, button in itertools.product(range(count + 1), range(count)):
+        state = states[before] and _find_end(planner, states[before], PressGoal(button))
+        if state is not None:
+            place = before * count + button
+            legs[place] = [_count_primitives(planner, state, PressGoal(other)) for other in range(count)]
+            leaving[place] = _count_primitives(planner, state, ExitGoal())
+    arrivals = np.tile(np.arange(count) * count, count + 1)[:, None] + np.arange(count)
+    return Ways(legs, arrivals, leaving)
+
+
+def _get_bits(state: RoomState) -> int:
+    """Bits of the buttons that are lit."""
+    return cast(int, state.puzzle)
+
+
+def _find_end(planner: RoomPlanner, state: RoomState, goal: Goal) -> RoomState | None:
+    try:
+        return planner.plan(state, goal).states[-1]
+    except PlanningFailed:
+        return None
+
+
+def _count_primitives(planner: RoomPlanner, state: RoomState, goal: Goal) -> float:
+    try:
+        return float(planner.plan(state, goal).cost)
+    except PlanningFailed:
+        return FARTHEST

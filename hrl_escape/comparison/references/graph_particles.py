@@ -1,0 +1,121 @@
+"""A sample of the dependency graphs that agree with all presses so far, where there are too many to list.
+
+Sequential Monte Carlo with moves (Chopin 2002; Gilks and Berzuini 2001): graphs are drawn from the schematic, those
+that a press contradicts are replaced by others, and all are shaken by Metropolis steps that exchange the labels of two
+buttons, under which every graph of the family is as likely as before.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.env.puzzles.buttons import ButtonsConfig
+from hrl_escape.env.puzzles.graphs import Edges, sample_relabelled
+from hrl_escape.ranges import Between
+
+__all__ = ["GraphParticles"]
+
+PARTICLES, SHAKES = 2048, 40
+DOUBT = 4.0
+"""Cost of a press that a graph does not explain, as a negative logarithm of its likelihood: finite, so that a sample
+in which no graph is left can still find one."""
+
+
+class GraphParticles:
+    """Graphs of a schematic, likely in the light of presses.
+
+    Args:
+        config: the schematic's puzzle.
+        count: number of buttons in the room.
+        rng: draws and moves.
+
+    Attributes:
+        parents: uint64 (particles, buttons), the bits of each button's parents.
+        goals: int64 (particles,), the button that opens the exit.
+    """
+
+    def __init__(self, config: ButtonsConfig, count: int, rng: np.random.Generator) -> None:
+        self._rng, self._presses = rng, list[tuple[int, int, bool, bool]]()
+        self.parents = np.zeros((PARTICLES, count), np.uint64)
+        self.goals = np.zeros(PARTICLES, np.int64)
+        for number in range(PARTICLES):
+            edges, self.goals[number] = _draw_graph(config, count, rng)
+            for parent, child in edges:
+                self.parents[number, child] |= np.uint64(1 << parent)
+        self._doubts = np.zeros(PARTICLES)
+
+    def learn(self, press: tuple[int, int, bool, bool]) -> None:
+        """Take note of a press of an unlit button.
+
+        Args:
+            press: button, bits of the buttons that were lit before, whether it lit, and whether the exit opened.
+        """
+        if press in self._presses:
+            return
+        self._presses.append(press)
+        self._doubts = self._measure(self.parents, self.goals)
+        likelihood = np.exp(-(self._doubts - self._doubts.min()))
+        chosen = self._rng.choice(PARTICLES, PARTICLES, p=likelihood / likelihood.sum())
+        self.parents, self.goals, self._doubts = self.parents[chosen], self.goals[chosen], self._doubts[chosen]
+        for _ in range(SHAKES):
+            self._shake()
+
+    def compute_odds(self, lit: int) -> NDArray[np.float64]:
+        """Probability that each button would light if it were pressed, (buttons,).
+
+        Args:
+            lit: bits of the buttons that are lit.
+        """
+        weights = np.exp(-8.0 * self._doubts)
+        weights = weights / weights.sum()
+        allowed = (self.parents & _complement(lit, self.parents.shape[1])) == 0
+        return weights @ allowed
+
+    def _shake(self) -> None:
+        """Exchange the labels of two buttons in every graph, where that explains the presses as well."""
+        count = self.parents.shape[1]
+        first = self._rng.integers(count, size=PARTICLES)
+        second = (first + self._rng.integers(1, count, size=PARTICLES)) % count if count > 1 else first
+        parents, goals = _exchange(self.parents, self.goals, first, second)
+        doubts = self._measure(parents, goals)
+        taken = self._rng.random(PARTICLES) < np.exp(np.minimum(self._doubts - doubts, 0.0))
+        self.parents[taken], self.goals[taken], self._doubts[taken] = parents[taken], goals[taken], doubts[taken]
+
+    def _measure(self, parents: NDArray[np.uint64], goals: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Doubts about every graph: `DOUBT` for each press that it does not explain."""
+        doubts = np.zeros(len(parents))
+        for button, lit, has_lit, has_opened in self._presses:
+            allowed = (parents[:, button] & _complement(lit, parents.shape[1])) == 0
+            doubts += DOUBT * (allowed != has_lit)
+            if has_lit:
+                doubts += DOUBT * ((goals == button) != has_opened)
+        return doubts
+
+
+def _draw_graph(config: ButtonsConfig, count: int, rng: np.random.Generator) -> tuple[Edges, int]:
+    """A graph of the schematic for a room with so many buttons."""
+    most: Any = config.graph.max_parents
+    if isinstance(most, Between):
+        most = int(rng.integers(int(most.low), int(most.high), endpoint=True))
+    return sample_relabelled(dataclasses.replace(config.graph, max_parents=most), count, rng, config.goal)
+
+
+def _complement(lit: int, count: int) -> np.uint64:
+    return np.uint64(~lit & (1 << count) - 1)
+
+
+def _exchange(parents: NDArray[np.uint64], goals: NDArray[np.int64], first: NDArray[np.int64],
+              second: NDArray[np.int64]) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+    """Each graph with the labels of its two buttons exchanged, as rows of parents and as bits in all rows."""
+    rows = np.arange(len(parents))
+    moved = parents.copy()
+    moved[rows, first], moved[rows, second] = parents[rows, second], parents[rows, first]
+    low, high = first.astype(np.uint64)[:, None], second.astype(np.uint64)[:, None]
+    differ = (moved >> low ^ moved >> high) & np.uint64(1)
+    moved ^= differ << low | differ << high
+    others = np.where(goals == first, second, np.where(goals == second, first, goals))
+    return moved, others

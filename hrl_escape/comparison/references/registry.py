@@ -1,0 +1,91 @@
+"""The references by name, evaluated on the same episodes as the learners, without training.
+
+| name | what it does | what it is told |
+|---|---|---|
+| `smdp-index-order` | presses buttons 1, 2, ..., n, leaves, over and over | nothing |
+| `smdp-shuffled-round` | the same in an order drawn for the episode | nothing |
+| `smdp-untried` | presses what is unlit and untried since the lights last changed, in random order | lights |
+| `smdp-untried-nearest` | the same, the nearest first | lights, places |
+| `smdp-retrace` | the same, and goes back by known presses to where something is untried | lights, places |
+| `smdp-bayes` | fewest expected primitives over the graphs that the schematic can draw | lights, places, schematic |
+| `planner` | follows the best known plan | everything |
+
+A searcher is any of them but the planner: what it reaches without learning, learning has to beat.
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from hrl_escape.agents.components.fixed_policy import FixedPolicy
+from hrl_escape.comparison.episodes import StateRecorder, find_recorder
+from hrl_escape.comparison.references.bayes import BayesSearcher
+from hrl_escape.comparison.references.by_lights import Retrace, Untried, UntriedNearest
+from hrl_escape.comparison.references.rules import (
+    IndexOrder,
+    PlanFollower,
+    Reference,
+    ReferenceSettings,
+    ShuffledRound,
+)
+from hrl_escape.ladder.sequence import SequenceEnv
+
+__all__ = ["BAYES", "BY_LIGHTS", "INDEX_ORDER", "PLANNER", "REFERENCES", "RETRACE", "ROUNDS", "SEARCHERS",
+           "SHUFFLED_ROUND", "UNTRIED", "UNTRIED_NEAREST", "describe_rule", "make_reference"]
+
+INDEX_ORDER, SHUFFLED_ROUND = "smdp-index-order", "smdp-shuffled-round"
+UNTRIED, UNTRIED_NEAREST, RETRACE, BAYES = "smdp-untried", "smdp-untried-nearest", "smdp-retrace", "smdp-bayes"
+PLANNER = "planner"
+_RULES: dict[str, type[Reference]] = {
+    INDEX_ORDER: IndexOrder, SHUFFLED_ROUND: ShuffledRound, UNTRIED: Untried, UNTRIED_NEAREST: UntriedNearest,
+    RETRACE: Retrace, BAYES: BayesSearcher, PLANNER: PlanFollower,
+}
+REFERENCES = tuple(_RULES)
+ROUNDS = (INDEX_ORDER, SHUFFLED_ROUND)
+"""References that follow the numbers of one room's options."""
+SEARCHERS = tuple(name for name in REFERENCES if name != PLANNER)
+"""References that do not know the dependency graph."""
+BY_LIGHTS = tuple(name for name in SEARCHERS if name not in ROUNDS)
+"""Searchers that see what is lit."""
+
+
+def describe_rule(name: str) -> str:
+    """What a reference does, to follow its name and "which"."""
+    return _RULES[name].RULE
+
+
+class Climber(FixedPolicy):
+    """A reference on every floor of a tower."""
+
+    Settings: ClassVar[type] = ReferenceSettings
+
+    def __init__(self, name: str, tower: SequenceEnv) -> None:
+        self.settings = ReferenceSettings()
+        self._tower = tower
+        self._players = {id(floor.unwrapped): make_reference(name, floor, find_recorder(floor))
+                         for floor in tower.floors}
+
+    def act(self, observation: object, action_mask: NDArray[np.bool_]) -> int:
+        """Action of the reference on the present floor."""
+        return self._players[id(self._tower.unwrapped)].act(observation, action_mask)
+
+    def act_greedy(self, observation: object, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """Action of the reference on the present floor."""
+        return self._players[id(self._tower.unwrapped)].act_greedy(observation, action_mask, rng)
+
+
+def make_reference(name: str, env: gymnasium.Env, recorder: StateRecorder) -> FixedPolicy:
+    """Make the reference of this name.
+
+    Args:
+        name: one of `REFERENCES`.
+        env: its environment, with options for all but `planner`.
+        recorder: around the flat room; of a tower the recorders on its floors count.
+    """
+    if isinstance(env, SequenceEnv) and len(env.floors) > 1:
+        return Climber(name, env)
+    return _RULES[name](env, recorder)

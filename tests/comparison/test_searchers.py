@@ -1,0 +1,240 @@
+"""Searchers without learning, against what exhaustive play of every graph of a family in one room gives."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from hrl_escape.agents.training.evaluation import evaluate
+from hrl_escape.comparison.episodes import record_episode
+from hrl_escape.comparison.grid import AgentSpec
+from hrl_escape.comparison.references.bayes import measure_ways
+from hrl_escape.comparison.references.belief_graph import BeliefGraph, Ways
+from hrl_escape.comparison.references.graph_family import (
+    GraphFamily,
+    find_schematic,
+    iterate_outcomes,
+    list_graphs,
+    make_family,
+)
+from hrl_escape.comparison.references.graph_particles import GraphParticles
+from hrl_escape.comparison.references.registry import (
+    BAYES,
+    RETRACE,
+    SHUFFLED_ROUND,
+    UNTRIED,
+    UNTRIED_NEAREST,
+    make_reference,
+)
+from hrl_escape.comparison.runs import make_env
+from hrl_escape.env.instance import RoomInstance
+from hrl_escape.env.presets import get_preset
+from hrl_escape.env.puzzles.buttons import ButtonsConfig, ButtonsPuzzle, ViolationRule
+from hrl_escape.env.puzzles.graphs import GraphConfig, GraphKind, sample_graph, sample_relabelled
+from hrl_escape.env.sampling.generation import generate
+from hrl_escape.env.sampling.ranges import sample_puzzle
+from hrl_escape.errors import UnsupportedError
+from hrl_escape.ladder.benchmark import load_benchmark
+from hrl_escape.planning.planner import RoomPlanner
+from hrl_escape.ranges import Between
+
+LADDER = load_benchmark("ladder-1")
+
+
+def play(name: str, room: RoomInstance, episodes: int = 1) -> tuple[np.ndarray, list[str]]:
+    env, recorder = make_env(AgentSpec(name), room, "features")
+    reference = make_reference(name, env, recorder)
+    found = evaluate(reference, env, episodes)
+    decisions = [decision[0] for decision in record_episode(reference, env, recorder, 0)["decisions"]]
+    env.close()
+    return np.where(found.successes, found.lengths, np.inf), decisions
+
+
+def relabel(room: RoomInstance, order: tuple[int, ...], rule: ViolationRule = "ignore") -> RoomInstance:
+    """The same room with a chain in this order."""
+    puzzle = ButtonsPuzzle(len(order), tuple(itertools.pairwise(order)), order[-1], rule)
+    return dataclasses.replace(room, puzzle=puzzle)
+
+
+@pytest.mark.parametrize("name", [UNTRIED, UNTRIED_NEAREST])
+def test_a_searcher_never_tries_again_what_failed_under_the_same_lights(name: str):
+    room = relabel(generate(get_preset("four-button-chain"), 1), (2, 0, 3, 1))
+    _, decisions = play(name, room)
+    order, number, failed = ["meta-03", "meta-01", "meta-04", "meta-02"], 0, set()
+    for decision in decisions[:-1]:
+        assert decision not in failed | set(order[:number]), "neither what is lit nor what failed since the last light"
+        if decision == order[number]:
+            number, failed = number + 1, set()
+        else:
+            failed.add(decision)
+    assert number == 4 and decisions[-1] == "meta-exit"
+
+
+def test_the_nearest_first_needs_less_than_a_random_order_and_that_less_than_rounds():
+    rooms = [LADDER["chain-4"].test[number] for number in range(12)]
+    nearest, untried, rounds = (np.mean([play(name, room, 3)[0].mean() for room in rooms])
+                                for name in (UNTRIED_NEAREST, UNTRIED, SHUFFLED_ROUND))
+    assert nearest < untried < rounds < np.inf
+
+
+def test_retracing_repeats_what_worked_after_a_reset_and_tries_nothing_twice():
+    room = relabel(generate(get_preset("four-button-chain"), 1), (2, 0, 3, 1), "reset")
+    _, decisions = play(RETRACE, room)
+    names, order = [f"meta-{number:02}" for number in range(1, 5)], [2, 0, 3, 1]
+    lit, failed = 0, set()
+    for decision in decisions[:-1]:
+        pressed = names.index(decision)
+        if pressed == order[lit]:
+            lit += 1
+        else:
+            assert (lit, pressed) not in failed
+            failed.add((lit, pressed))
+            lit = 0
+    assert lit == 4 and play(UNTRIED_NEAREST, room)[0].mean() > play(RETRACE, room)[0].mean()
+
+
+@pytest.mark.parametrize("rung", ["code", "switchboard"])
+def test_retracing_finds_its_way_where_the_nearest_first_goes_round_in_circles(rung: str):
+    rooms = [LADDER[rung].test[number] for number in range(8)]
+    retraced, nearest = (np.array([play(name, room)[0].mean() for room in rooms])
+                         for name in (RETRACE, UNTRIED_NEAREST))
+    assert np.isfinite(retraced).all() and np.isinf(nearest).any()
+
+
+# --- families of graphs ------------------------------------------------------------------
+
+
+def test_every_outcome_of_a_draw_is_listed_once_with_its_probability():
+    found = dict(iterate_outcomes(lambda rng: (rng.integers(2, 4), tuple(rng.choice([5, 6, 7], 2, replace=False)))))
+    assert len(found) == 6 and all(each == pytest.approx(1 / 6) for each in found.values())
+
+
+@pytest.mark.parametrize(("config", "count"), [
+    (GraphConfig(kind="tree"), 4),
+    (GraphConfig(kind="layered", max_parents=2), 5),
+    (GraphConfig(kind="layered", max_parents=Between(1, 3)), 4),
+], ids=["tree", "layered", "lattice"])
+def test_listed_graphs_are_as_likely_as_drawn_ones(config: GraphConfig, count: int):
+    exact, rng, draws = list_graphs(config, count), np.random.default_rng(0), 4000
+    assert sum(exact.values()) == pytest.approx(1)
+    counts = dict.fromkeys(exact, 0)
+    for number in range(draws):
+        most = config.max_parents if isinstance(config.max_parents, int) else 1 + number % 3
+        counts[sample_graph(dataclasses.replace(config, max_parents=most), count, rng)] += 1
+    for edges, probability in exact.items():
+        assert abs(counts[edges] / draws - probability) < 4.5 * np.sqrt(probability / draws) + 1e-3
+
+
+def test_a_family_holds_every_labelling():
+    chain = make_family(ButtonsConfig(count=4), 4)
+    assert len(chain.weights) == 24 and chain.weights == pytest.approx(1 / 24)
+    told = make_family(ButtonsConfig(count=2, graph=GraphConfig(relabel=False)), 2)
+    assert told.parents.tolist() == [[0, 1]] and told.goals.tolist() == [1]
+    with pytest.raises(UnsupportedError, match="too many to list"):
+        make_family(ButtonsConfig(count=7), 7)
+    with pytest.raises(UnsupportedError, match="cannot be listed"):
+        make_family(ButtonsConfig(count=4, graph=GraphConfig(kind="random")), 4)
+
+
+def test_the_schematic_of_a_room_is_the_one_that_draws_its_puzzle():
+    assert find_schematic(LADDER["lattice-5"].test[0]) == LADDER["lattice-5"].config
+    assert find_schematic(generate(get_preset("paper-random"), 3)) == get_preset("paper-random")
+    with pytest.raises(UnsupportedError, match="is not known"):
+        find_schematic(relabel(generate(get_preset("paper-two-button"), 0), (1, 0)))
+
+
+# --- beliefs -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", range(1, 7))
+def test_a_chain_takes_the_presses_that_are_known_exactly(count: int):
+    """With one primitive a press, a chain of n needs n(n + 3)/4 presses in the mean and no searcher fewer."""
+    graph = BeliefGraph(make_family(ButtonsConfig(count=count), count))
+    costs = graph.solve(Ways(np.ones((1, count)), np.zeros((1, count), int), np.zeros(1)))
+    assert costs[graph.root] == pytest.approx(count * (count + 3) / 4)
+
+
+def search(family: GraphFamily, rule: ViolationRule, ways: np.ndarray, leaving: np.ndarray) -> float:
+    """Fewest expected cost by plain recursion over sets of graphs, from the place behind the buttons."""
+    count = family.count
+
+    def expect(place: int, lit: int, graphs: frozenset[int]) -> float:
+        total, best = sum(family.weights[g] for g in graphs), np.inf
+        for button in range(count):
+            allowed = {g for g in graphs if not int(family.parents[g, button]) & ~lit}
+            if lit >> button & 1 or not allowed:
+                continue
+            opened = {g for g in allowed if family.goals[g] == button}
+            cost = ways[place, button] * total + sum(family.weights[g] for g in opened) * leaving[button]
+            if allowed - opened:
+                part = frozenset(allowed - opened)
+                cost += sum(family.weights[g] for g in part) * expect(button, lit | 1 << button, part)
+            if graphs - allowed:
+                part = frozenset(graphs - allowed)
+                cost += sum(family.weights[g] for g in part) * expect(button, 0 if rule == "reset" else lit, part)
+            best = min(best, cost / total)
+        return best
+
+    return expect(count, 0, frozenset(range(len(family.weights))))
+
+
+@pytest.mark.parametrize("rule", ["ignore", "reset"])
+@pytest.mark.parametrize("kind", ["chain", "layered"])
+def test_the_pass_over_beliefs_gives_what_plain_recursion_gives(rule: ViolationRule, kind: GraphKind):
+    rng = np.random.default_rng(5)
+    family = make_family(ButtonsConfig(count=3, graph=GraphConfig(kind=kind, max_parents=2)), 3)
+    ways, leaving = rng.uniform(1, 20, (4, 3)), rng.uniform(1, 20, 3)
+    graph = BeliefGraph(family, rule)
+    made = Ways(ways, np.tile(np.arange(3), (4, 1)), np.append(leaving, 0.0))
+    assert graph.solve(made)[graph.root, 3] == pytest.approx(search(family, rule, ways, leaving), rel=1e-5)
+
+
+def test_over_all_graphs_of_a_room_who_knows_the_odds_needs_least_and_what_was_foretold():
+    """Played against each of the 24 orders in turn; ways between buttons are known to a primitive or two."""
+    config = get_preset("four-button-chain")
+    seeds = {sample_puzzle(config, seed)[1]: seed for seed in range(300)}
+    assert len(seeds) == 24
+    room = generate(config, 5)
+    rooms = [dataclasses.replace(room, puzzle=puzzle, seed=seed) for puzzle, seed in seeds.items()]
+    lengths = {name: np.mean([play(name, each)[0].mean() for each in rooms])
+               for name in (UNTRIED, UNTRIED_NEAREST, BAYES)}
+    assert lengths[BAYES] < min(lengths[UNTRIED], lengths[UNTRIED_NEAREST]), lengths
+    assert foretell(room) == pytest.approx(lengths[BAYES], rel=0.04)
+
+
+def foretell(room: RoomInstance) -> float:
+    """Expected primitives from the start, by the pass over beliefs."""
+    planner, count = RoomPlanner(room), len(room.targets)
+    graph, ways = BeliefGraph(make_family(ButtonsConfig(count=count), count)), measure_ways(RoomPlanner(room))
+    costs, start, root = graph.solve(ways), planner.rules.make_state(room.starts[0]), np.array([graph.root])
+    return min(planner.plan(start, f"button-{button + 1}").cost
+               + graph.compute_costs_after(costs, root, button, ways)[0, count * count + button]
+               for button in range(count))
+
+
+def test_where_graphs_are_too_many_a_sample_has_their_odds():
+    puzzle, count = LADDER["lattice-5"].config.puzzle, 5
+    assert isinstance(puzzle, ButtonsConfig)
+    family = make_family(puzzle, count)
+    rng = np.random.default_rng(1)
+    for _ in range(4):
+        edges, goal = sample_relabelled(GraphConfig(kind="layered", max_parents=2), count, rng)
+        masks = [sum(1 << parent for parent, child in edges if child == button) for button in range(count)]
+        particles = GraphParticles(puzzle, count, np.random.default_rng(0))
+        kept, lit = np.arange(len(family.weights)), 0
+        for button in rng.permutation(count).tolist():
+            has_lit = not masks[button] & ~lit
+            particles.learn((button, lit, has_lit, has_lit and button == goal))
+            allowed = (family.parents[kept, button] & np.uint64(~lit & 31)) == 0
+            agrees = (allowed == has_lit) & (~allowed | ((family.goals[kept] == button) == (button == goal)))
+            kept, lit = kept[agrees], lit | has_lit << button
+            weights, could_light = family.weights[kept], (family.parents[kept] & np.uint64(~lit & 31)) == 0
+            assert particles.compute_odds(lit) == pytest.approx(weights @ could_light / weights.sum(), abs=0.12)
+
+
+def test_bayes_says_where_it_has_no_beliefs():
+    with pytest.raises(UnsupportedError, match=r"take smdp-retrace"):
+        play(BAYES, generate(get_preset("lights-out"), 0))
