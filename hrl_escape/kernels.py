@@ -27,7 +27,7 @@ __all__ = ["SOURCES", "add_sources", "find_cache_folder", "kernel", "kernel_in_p
 
 SOURCES = ("agents/factored/search.py", "env/bases/disc.py", "env/bases/rectangle.py", "env/geometry.py",
            "floor/dijkstra.py", "floor/sweeps.py", "options/batched/value_iteration.py", "planning/arm/search.py",
-           "planning/arm/tables.py", "planning/search/a_star.py")
+           "planning/arm/tables.py", "planning/search/a_star.py", "planning/search/joint_a_star.py")
 """Files, relative to the package, that compiled code is made of."""
 
 _CONFIG: Any = config  # its names are set when it is imported

@@ -38,6 +38,8 @@ MOST_STARTS = 32
 """Most starts of an instance that are used."""
 ORDERS = 3
 """Number of orders of the puzzle's operators planned in detail."""
+JOINT_NODES = 1_000_000
+"""Search nodes of the joint search for a best known plan, some two seconds at most."""
 
 
 class BestKnown(NamedTuple):
@@ -89,8 +91,9 @@ def find_best_known(instance: RoomInstance, state: RoomState, *, records: str | 
                     ) -> BestKnown:
     """Find the best known return from one state, with its source, its plan and an upper bound.
 
-    It is the best of all known ways: the escape of `RoomPlanner.solve`, legs one by one in several orders (that of
-    a press with its ancestors among them), returns that agents or given options have reached.
+    It is the best of all known ways: legs one by one in several orders (that of a press with its ancestors among
+    them), a joint search for a shorter escape over all orders and over the poses in which legs end (with six buttons
+    or fewer; with more, along the best of these orders), and returns that agents or given options have reached.
 
     Args:
         instance: the room.
@@ -225,7 +228,7 @@ def find_by_plan(planner: RoomPlanner, state: RoomState, jointly: bool) -> BestK
     bound = compute_escape_return(instance, bound_escape(instance, state))
     try:
         best = planner.list_escapes(state, ORDERS)[0]
-        best = min(best, planner.solve(state), key=lambda plan: plan.cost) if jointly else best
+        best = planner.shorten_escape(state, best, JOINT_NODES) if jointly else best
     except PlanningFailed:
         return BestKnown(compute_worst_return(instance), "nothing", bound)
     if instance.puzzle.has_reward:

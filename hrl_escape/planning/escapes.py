@@ -55,8 +55,7 @@ class Escapes:
 
             self._joint = HandSearch(self._routes.search)
         elif self._joint is None:
-            search = self._routes.search
-            self._joint = JointSearch(self._routes.rules, search.get_maker(True), search.get_maker(False))
+            self._joint = JointSearch(self._routes.search)
         return self._joint
 
     def shorten(self, state: RoomState, order: Sequence[Goal], most: int, clock: Clock, effort: int, budget: int

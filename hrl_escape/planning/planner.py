@@ -153,9 +153,9 @@ class RoomPlanner:
         """Plans for a request: the first as by `plan` or `solve`, then others while nodes are left."""
         state, is_thorough = request.state, request.improve or request.objective != "primitives"
         if not goals:
-            left = settings.budget
+            left, plan = settings.budget, None
             for effort in (0, 1, 2) if is_thorough else (0,):
-                plan = self._solve(state, settings._replace(effort=effort, budget=left), clock, left)
+                plan = self._solve(state, settings._replace(effort=effort, budget=left), clock, left, plan)
                 left -= plan.expansions
                 yield plan
                 if left <= 0:
@@ -200,32 +200,51 @@ class RoomPlanner:
         self.routes.check_query(state)
         return self._solve(state, settings, Clock(self.routes.time_limit))
 
-    def _solve(self, state: RoomState, settings: SearchSettings, clock: Clock, most_nodes: int | None = None) -> Plan:
+    def _solve(self, state: RoomState, settings: SearchSettings, clock: Clock, most_nodes: int | None = None,
+               known: Plan | None = None) -> Plan:
         """Escape leg by leg in the cheapest order, or a shorter one by a search over all legs and orders at once.
 
-        The budget of `settings` is that of each leg; both searches together end at `most_nodes`.
+        The budget of `settings` is that of each leg; both searches together end at `most_nodes`. A shorter escape than
+        the one that is known already is asked for.
         """
         began = read_clock()
         plan = self._solve_by_legs(state, settings, clock)
+        most_nodes, spent = settings.budget if most_nodes is None else most_nodes, plan.expansions
+        plan = plan if known is None or plan.cost < known.cost else known
         if settings.method in ("auto", "fields"):
-            most_nodes = settings.budget if most_nodes is None else most_nodes
-            plan = self._shorten_escape(state, plan, settings, clock, most_nodes - plan.expansions)
-        return dataclasses.replace(plan, seconds=read_clock() - began, timed_out=clock.has_stopped)
+            plan, more = self._shorten_escape(state, plan, settings, clock, most_nodes - spent)
+            spent += more
+        return dataclasses.replace(plan, expansions=spent, seconds=read_clock() - began, timed_out=clock.has_stopped)
+
+    def shorten_escape(self, state: RoomState, plan: Plan, budget: int) -> Plan:
+        """Look for a shorter escape than a known one, with all efforts: jointly over orders and the ends of legs.
+
+        Args:
+            state: first state.
+            plan: an escape from it.
+            budget: search nodes; the same budget finds the same plan anywhere.
+        """
+        clock, settings = Clock(self.routes.time_limit), self.routes.settings
+        for effort in (0, 1, 2):
+            plan, spent = self._shorten_escape(state, plan, settings._replace(effort=effort), clock, budget)
+            budget -= spent
+        return plan
 
     def _solve_by_legs(self, state: RoomState, settings: SearchSettings, clock: Clock) -> Plan:
         return self.follow_goals(state, self.orders.find_goals(state, clock, settings), clock, settings)
 
     def _shorten_escape(self, state: RoomState, plan: Plan, settings: SearchSettings, clock: Clock, most_nodes: int
-                        ) -> Plan:
-        """The escape, or a shorter one found jointly; props, and headings and joints off their lattices, stay out."""
+                        ) -> tuple[Plan, int]:
+        """The escape, or a shorter one found jointly, and the nodes spent on it.
+
+        Props, and headings and joints off their lattices, stay out.
+        """
         order = [part.goal for part in plan.parts]
-        if state.heading_offset or any(state.joint_offsets) or not order or not self.escapes.can_join(order):
-            return plan
+        is_off = state.heading_offset or any(state.joint_offsets)
+        if is_off or not order or most_nodes <= 0 or not self.escapes.can_join(order):
+            return plan, 0
         found, goals, spent = self.escapes.shorten(state, order, plan.cost, clock, settings.effort, most_nodes)
-        if found is None:
-            return dataclasses.replace(plan, expansions=plan.expansions + spent)
-        return dataclasses.replace(self.make_plan(state, found, goals, "joint search"),
-                                   expansions=plan.expansions + spent)
+        return (plan if found is None else self.make_plan(state, found, goals, "joint search")), spent
 
     def order_goals(self, state: RoomState) -> tuple[Goal, ...]:
         """List the goals of an escape from here in the cheapest order; the last one is the exit.

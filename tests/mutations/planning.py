@@ -67,6 +67,27 @@ MUTATIONS = [
         "planning/test_expected_escape.py::test_hands_that_noise_leads_astray_press_one_button_after_the_other",
     ),
     Mutation(
+        "the best known plan is made leg by leg",
+        "planning/best_known.py",
+        "best = planner.shorten_escape(state, best, JOINT_NODES) if jointly else best",
+        "best = best",
+        "planning/test_best_known.py::test_no_escape_near_the_best_known_one_is_shorter",
+    ),
+    Mutation(
+        "the ends of legs are chosen as quickly for the best known plan as for any other",
+        "planning/planner.py",
+        "for effort in (0, 1, 2):\n            plan, spent",
+        "for effort in (0,):\n            plan, spent",
+        "planning/test_best_known.py::test_no_escape_near_the_best_known_one_is_shorter",
+    ),
+    Mutation(
+        "a joint search takes the way on from the puzzle's state before a press",
+        "planning/search/joint_a_star.py",
+        "heading, after, now, spent, node, action, escapes)",
+        "heading, puzzle, now, spent, node, action, escapes)",
+        "planning/search/test_joint_search.py",
+    ),
+    Mutation(
         "luck is recorded",
         "planning/best_known.py",
         'if dynamics.is_random or dynamics.kind == "physics" or',

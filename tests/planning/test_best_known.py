@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 import warnings
 from collections import OrderedDict
 
@@ -130,6 +131,53 @@ def test_nothing_that_the_planner_or_its_options_do_beats_the_best_known(config,
     for found in (known, by_press):
         assert found.plan is not None and found.plan.compute_return() == found.value
         assert found.plan.states[0] == start and planner.routes.has_escaped(found.plan.states[-1])
+
+
+def beam_along(rules: Kinematics, start: RoomState, primitives, width: int, bin_size: float) -> int:
+    """Length of the shortest escape found near a known one, by nothing but the room's own kinematics.
+
+    Breadth-first over primitives; of each depth the states stay that have the fewest primitives left, judged by the
+    nearest state of the known escape with the same puzzle: straight lines and turns to it, then its own rest.
+    """
+    known = [start]
+    for primitive in primitives:
+        known.append(rules.step(known[-1], primitive).state)
+    classes, step = rules.headings // math.gcd(rules.headings, 4), rules.actions.longest
+    ways = {puzzle: np.array([(s.x, s.y, s.heading_steps % classes, len(primitives) - n)
+                              for n, s in enumerate(known) if s.puzzle == puzzle])
+            for puzzle in {s.puzzle for s in known}}
+
+    def estimate(state: RoomState) -> float:
+        way = ways[state.puzzle]
+        turns = np.abs(state.heading_steps % classes - way[:, 2])
+        straight = np.hypot(way[:, 0] - state.x, way[:, 1] - state.y) / step
+        return float((straight + np.minimum(turns, classes - turns) + way[:, 3]).min())
+
+    layer = [start]
+    for depth in range(1, len(primitives)):
+        following = {}
+        for here in layer:
+            for action in rules.actions.base:
+                after, _, terminated, _, _ = rules.step(here, action)
+                if terminated and rules.has_escaped(after):
+                    return depth
+                key = (after.puzzle, math.floor(after.x / bin_size), math.floor(after.y / bin_size),
+                       after.heading_steps % classes, after.touching)
+                if not terminated and after.puzzle in ways and key not in following:
+                    following[key] = estimate(after), after
+        best = sorted(following.values(), key=lambda entry: entry[0])[:width]
+        layer = [state for left, state in best if left + depth < len(primitives) + 2.5]
+    return len(primitives)
+
+
+@pytest.mark.parametrize(("name", "seed"), [("four-button-chain", 106), ("four-button-chain", 113),
+                                            ("paper-random", 106), ("paper-random", 119)])
+def test_no_escape_near_the_best_known_one_is_shorter(name, seed):
+    instance = generate(get_preset(name), seed)
+    start, rules = make_start(instance), Kinematics(instance, is_still=True)
+    plan = find_best_known(instance, start).plan
+    assert plan is not None
+    assert beam_along(rules, start, plan.primitives, width=60, bin_size=0.1) == plan.cost
 
 
 def test_orders_come_cheapest_first_and_differ():

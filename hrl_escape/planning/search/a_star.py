@@ -31,7 +31,8 @@ EXHAUSTED, BUDGET, GROW = -1, -2, -3
 MOST_PRIMITIVES = 32_768
 MOST_KEPT_NODES = 1 << 15
 """Nodes of the largest frontier that is kept for the next search."""
-_OPEN, _GOAL, _BEATEN = 0, 1, 2
+OPEN, GOAL, BEATEN = 0, 1, 2
+"""Kinds of nodes: to be expanded, a goal, or one whose bin holds a cheaper one."""
 
 
 class SearchQuery(NamedTuple):
@@ -136,9 +137,17 @@ class Frontier(NamedTuple):
     owners: NDArray[np.int32]
     counts: NDArray[np.int64]
 
+    def list_actions(self, node: int) -> list[int]:
+        """List the actions that lead to a node."""
+        actions = []
+        while self.facts[node, 2] >= 0:
+            actions.append(int(self.facts[node, 3]))
+            node = int(self.facts[node, 2])
+        return actions[::-1]
+
 
 @kernel_part
-def _find_touched(query, x, y, heading):
+def find_touched(query, x, y, heading):
     px, py = x + query.presser[heading, 0], y + query.presser[heading, 1]
     touching = np.uint64(0)
     for k in range(query.targets.shape[0]):
@@ -168,7 +177,7 @@ def _estimate_cost_to_go(query, x, y, layer):
 
 
 @kernel_part
-def _find_slot(frontier, key):
+def find_slot(frontier, key):
     mask = frontier.keys.shape[0] - 1
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     slot = np.int64(mixed >> np.uint64(32)) & mask
@@ -178,7 +187,7 @@ def _find_slot(frontier, key):
 
 
 @kernel_part
-def _push(frontier, node, estimate):
+def push(frontier, node, estimate):
     if estimate < frontier.heads.shape[0]:
         frontier.links[node] = frontier.heads[estimate]
         frontier.heads[estimate] = node
@@ -198,7 +207,7 @@ def _add(query, frontier, x, y, heading, sector, layer, touching, spent, parent,
         i = np.int64(math.floor(x / query.bin_size)) + (1 << 22)
         j = np.int64(math.floor(y / query.bin_size)) + (1 << 22)
         key = (((i << 23) + j) << 10) + (sector << 1) + (touching != 0)
-        slot = _find_slot(frontier, key)
+        slot = find_slot(frontier, key)
         known = frontier.keys[slot] == key
         if known and frontier.facts[frontier.owners[slot], 1] <= spent:
             return
@@ -207,15 +216,15 @@ def _add(query, frontier, x, y, heading, sector, layer, touching, spent, parent,
             return
         estimate += more
         if known:
-            frontier.facts[frontier.owners[slot], 4] = _BEATEN
+            frontier.facts[frontier.owners[slot], 4] = BEATEN
         frontier.keys[slot], frontier.owners[slot] = key, node
     frontier.places[node, 0], frontier.places[node, 1] = x, y
     facts = frontier.facts[node]
     facts[0], facts[1], facts[2], facts[3] = heading, spent, parent, action
-    facts[4] = _GOAL if is_goal else _OPEN
+    facts[4] = GOAL if is_goal else OPEN
     frontier.touching[node] = touching
     frontier.counts[0] += 1
-    _push(frontier, node, estimate)
+    push(frontier, node, estimate)
     if not is_goal and query.table.shape[0] > 0:
         i = int(math.floor((x - query.table_low[0]) / query.table_size))
         j = int(math.floor((y - query.table_low[1]) / query.table_size))
@@ -225,28 +234,43 @@ def _add(query, frontier, x, y, heading, sector, layer, touching, spent, parent,
                 last = frontier.counts[0]
                 frontier.places[last, 0], frontier.places[last, 1] = x, y
                 facts = frontier.facts[last]
-                facts[0], facts[1], facts[2], facts[3], facts[4] = heading, spent + rest, node, -1, _GOAL
+                facts[0], facts[1], facts[2], facts[3], facts[4] = heading, spent + rest, node, -1, GOAL
                 frontier.touching[last] = touching
                 frontier.counts[0] += 1
-                _push(frontier, last, spent + rest)
+                push(frontier, last, spent + rest)
+
+
+@kernel_part
+def move_base(scene, query, x, y, heading, action):
+    """Displacement and new heading of the base after a translation or turn; the heading is -1 if it does not move."""
+    translations = query.moves.shape[1]
+    if action < translations:
+        dx, dy = query.moves[heading, action, 0], query.moves[heading, action, 1]
+        fraction = sweep_body(scene, x, y, query.turns[heading], dx, dy, query.lengths[action])
+        if fraction <= 1e-9 or (query.stays and fraction < 1.0):
+            return 0.0, 0.0, np.int64(-1)
+        if fraction < 1.0:
+            dx, dy = fraction * dx, fraction * dy
+        return dx, dy, heading
+    turn, headings = query.turn_steps[action - translations], query.moves.shape[0]
+    to_heading = (heading + headings + turn) % headings
+    if can_turn_body(scene, x, y, query.turns[heading], query.turns[to_heading], turn * query.turn_step):
+        return 0.0, 0.0, to_heading
+    return 0.0, 0.0, np.int64(-1)
 
 
 @kernel_part
 def _expand(scene, query, frontier, node):
     x, y = frontier.places[node, 0], frontier.places[node, 1]
     heading, spent = np.int64(frontier.facts[node, 0]), np.int64(frontier.facts[node, 1]) + 1
-    touching, headings, translations = frontier.touching[node], query.moves.shape[0], query.moves.shape[1]
+    touching, translations = frontier.touching[node], query.moves.shape[1]
     sector, layer = heading % query.bin_headings, (heading + query.shift) % query.layers
     for action in range(translations + query.turn_steps.shape[0]):
-        to_x, to_y, to_heading, to_sector, to_layer = x, y, heading, sector, layer
+        dx, dy, to_heading = move_base(scene, query, x, y, heading, action)
+        if to_heading < 0:
+            continue
+        to_x, to_y, to_sector, to_layer = x + dx, y + dy, sector, layer
         if action < translations:
-            dx, dy = query.moves[heading, action, 0], query.moves[heading, action, 1]
-            fraction = sweep_body(scene, x, y, query.turns[heading], dx, dy, query.lengths[action])
-            if fraction < 1.0:
-                dx, dy = fraction * dx, fraction * dy
-            if fraction <= 1e-9 or (query.stays and fraction < 1.0):
-                continue
-            to_x, to_y = x + dx, y + dy
             blocked = False
             for k in range(query.keep_out.shape[0]):
                 blocked = blocked or first_contact(x, y, dx, dy, scene.radius, get_shape(query.keep_out[k])) < 1.0
@@ -256,12 +280,8 @@ def _expand(scene, query, frontier, node):
             if closed[0] <= to_x <= closed[1] and closed[2] <= to_y <= closed[3]:
                 continue
         else:
-            turn = query.turn_steps[action - translations]
-            to_heading = (heading + headings + turn) % headings
             to_sector, to_layer = to_heading % query.bin_headings, (to_heading + query.shift) % query.layers
-            if not can_turn_body(scene, x, y, query.turns[heading], query.turns[to_heading], turn * query.turn_step):
-                continue
-        now = _find_touched(query, to_x, to_y, to_heading)
+        now = find_touched(query, to_x, to_y, to_heading)
         begun = now & ~touching
         is_goal = False
         if query.target >= 0:
@@ -271,6 +291,32 @@ def _expand(scene, query, frontier, node):
         if begun & query.forbidden:
             continue
         _add(query, frontier, to_x, to_y, to_heading, to_sector, to_layer, now, spent, node, action, is_goal)
+
+
+@kernel_part
+def take_cheapest(frontier, most, expansions):
+    """Take the cheapest node out of a frontier: a goal, or one to expand, which is counted.
+
+    It is `EXHAUSTED`, `BUDGET` or `GROW` if there is none, `expansions` nodes have been expanded, or `most` more nodes
+    would not fit.
+    """
+    counts = frontier.counts
+    while counts[1] < frontier.heads.shape[0]:
+        node = np.int64(frontier.heads[counts[1]])
+        if node < 0:
+            counts[1] += 1
+            continue
+        if counts[0] + most > frontier.links.shape[0]:
+            return np.int64(GROW)
+        if counts[2] >= expansions:
+            return np.int64(BUDGET)
+        frontier.heads[counts[1]] = frontier.links[node]
+        if frontier.facts[node, 4] == GOAL:
+            return node
+        if frontier.facts[node, 4] == OPEN:
+            counts[2] += 1
+            return node
+    return np.int64(EXHAUSTED)
 
 
 @kernel_in_place
@@ -293,22 +339,11 @@ def expand_until_goal(scene, query, frontier, expansions):
         sector, layer = query.heading % query.bin_headings, (query.heading + query.shift) % query.layers
         _add(query, frontier, query.x, query.y, query.heading, sector, layer, query.touched, np.int64(0), none, none,
              np.bool_(False))
-    while counts[1] < frontier.heads.shape[0]:
-        node = np.int64(frontier.heads[counts[1]])
-        if node < 0:
-            counts[1] += 1
-            continue
-        if counts[0] + most > frontier.links.shape[0]:
-            return GROW
-        if counts[2] >= expansions:
-            return BUDGET
-        frontier.heads[counts[1]] = frontier.links[node]
-        if frontier.facts[node, 4] == _GOAL:
+    while True:
+        node = take_cheapest(frontier, most, expansions)
+        if node < 0 or frontier.facts[node, 4] == GOAL:
             return node
-        if frontier.facts[node, 4] == _OPEN:
-            counts[2] += 1
-            _expand(scene, query, frontier, node)
-    return EXHAUSTED
+        _expand(scene, query, frontier, node)
 
 
 class FrontierPool:
@@ -364,5 +399,5 @@ def copy_owners(old, new):
     """Copy the poses of one hash table into another."""
     for slot in range(old.keys.shape[0]):
         if old.keys[slot] != -1:
-            to = _find_slot(new, old.keys[slot])
+            to = find_slot(new, old.keys[slot])
             new.keys[to], new.owners[to] = old.keys[slot], old.owners[slot]

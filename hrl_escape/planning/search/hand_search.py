@@ -23,7 +23,7 @@ from hrl_escape.floor.cost_to_go import Seeds
 from hrl_escape.planning.arm.reacher import ReachTable
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.search import a_star
-from hrl_escape.planning.search.joint_search import NODES_A_SEARCH, Fields, JointSearch, Presses
+from hrl_escape.planning.search.joint_search import MOST_NODES, Fields, JointSearch, Presses
 from hrl_escape.planning.search.primitive_search import PrimitiveSearch
 from hrl_escape.planning.search.search_run import SearchProblem, SearchResult, SearchRun
 
@@ -86,13 +86,8 @@ class HandSearch(JointSearch):
     """Fields of one room's puzzle states for presses by hand, and a beam search through them."""
 
     def __init__(self, search: PrimitiveSearch) -> None:
-        """Store the searches; fields are made on first use.
-
-        Args:
-            search: searches of the room's legs.
-        """
-        super().__init__(search.kinematics, search.get_maker(True), search.get_maker(False))
-        self._legs, self._layers = search, self._shut.headings
+        super().__init__(search)
+        self._layers = self._shut.headings
         self._problems: dict[Hashable, _Search] = {}
 
     def find_presses(self, state: RoomState, target: int) -> Presses:
@@ -105,7 +100,7 @@ class HandSearch(JointSearch):
         return self._presses[target]
 
     def find_escape(self, state: RoomState, order: Sequence[Goal], most: int, *, clock: Clock = NO_LIMIT,
-                    effort: int = 0, budget: int = NODES_A_SEARCH) -> tuple[tuple[int, ...] | None, int]:
+                    effort: int = 0, budget: int = MOST_NODES) -> tuple[tuple[int, ...] | None, int]:
         """Search for the fewest primitives that escape; see `JointSearch`."""
         rests = self.get_fields(state, order, clock)
         found, spent = self._search_beam(state, rests, most, BEAMS[effort], budget, clock)

@@ -3,41 +3,48 @@
 Options reach one goal after another, each with the fewest primitives, and so may end where the next
 leg is longer, or press in an order whose legs do not fit together. Here every state of the puzzle has a
 cost-to-go field of its own: its seeds are the poses from which one primitive presses a target, at the
-cost-to-go that the puzzle's next state has where the primitive ends. A* over the room's own
-kinematics follows these fields through all orders at once. It is for presses by the body: after a press by
-hand the arm's posture counts, too (`hand_search.py`).
+cost-to-go that the puzzle's next state has where the primitive ends. A compiled A* over exact poses
+(`joint_a_star.py`) follows these fields through all orders at once, and the room's own kinematics replay what it
+finds. It is for presses by the body: after a press by hand the arm's posture counts, too (`hand_search.py`).
 """
 
 from __future__ import annotations
 
-import heapq
 import itertools
 from collections.abc import Hashable, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.clock import NO_LIMIT, Clock
 from hrl_escape.env.geometry import compute_distance_many, stack_footprints
-from hrl_escape.env.kinematics import Kinematics, RoomState
+from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.puzzles.base import Contacts
-from hrl_escape.floor.cost_to_go import FieldMaker, Seeds
+from hrl_escape.floor.cost_to_go import Seeds
+from hrl_escape.floor.sweeps import make_presser
 from hrl_escape.planning.areas import compute_goal_area, get_presser
 from hrl_escape.planning.goals import ExitGoal, Goal, PressGoal
 from hrl_escape.planning.search import a_star
+from hrl_escape.planning.search.joint_a_star import JointQuery, expand_until_escape
+from hrl_escape.planning.search.primitive_search import PrimitiveSearch
+from hrl_escape.planning.search.search_run import HeadingTable
 
 __all__ = ["Fields", "JointSearch", "Presses"]
 
 MOST_PUZZLE_STATES = 64
 """Most puzzle states with fields: all subsets of six buttons. A puzzle with more has them along given orders only."""
-HEURISTIC_OFFSETS = (0, 2, 3, 5)
-"""Primitives subtracted from the cost-to-go in each search: none for a quick plan, then some for shorter ones; the last
-two only where more effort is asked for."""
-NODES_A_SEARCH = 20_000
-"""Most nodes expanded by each search."""
+SEARCHES = ((0, 1, 20_000), (2, 1, 100_000)), ((3, 1, 300_000),), ((3, 2, 500_000), (3, 3, 500_000))
+"""Searches of each effort: primitives subtracted from the cost-to-go, bins along the side of a usual bin, and most
+nodes. A quick plan and a shorter one, then others that distrust the fields more and tell more poses apart."""
 NODES_A_LEG = 2_000
 """Most nodes expanded by the search for one leg."""
+FIRST_NODES = 1 << 14
+"""Nodes for which a search has room at first."""
+SLICE = 5_000
+"""Nodes expanded between two looks at the clock."""
+MOST_NODES = 1_000_000
+"""Most nodes expanded for one escape."""
 MOST_FIELDS = 256
 """Most fields kept: those of four sets of puzzle states."""
 
@@ -68,22 +75,23 @@ class JointSearch:
         rules: kinematics without noise and slip.
     """
 
-    def __init__(self, rules: Kinematics, shut: FieldMaker, opened: FieldMaker) -> None:
-        """Prepare nothing yet.
+    def __init__(self, search: PrimitiveSearch) -> None:
+        """Store the searches; fields are made on first use.
 
         Args:
-            rules: kinematics without noise and slip.
-            shut: field maker of the room with its door shut.
-            opened: the same with the door open.
+            search: searches of the room's legs.
         """
-        self.rules, self._shut, self._opened, self._layers = rules, shut, opened, shut.classes
+        self.rules, self._legs = search.kinematics, search
+        self._shut, self._opened = search.get_maker(True), search.get_maker(False)
+        self._layers = self._shut.classes
         self._presses: dict[int, Presses] = {}
         self._fields: list[NDArray[np.int16]] = []
         self._numbers: dict[_Ways, int] = {}
         self._recent: tuple[tuple, Fields] | None = None
+        self._puzzles: _Puzzles | None = None
 
     def find_escape(self, state: RoomState, order: Sequence[Goal], most: int, *, clock: Clock = NO_LIMIT,
-                    effort: int = 0, budget: int = NODES_A_SEARCH) -> tuple[tuple[int, ...] | None, int]:
+                    effort: int = 0, budget: int = MOST_NODES) -> tuple[tuple[int, ...] | None, int]:
         """Search for the fewest primitives that escape.
 
         Args:
@@ -91,7 +99,7 @@ class JointSearch:
             order: an order of goals; its puzzle states are used if the puzzle has more than `MOST_PUZZLE_STATES`.
             most: plans of this many primitives or more are discarded.
             clock: time limit.
-            effort: 0, 1 or 2; higher values search longer.
+            effort: 0, 1 or 2; each has searches of its own, which take longer the higher it is.
             budget: search nodes that may be expanded.
 
         Returns:
@@ -99,11 +107,15 @@ class JointSearch:
         """
         fields = self.get_fields(state, order, clock)
         best, spent = None, 0
-        for offset in HEURISTIC_OFFSETS[: 2 + effort]:
-            nodes = min(budget - spent, NODES_A_SEARCH * 4**effort)
-            if clock.is_up() or state.puzzle not in fields or nodes <= 0:
+        if state.puzzle not in fields:
+            return best, spent
+        query = self._make_query(state, fields)
+        for offset, fineness, nodes in SEARCHES[effort]:
+            nodes = min(budget - spent, nodes)
+            if clock.is_up() or nodes <= 0:
                 break
-            found, used = self._search(state, fields, offset, most if best is None else len(best), nodes, clock)
+            finer = query._replace(offset=offset, bin_size=query.bin_size / fineness)
+            found, used = self._search(state, finer, most if best is None else len(best), nodes, clock)
             best, spent = found or best, spent + used
         return best, spent
 
@@ -122,7 +134,8 @@ class JointSearch:
         fields = self.get_fields(state, order, NO_LIMIT)
         if state.puzzle not in fields:
             return None
-        return self._search(state, fields, 0, a_star.MOST_PRIMITIVES, NODES_A_LEG, NO_LIMIT, one_leg=True)[0]
+        query = self._make_query(state, fields)._replace(one_leg=True)
+        return self._search(state, query, a_star.MOST_PRIMITIVES, NODES_A_LEG, NO_LIMIT)[0]
 
     def list_goals(self, state: RoomState, primitives: Sequence[int]) -> tuple[Goal, ...]:
         """Presses that change the puzzle on the way of a plan, in order, and the exit."""
@@ -244,51 +257,72 @@ class JointSearch:
 
     # --- the search ----------------------------------------------------------------------
 
-    def _search(self, state: RoomState, fields: Fields, offset: int, most: int, nodes: int, clock: Clock,
-                one_leg: bool = False) -> tuple[tuple[int, ...] | None, int]:
-        """A* over primitives; poses in one cell of the grid, with the same puzzle state, count as one."""
-        rules, (low_x, low_y), size = self.rules, self._shut.low.tolist(), self._shut.size
-        (columns, rows), classes = self._shut.shape, self._shut.classes
-        shift = round(state.heading_offset / rules.turn_step)
-        costs = {puzzle: field.data for puzzle, field in fields.items()}
-        tie = itertools.count()
-        heap: list[tuple[int, int, int, RoomState, Any]] = [(0, 0, next(tie), state, None)]
-        best: dict[tuple[Hashable, int, bool], int] = {}
-        for expanded in range(nodes):
-            if not heap or (expanded % 500 == 0 and clock.is_up()):
-                return None, expanded
-            _, less, _, here, trail = heapq.heappop(heap)  # ties go to the longest plan so far
-            if trail is not None and trail[2]:
-                return _list_primitives(trail), expanded
-            spent = 1 - less
-            for action in rules.actions.base:
-                step = rules.step(here, action)
-                after = step.state
-                if after.has_pose_of(here):
-                    continue
-                if step.terminated:
-                    if spent < most and rules.has_escaped(after):
-                        heapq.heappush(heap, (spent, -spent, next(tie), after, (trail, action, True)))
-                    continue
-                field = costs.get(after.puzzle)
-                if field is None:
-                    continue
-                i = min(max(int((after.x - low_x) / size), 0), columns - 1)
-                j = min(max(int((after.y - low_y) / size), 0), rows - 1)
-                place = (i * rows + j) * classes + (after.heading_steps + shift) % classes
-                cost_to_go = field[place]
-                ends = one_leg and after.puzzle != state.puzzle
-                total = spent + max(cost_to_go - offset, 0)
-                key = (after.puzzle, place, after.touching != 0)
-                if 0 <= cost_to_go and total < most and spent < best.get(key, most):
-                    best[key] = spent
-                    heapq.heappush(heap, (total, -spent, next(tie), after, (trail, action, ends)))
-        return None, nodes
+    def _search(self, state: RoomState, query: JointQuery, most: int, nodes: int, clock: Clock
+                ) -> tuple[tuple[int, ...] | None, int]:
+        """A* over primitives; poses in one bin, with the same puzzle state, count as one."""
+        frontier = self._legs.frontiers.take(FIRST_NODES, min(most, a_star.MOST_PRIMITIVES))
+        found, has_more = None, True
+        while found is None and has_more and not clock.is_up():
+            limit = min(nodes, int(frontier.counts[2]) + SLICE)
+            node = int(expand_until_escape(self._shut.scene, self._opened.scene, query, frontier, limit))
+            if node >= 0:
+                found = self._replay(state, frontier.list_actions(node), query.one_leg)
+            elif node == a_star.GROW:
+                frontier = self._legs.frontiers.enlarge(frontier)
+            else:
+                has_more = node == a_star.BUDGET and limit < nodes
+        spent = int(frontier.counts[2])
+        self._legs.frontiers.give_back(frontier)
+        return found, spent
+
+    def _replay(self, state: RoomState, actions: Sequence[int], one_leg: bool) -> tuple[int, ...] | None:
+        """The actions up to the escape, or to the end of one leg, by the room's own kinematics; None without it."""
+        puzzle = state.puzzle
+        for count, action in enumerate(actions, 1):
+            state, _, terminated, _, _ = self.rules.step(state, action)
+            if terminated or (one_leg and state.puzzle != puzzle):
+                return tuple(actions[:count]) if not terminated or self.rules.has_escaped(state) else None
+        return None
+
+    def _make_query(self, state: RoomState, fields: Fields) -> JointQuery:
+        """State a search through fields with bins as wide as those of a search for one goal."""
+        maker, rules, room, offset = self._shut, self.rules, self.rules.instance, state.heading_offset
+        headings = HeadingTable.make(rules, offset) if offset else self._legs.headings
+        if self._puzzles is None or self._puzzles.fields is not fields:
+            self._puzzles = _Puzzles.make(self, fields)
+        area, puzzles = room.exit, self._puzzles
+        return JointQuery(
+            x=state.x, y=state.y, heading=state.heading_steps, touched=np.uint64(state.touching),
+            puzzle=puzzles.numbers[state.puzzle], turns=headings.turns, turn_step=rules.turn_step,
+            moves=headings.moves, lengths=rules.actions.lengths, turn_steps=rules.actions.turn_steps,
+            stays=room.dynamics.blocked == "stay", presser=np.zeros_like(headings.turns), targets=maker.targets,
+            reaches=headings.reaches, pressers=headings.pressers, base=make_presser(room.robot.base),
+            presses=puzzles.presses, solved=puzzles.solved,
+            exit=np.array([area.x_min, area.x_max, area.y_min, area.y_max]), fields=puzzles.stack,
+            field_of=puzzles.field_of, layers=maker.classes, shift=round(offset / rules.turn_step) % maker.classes,
+            low=maker.low, size=maker.size, rows=maker.shape[1], offset=0, bin_size=maker.bin_size,
+            bin_headings=maker.classes, one_leg=False)
 
 
-def _list_primitives(trail: tuple | None) -> tuple[int, ...]:
-    actions = []
-    while trail is not None:
-        trail, action, _ = trail
-        actions.append(action)
-    return tuple(reversed(actions))
+class _Puzzles(NamedTuple):
+    """Puzzle states with fields, as arrays of a `JointQuery`."""
+
+    fields: Fields
+    numbers: dict[Hashable, int]
+    presses: NDArray[np.int64]
+    solved: NDArray[np.bool_]
+    stack: NDArray[np.int16]
+    field_of: NDArray[np.int64]
+
+    @classmethod
+    def make(cls, search: JointSearch, fields: Fields) -> _Puzzles:
+        """Number the states of some fields."""
+        numbers = {puzzle: n for n, puzzle in enumerate(fields)}
+        targets = range(len(search.rules.instance.targets))
+        presses = [[numbers.get(search.press(puzzle, target), -1) for target in targets] for puzzle in fields]
+        distinct = {id(field): field for field in fields.values()}  # states with the same prospects share one
+        places = {key: n for n, key in enumerate(distinct)}
+        return cls(
+            fields, numbers, np.array(presses, dtype=np.int64).reshape(len(fields), len(targets)),
+            np.array([search.rules.instance.puzzle.is_solved(puzzle) for puzzle in fields], dtype=np.bool_),
+            np.stack(list(distinct.values())), np.array([places[id(field)] for field in fields.values()]))

@@ -286,12 +286,7 @@ class SearchRun:
         facts, problem = self.frontier.facts, self.problem
         by_table = facts[node, 3] < 0
         last = int(facts[node, 2]) if by_table else node
-        moves: list[int] = []
-        at = last
-        while facts[at, 2] >= 0:
-            moves.append(int(facts[at, 3]))
-            at = int(facts[at, 2])
-        moves.reverse()
+        moves = self.frontier.list_actions(last)
         if self._reacher is None:
             return tuple(moves)
         assert isinstance(problem.goal, PressGoal)
