@@ -1,4 +1,4 @@
-"""Products of two lists as parameters of a test, of which a few pairs run by default and the rest under `-m slow`."""
+"""Lists, and products of two lists, as parameters of a test: some run by default and the rest under `-m slow`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-__all__ = ["cover"]
+__all__ = ["cover", "thin"]
 
 
 def cover(rows: Sequence[Any], columns: Sequence[Any]) -> list[Any]:
@@ -18,3 +18,14 @@ def cover(rows: Sequence[Any], columns: Sequence[Any]) -> list[Any]:
     quick = {(place % len(rows), place % len(columns)) for place in range(max(len(rows), len(columns)))}
     return [pytest.param(row, column, marks=() if (i, j) in quick else pytest.mark.slow)
             for i, row in enumerate(rows) for j, column in enumerate(columns)]
+
+
+def thin(values: Sequence[Any], step: int, first: int = 0) -> list[Any]:
+    """All values, tuples being those of several parameters; every `step`th from the `first` on is not slow.
+
+    For a walk over a registry whose members differ in what other tests ask of each of them. Walks over the same members
+    that begin at other places cover each other's gaps.
+    """
+    return [pytest.param(*(value if isinstance(value, tuple) else (value,)),
+                         marks=() if place % step == first else pytest.mark.slow)
+            for place, value in enumerate(values)]

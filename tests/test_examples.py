@@ -33,7 +33,7 @@ LESSONS = [
     ("own_robot.py", [], [r"flange within (0e\+00|\de-1\d) m", r"[1-9]\d* postures reach", r"through \d+ postures"]),
     ("narrow_passage.py", [], [r"escape in \d\d primitives; at [1-9]\d* of", r"escaped True.*as predicted: True"]),
     ("smallest_puzzle.py", [], [r"press-b ", r"total +\d+ .*return [1-9]\d"]),
-    ("own_comparison.py", ["--primitives", "300", "--runs", "1", "--out", "out"],
+    ("own_comparison.py", ["--primitives", "8", "--runs", "1", "--out", "out"],
      [r"headline: ", r"caution: One run a room", r"report: out/report.html"]),
 ]
 

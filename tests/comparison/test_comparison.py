@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import resource
 import shutil
 import signal
 import subprocess
@@ -24,6 +23,7 @@ from hrl_escape.comparison.summary import summarise
 from hrl_escape.errors import ComparisonError, ConfigError, EscapeError, FileWriteError, RunBusyError
 from hrl_escape.files import write_json
 from tests.comparison.small import SMALL, break_checkpoint, change, plant_strangers, run_quietly
+from tests.forks import run_fork
 
 TABLES = ("results.csv", "curves.csv")
 
@@ -138,10 +138,12 @@ def start_and_wait_for_news(grid_file: Path, out: Path) -> subprocess.Popen[byte
     return process
 
 
-def test_killed_at_any_moment_and_resumed_gives_the_uninterrupted_results(finished: Comparison, tmp_path: Path):
+@pytest.mark.parametrize("most", [2, pytest.param(8, marks=pytest.mark.slow)])
+def test_killed_at_any_moment_and_resumed_gives_the_uninterrupted_results(
+        finished: Comparison, tmp_path: Path, most: int):
     write_json(tmp_path / "small.json", SMALL.to_dict())
     out, rng, kills = tmp_path / "out", np.random.default_rng(4), 0
-    while kills < 4:
+    while kills < most:
         process = start_and_wait_for_news(tmp_path / "small.json", out)
         time.sleep(rng.uniform(0.0, 0.8))
         if process.poll() is None:
@@ -236,14 +238,18 @@ def test_a_folder_that_cannot_be_written_is_one_clear_message(tmp_path: Path):
         run_quietly(SMALL, tmp_path / "file" / "out")
 
 
+COMPARE_ON_FULL_DISK = """
+import resource, sys
+from hrl_escape.cli import main
+resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
+sys.exit(main())
+"""
+
+
 def test_a_full_disk_fails_the_runs_that_need_it_and_keeps_what_is_finished(tmp_path: Path):
     """The limit on a file's size stands for a disk that fills up: random's files are small, dqn's checkpoint is not."""
     write_json(tmp_path / "full.json", change(runs=1, agents=["random", "dqn"]).to_dict())
-    command = [sys.executable, "-m", "hrl_escape.cli", "compare", str(tmp_path / "full.json"), "--out",
-               str(tmp_path / "out")]
-    limit = 40_000
-    done = subprocess.run(command, capture_output=True, text=True,
-                          preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
+    done = run_fork(COMPARE_ON_FULL_DISK, "compare", tmp_path / "full.json", "--out", tmp_path / "out")
     assert done.returncode in (1, 2)
     assert "dqn, small, seed 0: failed: cannot write" in done.stderr, done.stderr
     assert "random, small, seed 0: efficiency" in done.stderr

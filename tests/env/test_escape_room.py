@@ -26,6 +26,7 @@ from hrl_escape.errors import (
     ResetNeededError,
     UnknownNameError,
 )
+from tests.covering import cover
 from tests.env.rooms import EXTREMES
 from tests.forks import run_fork
 
@@ -68,24 +69,23 @@ def test_stable_baselines3s_checker_finds_nothing(name, kind):
         env.close()
 
 
-@pytest.mark.parametrize("name", IDS)
-def test_observations_are_as_documented(name):
-    for kind in KINDS:
-        env = gymnasium.make(name, observation=kind)
-        instance = env.unwrapped.instance
-        joints, puzzle = instance.robot.joints, len(instance.puzzle.bounds)
-        size = {"state": (6 + puzzle + joints,), "features": (4 + puzzle + joints,),
-                "objects": (12 * (len(instance.targets) + len(instance.props) + 1) + joints,),
-                "egocentric": (4 * len(instance.targets) + 3 * (len(instance.props) + 1) + joints + 16,),
-                "pixels": (84, 84, 3)}[kind]
-        observation, _ = env.reset(seed=0)
-        assert observation.shape == size
-        assert observation.dtype == (np.uint8 if kind == "pixels" else np.float32)
-        if kind == "state":
-            state = env.unwrapped.get_state()
-            assert np.allclose(observation[:2], state[:2])
-            assert np.isclose(observation[3], env.unwrapped.rules.get_heading(state))
-        env.close()
+@pytest.mark.parametrize(("name", "kind"), cover(IDS, KINDS))
+def test_observations_are_as_documented(name, kind):
+    env = gymnasium.make(name, observation=kind)
+    instance = env.unwrapped.instance
+    joints, puzzle = instance.robot.joints, len(instance.puzzle.bounds)
+    size = {"state": (6 + puzzle + joints,), "features": (4 + puzzle + joints,),
+            "objects": (12 * (len(instance.targets) + len(instance.props) + 1) + joints,),
+            "egocentric": (4 * len(instance.targets) + 3 * (len(instance.props) + 1) + joints + 16,),
+            "pixels": (84, 84, 3)}[kind]
+    observation, _ = env.reset(seed=0)
+    assert observation.shape == size
+    assert observation.dtype == (np.uint8 if kind == "pixels" else np.float32)
+    if kind == "state":
+        state = env.unwrapped.get_state()
+        assert np.allclose(observation[:2], state[:2])
+        assert np.isclose(observation[3], env.unwrapped.rules.get_heading(state))
+    env.close()
 
 
 def roll(env, actions):

@@ -23,7 +23,7 @@ from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.options.skills import make_go_to, make_press, make_reach
 from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.planner import get_planner
-from tests.covering import cover
+from tests.covering import cover, thin
 from tests.env.rooms import make_ordered_chain
 
 KINEMATIC = [name for name in PRESETS if name != "push-block"]
@@ -65,11 +65,12 @@ def test_every_preset_has_a_meta_action_for_everything_there_is_to_do(name):
 
 ALL_FLAVOURS = ("four-button-chain", "clutter", "arm-two-button", "lights-out", "hanoi", "door-key")
 """Rooms of each kind, in which other flavours than `press` are checked too."""
+LONG = ("ten-button", "twenty-button", "random-lights")
+"""Chains, and boxes as in light-box."""
 
 
 @pytest.mark.parametrize(("name", "flavour"), [
-    *((name, "press") for name in KINEMATIC
-      if name not in ("ten-button", "twenty-button", "random-lights")),  # chains, and boxes as in light-box
+    *thin([(name, "press") for name in KINEMATIC if name not in LONG], 3),
     *cover(ALL_FLAVOURS, [flavour for flavour in FLAVOURS if flavour != "press"])])
 def test_meta_actions_keep_the_option_contract(name, flavour):
     env = EscapeRoomEnv(name)

@@ -48,6 +48,7 @@ from hrl_escape.planning.goals import (
 )
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from tests.command_line import run_here
+from tests.covering import cover
 from tests.env.rooms import EXTREMES, make_ordered_chain
 from tests.planning.legs import assert_legs_cost_at_least_their_bounds
 
@@ -68,8 +69,7 @@ def start(planner):
 # --- plans come true -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["fields", "corridor"])
-@pytest.mark.parametrize("name", KINEMATIC)
+@pytest.mark.parametrize(("name", "method"), cover(KINEMATIC, ["fields", "corridor"]))
 def test_solve_escapes_and_every_state_is_the_predicted_one(name, method):
     env = EscapeRoomEnv(name, instance_seed=1)
     env.reset(seed=1)

@@ -24,6 +24,7 @@ from hrl_escape.agents.training.run_folder import RunFolder
 from hrl_escape.errors import CheckpointError, FileReadError, FileWriteError, RunBusyError, RunMismatchError
 from tests.agents.running import interact
 from tests.agents.small_envs import ButtonGrid
+from tests.covering import thin
 
 SMALL = {
     "dqn": {
@@ -92,7 +93,7 @@ def flatten(tree, where=""):
     return {where: repr(tree.item() if isinstance(tree, np.generic) else tree)}
 
 
-@pytest.mark.parametrize(("name", "recipe", "changes"), VARIANTS, ids=IDS)
+@pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2, 1), ids=IDS)
 def test_a_restored_agent_goes_on_to_the_same_bits(tmp_path, name, recipe, changes):
     for before in (3, 60):
         agent, restored = make(name, recipe, changes), make(name, recipe, changes, seed=1)
@@ -159,7 +160,7 @@ def read_log(folder):
     return [{key: value for key, value in row.items() if not key.startswith("time/")} for row in rows]
 
 
-@pytest.mark.parametrize(("name", "recipe", "changes"), VARIANTS, ids=IDS)
+@pytest.mark.parametrize(("name", "recipe", "changes"), thin(VARIANTS, 2), ids=IDS)
 def test_an_interrupted_run_resumes_to_the_result_of_an_uninterrupted_one(tmp_path, name, recipe, changes):
     whole = run(name, recipe, changes, counting := make_env(), tmp_path / "whole")
     steps = 10**9 - counting.left

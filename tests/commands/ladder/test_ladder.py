@@ -59,7 +59,7 @@ def test_a_room_of_the_small_benchmark_can_be_shown(capsys, tmp_path):
 
 def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
     options = ["--rung", "doormat", "--protocol", "generalise", "--rooms", "2", "--train-sizes", "2", "--runs", "1",
-               "--primitives", "60", "--workers", "1", "--out", str(tmp_path)]
+               "--primitives", "10", "--workers", "1", "--out", str(tmp_path)]
     code, out, _ = call(capsys, "run", "smdp-random+no-primitives", "planner", *options)
     assert code == 0 and "doormat: 2 runs finished, 0 failed" in out
     code, out, err = call(capsys, "run", "smdp-random+no-primitives", "planner", *options)
@@ -77,7 +77,7 @@ def test_a_rung_is_run_goes_on_and_is_reported(capsys, tmp_path):
 
 def test_a_benchmark_of_one_s_own_is_run_from_its_file(capsys, tmp_path):
     make_manifest().save(tmp_path / "mine.json")
-    options = ["--protocol", "per-instance", "--rooms", "1", "--runs", "1", "--primitives", "30", "--eval-episodes",
+    options = ["--protocol", "per-instance", "--rooms", "1", "--runs", "1", "--primitives", "10", "--eval-episodes",
                "1", "--benchmark", str(tmp_path / "mine.json"), "--out", str(tmp_path / "out"), "--workers", "1"]
     code, out, err = call(capsys, "run", "random", "--rung", "one", *options)
     assert code == 0 and "one: 1 runs finished, 0 failed" in out, err
@@ -87,7 +87,7 @@ def test_a_benchmark_of_one_s_own_is_run_from_its_file(capsys, tmp_path):
 
 def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
     options = ["--from", "doormat", "--protocol", "transfer"]
-    budget = ["--rung", "pair", "--rooms", "2", "--train-sizes", "2", "--runs", "1", "--primitives", "60",
+    budget = ["--rung", "pair", "--rooms", "2", "--train-sizes", "2", "--runs", "1", "--primitives", "10",
               "--workers", "1", "--out", str(tmp_path)]
     agents = ["smdp-dqn+objects+memory+no-primitives", "planner"]
     code, out, err = call(capsys, "run", *agents, *options, *budget)
@@ -105,7 +105,7 @@ def test_agents_trained_on_one_rung_are_tested_on_another(capsys, tmp_path):
 
 def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
     options = ["run", "smdp-random+no-primitives", "planner", "--rung", "doormat", "--rooms", "1", "--runs", "1",
-               "--primitives", "60", "--eval-episodes", "1", "--workers", "1", "--out", str(tmp_path)]
+               "--primitives", "10", "--eval-episodes", "1", "--workers", "1", "--out", str(tmp_path)]
     assert "doormat: 2 runs, 2 to be made" in call(capsys, *options, "--dry-run")[1]
     code, out, _ = call(capsys, *options, "--shard", "2/2")
     assert code == 0 and "doormat: 1 runs finished" in out
@@ -124,7 +124,7 @@ def test_parts_of_a_rung_are_counted_made_apart_and_reported(capsys, tmp_path):
 def test_trials_in_unseen_rooms_are_scored_one_by_one(capsys, tmp_path):
     agents = ["smdp-dqn+objects+memory+no-primitives", "smdp-index-order+no-primitives", "planner"]
     options = ["run", *agents, "--rung", "pair", "--protocol", "few-shot", "--trials", "3", "--rooms", "2",
-               "--train-sizes", "2", "--runs", "1", "--primitives", "150", "--workers", "1", "--out", str(tmp_path)]
+               "--train-sizes", "2", "--runs", "1", "--primitives", "10", "--workers", "1", "--out", str(tmp_path)]
     code, out, err = call(capsys, *options)
     assert code == 0 and "pair: 3 runs finished, 0 failed" in out, err
     code, out, _ = call(capsys, "report", str(tmp_path), "--protocol", "few-shot", "--json")
@@ -142,7 +142,7 @@ def test_trials_in_unseen_rooms_are_scored_one_by_one(capsys, tmp_path):
 
 def test_a_rung_that_chance_solves_is_told_by_calibration(capsys, tmp_path):
     code, out, _ = call(capsys, "calibrate", "--rung", "doormat", "--rooms", "2", "--workers", "1", "--json", "--out",
-                        str(tmp_path), "--agents", "smdp-q-learning+no-primitives", "--primitives", "60",
+                        str(tmp_path), "--agents", "smdp-q-learning+no-primitives", "--primitives", "10",
                         "--eval-episodes", "1")
     told = json.loads(out)
     assert (tmp_path / "per-instance" / "doormat" / "grid.json").exists(), "learned from nothing in each"
@@ -156,7 +156,7 @@ def test_a_tower_is_climbed_by_the_planner_and_not_by_chance(capsys, tmp_path):
     make_manifest().save(tmp_path / "mine.json")
     agents = ["smdp-dqn+objects+memory+no-primitives", "smdp-random", "planner"]
     options = ["--protocol", "tower", "--benchmark", str(tmp_path / "mine.json"), "--rooms", "2", "--train-sizes", "3",
-               "--runs", "1", "--primitives", "60", "--workers", "1", "--out", str(tmp_path)]
+               "--runs", "1", "--primitives", "10", "--workers", "1", "--out", str(tmp_path)]
     code, out, err = call(capsys, "run", *agents, *options)
     assert code == 0 and "tower: 3 runs finished, 0 failed" in out, err
     code, out, _ = call(capsys, "report", str(tmp_path), *options[:4], "--json")

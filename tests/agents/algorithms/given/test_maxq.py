@@ -114,6 +114,7 @@ class LearnsFromCutCalls(MaxqQ):
         return super().learn(step, [each._replace(cut=False) for each in returns])
 
 
+@pytest.mark.slow  # `tests/mutations/given.py` plants the same bugs
 @pytest.mark.parametrize(
     "broken", [BootstrapsOverTheEnd, MaximisesWhatItReports, ReportsPseudoReward]
 )
