@@ -80,20 +80,22 @@ def test_the_nearest_first_needs_less_than_a_random_order_and_that_less_than_rou
     assert nearest < untried < rounds < np.inf
 
 
-def test_retracing_repeats_what_worked_after_a_reset_and_tries_nothing_twice():
-    room = relabel(generate(get_preset("four-button-chain"), 1), (2, 0, 3, 1), "reset")
-    _, decisions = play(RETRACE, room)
-    names, order = [f"meta-{number:02}" for number in range(1, 5)], [2, 0, 3, 1]
-    lit, failed = 0, set()
+@pytest.mark.parametrize("order", [(2, 0, 3, 1), (0, 1, 2, 3), (3, 2, 1, 0), (1, 3, 0, 2)])
+def test_retracing_repeats_what_worked_after_a_reset_and_tries_nothing_twice(order: tuple[int, ...]):
+    _, decisions = play(RETRACE, relabel(generate(get_preset("four-button-chain"), 1), order, "reset"))
+    names = [f"meta-{number:02}" for number in range(1, 5)]
+    lit, best, failed = 0, 0, set()
     for decision in decisions[:-1]:
         pressed = names.index(decision)
+        if lit < best:
+            assert pressed == order[lit], "after a reset it repeats what worked, and nothing else"
         if pressed == order[lit]:
-            lit += 1
+            lit, best = lit + 1, max(best, lit + 1)
         else:
             assert (lit, pressed) not in failed
             failed.add((lit, pressed))
             lit = 0
-    assert lit == 4 and play(UNTRIED_NEAREST, room)[0].mean() > play(RETRACE, room)[0].mean()
+    assert lit == 4 and decisions[-1] == "meta-exit"
 
 
 @pytest.mark.parametrize("rung", ["code", "switchboard"])
