@@ -113,7 +113,8 @@ class A2OC(RolloutOptionAgent):
         entropy = compute_entropy(log_policy, rollout.mask)
         loss = policy_loss + settings.value_weight * value_loss - settings.entropy_weight * entropy
         margin = settings.deliberation_cost + settings.termination_margin
-        termination_loss = self.heads.compute_termination_loss(rollout, choices, margin)
+        termination_loss = self.heads.compute_termination_loss(
+            rollout.next_observation, rollout.bootstrap > 0, option, margin)
         termination = take_column(self.heads.compute_betas(rollout.next_observation), option).mean().detach()
         return {"loss": loss + termination_loss, "policy_loss": policy_loss, "value_loss": value_loss,
                 "entropy": entropy, "termination_loss": termination_loss, "termination": termination}

@@ -1,8 +1,10 @@
 """Proximal policy option-critic: PPO within options, policy gradient among them, and the termination gradient.
 
-Klissarov, Bacon, Harb and Precup (2017). The constants of its published program are settings here. Unlike in that
-program, terminations are learned at the state reached, for the option that ran, and the policy over options where an
-option was chosen.
+Klissarov, Bacon, Harb and Precup (2017). The constants of its published program (mklissa/PPOC) are settings here, but
+for the 5e-7 that it gives as the step size of terminations. Its two steps a minibatch, of 5e-7 for terminations and of
+3e-4 for all else, share the moments of one Adam, and so the second moves terminations too: by 2e-4 in all. Two
+optimisers here make two steps, of 2e-4 and of `learning_rate`. Unlike in that program, terminations are learned at the
+state reached, for the option that ran, and the policy over options where an option was chosen.
 """
 
 from __future__ import annotations
@@ -40,8 +42,9 @@ class PPOCSettings(ClippedSettings, LearningSettings):
     """Weight of the policies' entropy in the loss."""
     least_samples: Annotated[int, Range(2)] = 160
     """Decisions of an option that are collected, over several rollouts if need be, before it is updated."""
-    termination_rate: Annotated[float, Range(0)] = 5e-7
-    """Step size of Adam for terminations; the published one hardly moves them."""
+    termination_rate: Annotated[float, Range(0)] = 2e-4
+    """Step size of Adam for terminations, one step a minibatch. It is what the published program's 5e-7 and 3e-4 come
+    to together; 0 leaves terminations as they begin."""
     option_entropy_weight: Annotated[float, Range(0)] = 0.1
     """Weight of the entropy of the policy over options in the loss."""
     deliberation_cost: Annotated[float, Range(0)] = 0.0
@@ -63,6 +66,8 @@ class OptionSamples(NamedTuple):
         target: of Q(s, o).
         choice_advantage: target - V(s) where the option was chosen at this decision, else 0.
         is_chosen: bool, it was chosen at this decision.
+        reached: encoded observation of the state reached.
+        goes_on: bool, the task did not end there.
     """
 
     observation: Tensor
@@ -73,6 +78,8 @@ class OptionSamples(NamedTuple):
     target: Tensor
     choice_advantage: Tensor
     is_chosen: Tensor
+    reached: Tensor
+    goes_on: Tensor
 
 
 def _pack_waiting(waiting: Mapping[int, OptionSamples]) -> list[Any]:
@@ -126,15 +133,13 @@ class PPOC(StreamOptionAgent):
                 self._waiting[option] = own if former is None else OptionSamples(
                     *map(torch.cat, zip(former, own, strict=True)))
         metrics: dict[str, float] = {}
-        if self.options > 1 and settings.termination_rate:
-            loss = self.heads.compute_termination_loss(rollout, choices, settings.deliberation_cost)
-            metrics["termination_loss"] = self._ending_learner.minimise(loss)
         due = [option for option, own in self._waiting.items() if len(own.action) >= settings.least_samples]
         for option in sorted(due):
             own = self._waiting.pop(option)
+            batches = (OptionSamples(*(field[rows] for field in own))
+                       for rows in self._draw_batches(len(own.action), len(choices.option)))
             metrics |= self.heads.learner.minimise_each(
-                self.compute_loss(option, OptionSamples(*(field[rows] for field in own)))
-                for rows in self._draw_batches(len(own.action), len(choices.option)))
+                self.compute_loss(option, batch) | self.step_termination(option, batch) for batch in batches)
             metrics["gradient_norm"] = self.heads.learner.gradient_norm
         betas = take_column(self.heads.compute_betas(rollout.next_observation), choices.option)
         return metrics | {"termination": betas.mean().item(),
@@ -149,7 +154,17 @@ class PPOC(StreamOptionAgent):
         mean = mix_values(self.heads.compute_fresh_choice(rollout.observation), critic, option)
         return OptionSamples(rollout.observation, rollout.mask, rollout.action,
                              self.heads.compute_old_log_probability(rollout, choices), advantage, target,
-                             (target - mean) * choices.is_chosen, choices.is_chosen)
+                             (target - mean) * choices.is_chosen, choices.is_chosen, rollout.next_observation,
+                             rollout.bootstrap > 0)
+
+    def step_termination(self, option: int, batch: OptionSamples) -> dict[str, Tensor]:
+        """One step of an option's terminations over some of its decisions; none with one option or without a rate."""
+        if self.options == 1 or not self.settings.termination_rate:
+            return {}
+        loss = self.heads.compute_termination_loss(batch.reached, batch.goes_on, torch.full_like(batch.action, option),
+                                                   self.settings.deliberation_cost)
+        self._ending_learner.minimise(loss)
+        return {"termination_loss": loss.detach()}
 
     def compute_loss(self, option: int, batch: OptionSamples) -> dict[str, Tensor]:
         """Loss of an option over some of its decisions, and its parts."""

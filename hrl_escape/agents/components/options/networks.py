@@ -159,16 +159,20 @@ class OptionHeads(Stateful):
         ends = torch.where(goes_on, choices.is_chosen[after].float(), betas)
         return compute_advantages(rollout, values, next_values - cost * ends, self.settings)
 
-    def compute_termination_loss(self, rollout: Rollout, choices: OptionChoices, margin: float) -> Tensor:
+    def compute_termination_loss(self, reached: Tensor, goes_on: Tensor, option: Tensor, margin: float) -> Tensor:
         """Mean of beta_o(s') (Q(s', o) - V(s') + margin) over decisions, 0 where the task ended, ().
 
-        o is the option that ran and V(s') the mean of Q(s', .) over the policy over options.
+        V(s') is the mean of Q(s', .) over the policy over options, and only beta has a gradient.
+
+        Args:
+            reached: the states s', encoded, (n, ...).
+            goes_on: bool (n,), the task did not end there.
+            option: int64 (n,), o, that ran.
+            margin: in scaled return.
         """
-        reached, option = rollout.next_observation, choices.option
         with torch.no_grad():
             values = self.critic(reached)
             worse = take_column(values, option) - mix_values(self.compute_fresh_choice(reached), values, option)
-        goes_on = rollout.bootstrap > 0
         return (take_column(self.compute_betas(reached), option) * (worse + margin) * goes_on).mean()
 
     def compute_old_log_probability(self, rollout: Rollout, choices: OptionChoices) -> Tensor:

@@ -306,7 +306,7 @@ def test_ppocs_terminations_fall_where_the_option_that_ran_is_better_than_the_me
     option, every = choices.option.numpy(), np.arange(SIZE)
     worse = values[every, option] - (chooser * values).sum(axis=1) + 0.2
     expected = (beta[every, option] * worse * (rollout.bootstrap.numpy() > 0)).mean()
-    loss = agent.heads.compute_termination_loss(rollout, choices, 0.2)
+    loss = agent.heads.compute_termination_loss(rollout.next_observation, rollout.bootstrap > 0, choices.option, 0.2)
     assert loss.item() == pytest.approx(expected, abs=1e-5)
     loss.backward()
     moved = [name for name, network in agent.heads.networks.items() if network.gradient.any()]
@@ -314,9 +314,12 @@ def test_ppocs_terminations_fall_where_the_option_that_ran_is_better_than_the_me
 
 
 def test_ppocs_terminations_move_at_their_own_rate():
-    """Adam's first step is its rate, whatever the gradient."""
+    """Adam's first step is its rate, whatever the gradient; one option has samples enough for it."""
+    rollout, choices = make_rollout(6)
+    most = int(choices.option.bincount().max())
+    assert (choices.option.bincount() == most).sum() == 1
     for rate in (0.0, 1e-4, 1e-2):
-        agent, (rollout, choices) = make("ppoc", termination_rate=rate, learning_rate=0.1), make_rollout(6)
+        agent = make("ppoc", termination_rate=rate, learning_rate=0.1, least_samples=most, epochs=1)
         before = agent.heads.networks["ending"].weights.clone()
         agent._learn(rollout, choices)
         assert (agent.heads.networks["ending"].weights - before).abs().max().item() == pytest.approx(rate, rel=0.01)
