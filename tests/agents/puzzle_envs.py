@@ -106,9 +106,9 @@ class LearnedPuzzle(NamedTuple):
     returns: list[float]
 
 
-def learn_puzzle(name: str, env: PuzzleEnv, primitives: int, seed: int) -> LearnedPuzzle:
+def learn_puzzle(name: str, env: PuzzleEnv, primitives: int, seed: int, **settings: Any) -> LearnedPuzzle:
     """Let an agent that learns a graph play until it has used so many primitives."""
-    agent = make_agent(name, env.observation_space, env.action_space, seed)
+    agent = make_agent(name, env.observation_space, env.action_space, seed, **settings)
     used, first, total, returns = 0, None, 0.0, []
     for step in interact(agent, env, primitives, seed):
         used, total = used + step.duration, total + step.summed_reward

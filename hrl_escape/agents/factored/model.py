@@ -43,36 +43,39 @@ class Belief:
     Args:
         choose: the hypotheses to go by; asked again about an action after each sample of it.
         visits: samples that make a context known.
+
+    Attributes:
+        models: of all actions, as of the last `update`.
     """
 
     def __init__(self, choose: ChooseHypotheses, visits: int) -> None:
         self.choose, self.visits = choose, visits
-        self._models: list[ActionModel] = []
+        self.models: list[ActionModel] = []
         self._stale: set[int] = set()
 
     def forget(self, action: int | None = None) -> None:
         """Mark an action, or (None) every action, for compilation."""
         if action is None:
-            self._models = []
+            self.models = []
         self._stale.add(-1 if action is None else action)
 
     def update(self, model: FactoredModel) -> None:
         """Compile the marked actions."""
-        if not self._stale and self._models:
+        if not self._stale and self.models:
             return
         packing, bonuses = model.packing, model.bonuses
         for action in range(model.learner.actions):
-            if action >= len(self._models):
-                self._models.append(compile_action(model.learner, packing, action, self.choose, bonuses, self.visits))
+            if action >= len(self.models):
+                self.models.append(model.compile(model.learner, packing, action, self.choose, bonuses, self.visits))
             elif action in self._stale:
-                self._models[action] = compile_action(
+                self.models[action] = model.compile(
                     model.learner, packing, action, self.choose, bonuses, self.visits
                 )
         self._stale.clear()
-        self.tables = make_tables(self._models)
-        self.bonus = max([rule.bonus for each in self._models for rule in each.rules], default=0.0)
-        self.relevant = find_relevant(self._models, packing.wide, with_gaps=False)
-        self.relevant_with_gaps = find_relevant(self._models, packing.wide, with_gaps=True)
+        self.tables = make_tables(self.models)
+        self.bonus = max([rule.bonus for each in self.models for rule in each.rules], default=0.0)
+        self.relevant = find_relevant(self.models, packing.wide, with_gaps=False)
+        self.relevant_with_gaps = find_relevant(self.models, packing.wide, with_gaps=True)
 
 
 class PendingPlan(Stateful):
@@ -111,20 +114,23 @@ class FactoredModel:
         conditions: `all-on` or `any`; see `FactoredRMaxSettings`.
         agent: name of the agent, for messages.
         make_learner: (sizes of the factors, actions, max_parents, all_on) -> the learner.
+        compile: makes the model of an action, with the arguments of `compile_action`.
 
     Attributes:
         learner: outcomes by parents.
         rate: usual reward of a primitive.
+        repeatable: bool (actions,), actions that were seen to be legal right after themselves.
     """
 
     def __init__(
         self, space: gymnasium.Space, actions: int, gamma: float, max_parents: int, conditions: str, agent: str,
         make_learner: Callable[..., StructureLearner] = StructureLearner,
+        compile: Callable[..., ActionModel] = compile_action,
     ) -> None:
         if actions > MOST_ACTIONS:
             raise UnsupportedSpaceError(f"{agent} plans with at most {MOST_ACTIONS} actions, not {actions}")
         self.gamma, self._actions, self._max_parents, self._agent = gamma, actions, max_parents, agent
-        self._make_learner = make_learner
+        self._make_learner, self.compile = make_learner, compile
         self._reader = FactorReader(space, agent)
         self._all_on = conditions == "all-on" and bool((self._reader.sizes == 2).all())
         self._before: list[NDArray[np.float64]] = []
@@ -144,7 +150,7 @@ class FactoredModel:
         self.rate = rate
         self._levels: dict[float, int] = {0.0: 0}
         self._durations: DurationModel | None = None
-        self._repeatable = np.ones(self._actions, dtype=np.bool_)
+        self.repeatable = np.ones(self._actions, dtype=np.bool_)
         self._tried: set[int] = set()
         self._done: set[int] = set()  # and masked ever since
         self._masked: set[tuple[bytes, int]] = set()
@@ -155,7 +161,7 @@ class FactoredModel:
 
     def _learn(self, number: int) -> None:
         action, duration, reward, over, previous, again = self._rows[number]
-        self._repeatable[action] = again or (self._repeatable[action] and action in self._tried)
+        self.repeatable[action] = again or (self.repeatable[action] and action in self._tried)
         self._tried.add(action)
         before, after = self._reader.read(self._before[number]), self._reader.read(self._after[number])
         self._learn_mask(before, self._masks[number], previous)
@@ -255,15 +261,21 @@ class FactoredModel:
     ) -> ModelPlan:
         """Plan from an observation; see `find_plan`."""
         belief.update(self)
+        relevant = belief.relevant_with_gaps if seek_gaps else belief.relevant
+        return find_plan(
+            belief.tables, self.pack(observation), legal, self.repeatable, relevant,
+            *self.estimate_durations(observation), self.rate, self.gamma, belief.bonus, seek_gaps, most_nodes,
+        )  # fmt: skip
+
+    def estimate_durations(self, observation: Any) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Primitives of each action after each action, in the last row from here, (actions + 1, actions).
+
+        Also the row that holds after each action, (actions,).
+        """
         if self._durations is None:
             self._durations = fit_durations(self._make_history(), self._actions)
         pose = self._reader.read_pose(self._reader.flatten(observation))
-        relevant = belief.relevant_with_gaps if seek_gaps else belief.relevant
-        return find_plan(
-            belief.tables, self.pack(observation), legal, self._repeatable, relevant,
-            self._durations.compute_durations(pose), self._durations.places, self.rate, self.gamma, belief.bonus,
-            seek_gaps, most_nodes,
-        )  # fmt: skip
+        return self._durations.compute_durations(pose), self._durations.places
 
     def _make_history(self) -> DurationHistory:
         """The last decisions, as far as durations are concerned."""

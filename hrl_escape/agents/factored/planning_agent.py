@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import Agent, SMDPTransition, count_actions
 from hrl_escape.agents.components.exploration import make_rng, sample_legal
+from hrl_escape.agents.factored.compiled_model import ActionModel, compile_action
 from hrl_escape.agents.factored.model import Belief, FactoredModel, PendingPlan
 from hrl_escape.agents.factored.search import ModelPlan
 from hrl_escape.agents.factored.structure import StructureLearner
@@ -63,7 +64,7 @@ class PlanningAgent(Agent):
         actions = count_actions(action_space, self.name)
         self.model = FactoredModel(
             observation_space, actions, self.gamma, self.settings.max_parents, self.settings.conditions, self.name,
-            self.make_learner,
+            self.make_learner, self.compile_model,
         )
         self._rng = make_rng(seed, "actions")
         self._pending = PendingPlan()
@@ -74,6 +75,10 @@ class PlanningAgent(Agent):
     ) -> StructureLearner:
         """The learner of structure, new."""
         return StructureLearner(sizes, actions, max_parents, all_on)
+
+    def compile_model(self, *arguments: Any) -> ActionModel:
+        """Model of an action, from the arguments of `compile_action`."""
+        return compile_action(*arguments)
 
     @abstractmethod
     def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:

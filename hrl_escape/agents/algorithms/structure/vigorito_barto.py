@@ -1,178 +1,264 @@
-"""Options made as dependencies are learned, one variable after another.
+"""Experiments of the largest expected information gain, and options made as dependencies are learned.
 
-Vigorito and Barto (2010), Intrinsically motivated hierarchical skill learning in structured environments: parents of
-every variable are found incrementally, and a variable whose parents are known gives an option that turns it on. What
-their decision trees do leaf by leaf, this does set by set: a set takes in one more parent where the history justifies
-the parameters it adds, by the Bayesian information criterion (Schwarz 1978). So contexts are tried one variable
-further, where SLF-R-MAX and Met-R-MAX try every set.
+Vigorito and Barto (2010), Intrinsically motivated hierarchical skill learning in structured environments. One decision
+tree an action and variable is split leaf by leaf (`trees.py`), and the information that a sample is expected to give is
+the intrinsic reward. A leaf in which an action turns a bit on is an option: what the leaf asks for is turned on first,
+by the options of those bits. The next experiment is the most rewarding one that options lead to, one after another, so
+that what has been learned reaches what has not.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from functools import cached_property, partial
-from typing import Annotated, Any, ClassVar
+from functools import partial
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple
 
+import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.agents.agent import OptionPolicy, SMDPTransition
 from hrl_escape.agents.algorithms.factored_r_max import FactoredRMax, FactoredRMaxSettings
+from hrl_escape.agents.factored.compiled_model import ActionModel, compile_action
+from hrl_escape.agents.factored.growing_sets import GrowingSets
+from hrl_escape.agents.factored.search import ModelPlan, SearchTables
 from hrl_escape.agents.factored.structure import StructureLearner
+from hrl_escape.agents.factored.trees import TreeLearner, compile_trees
 from hrl_escape.settings import Range
 
-__all__ = ["GrowingSets", "VigoritoBarto", "VigoritoBartoSettings"]
-
-
-STRONG = 3.0
-"""Logarithm of a likelihood ratio that is strong evidence (Kass and Raftery 1995)."""
-
-
-class GrowingSets(StructureLearner):
-    """Believes, for each outcome of an action, the set that grew from the empty one.
-
-    In every step the present set h takes in or drops the parent whose change raises the most
-
-        BIC(h) = sum over contexts, own values and results of n log(n / n of the context) - parameters / 2 x log n
-
-    until none raises it; of equals the smallest set is taken.
-    """
-
-    @cached_property
-    def _alive(self) -> dict[int, dict[int, NDArray[np.int64]]]:
-        """Results of `get_alive` by action and outcome, until the action's next sample."""
-        return {}
-
-    def add(self, before: NDArray[np.int64], action: int, after: NDArray[np.int64], over: bool, bonus: int) -> None:
-        """Take in one transition; what is believed of its action is then found anew."""
-        super().add(before, action, after, over, bonus)
-        self._alive.pop(action, None)
-
-    @cached_property
-    def _neighbours(self) -> tuple[list[NDArray[np.int64]], list[NDArray[np.int64]]]:
-        """Of each hypothesis, those that have one parent more, and those that have one less."""
-        numbers = {parents: number for number, parents in enumerate(self.hypotheses)}
-        larger: list[list[int]] = [[] for _ in numbers]
-        smaller: list[list[int]] = [[] for _ in numbers]
-        for parents, number in numbers.items():
-            for parent in parents:
-                less = numbers[tuple(p for p in parents if p != parent)]
-                larger[less].append(number)
-                smaller[number].append(less)
-        return [np.array(each, np.int64) for each in larger], [np.array(each, np.int64) for each in smaller]
-
-    def compute_likelihoods(self, action: int, outcome: int, hypotheses: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Maximum log likelihood of hypotheses about an outcome of an action that was seen, nats, (hypotheses,)."""
-        counts = self.get_samples(action, hypotheses, outcome).astype(np.float64)  # (hypotheses, contexts, own, values)
-        totals = counts.sum(axis=3, keepdims=True)
-        shares = np.divide(counts, totals, out=np.ones_like(counts), where=counts > 0)
-        return (counts * np.log(shares)).sum(axis=(1, 2, 3))
-
-    def compute_criteria(self, action: int, outcome: int, hypotheses: NDArray[np.int64]) -> NDArray[np.float64]:
-        """BIC of some hypotheses about an outcome of an action that was seen, nats, (hypotheses,)."""
-        likelihood = self.compute_likelihoods(action, outcome, hypotheses)
-        own = 2 if outcome < self.over and self.sizes[outcome] == 2 else 1
-        values = self.sizes[outcome] if outcome < self.over else 2
-        parameters = self.context_counts[hypotheses] * own * (values - 1)
-        return likelihood - parameters / 2 * np.log(max(self.count_samples(action), 1))
-
-    def get_alive(self, action: int, outcome: int) -> NDArray[np.int64]:
-        """The set that is believed, then those with one parent more that do not explain the history much worse."""
-        alive = self._alive.setdefault(action, {})
-        if outcome not in alive:
-            alive[outcome] = self._grow(action, outcome)
-        return alive[outcome]
-
-    def _grow(self, action: int, outcome: int) -> NDArray[np.int64]:
-        larger, smaller = self._neighbours
-        believed = 0
-        while self.count_samples(action):
-            near = np.r_[smaller[believed], believed, larger[believed]]
-            criteria = self.compute_criteria(action, outcome, near)
-            best = int(near[np.lexsort((near, self._set_sizes[near], -np.round(criteria, 9)))[0]])
-            if best == believed:
-                break
-            believed = best
-        tried = np.r_[believed, larger[believed]]
-        if not self.count_samples(action):
-            return tried
-        likelihoods = self.compute_likelihoods(action, outcome, tried)
-        return tried[likelihoods >= likelihoods[0] - STRONG]
+__all__ = ["Skill", "VigoritoBarto", "VigoritoBartoSettings"]
 
 
 @dataclass(frozen=True)
 class VigoritoBartoSettings(FactoredRMaxSettings):
-    """Samples of a context after which `vigorito-barto` makes options, beside hypotheses and search."""
+    """Trees, experiments and options of `vigorito-barto`, beside the search."""
 
+    models: Literal["trees", "sets"] = "trees"
+    """Models of an action's outcomes. `trees`: decision trees, and the experiment of the largest information gain.
+    `sets`: sets of at most `max_parents` parents, told apart as `conditions` says, and the nearest experiment that
+    could tell two of them apart; also wherever a factor is no bit."""
+    evidence: Annotated[float, Range(0)] = 3.0
+    """Nats by which a split must raise the criterion; with `trees`."""
+    least_gain: Annotated[float, Range(0)] = 0.3
+    """Discounted information in nats, summed over outcomes, below which an experiment is not worth its way, and the
+    task counts instead; with `trees`."""
     visits: Annotated[int, Range(1)] = 3
-    """Samples of a context after which no more are needed; a variable then gets its option."""
+    """Samples of a context after which a variable gets its option; with `sets`, no more are then needed."""
+
+
+class Skill(NamedTuple):
+    """How a bit is turned on.
+
+    Attributes:
+        action: that does it.
+        needs: what it asks of a packed state, pairs of a factor's bits and the value there.
+    """
+
+    action: int
+    needs: tuple[tuple[int, int], ...]
 
 
 class VigoritoBarto(FactoredRMax):
-    """Grow each outcome's set of parents, go where one more parent is untried, and keep an option for each bit.
+    """Make the experiment that tells most, by way of the options of bits; without one, go to the end of the task.
 
-    The option of a bit does the action that turns it on, once its parents are on; a parent that is off is turned on
-    first, by that parent's option.
+        gain(s, a)  = sum over outcomes i of max over factors f of I(leaf of tree (a, i) that s falls into, f, s_f)
+        experiment  = argmax over actions a and states s that options lead to of gamma^(k_s + k_a) gain(s, a)
+
+    I is the information that one more sample is expected to give about the distribution of the outcome in the leaf,
+    among its samples with that value of f; the trees predict s, k_s primitives from here. No option is followed on
+    from a state that is worth less than what was found before.
     """
 
     name: ClassVar[str] = "vigorito-barto"
     Settings: ClassVar[type] = VigoritoBartoSettings
     settings: VigoritoBartoSettings
 
+    def __init__(
+        self,
+        observation_space: gymnasium.Space,
+        action_space: gymnasium.Space,
+        seed: int,
+        settings: VigoritoBartoSettings | None = None,
+    ) -> None:
+        super().__init__(observation_space, action_space, seed, settings)
+        self._skills: dict[int, Skill] = {}
+        self._skills_of: SearchTables | None = None
+        """The compiled model that the skills are of."""
+
     def make_learner(
         self, sizes: NDArray[np.int64], actions: int, max_parents: int, all_on: bool
-    ) -> GrowingSets:
-        """New sets of parents, each empty at first."""
+    ) -> StructureLearner:
+        """Trees, or sets of parents, that have not grown yet."""
+        if self.settings.models == "trees" and (sizes == 2).all():
+            return TreeLearner(sizes, actions, self.settings.evidence)
         return GrowingSets(sizes, actions, max_parents, all_on)
 
-    def find_skills(self) -> dict[int, tuple[int, tuple[int, ...]]]:
-        """Bits that have an option: component -> the action that turns it on, and the components of its parents."""
-        learner, found = self.model.learner, {}
-        for action in range(learner.actions):
-            for outcome in learner.list_active(action).tolist():
-                if outcome >= learner.over or learner.sizes[outcome] != 2:
-                    continue
-                believed = int(learner.get_alive(action, outcome)[0])
-                parents = learner.hypotheses[believed]
-                on = learner.get_counts(action, believed, outcome)[self._find_context(believed), 0]
-                bit = int(self.model.components[outcome])
-                if on.sum() >= self.settings.visits and on.argmax() == 1 and bit not in found:
-                    found[bit] = action, tuple(int(self.model.components[parent]) for parent in parents)
-        return found
-
-    def _find_context(self, hypothesis: int) -> int:
-        """Context of a hypothesis in which all of its parents are on."""
-        learner = self.model.learner
-        return 0 if learner.all_on else int(learner.context_counts[hypothesis]) - 1
-
-    def choose_towards(self, bit: int, observation: Any) -> int | None:
-        """The next action on the way to a bit; None if it is on, or has no option."""
-        on, skills = np.asarray(observation).reshape(-1) == 1, self.find_skills()
-        if on[bit] or bit not in skills:
-            return None
-        for _ in range(len(skills)):
-            action, parents = skills[bit]
-            missing = [parent for parent in parents if not on[parent] and parent in skills]
-            if not missing:
-                return action
-            bit = missing[0]
-        return None  # they need each other
-
-    def get_options(self) -> tuple[OptionPolicy, ...]:
-        """An option for each bit whose parents are known, from where it is off; the whole policy where none is."""
-        return tuple(map(self._export, sorted(self.find_skills()))) or super().get_options()
-
-    def _export(self, bit: int) -> OptionPolicy:
-        def can_start(observation: Any, action_mask: NDArray[np.bool_]) -> bool:
-            action = self.choose_towards(bit, observation)
-            return action is not None and bool(action_mask[action])
-
-        return OptionPolicy(f"bit-{bit}", self, partial(_Run, self, bit), can_start, is_markov=True)
+    def compile_model(self, *arguments: Any) -> ActionModel:
+        """Rules of the leaves of trees, or of sets of parents."""
+        return (compile_trees if isinstance(arguments[0], TreeLearner) else compile_action)(*arguments)
 
     def observe(self, transition: SMDPTransition) -> Mapping[str, float]:
         """Add to the history; the end of an episode drops the plan."""
         return {**super().observe(transition), "skills": len(self.find_skills())}
+
+    # --- the graph ------------------------------------------------------------------------
+
+    def get_graph(self) -> frozenset[tuple[int, int]]:
+        """Edges (parent, child): some action puts the child up, and asks for the parent's value where it is off."""
+        learner = self.model.learner
+        if not isinstance(learner, TreeLearner):
+            return super().get_graph()
+        names = self.model.components.tolist()
+        turned_on = {(action, int(leaves.outcomes[leaf])) for action in range(learner.actions)
+                     for leaves in (learner.get_leaves(action),) for leaf in learner.list_changes(action)
+                     if leaves.totals[leaf].argmax() == 1}
+        return frozenset((names[parent], names[child]) for action, child in turned_on
+                         for parent in learner.find_parents(action, child, own=0))
+
+    # --- options of bits --------------------------------------------------------------------
+
+    def find_skills(self) -> dict[int, Skill]:
+        """How bits are turned on, by bit of a packed state: what asks for least counts, of equals the first action."""
+        self._careful.update(self.model)
+        if self._skills_of is not self._careful.tables:
+            self._skills_of, self._skills = self._careful.tables, {}
+            is_tree = isinstance(self.model.learner, TreeLearner)
+            for bit, skill in self._list_in_rules() if is_tree else self._list_in_sets():
+                if bit not in self._skills or len(skill.needs) < len(self._skills[bit].needs):
+                    self._skills[bit] = skill
+        return self._skills
+
+    def _list_in_rules(self) -> Iterator[tuple[int, Skill]]:
+        """What leaves of trees turn on."""
+        masks = self.model.packing.masks
+        for action, model in enumerate(self._careful.models):
+            for rule in model.rules:
+                if rule.put:
+                    yield rule.put, Skill(action, tuple((mask, rule.value & mask) for mask in masks
+                                                        if rule.care & mask and mask != rule.put))
+
+    def _list_in_sets(self) -> Iterator[tuple[int, Skill]]:
+        """What actions turn on where all parents are on, once each bit."""
+        learner, packing, taken = self.model.learner, self.model.packing, set()
+        for action in range(learner.actions):
+            for outcome in learner.list_active(action).tolist():
+                if outcome >= learner.over or learner.sizes[outcome] != 2 or outcome in taken:
+                    continue
+                believed = int(learner.get_alive(action, outcome)[0])
+                context = 0 if learner.all_on else int(learner.context_counts[believed]) - 1
+                on = learner.get_counts(action, believed, outcome)[context, 0]
+                if on.sum() >= self.settings.visits and on.argmax() == 1:
+                    taken.add(outcome)
+                    yield packing.masks[outcome], Skill(action, tuple(
+                        (packing.masks[p], 1 << int(packing.shifts[p])) for p in learner.hypotheses[believed]))
+
+    def choose_towards(self, bit: int, state: int) -> int | None:
+        """The next action on the way to turning a bit on in a packed state; None if it is on, or no way is known."""
+        skills = self.find_skills()
+        if state & bit:
+            return None
+        for _ in range(len(skills)):
+            if bit not in skills:
+                return None
+            missing = [(mask, value) for mask, value in skills[bit].needs if state & mask != value]
+            if not missing:
+                return skills[bit].action
+            bit, value = missing[0]
+            if not value:
+                return None  # it would have to go off
+        return None  # they need each other
+
+    def get_options(self) -> tuple[OptionPolicy, ...]:
+        """An option for each bit that can be turned on, from where it is off; the whole policy where none can."""
+        return tuple(map(self._export, sorted(self.find_skills()))) or super().get_options()
+
+    def _export(self, bit: int) -> OptionPolicy:
+        component = self.model.components[self.model.packing.masks.index(bit)]
+
+        def can_start(observation: Any, action_mask: NDArray[np.bool_]) -> bool:
+            action = self.choose_towards(bit, self.model.pack(observation))
+            return action is not None and bool(action_mask[action])
+
+        return OptionPolicy(f"bit-{component}", self, partial(_Run, self, bit), can_start, is_markov=True)
+
+    # --- experiments ------------------------------------------------------------------------
+
+    def _find_plan(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
+        """The way to the next experiment, by trees or by sets of parents; if none is left, to the end of the task."""
+        if not isinstance(self.model.learner, TreeLearner):
+            return super()._find_plan(observation, action_mask)
+        plan = self.find_experiment(observation, action_mask)
+        self._is_exploring = bool(plan.actions)
+        return plan if plan.actions else self._find_escape(observation, action_mask)
+
+    def find_experiment(self, observation: Any, action_mask: NDArray[np.bool_]) -> ModelPlan:
+        """The way by options to the experiment of the largest discounted information gain, which is its last action.
+
+        One option leads on after another as long as a better experiment can be made where it ends.
+
+        Its value is that gain, nats. Without actions where none is worth `least_gain`.
+        """
+        learner, shifts = self.model.learner, self.model.packing.shifts
+        assert isinstance(learner, TreeLearner)
+        skills, (durations, places) = self.find_skills(), self.model.estimate_durations(observation)
+        start = _Way(self.model.pack(observation), (), (), 0.0, -1)
+        best, plan, ways, seen = 0.0, ModelPlan((), (), -np.inf, True), [start], {start.state}
+        while ways:
+            states = np.array([way.state for way in ways])[:, None] >> shifts & 1
+            gains = learner.compute_gains(states.astype(np.bool_))
+            for row, way in enumerate(ways):
+                gains[row] *= self._find_legal(way, action_mask) * self.gamma ** (way.elapsed + durations[way.place])
+            row, action = divmod(int(gains.argmax()), learner.actions)
+            if gains[row, action] <= best:
+                break
+            best, way = float(gains[row, action]), ways[row]
+            plan = ModelPlan((*way.actions, action), (*way.states, way.state), best, True)
+            ends = [self._follow(bit, way, action_mask, durations, places) for bit in skills]
+            ways = list({end.state: end for end in ends if end is not None and end.state not in seen}.values())
+            seen.update(way.state for way in ways)
+        return plan if best >= self.settings.least_gain else ModelPlan((), (), -np.inf, True)
+
+    def _follow(self, bit: int, way: _Way, action_mask: NDArray[np.bool_], durations: NDArray[np.float64],
+                places: NDArray[np.int64]) -> _Way | None:
+        """A way led on by an option until its bit is on; None where that is not foreseen."""
+        for _ in range(len(self.model.components)):
+            action = self.choose_towards(bit, way.state)
+            if action is None or not self._find_legal(way, action_mask)[action]:
+                break
+            way = _Way(self.predict(way.state, action), (*way.actions, action), (*way.states, way.state),
+                       way.elapsed + durations[way.place, action], int(places[action]))
+        return way if way.actions and way.state & bit else None
+
+    def _find_legal(self, way: _Way, action_mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Actions that may follow: those legal here, and further on all but a last one that never follows itself."""
+        if not way.actions:
+            return action_mask
+        legal = np.ones(len(action_mask), np.bool_)
+        legal[way.actions[-1]] = self.model.repeatable[way.actions[-1]]
+        return legal
+
+    def predict(self, state: int, action: int) -> int:
+        """The likeliest state after an action; the same where the task ends."""
+        matching = [rule for rule in self._careful.models[action].rules if state & rule.care == rule.value]
+        if any(rule.over for rule in matching):
+            return state
+        for rule in matching:
+            state = state & ~rule.clear | rule.put
+        return state
+
+
+class _Way(NamedTuple):
+    """Where options lead to: a state, the actions on the way and the states in which they are taken.
+
+    `elapsed` is in primitives, `place` the row of the table of durations that holds at the end.
+    """
+
+    state: int
+    actions: tuple[int, ...]
+    states: tuple[int, ...]
+    elapsed: float
+    place: int
 
 
 class _Run:
@@ -183,11 +269,11 @@ class _Run:
 
     def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
         """The next action on the way to the bit."""
-        action = self._agent.choose_towards(self._bit, observation)
+        action = self._agent.choose_towards(self._bit, self._agent.model.pack(observation))
         assert action is not None, "the option may not start here"
         return action
 
     def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
         """1 where the bit is on, or the way goes on by an illegal action."""
-        action = self._agent.choose_towards(self._bit, observation)
+        action = self._agent.choose_towards(self._bit, self._agent.model.pack(observation))
         return float(action is None or not action_mask[action])
