@@ -7,7 +7,7 @@ import torch
 from gymnasium import spaces
 
 from hrl_escape.agents import train
-from hrl_escape.agents.components.policy_gradient import Rollout, take_column
+from hrl_escape.agents.algorithms.options.ppoc import OptionSamples
 from hrl_escape.agents.registry import make_agent
 from tests.agents.algorithms.options.test_option_networks import make, make_rollout
 
@@ -114,14 +114,17 @@ def test_terminations_step_with_every_minibatch_of_the_option_s_own_decisions():
     counts = np.bincount(choices.option.numpy(), minlength=3)
     agent._learn(rollout, choices)
     assert (counts > 1).all() and agent._ending_learner.updates == agent.heads.learner.updates == 3 * len(counts)
-    one = Rollout(*(field[choices.option == 1] for field in rollout))
-    own = type(choices)(*(field[choices.option == 1] for field in choices[:3]))
     with torch.no_grad():
-        batch = agent.compute_samples(one, own)
-    values, betas = agent.heads.critic(batch.reached), agent.heads.compute_betas(batch.reached)
-    mean = (agent.heads.compute_fresh_choice(batch.reached) * values).sum(dim=1)
-    expected = (take_column(betas, own.option) * (values[:, 1] - mean) * (one.bootstrap > 0)).mean().item()
-    assert agent.step_termination(1, batch)["termination_loss"].item() == pytest.approx(expected, abs=1e-5)
+        every = agent.compute_samples(rollout, choices)
+    option = int(choices.option[rollout.bootstrap == 0][0])
+    rows = choices.option == option
+    reached, goes_on = rollout.next_observation[rows], (rollout.bootstrap > 0)[rows]
+    values, betas = agent.heads.critic(reached), agent.heads.compute_betas(reached)[:, option]
+    mean = (agent.heads.compute_fresh_choice(reached) * values).sum(dim=1)
+    expected = (betas * (values[:, option] - mean) * goes_on).mean().item()
+    found = agent.step_termination(option, OptionSamples(*(field[rows] for field in every)))
+    assert found["termination_loss"].item() == pytest.approx(expected, abs=1e-5)
+    assert goes_on.any() and not goes_on.all()
 
 
 @pytest.mark.slow
