@@ -25,16 +25,19 @@ from rich.console import Console
 from rich.table import Table
 
 from hrl_escape.agents.registry import get_recipe
+from hrl_escape.agents.training.evaluation import compute_episode_seed
 from hrl_escape.agents.training.results import TrainResult
 from hrl_escape.agents.training.train import train
 from hrl_escape.commands.room_choice import RoomChoice, VectorObservation, split_assignment
+from hrl_escape.comparison.episodes import StateRecorder
 from hrl_escape.comparison.grid import AgentSpec, OptionsView
 from hrl_escape.comparison.places import RunPlace
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.runs import find_starts, make_env
+from hrl_escape.comparison.score_range import record_returns
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import UnsupportedError
 from hrl_escape.names import make_console_text, make_file_name
-from hrl_escape.planning.best_known import best_known_return
+from hrl_escape.planning.best_known import best_known_return, find_best_known
 from hrl_escape.settings import read_field_documents
 
 if TYPE_CHECKING:
@@ -124,10 +127,16 @@ def run(args: TrainArgs) -> None:
     instance = args.make_instance()
     name = make_file_name(f"{spec.label}-{RunPlace.of_room(instance).name}-{args.training_seed}")
     out = args.out or Path("runs") / f"{name}-{{key}}"
-    env = make_env(spec, instance, args.observation)[0] if args.batch is None else args.make_batch(spec, instance)
+    recorder: StateRecorder | None = None
+    if args.batch is None:
+        env, recorder = make_env(spec, instance, args.observation)
+    else:
+        env = args.make_batch(spec, instance)
     result = train(args.agent, env, primitives=args.primitives, seed=args.training_seed, settings=resolved,
                    eval_every=args.eval_every, eval_episodes=args.eval_episodes, out=out, tensorboard=args.tensorboard,
                    threads=args.threads)
+    if isinstance(env, gymnasium.Env) and recorder is not None:
+        _record(env, recorder, result, f"{spec.label}, seed {args.training_seed}")
     if isinstance(env, (gymnasium.Env, gymnasium.vector.VectorEnv)):
         env.close()
     best = best_known_return(instance)
@@ -135,6 +144,13 @@ def run(args: TrainArgs) -> None:
         print(json.dumps({"best_known": best, "folder": str(result.folder), **result.to_json()}, indent=2))
     else:
         _print(result, best)
+
+
+def _record(env: gymnasium.Env, recorder: StateRecorder, result: TrainResult, source: str) -> None:
+    """Raise the best known returns that an evaluation has beaten."""
+    episodes = len(result.evaluations[0].returns) if result.evaluations else 0
+    starts = find_starts(env, recorder, [compute_episode_seed(0, "evaluation", n) for n in range(episodes)])
+    record_returns(starts, [find_best_known(*start).value for start in starts], result.evaluations, source)
 
 
 def _print_settings(args: TrainArgs, resolved: dict[str, Any]) -> None:

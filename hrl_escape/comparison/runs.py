@@ -24,7 +24,7 @@ from hrl_escape.comparison.episodes import StateRecorder, find_recorder, record_
 from hrl_escape.comparison.grid import AgentSpec, GridRun
 from hrl_escape.comparison.places import RoomSchedule, RunPlace, Split
 from hrl_escape.comparison.references.registry import make_reference
-from hrl_escape.comparison.score_range import ScoreRange, compute_score_range
+from hrl_escape.comparison.score_range import ScoreRange, compute_score_range, record_returns
 from hrl_escape.comparison.solved_probe import Solution, SolvedProbe
 from hrl_escape.comparison.statistics import compute_final, compute_mean_efficiency
 from hrl_escape.env.instance import RoomInstance
@@ -39,8 +39,9 @@ from hrl_escape.settings import read_record
 from hrl_escape.synthesis.kinds import find_kind
 from hrl_escape.version import __version__, find_versions
 
-__all__ = ["RunResult", "execute_run", "get_room_file", "get_run_folder", "get_training_folder", "make_env",
-           "read_episodes", "load_run_result"]
+__all__ = ["RunResult", "execute_run", "find_starts", "get_room_file", "get_run_folder", "get_training_folder",
+           "load_run_result", "make_env", "read_episodes"]
+
 
 @dataclass(frozen=True)
 class RunResult:
@@ -216,7 +217,8 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
     floors = 1 if isinstance(rooms, RoomInstance) else len(list_sets(rooms))
     env, recorder = make_env(agent, rooms, grid.observation, order, common)
     try:
-        score_range = compute_score_range(_find_starts(env, recorder, seeds), agent, out / "references", floors)
+        starts = find_starts(env, recorder, seeds)
+        score_range = compute_score_range(starts, agent, out / "references", floors)
         if agent.is_reference:
             player: Agent = make_reference(agent.name, env, recorder)
             evaluation = evaluate(player, env, len(seeds), run.eval_seed, grid.primitives, trials=floors)
@@ -225,6 +227,7 @@ def execute_run(run: GridRun, out: Path, checkpoint_seconds: float) -> None:
             player, value = _train(run, out, env, env, place, score_range, checkpoint_seconds)
         else:
             player, value = _train_in_set(run, out, env, place, common, score_range, checkpoint_seconds)
+        _record(run, out, starts, score_range, value.evaluations)
         if grid.trials > 1 and place.split is not None:
             value = _try_several_times(run, out, player, place.split, common, order, value)
         drawn = seeds if place.split is None else seeds[:: len(place.split.test)]  # those in the room in pictures
@@ -245,9 +248,10 @@ def _train_in_set(run: GridRun, out: Path, eval_env: gymnasium.Env, place: RunPl
     again, again_recorder = make_env(run.agent, place.split.train, run.grid.observation, order, common)
     try:
         agent, value = _train(run, out, env, eval_env, place, score_range, checkpoint_seconds)
-        starts = _find_starts(again, again_recorder, seeds)
+        starts = find_starts(again, again_recorder, seeds)
         seen_range = compute_score_range(starts, run.agent, out / "references", floors)
         seen = evaluate(agent, again, len(seeds), run.eval_seed, value.primitives, value.decisions, trials=floors)
+        _record(run, out, starts, seen_range, [seen])
     finally:
         env.close()
         again.close()
@@ -268,7 +272,10 @@ def _try_several_times(run: GridRun, out: Path, player: Agent, split: Split, com
             lambda: starts.append([(room.instance, state) for state in recorder.starts]))
     finally:
         env.close()
-    ranges = tuple(compute_score_range(trial, run.agent, out / "references") for trial in zip(*starts, strict=True))
+    tried = list(zip(*starts, strict=True))
+    ranges = tuple(compute_score_range(trial, run.agent, out / "references") for trial in tried)
+    for trial, score_range, evaluation in zip(tried, ranges, found, strict=True):
+        _record(run, out, trial, score_range, [evaluation])
     return dataclasses.replace(value, trials=found, trial_ranges=ranges)
 
 
@@ -291,12 +298,19 @@ def _train(run: GridRun, out: Path, env: gymnasium.Env, eval_env: gymnasium.Env,
     return result.agent, RunResult.make(budget, result, score_range, solution)
 
 
-def _find_starts(env: gymnasium.Env, recorder: StateRecorder, seeds: Sequence[int]
+def _record(run: GridRun, out: Path, starts: Sequence[tuple[RoomInstance, RoomState]], score_range: ScoreRange,
+            evaluations: Sequence[Evaluation]) -> None:
+    """Keep what beats the best known returns in `records.json` beside the run's result."""
+    record_returns(starts, score_range.best, evaluations, f"{run.agent.label}, seed {run.seed}",
+                   get_run_folder(out, run) / "records.json")
+
+
+def find_starts(env: gymnasium.Env, recorder: StateRecorder, seeds: Sequence[int]
                  ) -> list[tuple[RoomInstance, RoomState]]:
     """Room and first state of the episodes of these seeds; of a tower those of every floor."""
     if isinstance(env, SequenceEnv):
         return [start for seed in seeds for level, floor in enumerate(env.floors)
-                for start in _find_starts(floor, find_recorder(floor), [compute_floor_seed(seed, level)])]
+                for start in find_starts(floor, find_recorder(floor), [compute_floor_seed(seed, level)])]
     room: Any = env.unwrapped
     starts = []
     for seed in seeds:

@@ -5,15 +5,24 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import shutil
+from collections import OrderedDict
+
+import pytest
 
 from hrl_escape.comparison.grid import AgentSpec, OptionsView
-from hrl_escape.comparison.runs import make_env
+from hrl_escape.comparison.references.registry import INDEX_ORDER
+from hrl_escape.comparison.runs import execute_run, make_env
 from hrl_escape.comparison.score_range import CEILING, PLANNER, compute_score_range
+from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Kinematics
 from hrl_escape.env.presets import get_preset
 from hrl_escape.env.sampling.generation import generate
+from hrl_escape.planning import best_known
+from hrl_escape.planning.best_known import best_known_return, find_best_known
 from hrl_escape.planning.planner import RoomPlanner
-from tests.comparison.small import SCHEMATIC
+from hrl_escape.planning.route import get_pose
+from tests.comparison.small import SCHEMATIC, change, run_quietly
 
 ROOM = generate(SCHEMATIC, 0)
 STATES = [Kinematics(ROOM).make_state(start) for start in ROOM.starts[:3]]
@@ -83,3 +92,20 @@ def test_what_planners_found_is_kept_for_other_runs_and_a_damaged_file_is_made_a
     for damaged in ("{", "[1]", "{}", '{"ends": [1]}', '{"ends": {}}', '{"ends": [1, 2, 3, "x"]}'):
         files[0].write_text(damaged)
         assert compute_score_range(STARTS, AgentSpec("dqn"), tmp_path) == found, damaged
+
+
+def test_a_run_that_beats_the_best_known_return_raises_it(tmp_path, monkeypatch):
+    (finished, result), = run_quietly(change(agents=(INDEX_ORDER,), runs=1, primitives=200), tmp_path).runs
+    assert not list(tmp_path.rglob("records.json")), "nothing has been beaten"
+    instance, = (RoomInstance.load(path) for path in (tmp_path / "rooms").glob("*.json"))
+    states = [Kinematics(instance).make_state(start) for start in instance.starts]
+    poor = {(instance.id, get_pose(state), state.puzzle): find_best_known(instance, state)._replace(value=-70.0)
+            for state in states}
+    monkeypatch.setattr(best_known, "_KNOWN", OrderedDict(poor))
+    shutil.rmtree(tmp_path / "references")
+    with pytest.warns(UserWarning, match=f"{INDEX_ORDER}, seed 0 reached a return of"):
+        execute_run(finished, tmp_path, 60.0)
+    reached = set(result.evaluations[0].returns)
+    records, = tmp_path.rglob("records.json")
+    assert {row["return"] for row in json.loads(records.read_text()).values()} <= reached
+    assert max(best_known_return(instance, state=state) for state in states) == max(reached) > -70

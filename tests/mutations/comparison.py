@@ -4,6 +4,13 @@ from tests.mutations.mutation import Mutation
 
 MUTATIONS = [
     Mutation(
+        "an agent that beats the best known return leaves it as it was",
+        "comparison/score_range.py",
+        "if length and value > known + 1e-9:",
+        "if length and value > known + 1e9:",
+        "comparison/test_score_range.py::test_a_run_that_beats_the_best_known_return_raises_it",
+    ),
+    Mutation(
         "a searcher remembers what failed under other lights",
         "comparison/references/by_lights.py",
         """            self._tried.clear()
