@@ -3,15 +3,14 @@ from .best_with_options import best_return_with_options, find_best_with_options
 from .closed_loop import pursue
 from .degraded import OptionDegradation
 from .domain import OptionDomain
-from .flavours import FLAVOURS
-from .from_agents import make_learned_options
-from .learned import LearnedOption
+from .execution import TraceStep
+from .learned import LearnedOption, make_learned_options
 from .meta_actions import PlannedOption, make_meta_options
 from .option import FunctionOption, Option, ScriptedOption, TableOption
 from .options_env import OptionsEnv
 from .pushing import PushOption
 from .skills import make_go_to, make_press, make_reach
-from .trace import TraceStep
+from .sources import FLAVOURS
 
 __all__ = [
     "BatchedOptionsEnv",

@@ -20,6 +20,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.poses import list_touched
 from hrl_escape.errors import OptionError, StepContractError, UnsupportedError
 from hrl_escape.options.option import Option
+from hrl_escape.options.sources import MetaSource
 
 __all__ = ["DomainStep", "OptionDomain", "OptionLevel", "RoomDomain", "RoomEnv", "make_option_domain"]
 
@@ -260,8 +261,6 @@ class RoomDomain(OptionDomain):
         Raises:
             OptionError: there is an environment of options below, whose actions no planner knows.
         """
-        from hrl_escape.options.sources import MetaSource
-
         if self.lower is not None:
             raise OptionError("planned options choose primitives, and the actions below are options themselves: give "
                               "OptionsEnv(env, options) options that choose among them")

@@ -6,19 +6,19 @@ masks or discounts.
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
+from numpy.typing import NDArray
 
 from hrl_escape.errors import OptionError, StepContractError
 from hrl_escape.options.domain import DomainStep, OptionDomain
 from hrl_escape.options.option import Option
 from hrl_escape.planning.route import PlanningReport
 
-__all__ = ["DecisionOutcome", "OptionCall", "OptionExecution", "RunningDecision"]
+__all__ = ["OptionCall", "OptionExecution", "RunningDecision", "TraceStep", "check_choice"]
 
 DEEPEST_NESTING = 8
 
@@ -46,6 +46,39 @@ class OptionCall(NamedTuple):
     def duration(self) -> int:
         """Number of primitives that the call ran."""
         return len(self.rewards)
+
+
+class TraceStep(NamedTuple):
+    """One step of the wrapped environment inside a decision: a primitive, or a decision of the level below.
+
+    Attributes:
+        observation: observation of the wrapped environment before it.
+        action: the primitive, as the wrapped environment took it.
+        reward: its reward; the sum, if the level below ran several primitives.
+        next_observation: observation after it.
+        state: what options saw before; the full state of a room.
+        next_state: the same after.
+        next_action_mask: int8 (actions,), the actions legal after it.
+        consistent: (action, beta) of the primitive itself and of every option that would have chosen it
+            here, with beta the option's probability of ending after it. Only options whose policy is a
+            function of the state are among them (see `Option.is_markov`).
+        name: of the primitive; empty where primitives have no numbers.
+        rewards: one a primitive of the lowest level.
+        trace: trace of the level below, if there is one and it traces.
+    """
+
+    observation: Any
+    action: Any
+    reward: float
+    next_observation: Any
+    state: Any
+    next_state: Any
+    next_action_mask: NDArray[np.int8]
+    consistent: tuple[tuple[int, float], ...]
+    name: str = ""
+    rewards: tuple[float, ...] = ()
+    trace: tuple[Any, ...] = ()
+
 
 
 class _Frame(NamedTuple):
@@ -144,7 +177,21 @@ class OptionExecution:
 
 
 class RunningDecision:
-    """One decision while it runs: steps the wrapped environment and records the result."""
+    """One decision while it runs: steps the wrapped environment and records the result.
+
+    Attributes:
+        state: present state, as options see it.
+        observation: present observation of the wrapped environment.
+        rewards: one a primitive.
+        steps: of the wrapped environment.
+        terminated: as the last step returned it, like the following two.
+        truncated: likewise.
+        info: likewise.
+        ended: ending, as in `info["option"]`.
+        reason: of an ending where planning failed; else empty.
+        report: planning done.
+        calls: runs of options that ended in it, nested ones included, innermost first.
+    """
 
     def __init__(self, env: gymnasium.Env, domain: OptionDomain, observation: Any) -> None:
         self._env, self._domain = env, domain
@@ -154,6 +201,9 @@ class RunningDecision:
         self.steps: list[DomainStep] = []
         self.terminated = self.truncated = False
         self.info: Mapping[str, Any] = {}
+        self.ended, self.reason = "reached", ""
+        self.report = PlanningReport()
+        self.calls: tuple[OptionCall, ...] = ()
 
     @property
     def is_over(self) -> bool:
@@ -169,20 +219,6 @@ class RunningDecision:
         self.state = self._domain.get_state(self.observation)
         self.steps.append(DomainStep(action, before, self.state, self.observation, rewards, self.info))
         return rewards
-
-
-@dataclasses.dataclass
-class DecisionOutcome:
-    """Ending of a decision, and the reason if planning failed.
-
-    Attributes:
-        calls: runs of options that ended in the decision, nested ones included, innermost first.
-    """
-
-    ended: str
-    reason: str = ""
-    report: PlanningReport = dataclasses.field(default_factory=PlanningReport)
-    calls: tuple[OptionCall, ...] = ()
 
 
 def _read_rewards(reward: Any, info: Mapping[str, Any]) -> tuple[float, ...]:

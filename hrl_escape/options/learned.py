@@ -1,20 +1,26 @@
 """Options whose policy was learned: by an agent of this package, by Stable-Baselines3, or by any function.
 
-No agent or Stable-Baselines3 is imported here: two protocols state what a policy must offer.
+`LearnedOption` makes an option of one policy and a termination. `make_learned_options` makes one of everything that an
+agent teaches by `get_options`: the tasks of a hierarchy, the ways to subgoals, macros, or its whole policy. No agent or
+Stable-Baselines3 is imported here: protocols state what they must offer.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import copy
+import numbers
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hrl_escape.errors import OptionError
-from hrl_escape.options.option import FunctionOption
+from hrl_escape.options.option import FunctionOption, Option
+from hrl_escape.planning.route import PlanningReport
 
-__all__ = ["LearnedOption", "LegalActions", "PredictingModel", "TrainedAgent", "check_legal", "find_legal"]
+__all__ = ["AgentOption", "GivenPolicy", "GivenRun", "LearnedOption", "LegalActions", "PredictingModel",
+           "TeachingAgent", "TrainedAgent", "make_learned_options"]
 
 LegalActions: TypeAlias = int | Callable[[Any], NDArray[np.bool_]]
 """Number of actions, all legal, or a function of the state that gives a bool (actions,) of the legal ones."""
@@ -38,18 +44,18 @@ class PredictingModel(Protocol):
         ...
 
 
-def find_legal(legal: LegalActions, state: Any) -> NDArray[np.bool_]:
+def _find_legal(legal: LegalActions, state: Any) -> NDArray[np.bool_]:
     """Legal actions, bool (actions,)."""
     return np.asarray(legal(state), np.bool_) if callable(legal) else np.ones(legal, np.bool_)
 
 
-def check_legal(name: str, legal: LegalActions, state: Any, count: int) -> None:
+def _check_legal(name: str, legal: LegalActions, state: Any, count: int) -> None:
     """Require an entry for every action of the environment.
 
     Raises:
         OptionError: there are more or fewer.
     """
-    shape = find_legal(legal, state).shape
+    shape = _find_legal(legal, state).shape
     if shape != (count,):
         said = f"its legal gives an array of shape {shape}" if callable(legal) else f"its legal is {legal}"
         raise OptionError(f"option {name!r} acts in an environment of {count} actions, and {said}: give that number, "
@@ -104,7 +110,7 @@ class LearnedOption(FunctionOption):
             OptionError: it has more or fewer.
         """
         if self._legal is not None:
-            check_legal(self.name, self._legal, state, count)
+            _check_legal(self.name, self._legal, state, count)
 
 
 class _LearnedPolicy:
@@ -119,7 +125,7 @@ class _LearnedPolicy:
         observation = state if self.observe is None else self.observe(state)
         if isinstance(self.learned, TrainedAgent):
             assert self.legal is not None
-            return self.learned.act_greedy(observation, find_legal(self.legal, state), rng or np.random.default_rng(0))
+            return self.learned.act_greedy(observation, _find_legal(self.legal, state), rng or np.random.default_rng(0))
         if isinstance(self.learned, PredictingModel):
             return self.learned.predict(observation, deterministic=True)[0]
         return self.learned(observation, rng) if self._is_stochastic else self.learned(observation)
@@ -132,3 +138,179 @@ class _LearnedPolicy:
         network = getattr(self.learned, "policy", None) if isinstance(self.learned, PredictingModel) else None
         return {"learned": self.learned if network is None else network, "observe": self.observe, "legal": self.legal,
                 "is_stochastic": self._is_stochastic}
+
+
+class GivenRun(Protocol):
+    """One run of a policy."""
+
+    def act(self, observation: Any, action_mask: NDArray[np.bool_], rng: np.random.Generator) -> int:
+        """Choose an action that the mask allows, for one observation."""
+        ...
+
+    def compute_termination(self, observation: Any, action_mask: NDArray[np.bool_]) -> float:
+        """Probability of ending at the state that the latest action led to."""
+        ...
+
+
+class GivenPolicy(Protocol):
+    """Policy that an agent learned, with its beginning and end."""
+
+    @property
+    def name(self) -> str:
+        """Name, unique among the agent's policies."""
+        ...
+
+    @property
+    def agent(self) -> Any:
+        """The agent, whose state identifies runs over this option."""
+        ...
+
+    @property
+    def begin(self) -> Callable[[], GivenRun]:
+        """Factory of a run: called when the option starts."""
+        ...
+
+    @property
+    def can_start(self) -> Callable[[Any, NDArray[np.bool_]], bool]:
+        """Function of observation and action mask: whether it may start there."""
+        ...
+
+    @property
+    def is_markov(self) -> bool:
+        """True if choice and end are functions of observation and action mask."""
+        ...
+
+    @property
+    def origin(self) -> Mapping[str, Any]:
+        """Run in which it was learned: `agent`, `run`, `seed`, `primitives`."""
+        ...
+
+
+@runtime_checkable
+class TeachingAgent(Protocol):
+    """Agent that offers its learned policies, as those of `hrl_escape.agents` do."""
+
+    def get_options(self) -> Sequence[GivenPolicy]:
+        """Policies that the trained agent teaches as options, in its own order."""
+        ...
+
+
+class AgentOption(Option):
+    """Option that follows a policy of a trained agent.
+
+    Args:
+        learned: the policy.
+        legal: number of the agent's actions, or state -> bool (actions,) of the legal ones.
+        observe: state -> observation that the agent knows; None for the state itself.
+        until: state -> probability of ending there, in addition to the policy's own end; None for that alone.
+        name: None for the policy's.
+
+    Attributes:
+        origin: run in which it was learned: `agent`, `run`, `seed`, `primitives`; empty for an agent never trained.
+    """
+
+    def __init__(
+        self,
+        learned: GivenPolicy,
+        legal: LegalActions,
+        observe: Callable[[Any], Any] | None = None,
+        until: Callable[[Any], float] | None = None,
+        name: str | None = None,
+    ) -> None:
+        super().__init__(learned.name if name is None else name)
+        self.is_markov, self.origin = learned.is_markov, dict(learned.origin)
+        self._learned, self._legal, self._observe, self._until = learned, legal, observe, until
+        self._run: GivenRun | None = None
+
+    def _look(self, state: Any) -> tuple[Any, NDArray[np.bool_]]:
+        return state if self._observe is None else self._observe(state), _find_legal(self._legal, state)
+
+    def _get_run(self) -> GivenRun:
+        """Return the present run; a policy that is a function of the state can use any run."""
+        if self._run is None or self.is_markov:
+            self._run = self._learned.begin()
+        return self._run
+
+    def check_actions(self, state: Any, count: int) -> None:
+        """Refuse an environment unless `legal` has one entry for each of its actions.
+
+        Raises:
+            OptionError: it has more or fewer.
+        """
+        _check_legal(self.name, self._legal, state, count)
+
+    def initiation(self, state: Any) -> bool:
+        """Ask the policy; false where `until` is certain to end it."""
+        return bool(self._learned.can_start(*self._look(state))) and (self._until is None or self._until(state) < 1.0)
+
+    def start(self, state: Any) -> None:
+        """Begin a run of the policy."""
+        super().start(state)
+        self._run = self._learned.begin()
+
+    def policy(self, state: Any) -> Any:
+        """Ask the policy.
+
+        Raises:
+            OptionError: it remembers or draws, so that only `sample_action` can choose.
+        """
+        if not self.is_markov:
+            raise OptionError(f"option {self.name!r} is no function of the state: ask sample_action(state, generator)")
+        return self.sample_action(state, np.random.default_rng(0))
+
+    def sample_action(self, state: Any, rng: np.random.Generator) -> Any:
+        """Ask the policy, which draws from this generator what it leaves to chance."""
+        return self._get_run().act(*self._look(state), rng)
+
+    def termination(self, state: Any) -> float:
+        """Probability that the policy ends here by itself, or that `until` ends it."""
+        own = float(self._get_run().compute_termination(*self._look(state)))
+        return own if self._until is None else 1.0 - (1.0 - own) * (1.0 - float(self._until(state)))
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> AgentOption:
+        """A copy without a run, of the same policy: environments copy their arguments."""
+        copied = copy.copy(self)
+        copied._run, copied.report = None, PlanningReport()
+        return copied
+
+    def describe(self) -> Mapping[str, Any]:
+        """Agent, and the way it is asked, by which a run over this option is recognised; `origin` is kept in clear."""
+        return {"policy": self._learned.name, "learned": self._learned.agent, "observe": self._observe,
+                "legal": self._legal, "until": self._until, "origin": self.origin}
+
+
+def make_learned_options(
+    agent: TeachingAgent,
+    legal: LegalActions,
+    *,
+    observe: Callable[[Any], Any] | None = None,
+    until: Callable[[Any], float] | None = None,
+    prefix: str = "",
+) -> tuple[AgentOption, ...]:
+    """Make options of all policies that an agent has learned.
+
+    Of a hierarchical agent these are its tasks, goals, orders, machines or macros, each until it is over; of any other
+    agent its greedy policy, under the name `policy`, which ends where `until` says so and nowhere else. An option uses
+    the agent's present knowledge: copy the agent before you train it further.
+
+    Args:
+        agent: a trained agent, as `train` and `load_agent` return it.
+        legal: number of its actions, or state -> bool (actions,) of the legal ones.
+        observe: state -> the observation it was trained on; None for the state itself. In a room that is
+            `make_observer(instance, "features")` and the like, for a synthesised hierarchy `HierarchyEnv.observe`.
+        until: state -> probability of ending there, for all its options, in addition to their own ends.
+        prefix: put before every name, to tell the options of several agents apart.
+
+    Raises:
+        OptionError: it is no such agent, has no policies to give, or `legal` is neither a number nor a
+            function.
+    """
+    if not isinstance(agent, TeachingAgent):
+        raise OptionError(f"{agent!r} has no get_options: give a trained agent, as train and load_agent return it")
+    if not callable(legal) and (isinstance(legal, bool) or not isinstance(legal, numbers.Integral) or legal < 1):
+        raise OptionError(f"legal is {legal!r}: give the number of the agent's actions, or a function of the state "
+                          "that gives a bool for each")
+    given = agent.get_options()
+    if not given:
+        raise OptionError(f"{type(agent).__name__} has no learned policies: train it first")
+    return tuple(AgentOption(each, legal, observe, until, prefix + each.name) for each in given)

@@ -30,10 +30,9 @@ from hrl_escape.errors import (
     UnsupportedError,
 )
 from hrl_escape.options.domain import DomainStep, OptionDomain, make_option_domain
-from hrl_escape.options.execution import DecisionOutcome, OptionExecution, RunningDecision, check_choice
+from hrl_escape.options.execution import OptionExecution, RunningDecision, TraceStep, check_choice
 from hrl_escape.options.option import Option
 from hrl_escape.options.sources import OptionsSource, make_options
-from hrl_escape.options.trace import TraceStep
 from hrl_escape.spaces import PointingDiscrete
 
 __all__ = ["OptionsEnv", "make_options_env"]
@@ -241,25 +240,25 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
         if index < self.primitive_count:
             self._run = None
             decision.do(self._domain.make_action(index))
-            outcome = DecisionOutcome("reached")
         else:
-            outcome = self._run_option(index, decision)
+            self._run_option(index, decision)
         self._can_step, self._observation = not decision.is_over, decision.observation
         self._lower_mask = self._domain.get_mask(decision.info)
         mask = self._compute_mask(decision.state, self._lower_mask)
-        info = self._inform(index, decision, outcome, mask)
+        info = self._inform(index, decision, mask)
         reward = info["discounted_reward"] if self._discounted else float(sum(decision.rewards))
         return self._show(decision.observation, mask), reward, decision.terminated, decision.truncated, info
 
-    def _run_option(self, index: int, decision: RunningDecision) -> DecisionOutcome:
+    def _run_option(self, index: int, decision: RunningDecision) -> None:
         """Run an option until it ends, or, if interruptible, for one primitive."""
         option = self.options[index - self.primitive_count]
         run = self._run if self._run is not None and self._run.index == index else None
         self._run = None
         if run is None and not option.initiation(decision.state):
             decision.do(self._domain.get_idle_action(self._lower_mask))
-            return DecisionOutcome("planning-failed", "the option was masked: it cannot start here")
-        ended, reason = "", ""
+            decision.ended, decision.reason = "planning-failed", "the option was masked: it cannot start here"
+            return
+        ended = ""
         assert self._rng is not None
         try:
             run = run or OptionExecution(index, option, decision.state, self._rng)
@@ -274,24 +273,25 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
                 elif self.interruptible:
                     ended, self._run = "interrupted", run
         except PlanningFailed as failure:
-            ended, reason = "planning-failed", str(failure)
+            ended, decision.reason = "planning-failed", str(failure)
             if not decision.rewards:
                 rewards = decision.do(self._domain.get_idle_action(self._lower_mask))
                 if run is not None:
                     run.rewards += rewards
+        decision.ended = ended
         if run is None:
-            return DecisionOutcome(ended, reason, option.report)
+            decision.report = option.report
+            return
         if self._run is None:
             run.stop(decision.state, ended)
-        return DecisionOutcome(ended, reason, run.take_report(), run.collect())
+        decision.report, decision.calls = run.take_report(), run.collect()
 
-    def _inform(self, index: int, decision: RunningDecision, outcome: DecisionOutcome, mask: NDArray[np.int8]
-                ) -> dict[str, Any]:
+    def _inform(self, index: int, decision: RunningDecision, mask: NDArray[np.int8]) -> dict[str, Any]:
         discounted = 0.0
         for reward in reversed(decision.rewards):
             discounted = reward + self.gamma * discounted
-        self._calls += outcome.report.planner_calls
-        self._hits += outcome.report.cache_hits
+        self._calls += decision.report.planner_calls
+        self._hits += decision.report.cache_hits
         info = {
             **decision.info,
             "duration": len(decision.rewards),
@@ -299,14 +299,14 @@ class OptionsEnv(gymnasium.Wrapper, RecordConstructorArgs):
             "rewards": tuple(decision.rewards),
             "discounted_reward": discounted,
             "action_mask": mask,
-            "option": {"name": self.action_names[index], "index": index, "ended": outcome.ended,
-                       **vars(outcome.report), "cache_hit_rate": self._hits / max(self._calls, 1),
-                       "reason": outcome.reason},
+            "option": {"name": self.action_names[index], "index": index, "ended": decision.ended,
+                       **vars(decision.report), "cache_hit_rate": self._hits / max(self._calls, 1),
+                       "reason": decision.reason},
         }
         option = self.options[index - self.primitive_count] if index >= self.primitive_count else None
         self._domain.inform(info, decision.steps, option)
         if self._tracing:
-            info["trace"], info["calls"] = self._make_trace(decision, mask), outcome.calls
+            info["trace"], info["calls"] = self._make_trace(decision, mask), decision.calls
         return info
 
     def _make_trace(self, decision: RunningDecision, last_mask: NDArray[np.int8]) -> tuple[TraceStep, ...]:

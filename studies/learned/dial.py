@@ -26,7 +26,7 @@ from hrl_escape.env.observations.base import make_observer
 from hrl_escape.env.puzzles.buttons import ButtonsPuzzle
 from hrl_escape.errors import ComparisonError
 from hrl_escape.options.degraded import OptionDegradation
-from hrl_escape.options.from_agents import make_learned_options
+from hrl_escape.options.learned import make_learned_options
 from hrl_escape.options.options_env import OptionsEnv
 from studies.store import Store
 

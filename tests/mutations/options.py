@@ -107,8 +107,8 @@ MUTATIONS = [
     Mutation(
         "the cache's hit rate is that of the last decision",
         "options/options_env.py",
-        "self._hits += outcome.report.cache_hits",
-        "self._hits = outcome.report.cache_hits",
+        "self._hits += decision.report.cache_hits",
+        "self._hits = decision.report.cache_hits",
         "options/test_options_env.py::test_the_caches_hit_rate_is_over_all_calls_of_the_environment",
     ),
     Mutation(
@@ -120,7 +120,7 @@ MUTATIONS = [
     ),
     Mutation(
         "an end that the caller adds takes the place of the policy's own",
-        "options/from_agents.py",
+        "options/learned.py",
         "1.0 - (1.0 - own) * (1.0 - float(self._until(state)))",
         "float(self._until(state))",
         "options/test_from_agents.py::test_until_adds_to_an_end_of_ones_own",

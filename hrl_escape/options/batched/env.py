@@ -31,8 +31,7 @@ from hrl_escape.env.sampling.sources import SchematicForm
 from hrl_escape.errors import ActionError, BatchError, ConfigError, ResetNeededError, UnsupportedError, show_value
 from hrl_escape.options.batched.cost_to_go import check_presses, stack_fields
 from hrl_escape.options.batched.decisions import ENDINGS, NOT_ASKED, OpenDecisions, Transitions
-from hrl_escape.options.batched.degraded import name_options
-from hrl_escape.options.batched.hand_choice import PostureChooser
+from hrl_escape.options.batched.hand_policy import PostureChooser
 from hrl_escape.options.batched.host_planner import HostPlanner
 from hrl_escape.options.batched.stepping import (
     FAIL_AFTER,
@@ -43,12 +42,13 @@ from hrl_escape.options.batched.stepping import (
     find_startable,
     make_decisions,
     make_view,
+    name_options,
     step_decisions,
 )
 from hrl_escape.options.batched.successors import presses_by_hand
 from hrl_escape.options.degraded import OptionDegradation
-from hrl_escape.options.flavours import FLAVOURS
 from hrl_escape.options.options_env import OptionsEnv
+from hrl_escape.options.sources import FLAVOURS
 from hrl_escape.spaces import PointingDiscrete, make_vector_space
 
 _SHARED = ("options", "include_primitives", "discount", "flavour", "interruptible", "max_duration")  # by OptionsEnv too

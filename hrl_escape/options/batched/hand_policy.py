@@ -1,29 +1,37 @@
 """Cost-to-go of presses by hand in a batch: remaining primitives of base and arm, over a small library of postures.
 
 From a place where the hand can touch the target in some posture, exactly the joint steps to it are left. From
-elsewhere they are added to the way of the base, by the field of the best of a few postures that were chosen
-(`hand_choice.py`). Pure functions of tensors, rooms last.
+elsewhere they are added to the way of the base, by the field of the best of a few candidates. To weigh a posture takes
+an interpolation in its field, and there are dozens for each target: a `PostureChooser` weighs all only where a press
+begins or did not get nearer. Tensors have rooms last.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from hrl_escape.env.batched.arm import compute_hand
+from hrl_escape.env.batched.compilation import CompiledStep
+from hrl_escape.env.batched.engine import TensorRoom, list_shapes
 from hrl_escape.env.batched.poses import TensorState, compute_angles, compute_rotation
 from hrl_escape.env.batched.tables import Layout, Tables, map_tensors
 from hrl_escape.env.tensor_geometry import Shapes, store
-from hrl_escape.options.batched.cost_to_go import CostFields, interpolate_cost, locate
+from hrl_escape.options.batched.cost_to_go import CostFields, classify_headings, interpolate_cost, locate
+from hrl_escape.options.batched.decisions import CHOSEN, OpenDecisions
 from hrl_escape.options.batched.field_grid import OTHER_PRESS_COST
 from hrl_escape.options.batched.postures import FAR
 from hrl_escape.options.batched.successors import find_touched_by_hand, rotate
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 
-__all__ = ["Reach", "displace", "estimate_arm_costs", "estimate_hand_costs", "find_reach", "measure_drift"]
+__all__ = ["PostureChooser", "Reach", "estimate_arm_costs", "estimate_hand_costs", "find_reach"]
 
+_PARTS = 8  # parts of a batch, weighed one at a time by a compiled kernel: about as many as primitives in a press
 _SKIN = 1e-4  # margin of a predicted touch, m
 
 
@@ -64,7 +72,7 @@ def find_reach(layout: Layout, tables: Tables, fields: CostFields, state: Tensor
     away = (steps - state.joint_steps.unsqueeze(1)).abs().sum(0).to(torch.float32)
     shifts, numbers = (table[..., postures, target, column] for table in fields.postures[2:])
     if layout.dynamics.noise:
-        drift = measure_drift(layout, state)
+        drift = _measure_drift(layout, state)
         hands, shifts = hands + drift.unsqueeze(1), shifts + drift[:2].unsqueeze(1)
     beyond = (hands[2] - tables.target_z[target, column]).abs() - tables.target_half_z[target, column]
     limit = layout.robot.hand_radius + layout.dynamics.press_margin - _SKIN
@@ -74,7 +82,7 @@ def find_reach(layout: Layout, tables: Tables, fields: CostFields, state: Tensor
     return map_tensors(store, reach)
 
 
-def measure_drift(layout: Layout, state: TensorState) -> Tensor:
+def _measure_drift(layout: Layout, state: TensorState) -> Tensor:
     """Displacement of the hand by joints that are off their whole steps, in the base frame, m; (3, rooms)."""
     whole = state._replace(joint_offsets=torch.zeros_like(state.joint_offsets))
     now, then = (compute_hand(layout.arm, compute_angles(layout, one).to(torch.float32)) for one in (state, whole))
@@ -102,13 +110,13 @@ def estimate_hand_costs(layout: Layout, tables: Tables, fields: CostFields, stat
             without touch, bool (places, rooms).
     """
     cos, sin = compute_rotation(layout, tables, state)
-    place = locate(layout, fields, state.instance, *displace(state.x, state.y, cos, sin, *reach.shifts))
+    place = locate(layout, fields, state.instance, *_displace(state.x, state.y, cos, sin, *reach.shifts))
     every = interpolate_cost(layout, fields, state.instance, reach.fields, place, heading.expand_as(reach.fields),
                              between)
     best = (every.clamp(min=1.0) + reach.chosen).argmin(0).unsqueeze(0)
     shifts = reach.shifts.gather(1, best.expand(2, 1, -1))
     cos, sin = rotate(layout, tables, state, turn)
-    place = locate(layout, fields, state.instance, *displace(x, y, cos, sin, *shifts))
+    place = locate(layout, fields, state.instance, *_displace(x, y, cos, sin, *shifts))
     facing = torch.remainder(heading + turn, fields.classes).expand_as(x)
     way = interpolate_cost(layout, fields, state.instance, reach.fields.gather(0, best), place, facing, between)
     touch, _ = _find_least_steps(tables, reach, x, y, cos, sin)
@@ -155,6 +163,80 @@ def _find_least_steps(tables: Tables, reach: Reach, x: Tensor, y: Tensor, cos: T
     return torch.where(touches, reach.away, UNREACHABLE).min(1)
 
 
-def displace(x: Tensor, y: Tensor, cos: Tensor, sin: Tensor, ahead: Tensor, left: Tensor) -> tuple[Tensor, Tensor]:
+def _displace(x: Tensor, y: Tensor, cos: Tensor, sin: Tensor, ahead: Tensor, left: Tensor) -> tuple[Tensor, Tensor]:
     """Places ahead and to the left of others, m, at headings; float64 (..., rooms) each."""
     return x + cos * ahead - sin * left, y + sin * ahead + cos * left
+
+
+def _weigh_postures(layout: Layout, tables: Tables, fields: CostFields, state: TensorState, goal: Tensor, rooms: Tensor
+                   ) -> Tensor:
+    """Find the postures with the least remaining joint steps plus way of the base; int64 (`CHOSEN`, some).
+
+    Args:
+        layout: properties that all rooms share.
+        tables: their instances.
+        fields: their fields.
+        state: their states.
+        goal: the targets to press, int64 (rooms,).
+        rooms: numbers of the rooms to choose in, int64 (some,).
+    """
+    state = map_tensors(lambda field: field[..., rooms], state)
+    column = torch.zeros_like(state.instance) if layout.is_shared else state.instance
+    steps, _, shifts, numbers = (table[..., goal[rooms], column] for table in fields.postures)
+    away = (steps - state.joint_steps.unsqueeze(1)).abs().sum(0).to(torch.float32)
+    if layout.dynamics.noise:
+        shifts = shifts + _measure_drift(layout, state)[:2].unsqueeze(1)
+    cos, sin = compute_rotation(layout, tables, state)
+    place = locate(layout, fields, state.instance, *_displace(state.x, state.y, cos, sin, *shifts))
+    heading, between = classify_headings(layout, fields, state)
+    way = interpolate_cost(layout, fields, state.instance, numbers, place, heading.expand_as(numbers), between)
+    left, found = way.clamp(min=1.0) + away, []
+    for _ in range(CHOSEN):
+        found.append(left.argmin(0))
+        left = left.scatter(0, found[-1].unsqueeze(0), math.inf)
+    return torch.stack(found)
+
+
+class PostureChooser:
+    """Chooser of postures for the rooms of a batch.
+
+    Args:
+        room: the batch.
+        fields: their fields.
+        is_compiled: weigh in a compiled kernel.
+    """
+
+    def __init__(self, room: TensorRoom, fields: CostFields, is_compiled: bool) -> None:
+        self._room = room
+        self._part = max(room.count // _PARTS, 1) if is_compiled else 0
+        self._weigh: Callable[[TensorState, Tensor, Tensor], Tensor]
+        if is_compiled:
+            shapes = (room.count, *list_shapes(room.tables), *list_shapes(fields))
+            kernel = _compile_weighing(room.layout, room.device.type, torch.get_num_threads(), shapes)
+            self._weigh = kernel.bind(room.tables, fields)
+        else:
+            self._weigh = partial(_weigh_postures, room.layout, room.tables, fields)
+
+    def choose(self, running: OpenDecisions, where: Tensor) -> OpenDecisions:
+        """Choose postures where a press begins, or where its last primitive made no progress.
+
+        Args:
+            running: the decisions.
+            where: rooms that follow their fields, bool (rooms,).
+        """
+        is_press = running.goal < self._room.layout.targets
+        rooms = (where & is_press & ((running.age == 0) | (running.stalled > 0))).nonzero().squeeze(1)
+        if len(rooms) == 0:
+            return running
+        goal = running.goal.clamp(0, self._room.layout.targets - 1)
+        # a compiled kernel takes a fixed number of rooms
+        part = self._part or len(rooms)
+        padded = torch.cat([rooms, rooms.new_zeros(-len(rooms) % part)])
+        found = torch.cat([self._weigh(self._room.state, goal, some) for some in padded.split(part)], dim=1)
+        return running._replace(postures=running.postures.index_copy(1, rooms, found[:, : len(rooms)]))
+
+
+@lru_cache(maxsize=64)
+def _compile_weighing(layout: Layout, device: str, threads: int, shapes: tuple) -> CompiledStep:
+    """Compile the weighing for one shape of batch."""
+    return CompiledStep(partial(_weigh_postures, layout), device, threads)

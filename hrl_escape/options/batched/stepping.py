@@ -7,11 +7,13 @@ choices `policy.py`'s; `env.py` keeps the tensors.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
+from hrl_escape.env.batched.noise import philox
 from hrl_escape.env.batched.observations import observe
 from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.rules import is_in_exit, restart, step
@@ -27,13 +29,12 @@ from hrl_escape.options.batched.decisions import (
     OpenDecisions,
     Transitions,
 )
-from hrl_escape.options.batched.degraded import draw_uniform, name_options
 from hrl_escape.options.batched.policy import MEMORY, Choice, can_start, choose_primitive
 from hrl_escape.options.batched.value_iteration import UNREACHABLE
 from hrl_escape.options.degraded import FAILURE, STOP, OptionDegradation
 
 __all__ = ["FAIL_AFTER", "PLAN_AFTER", "AgentView", "StepSettings", "begin_decisions", "find_startable",
-           "make_decisions", "make_view", "step_decisions"]
+           "make_decisions", "make_view", "name_options", "step_decisions"]
 
 PLAN_AFTER = 4
 """Primitives without progress after which an option follows a plan instead of its field."""
@@ -41,6 +42,7 @@ FAIL_AFTER = 120
 """Primitives without progress after which it fails; more where primitives slip."""
 _OF_GOAL = ("age", "postures", "least", "stalled", "cells", "costs", "plan", "plan_left")
 _OF_RUN = (*_OF_GOAL, "option", "run", "goal", "order", "order_left")
+_MASK = 0xFFFFFFFF
 REACHED, TIMEOUT, EPISODE_OVER, FAILED, INTERRUPTED = range(len(ENDINGS))
 
 
@@ -112,7 +114,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     is_new = running.run == 0
     fails = is_new & ~torch.gather(find_startable(layout, tables, state, settings), 1, option.unsqueeze(1)).squeeze(1)
     if settings.degradation.failure:
-        drawn = draw_uniform(settings.degradation, name_options(layout.targets), option, FAILURE, state)
+        drawn = _draw_uniform(settings.degradation, name_options(layout.targets), option, FAILURE, state)
         fails = fails | (is_new & (drawn < settings.degradation.failure))
 
     planned = _read_aligned(running.plan, running.plan_left)
@@ -140,7 +142,7 @@ def step_decisions(layout: Layout, settings: StepSettings, tables: Tables, field
     is_done = is_there & (running.order_left == 0)
     if settings.degradation.early_stop:
         # an option asks after each primitive of its own; one of several parts, after each part
-        drawn = draw_uniform(settings.degradation, name_options(layout.targets), option, STOP, after)
+        drawn = _draw_uniform(settings.degradation, name_options(layout.targets), option, STOP, after)
         has_parts = settings.has_ancestors & (option < layout.targets)
         is_done = is_done | ((drawn < settings.degradation.early_stop) & (is_wasting | is_there | ~has_parts))
 
@@ -225,3 +227,26 @@ def make_decisions(observation: Tensor) -> OpenDecisions:
         cells=word.expand(MEMORY, -1) - 1, costs=number.expand(MEMORY, -1).clone(),
         plan=count.to(torch.int8).expand(PLAN_LENGTH, -1).clone(), plan_left=count,
     )
+
+
+def name_options(targets: int) -> tuple[str, ...]:
+    """Names of the batched options of rooms with a number of targets, in the order of their actions."""
+    return (*(f"meta-{n + 1:02d}" for n in range(targets)), "meta-exit")
+
+
+def _draw_uniform(degradation: OptionDegradation, names: Sequence[str], option: Tensor, purpose: int,
+                 state: TensorState) -> Tensor:
+    """Uniform numbers in (0, 1) for a purpose at the present primitives, float64 (rooms,); those of `OptionsEnv`.
+
+    Args:
+        degradation: its seed is that of the draws.
+        names: names of the options.
+        option: number of each room's option, int64 (rooms,).
+        purpose: `FAILURE` or `STOP`.
+        state: states of the rooms.
+    """
+    keys = torch.tensor([degradation.make_key(name) for name in names], device=option.device)[option]
+    episode, primitive = state.noise_key, state.primitives.to(torch.int64)
+    word, *_ = philox((primitive & _MASK, torch.full_like(episode, purpose), episode & _MASK, (episode >> 32) & _MASK),
+                      (keys[:, 0], keys[:, 1]))
+    return (word.to(torch.float64) + 0.5) / 2**32
