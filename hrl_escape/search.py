@@ -1,4 +1,4 @@
-"""Search for the cheapest steps to a goal: exact as long as that is quick, then greedy."""
+"""Best-first search: the frontier, and the cheapest steps to a goal, exact as long as that is quick, then greedy."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import heapq
 import itertools
 import math
 from collections.abc import Callable, Hashable, Iterable
-from typing import TypeVar
+from typing import Generic, TypeVar
 
-__all__ = ["MOST_EXACT", "find_cheapest_steps"]
+__all__ = ["MOST_EXACT", "Frontier", "find_cheapest_steps"]
 
 MOST_EXACT = 10_000
 """States beyond which the search goes on greedily, so that its steps need not be the cheapest."""
@@ -17,6 +17,39 @@ _GREED = 5
 
 _State = TypeVar("_State", bound=Hashable)
 _Step = TypeVar("_Step")
+_Key = TypeVar("_Key", bound=Hashable)
+_Node = TypeVar("_Node")
+
+
+class Frontier(Generic[_Key, _Node]):
+    """Open nodes of a best-first search: of each key only the one that costs least, of equal estimates the first."""
+
+    def __init__(self) -> None:
+        self._heap: list[tuple[float, int, float, _Key, _Node]] = []
+        self._costs: dict[_Key, float] = {}
+        self._pushed = 0
+
+    def push(self, key: _Key, cost: float, estimate: float, node: _Node) -> None:
+        """Add a node unless one with its key has come that costs no more.
+
+        Args:
+            key: nodes with one key count as one.
+            cost: of the way to it.
+            estimate: of the whole way through it; the least is taken first.
+            node: what the search knows of it.
+        """
+        if cost < self._costs.get(key, math.inf):
+            self._costs[key] = cost
+            self._pushed += 1
+            heapq.heappush(self._heap, (estimate, self._pushed, cost, key, node))
+
+    def pop(self) -> tuple[float, int, float, _Key, _Node] | None:
+        """Take out the node of least estimate, as (estimate, number, cost, key, node); None if none is left."""
+        while self._heap:
+            entry = heapq.heappop(self._heap)
+            if entry[2] <= self._costs[entry[3]]:
+                return entry
+        return None
 
 
 def find_cheapest_steps(

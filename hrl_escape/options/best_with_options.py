@@ -6,10 +6,8 @@ from `hrl_escape.planning.best_known` is the option gap.
 
 from __future__ import annotations
 
-import heapq
-import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 
 import numpy as np
 
@@ -30,10 +28,12 @@ from hrl_escape.planning.best_known import (
 )
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import get_pose
+from hrl_escape.search import Frontier
 
 __all__ = ["best_return_with_options", "find_best_with_options", "simulate"]
 
 MOST_RUNS = 20_000
+_ESCAPED = "escaped"
 
 
 def best_return_with_options(instance: RoomInstance, options: str | Sequence[Option]) -> float:
@@ -70,13 +70,12 @@ def _search_options(planner: RoomPlanner, state: RoomState, options: Sequence[Op
     cheapest is kept, as in task planning; after any other option the pose counts too.
     """
     instance, rules = planner.instance, planner.rules
-    tie = itertools.count()
-    heap: list[tuple[int, int, RoomState, bool]] = [(0, next(tie), state, False)]
-    best: dict[tuple, int] = {}
+    frontier: Frontier[Hashable, tuple[int, RoomState]] = Frontier()
+    frontier.push(None, 0, 0, (0, state))
     runs = 0
-    while heap and runs < MOST_RUNS:
-        spent, _, here, escaped = heapq.heappop(heap)
-        if escaped:
+    while runs < MOST_RUNS and (entry := frontier.pop()) is not None:
+        *_, key, (spent, here) = entry
+        if key == _ESCAPED:
             return BestKnown(compute_escape_return(instance, spent), "options", math.inf, spent)
         for index, option in enumerate(options):
             if not option.initiation(here):
@@ -86,10 +85,11 @@ def _search_options(planner: RoomPlanner, state: RoomState, options: Sequence[Op
             planned = isinstance(option, (PlannedOption, AncestorsOption))
             if duration == 0 or (planned and not escapes and after.puzzle == here.puzzle):
                 continue
-            key = (after.puzzle, index if planned else get_pose(after))
-            if escapes or spent + duration < best.get(key, instance.horizon):
-                best[key] = spent + duration
-                heapq.heappush(heap, (spent + duration, next(tie), after, escapes))
+            then = spent + duration
+            if escapes:
+                frontier.push(_ESCAPED, then, then, (then, after))
+            elif then < instance.horizon:
+                frontier.push((after.puzzle, index if planned else get_pose(after)), then, then, (then, after))
     return BestKnown(compute_worst_return(instance), "nothing", math.inf)
 
 

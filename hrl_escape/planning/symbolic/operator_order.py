@@ -9,13 +9,12 @@ exports the same model for other planners.
 from __future__ import annotations
 
 import dataclasses
-import heapq
 import itertools
-import math
 from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple, TypeAlias
 
 from hrl_escape.env.puzzles.symbolic import Operator, SymbolicModel
+from hrl_escape.search import Frontier
 
 __all__ = ["ExtendLeg", "Leg", "TaskPlan", "TaskSearch", "find_relevant_operators"]
 
@@ -222,19 +221,13 @@ class TaskSearch:
         beam search (over at most as many again), with the bound that the exact search had reached. Each
         (facts, last operator) keeps its cheapest place.
         """
-        begin = self._encode(facts)
-        tie = itertools.count()
-        best: dict[tuple[int, int], float] = {(begin, -1): 0.0}
-        heap: list[tuple[float, int, float, int, int, Any, Any]] = [
-            (self._estimate(begin), next(tie), 0.0, begin, -1, place, None)
-        ]
-        searched = 0
-        while heap:
-            bound, _, cost, at, last, here, trail = heapq.heappop(heap)
+        begin, searched = self._encode(facts), 0
+        frontier: Frontier[tuple[int, int], tuple[Any, Any]] = Frontier()
+        frontier.push((begin, -1), 0.0, self._estimate(begin), (place, None))
+        while (entry := frontier.pop()) is not None:
+            bound, _, cost, (at, last), (here, trail) = entry
             if last == -2:
                 return self._report(trail, cost, cost, searched)
-            if cost > best.get((at, last), math.inf):
-                continue
             if searched >= largest:
                 width = max(4, largest // (4 * len(self.operators) ** 2))
                 finished, more = self._search_beam(begin, place, extend, width, 1, 4 * len(self.operators) + 1)
@@ -245,12 +238,8 @@ class TaskSearch:
             for n, leg, then in self._expand(at, here, extend):
                 searched += 1
                 total = cost + leg.cost
-                if n == -2:
-                    heapq.heappush(heap, (total, next(tie), total, then, n, leg.place, (trail, n, leg)))
-                elif total < best.get((then, n), math.inf):
-                    best[then, n] = total
-                    least = max(bound, total + self._estimate(then))  # at least the bound of its parent
-                    heapq.heappush(heap, (least, next(tie), total, then, n, leg.place, (trail, n, leg)))
+                least = total if n == -2 else max(bound, total + self._estimate(then))  # at least its parent's bound
+                frontier.push((then, n), total, least, (leg.place, (trail, n, leg)))
         return None
 
     def find_orders(self, facts: frozenset[str], place: Any, extend: ExtendLeg, count: int, most: int
