@@ -202,7 +202,7 @@ MUTATIONS = [
     ),
     Mutation(
         "trajectories that lose presses are made all the same",
-        "planning/motion/presses.py",
+        "planning/motion/trajectory.py",
         "if state == plan.states[-1].puzzle:",
         "if True:",
         "planning/motion/test_trajectory.py::test_a_trajectory_that_would_lose_presses_of_its_plan_is_refused",

@@ -12,7 +12,7 @@ import dataclasses
 import io
 import itertools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
@@ -25,12 +25,14 @@ from hrl_escape.env.config import CONTACT_SKIN
 from hrl_escape.env.geometry import Footprint, compute_distance_many, compute_first_contact, stack_footprints
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.env.kinematics import Rules
-from hrl_escape.errors import ConfigError, MissingExtraError
+from hrl_escape.env.poses import list_touched
+from hrl_escape.env.puzzles.base import Contacts
+from hrl_escape.env.puzzles.traits import Pushing
+from hrl_escape.errors import ConfigError, MissingExtraError, UnsupportedError
 from hrl_escape.files import write_json, write_text
 from hrl_escape.planning.areas import grow_solids
 from hrl_escape.planning.motion.limits import MotionLimits
 from hrl_escape.planning.motion.path import MotionPath, round_corners
-from hrl_escape.planning.motion.presses import check_same_presses
 from hrl_escape.planning.plan import Plan
 
 __all__ = ["TimedTrajectory", "make_trajectory", "smooth_plan"]
@@ -170,7 +172,7 @@ def make_trajectory(motion: Plan | MotionPath, limits: MotionLimits | None = Non
     trajectory = TimedTrajectory(paths[0].names, np.concatenate(times), _unwind(paths, knots), np.concatenate(speeds),
                                  method, limits)
     if isinstance(motion, Plan):
-        check_same_presses(motion, trajectory.evaluate(_list_looks(trajectory)))
+        _check_same_presses(motion, trajectory.evaluate(_list_looks(trajectory)))
     return trajectory
 
 
@@ -394,3 +396,53 @@ def _choose_margin(path: MotionPath, solids: Sequence[Footprint], radius: float)
         if (compute_distance_many(places, stack_footprints(list(solids))) >= radius - CONTACT_SKIN / 2).all():
             return rounded
     return path
+
+
+def _check_same_presses(plan: Plan, places: NDArray[np.float64]) -> None:
+    """Check that a motion leaves the puzzle in the same state as its plan.
+
+    A press is the first moment of touching a target. A motion may press more than its plan where the puzzle does not
+    mind, such as a button that is lit already. Where the puzzle's state follows from more than presses (things carried
+    or pushed, chance), the presses must be the plan's, one by one.
+
+    Args:
+        plan: the plan.
+        places: x, y (m), heading and joint angles (rad) along the motion, shape (n, 3 + joints).
+
+    Raises:
+        UnsupportedError: the states differ.
+    """
+    rules, puzzle, first = Rules(plan.instance), plan.instance.puzzle, plan.states[0]
+    home = np.array(rules.robot.home)
+    still = (0,) * len(home)
+    wanted = _list_begun(state.touching for state in plan.states)
+    found = _list_begun((first.touching, *(
+        rules.compute_touching(x, y, 0, heading, still, tuple(angles - home))
+        for (x, y, heading), angles in zip(places[:, :3].tolist(), places[:, 3:], strict=True))))
+    if [target for together in wanted for target in together] == [target for one in found for target in one]:
+        return
+    grips = any(plan.instance.robot.actions.primitives[action].grip for action in plan.primitives)
+    if not (grips or puzzle.is_watching or puzzle.is_random or isinstance(puzzle, Pushing)):
+        state = first.puzzle
+        for together in found:
+            state = puzzle.update(state, Contacts(together))
+        if state == plan.states[-1].puzzle:
+            return
+
+    def write(begun: list[tuple[int, ...]]) -> str:
+        """Names of the targets pressed, in order."""
+        return ", ".join(plan.instance.targets[target].name for one in begun for target in one) or "nothing"
+
+    raise UnsupportedError(f"the trajectory of {plan.name!r} would press {write(found)}, where the plan presses "
+                           f"{write(wanted)}: follow its primitives instead")
+
+
+def _list_begun(touching: Iterable[int]) -> list[tuple[int, ...]]:
+    """List the bits of the targets whose touch begins, from the bits touched at consecutive places."""
+    begun, before = [], -1
+    for now in touching:
+        new = now & ~before
+        if new:
+            begun.append(list_touched(new))
+        before = now
+    return begun
