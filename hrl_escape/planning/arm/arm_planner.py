@@ -20,7 +20,7 @@ from numpy.typing import ArrayLike, NDArray
 from hrl_escape.clock import Clock, OutOfTime
 from hrl_escape.env.floor_grid import FloorGrid
 from hrl_escape.env.instance import RoomInstance
-from hrl_escape.env.kinematics import Kinematics, RoomState, Rules
+from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.env.state_checks import check_fields
 from hrl_escape.errors import ConfigError, PlanningFailed, PlanningReason, UnknownNameError, UnsupportedError
 from hrl_escape.floor.clearance import CollisionMap
@@ -30,12 +30,15 @@ from hrl_escape.planning.motion.path import MotionPath
 from hrl_escape.planning.paths.planners import OMPL_PLANNERS, find_joint_path
 from hrl_escape.planning.paths.problem import CheckerBudget
 
-__all__ = ["ArmPlanner", "ArmPosture", "ReachMap", "make_halton", "map_reach"]
+__all__ = ["ArmPlanner", "ArmPosture", "ReachMap"]
 
 KEPT_MARGINS = (0.02, 0.005, 0.001)
 """Clearances for a path, m: the first that start and goal allow is used."""
 DISTINCT = 0.05
 """Postures nearer to each other than this in every joint are one, rad."""
+CONFIGURATIONS = 200_000
+"""Configurations whose hand positions enter a reach map: points of a Halton sequence between the joint limits."""
+_PRIMES = (2, 3, 5, 7, 11, 13, 17)
 _Test: TypeAlias = Callable[[NDArray[np.float64], float], bool]
 
 
@@ -134,7 +137,7 @@ class ArmPlanner:
         goal = self._read_target(target, state)
         low, high = self._limits
         here = np.clip(self.rules.get_angles(state), low, high)
-        starts = np.concatenate([here[None], low + (high - low) * make_halton(max(0, seeds - 1), len(low))])
+        starts = np.concatenate([here[None], low + (high - low) * _make_halton(max(0, seeds - 1), len(low))])
         found: list[NDArray[np.float64]] = []
         for seed in starts.tolist():
             angles = self.kinematics.solve_ik(goal, seed, tolerance)
@@ -177,7 +180,21 @@ class ArmPlanner:
             tolerance: largest difference in height that counts as reached, m.
         """
         x, y, z = (float(number) for number in point)
-        return map_reach(self.instance, self.rules, (x, y, z), self._floor, cell, tolerance)
+        low, high = self._limits
+        samples = _make_halton(CONFIGURATIONS, len(low))
+        hands = self.rules.robot.compute_hand(low + (high - low) * samples)
+        hands = hands[np.abs(hands[:, 2] - z) <= tolerance, :2]
+        grid = FloorGrid.cover(self.instance.reach_x, self.instance.reach_y, cell)
+        counts = np.zeros(grid.cells)
+        for heading in range(self.rules.headings):
+            cos, sin = self.rules.get_rotation(heading, 0.0)
+            places = np.array([x, y]) - hands @ np.array([[cos, sin], [-sin, cos]])
+            cells = grid.find_numbers(places)
+            reached = np.zeros(grid.cells, dtype=bool)
+            reached[cells[cells >= 0]] = True
+            counts += reached
+        share = np.where(self._floor.are_free(grid.get_centres()), counts / self.rules.headings, 0.0)
+        return ReachMap(self.instance, (x, y, z), grid.low, cell, share.reshape(grid.shape))
 
     # --- motion --------------------------------------------------------------------------
 
@@ -311,12 +328,6 @@ class ArmPlanner:
         raise fail(PlanningReason.UNREACHABLE_AT_RESOLUTION)
 
 
-CONFIGURATIONS = 200_000
-"""Configurations whose hand positions enter a reach map: points of a Halton sequence between the joint limits."""
-
-_PRIMES = (2, 3, 5, 7, 11, 13, 17)
-
-
 @dataclasses.dataclass(frozen=True, eq=False)
 class ReachMap:
     """Share of the base's headings from which the hand reaches a point, by place of the base.
@@ -361,27 +372,7 @@ class ReachMap:
         return figure
 
 
-def map_reach(instance: RoomInstance, rules: Rules, point: tuple[float, float, float], floor: CollisionMap,
-              cell: float, tolerance: float) -> ReachMap:
-    """Compute the map of the base's places from which the hand reaches a point; see `ArmPlanner.map_reach`."""
-    low_angles, high_angles = np.array(rules.robot.limits).T
-    samples = make_halton(CONFIGURATIONS, len(low_angles))
-    hands = rules.robot.compute_hand(low_angles + (high_angles - low_angles) * samples)
-    hands = hands[np.abs(hands[:, 2] - point[2]) <= tolerance, :2]
-    grid = FloorGrid.cover(instance.reach_x, instance.reach_y, cell)
-    counts = np.zeros(grid.cells)
-    for heading in range(rules.headings):
-        cos, sin = rules.get_rotation(heading, 0.0)
-        places = np.array(point[:2]) - hands @ np.array([[cos, sin], [-sin, cos]])
-        cells = grid.find_numbers(places)
-        reached = np.zeros(grid.cells, dtype=bool)
-        reached[cells[cells >= 0]] = True
-        counts += reached
-    share = np.where(floor.are_free(grid.get_centres()), counts / rules.headings, 0.0)
-    return ReachMap(instance, point, grid.low, cell, share.reshape(grid.shape))
-
-
-def make_halton(count: int, dimensions: int) -> NDArray[np.float64]:
+def _make_halton(count: int, dimensions: int) -> NDArray[np.float64]:
     """First points of the Halton sequence in the unit cube, shape (count, dimensions); up to 7 dimensions."""
     points = np.zeros((count, dimensions))
     for k, prime in zip(range(dimensions), _PRIMES, strict=False):

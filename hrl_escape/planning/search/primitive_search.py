@@ -167,8 +167,8 @@ class PrimitiveSearch:
 
     def search(self, state: RoomState, goal: Goal, *, method: str = "auto", planner: str = DEFAULT_PLANNER,
                avoid: bool = True, refine: bool = True, keep_out: Sequence[Footprint] = (),
-               budget_expansions: int = EXPANSIONS, time_limit: float | None = None,
-               clock: Clock | None = None, seed: int = 0, effort: int = 0) -> SearchResult:
+               budget_expansions: int = EXPANSIONS, clock: Clock | None = None, seed: int = 0, effort: int = 0
+               ) -> SearchResult:
         """Find the fewest primitives from a state to a goal.
 
         Args:
@@ -182,8 +182,7 @@ class PrimitiveSearch:
             refine: search finer grids, too, before giving up.
             keep_out: footprints that the body must not meet on its way, such as blocks.
             budget_expansions: nodes that may be expanded; the same budget gives the same result anywhere.
-            time_limit: limit of the whole call, s; by default only the budget decides.
-            clock: time limit of a call that this one is part of, instead of `time_limit`.
+            clock: time limit of the call that this one is part of; None leaves the decision to the budget.
             seed: of the path planner.
             effort: further searches for a shorter plan, at most `len(EFFORTS)`; -1 for the first plan found.
 
@@ -194,7 +193,7 @@ class PrimitiveSearch:
         """
         if method not in METHODS:
             raise UnknownNameError("search method", method, METHODS)
-        began, clock = read_clock(), clock or Clock(time_limit)
+        began, clock = read_clock(), clock or Clock()
         if method == "auto":
             method = self.choose_method(goal, keep_out)
         result = SearchResult(PlanningReason.TIMEOUT, (), (state,), nearest=(state.x, state.y))

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from benchmarks.planner_contenders import make_queries
+from hrl_escape.clock import Clock
 from hrl_escape.env.bullet.engine import BulletRoom
 from hrl_escape.env.config import DynamicsConfig, ExitConfig, ObstaclesConfig, RobotConfig, RoomConfig, ShapeConfig
 from hrl_escape.env.geometry import Solid, compute_distance, make_footprint
@@ -363,7 +364,7 @@ def test_budget_and_deadline_end_a_search_and_more_of_them_finish_it():
     search = PrimitiveSearch(generate(get_preset("clutter"), 0))
     short = search.search(begin(search), PressGoal(1), budget_expansions=5)
     assert short.status is PlanningReason.BUDGET_EXHAUSTED and short.expansions <= 5
-    assert search.search(begin(search), PressGoal(1), time_limit=0.0).status is PlanningReason.TIMEOUT
+    assert search.search(begin(search), PressGoal(1), clock=Clock(0.0)).status is PlanningReason.TIMEOUT
     whole = search.search(begin(search), PressGoal(1))
     assert whole.is_reached and whole.expansions > 5 and whole.seconds > 0
 
