@@ -6,11 +6,10 @@ from .domain import OptionDomain
 from .execution import TraceStep
 from .learned import LearnedOption, make_learned_options
 from .meta_actions import PlannedOption, make_meta_options
-from .option import FunctionOption, Option, ScriptedOption, TableOption
+from .option import FLAVOURS, FunctionOption, Option, ScriptedOption, TableOption
 from .options_env import OptionsEnv
 from .pushing import PushOption
 from .skills import make_go_to, make_press, make_reach
-from .sources import FLAVOURS
 
 __all__ = [
     "BatchedOptionsEnv",

@@ -16,8 +16,7 @@ from hrl_escape.env.kinematics import Kinematics, RoomState
 from hrl_escape.errors import ConfigError, PlanningFailed
 from hrl_escape.options.execution import OptionExecution
 from hrl_escape.options.meta_actions import AncestorsOption, PlannedOption, make_meta_options
-from hrl_escape.options.option import Option
-from hrl_escape.options.sources import FLAVOURS
+from hrl_escape.options.option import FLAVOURS, Option
 from hrl_escape.planning.best_known import (
     BestKnown,
     compute_escape_return,

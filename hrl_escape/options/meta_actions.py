@@ -15,8 +15,7 @@ from hrl_escape.env.kinematics import RoomState
 from hrl_escape.env.noise import philox
 from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.errors import OptionError, PlanningFailed, PlanningReason, UnknownNameError
-from hrl_escape.options.option import Option, OptionAction
-from hrl_escape.options.sources import FLAVOURS
+from hrl_escape.options.option import FLAVOURS, Option, OptionAction
 from hrl_escape.planning.goals import ExitGoal, Goal, GripGoal, PressGoal, PushGoal, is_reached, make_goal
 from hrl_escape.planning.planner import RoomPlanner, get_planner
 from hrl_escape.planning.route import Route, get_pose

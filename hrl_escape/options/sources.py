@@ -8,13 +8,9 @@ from typing import Any, TypeAlias
 
 from hrl_escape.env.instance import RoomInstance
 from hrl_escape.errors import ConfigError, OptionError
-from hrl_escape.options.option import Option
+from hrl_escape.options.option import FLAVOURS, Option
 
-__all__ = ["FLAVOURS", "MetaSource", "OptionsSource", "make_options"]
-
-FLAVOURS = ("press", "press-with-ancestors", "press-markov")
-"""Kinds of meta-actions: press one target only, or its ancestors first, or press it by a policy that is a function of
-the state."""
+__all__ = ["MetaSource", "OptionsSource", "make_options"]
 
 OptionsSource: TypeAlias = Sequence[Option] | Callable[[Any], Sequence[Option]]
 """Options, or a function that makes them for a room's instance, or for any other environment."""

@@ -18,9 +18,9 @@ from hrl_escape.env.puzzles.traits import Mapped
 from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import UnknownNameError, UnsupportedError
 from hrl_escape.options.meta_actions import list_goals, make_meta_options
+from hrl_escape.options.option import FLAVOURS
 from hrl_escape.options.options_env import OptionsEnv
 from hrl_escape.options.skills import make_go_to, make_press, make_reach
-from hrl_escape.options.sources import FLAVOURS
 from hrl_escape.planning.goals import PressGoal
 from hrl_escape.planning.planner import get_planner
 from tests.covering import cover, thin

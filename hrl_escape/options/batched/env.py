@@ -47,8 +47,8 @@ from hrl_escape.options.batched.stepping import (
 )
 from hrl_escape.options.batched.successors import presses_by_hand
 from hrl_escape.options.degraded import OptionDegradation
+from hrl_escape.options.option import FLAVOURS
 from hrl_escape.options.options_env import OptionsEnv
-from hrl_escape.options.sources import FLAVOURS
 from hrl_escape.spaces import PointingDiscrete, make_vector_space
 
 _SHARED = ("options", "include_primitives", "discount", "flavour", "interruptible", "max_duration")  # by OptionsEnv too
