@@ -22,6 +22,7 @@ __all__ = [
     "Estimate",
     "PairedTest",
     "Statistic",
+    "choose_holm_levels",
     "compare_pairs",
     "compute_ends",
     "compute_interval",
@@ -123,7 +124,7 @@ class PairedTest(NamedTuple):
 
     Attributes:
         difference: mean over rooms of the mean difference.
-        low: lower end of its 95 % interval.
+        low: lower end of its interval, of 95 % unless another level was asked for.
         high: upper end.
         p: two-sided.
         pairs: (room, seed) pairs.
@@ -136,7 +137,7 @@ class PairedTest(NamedTuple):
     pairs: int
 
 
-def compare_pairs(differences: Sequence[NDArray[np.float64]]) -> PairedTest:
+def compare_pairs(differences: Sequence[NDArray[np.float64]], level: float = LEVEL) -> PairedTest:
     """Student's t test of paired differences, rooms as strata of equal weight (Satterthwaite's degrees of freedom).
 
     Where the differences of every room are equal there is no spread to divide by, and the interval has no width. The
@@ -147,6 +148,7 @@ def compare_pairs(differences: Sequence[NDArray[np.float64]]) -> PairedTest:
 
     Args:
         differences: (seeds,) a room, first agent less second in the same room with the same seed.
+        level: confidence of the interval.
     """
     count = sum(map(len, differences))
     rooms = [room for room in differences if len(room)]
@@ -160,7 +162,7 @@ def compare_pairs(differences: Sequence[NDArray[np.float64]]) -> PairedTest:
         p = 1.0 if abs(mean) <= 1e-12 else math.prod(4.0 ** (1 - len(room)) for room in lasting)
         return PairedTest(mean, mean, mean, p, count)
     freedom = variances.sum() ** 2 / np.sum(variances**2 / [len(room) - 1 for room in rooms])
-    reach = float(special.stdtrit(freedom, (1 + LEVEL) / 2)) * error
+    reach = float(special.stdtrit(freedom, (1 + level) / 2)) * error
     return PairedTest(mean, mean - reach, mean + reach, float(2 * special.stdtr(freedom, -abs(mean) / error)), count)
 
 
@@ -174,3 +176,19 @@ def correct_by_holm(p: Sequence[float]) -> list[float]:
         largest = max(largest, min(1.0, (len(p) - rank) * p[index]))
         adjusted[index] = largest
     return adjusted
+
+
+def choose_holm_levels(p: Sequence[float], alpha: float = 1 - LEVEL) -> list[float]:
+    """Confidence of intervals for a family of comparisons, so that each leaves out 0 just where Holm's test does.
+
+    The k-th smallest p of n is held against alpha / (n - k + 1) until one is above that; this one's share of alpha is
+    that of all that follow. An interval of 1 less the share then leaves out 0 if and only if its p-value corrected by
+    `correct_by_holm` is below alpha.
+    """
+    levels, share, goes_on = [0.0] * len(p), alpha, True
+    for rank, index in enumerate(sorted(range(len(p)), key=lambda index: p[index])):
+        if goes_on:
+            share = alpha / (len(p) - rank)
+            goes_on = p[index] < share
+        levels[index] = 1 - share
+    return levels

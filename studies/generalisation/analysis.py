@@ -20,12 +20,13 @@ from hrl_escape.env.drawing import palette
 from hrl_escape.ladder.benchmark import load_benchmark
 from studies.baseline import BaselineRun, collect_baselines
 from studies.figures import FIGURE_STYLE, finish_axes
-from studies.generalisation.findings import tell_puzzle_depths, tell_room_numbers
+from studies.generalisation.findings import tell_best, tell_puzzle_depths, tell_room_numbers
 from studies.generalisation.grids import (
     DEPTHS,
     FLAT,
     FLAT_CHANCE,
     NAMES,
+    SEARCHERS,
     TRAINED,
     GeneralisationArgs,
     make_depth_grid,
@@ -65,7 +66,8 @@ def analyse(study: Study, lines: Sequence[BaselineRun]) -> Page:
     rungs = {rung: [line for line in sizes if line.rung == rung] for rung in dict.fromkeys(line.rung for line in sizes)}
     return Page({
         "rungs": {rung: _describe(own) | {
-            "ends": _summarise(own), "table": _tabulate_sizes(own),
+            "ends": _summarise(own), "table": _tabulate_sizes(own), "best": tell_best(
+                _group((line.agent, _count_rooms(line), line) for line in own), tuple(NAMES)),
             "told": tell_room_numbers(_group((line.agent, _count_rooms(line), line) for line in own), tuple(NAMES),
                                       _CHANCES)} for rung, own in rungs.items()},
         "depth": _describe(depth) | {
@@ -167,9 +169,11 @@ def _draw_panel(axes: Axes, lines: Sequence[BaselineRun]) -> None:
         shift = 1.1 ** (number - (len(agents) - 1) / 2)
         axes.scatter([shift * _count_rooms(line) for line in own], [line.efficiency for line in own],
                      color=_COLOURS[agent], s=8, alpha=0.5, linewidths=0)
-    chance = [line.efficiency for line in lines if line.agent == CHANCE]
-    if chance:
-        axes.axhline(_average(chance), color=palette.MUTED, linestyle="--", linewidth=1, label="options, at random")
+    for (agent, name), style in zip(({CHANCE: "options, at random"} | SEARCHERS).items(), ("--", "-.", ":", "-"),
+                                    strict=True):
+        values = [line.efficiency for line in lines if line.agent == agent]
+        if values:
+            axes.axhline(_average(values), color=palette.MUTED, linestyle=style, linewidth=1, label=name)
     axes.set_xscale("log")
     axes.set_ylim(-0.03, 1.03)
     axes.set_xlabel("training rooms", color=palette.INK)

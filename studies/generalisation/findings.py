@@ -12,14 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from hrl_escape.comparison.inference import compare_pairs, correct_by_holm
+from hrl_escape.comparison.inference import choose_holm_levels, compare_pairs, correct_by_holm
 from hrl_escape.comparison.pairs import ALPHA
 from hrl_escape.comparison.statistics import LEAST_RUNS
 from hrl_escape.names import count_nouns, join_words
 from studies.baseline import BaselineRun
-from studies.generalisation.grids import DEPTHS, FLAT_CHANCE
+from studies.generalisation.grids import DEPTHS, FLAT, FLAT_CHANCE, SEARCHERS
 
-__all__ = ["tell_puzzle_depths", "tell_room_numbers"]
+__all__ = ["tell_best", "tell_puzzle_depths", "tell_room_numbers"]
 
 _Seeds = Mapping[int, float]
 """Efficiency in unseen rooms by training seed."""
@@ -34,9 +34,40 @@ class _Question(NamedTuple):
     differences: NDArray[np.float64]
 
 
+def tell_best(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Sequence[str]) -> str:
+    """One sentence on one rung: the best learner in unseen rooms against the best searcher that learns nothing.
+
+    Args:
+        cells: runs by agent and number of training rooms.
+        agents: the learners.
+
+    Returns:
+        The sentence; empty without a cell of `LEAST_RUNS` seeds of either.
+    """
+    enough = {place: seeds for place, runs in cells.items() if len(seeds := _index(runs)) >= LEAST_RUNS}
+    learned = {place: seeds for place, seeds in enough.items() if place[0] in agents}
+    searched = {place: seeds for place, seeds in enough.items() if place[0] in SEARCHERS}
+    if not learned or not searched:
+        return ""
+    agent, count = max(learned, key=lambda place: _mean(learned[place]))
+    searcher = max(searched, key=lambda place: _mean(searched[place]))
+    ours, theirs = learned[agent, count], searched[searcher]
+    question = _ask("", "", ours, theirs)
+    test = compare_pairs([question.differences])
+    words = f"`{agent}`, trained in {_count(count)}, reaches {_mean(ours):.2f} in unseen rooms"
+    other = f"the best searcher that learns nothing, `{searcher[0]}`, {_mean(theirs):.2f}"
+    if test.p >= ALPHA:
+        return f"No learner is shown to beat searching: {words}, {other}."
+    if test.difference > 0:
+        return f"Training pays beyond searching: {words}, {other}."
+    return f"No learner matches searching: {words}, {other}."
+
+
 def tell_room_numbers(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], agents: Sequence[str],
                       chances: Mapping[str, str]) -> list[str]:
-    """Sentences on one rung: each agent against the one before it, against chance, and many rooms against few.
+    """Sentences on one rung: each agent against the one before it, against searching, and many rooms against few.
+
+    Where no searcher was run, and of agents over primitives, against chance.
 
     An agent that escapes in no test is told of alone: how far others stand above a floor depends on the budget.
 
@@ -48,6 +79,8 @@ def tell_room_numbers(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], ag
     """
     enough = {place: seeds for place, runs in cells.items() if len(seeds := _index(runs)) >= LEAST_RUNS}
     chance = {agent: seeds for (agent, _), seeds in reversed(enough.items())}
+    searcher = max((agent for agent in SEARCHERS if agent in chance), key=lambda agent: _mean(chance[agent]),
+                   default=None)
     known = [agent for agent in agents if any(agent == other for other, _ in enough)]
     tests = {agent: {count: cells[agent, count] for other, count in enough if other == agent} for agent in known}
     told = {agent: _tell_zero(agent, tests[agent]) for agent in known
@@ -60,7 +93,10 @@ def tell_room_numbers(cells: Mapping[tuple[str, int], Sequence[BaselineRun]], ag
         if before is not None and both:
             asked.append(_ask(f"`{agent}` with {_count(both[-1])}", f"`{before}`",
                               enough[agent, both[-1]], enough[before, both[-1]]))
-        if (by_chance := chance.get(chances[agent])) is not None:
+        if searcher is not None and agent != FLAT:
+            asked.append(_ask(f"`{agent}` with {_count(own[-1])}", f"the best searcher, `{searcher}`,",
+                              most, chance[searcher]))
+        elif (by_chance := chance.get(chances[agent])) is not None:
             asked.append(_ask(f"`{agent}` with {_count(own[-1])}", _RANDOM.get(chances[agent], "random choices"),
                               most, by_chance))
         if len(own) > 1:
@@ -83,7 +119,7 @@ def tell_puzzle_depths(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], a
                        ) -> list[str]:
     """Sentences on deeper puzzles: of each agent, a chain against layers at the same number, and most against fewest.
 
-    And each against chance, in every kind of room.
+    And each against the best searcher in every kind of room, or against chance where no searcher was run.
 
     Args:
         cells: runs by agent and kind of room tested in, of `DEPTHS`.
@@ -98,9 +134,17 @@ def tell_puzzle_depths(cells: Mapping[tuple[str, str], Sequence[BaselineRun]], a
                        enough[agent, second])
                   for first, second in ((chain, layered), (deepest, layered))
                   if (agent, first) in enough and (agent, second) in enough]
-        asked += [_ask(f"`{agent}` in rooms of {kind}", "random choices", enough[agent, kind], enough[chance, kind])
-                  for kind in DEPTHS if (agent, kind) in enough and (chance, kind) in enough]
+        for kind in DEPTHS:
+            searchers = [name for name in SEARCHERS if (name, kind) in enough]
+            other = max(searchers, key=lambda name: _mean(enough[name, kind]), default=chance)
+            if (agent, kind) in enough and (other, kind) in enough:
+                words = f"the best searcher, `{other}`," if searchers else "random choices"
+                asked.append(_ask(f"`{agent}` in rooms of {kind}", words, enough[agent, kind], enough[other, kind]))
     return _answer(asked)
+
+
+def _mean(seeds: _Seeds) -> float:
+    return float(np.mean([*seeds.values()]))
 
 
 def _index(runs: Sequence[BaselineRun]) -> _Seeds:
@@ -119,14 +163,15 @@ def _ask(first: str, second: str, ours: _Seeds, theirs: _Seeds) -> _Question:
 def _answer(asked: Sequence[_Question]) -> list[str]:
     """One sentence a question with enough pairs."""
     asked = [question for question in asked if len(question.differences) >= LEAST_RUNS]
-    tests = [compare_pairs([question.differences]) for question in asked]
+    found = [compare_pairs([question.differences]).p for question in asked]
     told = []
-    for question, test, p in zip(asked, tests, correct_by_holm([test.p for test in tests]), strict=True):
+    for question, p, level in zip(asked, correct_by_holm(found), choose_holm_levels(found), strict=True):
+        test = compare_pairs([question.differences], level)
         low, high = test.low, test.high
         if p < ALPHA:
             words = f"reaches {abs(test.difference):.2f} {'more' if test.difference > 0 else 'less'}"
             low, high = sorted((abs(low), abs(high)))  # both of the same sign, for the question is answered
         else:
             words = "is not shown to reach more or less"
-        told.append(f"{question.first} {words} than {question.second} (95 % interval {low:.2f} to {high:.2f}).")
+        told.append(f"{question.first} {words} than {question.second} ({low:.2f} to {high:.2f}).")
     return told

@@ -18,7 +18,7 @@ from hrl_escape.ladder.instance_set import InstanceSet
 from studies.ladder.calibration import CHANCE, KNOWN
 from studies.running import GridArgs
 
-__all__ = ["DEPTHS", "FLAT", "FLAT_CHANCE", "MEMORY", "OBJECTS", "NAMES", "TRAINED", "VECTORS",
+__all__ = ["DEPTHS", "FLAT", "FLAT_CHANCE", "MEMORY", "OBJECTS", "NAMES", "SEARCHERS", "TRAINED", "VECTORS",
            "GeneralisationArgs", "make_depth_grid", "make_sizes_grid"]
 
 _DATA = read_toml(Path(__file__).with_name("study.toml"))
@@ -27,6 +27,7 @@ TRAINED: str = _DATA["trained"]
 NAMES: dict[str, str] = _DATA["names"]
 FLAT, VECTORS, OBJECTS, MEMORY = NAMES
 FLAT_CHANCE = "random"
+SEARCHERS: dict[str, str] = _DATA["searchers"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -57,7 +58,8 @@ def make_sizes_grid(bench: Benchmark, args: GeneralisationArgs) -> Grid:
     Raises:
         EscapeError: no such rung, or more rooms than it has.
     """
-    agents = tuple(map(AgentSpec.parse, args.agents or (FLAT, VECTORS, OBJECTS, MEMORY, CHANCE, FLAT_CHANCE)))
+    names = args.agents or (*NAMES, *SEARCHERS, CHANCE, FLAT_CHANCE)
+    agents = tuple(map(AgentSpec.parse, names))
     sizes = tuple(size for size in args.sizes if size <= bench[args.rung].record.train.count)
     settings = LadderSettings(args.runs, args.primitives, args.rooms, sizes, first_seed=args.first_seed)
     grid = make_protocol_grid(bench, args.rung, "generalise", agents, settings)
@@ -76,7 +78,7 @@ def make_depth_grid(bench: Benchmark, args: GeneralisationArgs, folder: Path) ->
                   for name, depth in DEPTHS.items())
     return Grid(
         name="depth", description="Trained in rooms of 2 to 4 buttons, tested in deeper ones without learning.",
-        agents=tuple(map(AgentSpec.parse, args.agents or (OBJECTS, MEMORY, CHANCE, KNOWN))),
+        agents=tuple(map(AgentSpec.parse, args.agents or (OBJECTS, MEMORY, *SEARCHERS, CHANCE, KNOWN))),
         train_rooms=(train,) * len(tests), test_rooms=tests, runs=args.runs, first_seed=args.first_seed,
         primitives=args.primitives, eval_every=args.primitives, eval_episodes=args.rooms, observation="objects",
     )

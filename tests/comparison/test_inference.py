@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from hrl_escape.comparison.inference import (
+    choose_holm_levels,
     compare_pairs,
     compute_interval,
     compute_wilson_interval,
@@ -138,3 +139,18 @@ def test_holm_keeps_the_order_and_lies_between_none_and_bonferroni(p: list[float
     for (a, b), (x, y) in zip(itertools.pairwise(sorted(p)), itertools.pairwise(sorted(adjusted)), strict=True):
         assert a <= b and x <= y
     assert all(raw <= value <= min(1, len(p) * raw) + 1e-12 for raw, value in zip(p, adjusted, strict=True))
+
+
+def test_an_interval_leaves_out_zero_just_where_the_corrected_test_finds_a_difference():
+    rng, both = np.random.default_rng(3), set()
+    for _ in range(300):
+        family = [[rng.normal(mean, 1.0, 10)] for mean in rng.choice([0.0, 0.6, 0.9, 1.2], 5)]
+        p = [compare_pairs(differences).p for differences in family]
+        levels, alone = choose_holm_levels(p), [compare_pairs(differences) for differences in family]
+        for differences, corrected, level, single in zip(family, correct_by_holm(p), levels, alone, strict=True):
+            found = compare_pairs(differences, level)
+            assert (found.low > 0 or found.high < 0) == (corrected < 0.05)
+            assert found.low <= single.low and found.high >= single.high
+            both.add((corrected < 0.05, single.p < 0.05))
+    assert len(both) == 3, "some differences that are found alone are not in their family"
+    assert choose_holm_levels([0.5]) == [0.95] and choose_holm_levels([]) == []

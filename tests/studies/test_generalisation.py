@@ -17,6 +17,7 @@ from studies.generalisation.grids import (
     FLAT_CHANCE,
     MEMORY,
     OBJECTS,
+    SEARCHERS,
     VECTORS,
     GeneralisationArgs,
     make_depth_grid,
@@ -34,7 +35,7 @@ def test_rooms_trained_in_grow_and_those_tested_in_stay():
     places = grid.make_places()
     assert [len(place.split.train) for place in places] == [1, 4, 16, 64, 256, 1000]
     assert len({tuple(place.split.test.seeds) for place in places}) == 1 and len(places[0].split.test) == 3
-    assert len(grid.make_runs(places)) == 2 * 6 * 6 and grid.first_seed == 7
+    assert len(grid.make_runs(places)) == 2 * 6 * 9 and grid.first_seed == 7
     few = make_sizes_grid(load_benchmark("ladder-1"), dataclasses.replace(ARGS, sizes=(1, 16), agents=(VECTORS,)))
     assert [agent.label for agent in few.agents] == [VECTORS] and len(few.train_rooms) == 2
 
@@ -50,7 +51,7 @@ def test_rooms_tested_in_are_deeper_than_any_trained_in(tmp_path: Path):
             edges = room.puzzle.edges
             assert len(room.targets) == depth["count"]
             assert (len(edges) == len({head for _, head in edges}) == depth["count"] - 1) or depth["graph"] == "layered"
-    assert len(grid.make_runs(places)) == 2 * 4 * 4, "and agents can act in both"
+    assert len(grid.make_runs(places)) == 2 * 4 * 7, "and agents can act in both"
 
 
 def test_the_page_tells_sizes_and_depths_by_the_lines_alone(tmp_path: Path):
@@ -90,12 +91,12 @@ def make_seeds(agent: str, rooms: int, efficiency: float, shift: int, **fields: 
 
 
 @pytest.mark.parametrize(("vectors", "objects", "told"), [
-    ((0.2, 0.2), (0.5, 0.7), (f"- `{OBJECTS}` with 1,000 training rooms reaches 0.50 more than `{VECTORS}` (95 % int",
+    ((0.2, 0.2), (0.5, 0.7), (f"- `{OBJECTS}` with 1,000 training rooms reaches 0.50 more than `{VECTORS}` (",
                               f"- `{OBJECTS}` with 1,000 training rooms reaches 0.20 more than with 1 training room (",
                               f"- `{OBJECTS}` with 1,000 training rooms reaches 0.40 more than random choices (",
                               f"- `{VECTORS}` with 1,000 training rooms is not shown to reach more or less than with 1",
                               f"- `{VECTORS}` with 1,000 training rooms reaches 0.10 less than random choices (")),
-    ((0.4, 0.6), (0.6, 0.3), (f"- `{OBJECTS}` with 1,000 training rooms reaches 0.30 less than `{VECTORS}` (95 % int",
+    ((0.4, 0.6), (0.6, 0.3), (f"- `{OBJECTS}` with 1,000 training rooms reaches 0.30 less than `{VECTORS}` (",
                               f"- `{OBJECTS}` with 1,000 training rooms reaches 0.30 less than with 1 training room (",
                               f"- `{OBJECTS}` with 1,000 training rooms is not shown to reach more or less than random",
                               f"- `{VECTORS}` with 1,000 training rooms reaches 0.20 more than with 1 training room (",
@@ -111,7 +112,7 @@ def test_ten_seeds_lead_to_sentences_and_nine_to_none(vectors: tuple, objects: t
     assert page.count("\n- ") == len(told)
     for sentence in (line for line in page.splitlines() if line.startswith("- ")):
         if " more than " in sentence or (" less than " in sentence and "not shown" not in sentence):
-            low, high = map(float, re.findall(r"interval (\S+) to (\S+)\)", sentence)[0])
+            low, high = map(float, re.findall(r"\((\S+) to (\S+)\)", sentence)[0])
             assert 0 < low < float(re.findall(r"reaches (\S+)", sentence)[0]) < high, sentence
     few = [line for line in lines if (line.agent, line.seed) != (OBJECTS, 9)]
     page = tell("generalisation", few, tmp_path)
@@ -170,3 +171,20 @@ def test_a_difference_by_luck_alone_is_not_told_where_many_are_asked_about(tmp_p
     others = [*make_seeds(CHANCE, 1, 0.5, 2), *make_seeds(OBJECTS, 1, 0.5, 2), *make_seeds(OBJECTS, 16, 0.5, 4)]
     page = tell("generalisation", [*lines, *others], tmp_path)
     assert f"`{VECTORS}` with 16 training rooms is not shown to reach more or less than with 1 training room" in page
+
+
+@pytest.mark.parametrize(("learner", "nearest", "told"), [
+    (0.6, 0.8, ("**No learner matches searching: ", "reaches 0.20 less than the best searcher, `smdp-untried-near")),
+    (0.8, 0.6, ("**Training pays beyond searching: ", "reaches 0.20 more than the best searcher, `smdp-untried-near")),
+    (0.7, 0.7, ("**No learner is shown to beat searching: ", "is not shown to reach more or less than the best se"))])
+def test_learners_are_held_against_the_best_searcher_and_not_against_chance(learner: float, nearest: float, told: tuple,
+                                                                            tmp_path: Path):
+    untried, near, _ = SEARCHERS
+    lines = [*make_seeds(MEMORY, 1000, learner, 2), *make_seeds(CHANCE, 1, 0.3, 5, primitives=0),
+             *make_seeds(untried, 1, nearest - 0.1, 4, primitives=0), *make_seeds(near, 1, nearest, 6, primitives=0)]
+    page = tell("generalisation", lines, tmp_path)
+    assert not [words for words in told if words not in page], page
+    assert "than random choices" not in page
+    depths = [dataclasses.replace(line, protocol="depth", rung="6 buttons, layered") for line in lines]
+    page = tell("generalisation", [*lines, *depths], tmp_path)
+    assert f"- `{MEMORY}` in rooms of 6 buttons, layered {told[1]}" in page and "than random choices" not in page
