@@ -9,9 +9,9 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from functools import cached_property
-from typing import Annotated, Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,7 @@ __all__ = [
     "LARGEST_LENGTH",
     "Footprint",
     "InnerDoors",
+    "NearCells",
     "Neighbourhood",
     "Solid",
     "compute_distance",
@@ -31,6 +32,8 @@ __all__ = [
     "make_footprint",
     "stack_footprints",
 ]
+
+Thing = TypeVar("Thing")
 
 LARGEST_LENGTH = 1e6
 """Bound of every length and coordinate in a room, m."""
@@ -228,6 +231,27 @@ class Neighbourhood:
         return [self.footprints[number] for number in self.find_near(x, y, distance)]
 
 
+class NearCells(dict[tuple[int, int], tuple[Thing, ...]]):
+    """Things that may be within reach of some place in a floor cell of one metre, found when a cell is first asked for.
+
+    The key of a place is (floor(x), floor(y)).
+
+    Args:
+        things: all of them.
+        outlines: of each its outline, and how far it reaches from there, m; less than 0 for never.
+    """
+
+    def __init__(self, things: Iterable[Thing], outlines: Iterable[tuple[Footprint, float]]) -> None:
+        super().__init__()
+        self._all = tuple(zip(things, outlines, strict=True))
+
+    def __missing__(self, cell: tuple[int, int]) -> tuple[Thing, ...]:
+        x, y = cell[0] + 0.5, cell[1] + 0.5
+        near = self[cell] = tuple(thing for thing, (shape, reach) in self._all
+                                  if reach >= 0.0 and compute_distance(x, y, shape) <= reach + 0.75)
+        return near
+
+
 class InnerDoors:
     """Inner doors of a room: which of them are shut in a state of the puzzle, and which a step may meet.
 
@@ -246,9 +270,10 @@ class InnerDoors:
     def __init__(self, footprints: Sequence[Footprint], get_shut: Callable[[Any], int], radius: float, step: float,
                  longest: float, push: Callable[[Any, int, int], Hashable] | None = None) -> None:
         self.footprints = tuple(footprints)
-        self._ask, self._radius, self._step, self._longest, self._push = get_shut, radius, step, longest, push
+        self._ask, self._radius, self._step, self._push = get_shut, radius, step, push
         self._shut: dict[Hashable, int] = {}
-        self._cells: dict[tuple[int, int], tuple[tuple[int, Footprint], ...]] = {}
+        reach = radius + 6.0 * longest  # noise lengthens steps
+        self._near = NearCells(enumerate(self.footprints), ((door, reach) for door in self.footprints))
 
     def get_shut(self, puzzle: Hashable) -> int:
         """Bits of the shut doors in a state of the puzzle; cached."""
@@ -270,14 +295,7 @@ class InnerDoors:
     def list_near(self, x: float, y: float, puzzle: Hashable) -> Iterator[Footprint]:
         """Outlines of the shut doors that a step from a place could meet."""
         shut = self.get_shut(puzzle)
-        cell = math.floor(x), math.floor(y)
-        near = self._cells.get(cell)
-        if near is None:
-            limit = self._radius + 6.0 * self._longest + 0.75  # noise lengthens steps
-            near = self._cells[cell] = tuple(
-                (number, door) for number, door in enumerate(self.footprints)
-                if compute_distance(cell[0] + 0.5, cell[1] + 0.5, door) <= limit)
-        for number, door in near:
+        for number, door in self._near[math.floor(x), math.floor(y)]:
             if shut >> number & 1 and compute_distance(x, y, door) >= self._radius - 1e-6:
                 yield door
 

@@ -13,7 +13,7 @@ from collections.abc import Hashable
 from typing import NamedTuple
 
 from hrl_escape.env.config import CONTACT_SKIN
-from hrl_escape.env.geometry import Footprint, InnerDoors, compute_distance
+from hrl_escape.env.geometry import Footprint, InnerDoors, NearCells, compute_distance
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.noise import compute_noise, draw_chance, draw_puzzle_start
 from hrl_escape.env.poses import RobotPoses, RoomState, list_touched
@@ -64,9 +64,10 @@ class Rules(RobotPoses):
         self._exit_reward = reward.exit if reward.exit_replaces_step else reward.step + reward.exit
         self._horizon = instance.horizon
         self._by_hand = instance.dynamics.press_with == "hand"
-        reach = instance.compute_press_reach
-        self._reaches = tuple((i, t.footprint, reach(t), t) for i, t in enumerate(instance.targets))
-        self._target_cells: dict[tuple[int, int], tuple] = {}
+        entries = [(i, t.footprint, instance.compute_press_reach(t), t) for i, t in enumerate(instance.targets)]
+        by_hand = instance.robot.hand_radius + instance.dynamics.press_margin
+        self._near_targets = NearCells(entries, ((shape, by_hand if self._by_hand else reach)
+                                                 for _, shape, reach, _ in entries))
         self._presser = None if self._by_hand or instance.robot.base.turns_anywhere else instance.robot.base
         self.inner_doors = None if not instance.inner_doors else InnerDoors(
             [door.footprint for door in instance.inner_doors], get_trait(self._puzzle, Barring).get_shut,
@@ -84,7 +85,7 @@ class Rules(RobotPoses):
         """Bits of the targets that the presser touches at a pose of base and arm."""
         touching = 0
         if not self._by_hand:
-            for i, footprint, reach, target in self._get_near_targets(x, y):
+            for i, footprint, reach, target in self._near_targets[math.floor(x), math.floor(y)]:
                 if compute_distance(x, y, footprint) <= reach:
                     if self._presser is not None and target.kind == "panel" and self._presser.measure_distance(
                             x, y, self.get_rotation(heading_steps, heading_offset), footprint
@@ -95,24 +96,10 @@ class Rules(RobotPoses):
         hand_x, hand_y, hand_z = self.get_hand_in_base(joint_steps, joint_offsets)
         cos, sin = self.get_rotation(heading_steps, heading_offset)
         at_x, at_y = x + cos * hand_x - sin * hand_y, y + sin * hand_x + cos * hand_y
-        for i, footprint, _, target in self._get_near_targets(at_x, at_y):
+        for i, footprint, _, target in self._near_targets[math.floor(at_x), math.floor(at_y)]:
             if compute_distance(at_x, at_y, footprint) <= self.instance.compute_press_reach(target, hand_z):
                 touching |= 1 << i
         return touching
-
-    def _get_near_targets(self, x: float, y: float) -> tuple:
-        """Targets that could be touched from a floor cell of one metre."""
-        cell = (math.floor(x), math.floor(y))
-        near = self._target_cells.get(cell)
-        if near is None:
-            margin = self.instance.robot.hand_radius + self.instance.dynamics.press_margin
-            near = tuple(
-                entry for entry in self._reaches
-                if (reach := margin if self._by_hand else entry[2]) >= 0.0
-                and compute_distance(cell[0] + 0.5, cell[1] + 0.5, entry[1]) <= reach + 0.75
-            )
-            self._target_cells[cell] = near
-        return near
 
     # --- the episode -----------------------------------------------------------------
 
@@ -184,7 +171,8 @@ class Kinematics(Rules):
         self.footprints = tuple(solid.footprint for solid in instance.solids)
         self._door = instance.door and instance.door.footprint
         self._span = self.actions.longest * (2.0 if self._noise else 1.0)
-        self._solid_cells: dict[tuple[int, int], tuple[Footprint, ...]] = {}
+        reach = self._radius + 1.5 * self._span
+        self._near_solids = NearCells(self.footprints, ((shape, reach) for shape in self.footprints))
         self._primitives = self.actions.primitives
         self._moves = tuple(
             tuple(primitive.compute_move(cos, sin) for cos, sin in self._rotations) for primitive in self._primitives)
@@ -249,7 +237,8 @@ class Kinematics(Rules):
     def compute_free_fraction(self, x: float, y: float, dx: float, dy: float, puzzle: Hashable,
                               rotation: tuple[float, float] = _AHEAD) -> float:
         """Share in [0, 1] of a displacement that the body at this rotation can make while it keeps its clearance."""
-        near = self._get_near_solids(x, y) if abs(dx) + abs(dy) <= 1.5 * self._span else self.footprints
+        is_step = abs(dx) + abs(dy) <= 1.5 * self._span
+        near = self._near_solids[math.floor(x), math.floor(y)] if is_step else self.footprints
         fraction = self._base.find_free_fraction(x, y, rotation, dx, dy, near)
         if self._door is None and self.inner_doors is None:
             return fraction
@@ -261,7 +250,8 @@ class Kinematics(Rules):
         if self._base.turns_anywhere:
             return True
         x, y, rotation = state.x, state.y, self.get_rotation(state.heading_steps, state.heading_offset)
-        shapes = (*self._get_near_solids(x, y), *self._list_shut(x, y, state.puzzle, rotation))
+        near = self._near_solids[math.floor(x), math.floor(y)]
+        shapes = (*near, *self._list_shut(x, y, state.puzzle, rotation))
         return self._base.can_turn(x, y, rotation, to, turn, shapes)
 
     def _list_shut(self, x: float, y: float, puzzle: Hashable, rotation: tuple[float, float]) -> tuple[Footprint, ...]:
@@ -274,16 +264,6 @@ class Kinematics(Rules):
         if self._door is None or self._puzzle.is_solved(puzzle):
             return False
         return not self._base.stands_in(x, y, rotation, self._door)
-
-    def _get_near_solids(self, x: float, y: float) -> tuple[Footprint, ...]:
-        """Solids that a step from a floor cell of one metre could meet."""
-        cell = (math.floor(x), math.floor(y))
-        near = self._solid_cells.get(cell)
-        if near is None:
-            limit = self._radius + 1.5 * self._span + 0.75
-            near = tuple(f for f in self.footprints if compute_distance(cell[0] + 0.5, cell[1] + 0.5, f) <= limit)
-            self._solid_cells[cell] = near
-        return near
 
     def _turn(self, state: RoomState, turn: int, scale: float) -> RoomState:
         steps = (state.heading_steps + turn) % self.headings

@@ -21,42 +21,10 @@ from hrl_escape.plugins import load_entry_points
 if TYPE_CHECKING:
     from torch import Tensor
 
+    from hrl_escape.env.tensor_geometry import Shapes
+
 __all__ = ["BatchObservation", "BatchView", "Observer", "clip", "get_observation", "list_observations",
            "make_observer", "register_observation"]
-
-
-class Outlines(Protocol):
-    """Rectangles on the floor, m, float64 (rectangles, rooms) each."""
-
-    @property
-    def x(self) -> Tensor:
-        """Centres along x, room frame."""
-        ...
-
-    @property
-    def y(self) -> Tensor:
-        """Centres along y, room frame."""
-        ...
-
-    @property
-    def cos(self) -> Tensor:
-        """Cosine of the direction of the width."""
-        ...
-
-    @property
-    def sin(self) -> Tensor:
-        """Sine of the direction of the width."""
-        ...
-
-    @property
-    def half_x(self) -> Tensor:
-        """Half sizes along the width, m."""
-        ...
-
-    @property
-    def half_y(self) -> Tensor:
-        """Half sizes across the width, m."""
-        ...
 
 
 class BatchView(Protocol):
@@ -108,8 +76,8 @@ class BatchView(Protocol):
         ...
 
     @property
-    def targets(self) -> Outlines:
-        """Outlines of the targets."""
+    def targets(self) -> Shapes:
+        """Outlines of the targets, m, float64 (targets, rooms) each."""
         ...
 
     @property
