@@ -16,14 +16,14 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Circle, Patch, Polygon
 from matplotlib.patches import Rectangle as RectanglePatch
 from matplotlib.patheffects import withStroke
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.optimize import isotonic_regression
 
 from hrl_escape.env.drawing import palette
+from hrl_escape.env.drawing.meshes import outline_capsule, rotate_box
 from hrl_escape.env.geometry import Solid
 from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.kinematics import Kinematics, RoomState
-from hrl_escape.env.puzzles.places import Capsule
 from hrl_escape.env.puzzles.traits import Barring, Depicted, Doored, Graphed, get_trait
 
 __all__ = ["Trajectory", "compute_extent", "draw_room", "get_colour"]
@@ -66,7 +66,7 @@ def draw_room(axes: Axes, instance: RoomInstance, state: RoomState, trajectories
                                      linewidth=0.8, zorder=3.2 if wall else 3))
     for placed in instance.props:
         half, prop = placed.prop.half_size, placed.prop
-        corners = _rotate_box(placed.x, placed.y, half, half, placed.yaw)
+        corners = rotate_box(placed.x, placed.y, half, half, placed.yaw)
         plate = prop.kind == "plate"
         axes.add_patch(Polygon(corners, facecolor=palette.PLATE if plate else palette.PROP, edgecolor=palette.PROP_EDGE,
                                linewidth=1.0, linestyle="--" if plate else "-", zorder=2 if plate else 5))
@@ -85,23 +85,16 @@ def compute_extent(instance: RoomInstance) -> tuple[float, float, float, float]:
     xs = [-instance.half_width, instance.half_width, instance.exit.x_min, instance.exit.x_max]
     ys = [-instance.half_depth, instance.half_depth, instance.exit.y_min, instance.exit.y_max]
     for solid in instance.solids:
-        corners = _rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
-        xs += [corners[:, 0].min(), corners[:, 0].max()]
-        ys += [corners[:, 1].min(), corners[:, 1].max()]
+        corners = rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw)
+        xs += [x for x, _ in corners]
+        ys += [y for _, y in corners]
     return min(xs), max(xs), min(ys), max(ys)
-
-
-def _rotate_box(x: float, y: float, half_x: float, half_y: float, yaw: float) -> NDArray[np.float64]:
-    """Corners (4, 2) of a box."""
-    cos, sin = math.cos(yaw), math.sin(yaw)
-    corners = np.array([(-half_x, -half_y), (half_x, -half_y), (half_x, half_y), (-half_x, half_y)])
-    return corners @ np.array([(cos, sin), (-sin, cos)]) + (x, y)
 
 
 def _make_outline(solid: Solid, **style: Any) -> Patch:
     if solid.shape == "cylinder":
         return Circle((solid.x, solid.y), solid.half_x, **style)
-    return Polygon(_rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw), **style)
+    return Polygon(rotate_box(solid.x, solid.y, solid.half_x, solid.half_y, solid.yaw), **style)
 
 
 def _get_scale(axes: Axes) -> float:
@@ -133,7 +126,7 @@ def _draw_floor(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
     for floor in palette.compute_floors(instance):
         axes.add_patch(RectanglePatch(*_measure(floor), facecolor=palette.FLOOR, zorder=0))
     for puddle in get_trait(instance.puzzle, Depicted).puddles:
-        axes.add_patch(_make_capsule(puddle, facecolor=palette.PUDDLE, alpha=0.6, zorder=0.5))
+        axes.add_patch(Polygon(outline_capsule(puddle), facecolor=palette.PUDDLE, alpha=0.6, zorder=0.5))
     is_open = instance.puzzle.is_solved(state.puzzle)
     colour = palette.EXIT_OPEN if is_open else palette.EXIT_LOCKED
     corner, wide, high = _measure(instance.exit)
@@ -165,16 +158,6 @@ def _draw_inner_doors(axes: Axes, instance: RoomInstance, shut: int) -> None:
         beside = -8 * math.sin(door.yaw), 8 * math.cos(door.yaw)
         axes.annotate(openers, (door.x, door.y), beside, textcoords="offset points", fontsize=6.5, color=palette.DOOR,
                       ha="center", va="center", rotation=math.degrees(door.yaw), zorder=6, path_effects=_HALO)
-
-
-def _make_capsule(capsule: Capsule, **style: Any) -> Patch:
-    """Outline of a capsule: two half circles and the straight sides between them."""
-    along = math.atan2(capsule.y2 - capsule.y1, capsule.x2 - capsule.x1)
-    ends = ((capsule.x2, capsule.y2, along - math.pi / 2), (capsule.x1, capsule.y1, along + math.pi / 2))
-    turns = np.linspace(0.0, math.pi, 24)
-    points = [np.stack([x + capsule.radius * np.cos(begin + turns), y + capsule.radius * np.sin(begin + turns)], axis=1)
-              for x, y, begin in ends]
-    return Polygon(np.concatenate(points), **style)
 
 
 def _measure(area: Rectangle) -> tuple[tuple[float, float], float, float]:
@@ -246,7 +229,7 @@ def _draw_targets(axes: Axes, instance: RoomInstance, state: RoomState) -> None:
     sides: dict[str, list[int]] = {}
     for index, target in enumerate(instance.targets):
         fill, edge, _ = palette.get_target_look(puzzle, state.puzzle, index)
-        corners = _rotate_box(target.x, target.y, target.half_x, target.half_y, target.yaw)
+        corners = rotate_box(target.x, target.y, target.half_x, target.half_y, target.yaw)
         axes.add_patch(Polygon(corners, facecolor=fill, edgecolor=edge, linewidth=4.0, joinstyle="round", zorder=3.8))
         axes.add_patch(Polygon(corners, facecolor=fill, edgecolor=fill, linewidth=2.4, joinstyle="round", zorder=4))
         if puzzle.get_lit(state.puzzle)[index]:

@@ -31,6 +31,7 @@ __all__ = [
     "make_shadow",
     "make_tiles",
     "merge",
+    "outline_capsule",
     "rotate_box",
 ]
 
@@ -79,14 +80,15 @@ def merge(meshes: Sequence[Mesh]) -> Mesh:
 
 def make_puddles(puddles: Sequence[Capsule], z: float) -> Mesh:
     """Stretches of floor, at a height."""
-    outlines = []
-    for puddle in puddles:
-        along = math.atan2(puddle.y2 - puddle.y1, puddle.x2 - puddle.x1)
-        outlines.append([(x + puddle.radius * math.cos(angle), y + puddle.radius * math.sin(angle))
-                         for x, y, first in ((puddle.x2, puddle.y2, along - math.pi / 2),
-                                             (puddle.x1, puddle.y1, along + math.pi / 2))
-                         for angle in np.linspace(first, first + math.pi, FACETS).tolist()])
-    return merge([make_flat(outline, z) for outline in outlines])
+    return merge([make_flat(outline_capsule(puddle), z) for puddle in puddles])
+
+
+def outline_capsule(capsule: Capsule) -> list[Point]:
+    """Corners of a capsule, counter-clockwise: two half circles, joined by its straight sides."""
+    along = math.atan2(capsule.y2 - capsule.y1, capsule.x2 - capsule.x1)
+    ends = ((capsule.x2, capsule.y2, along - math.pi / 2), (capsule.x1, capsule.y1, along + math.pi / 2))
+    return [(x + capsule.radius * math.cos(angle), y + capsule.radius * math.sin(angle)) for x, y, first in ends
+            for angle in np.linspace(first, first + math.pi, FACETS).tolist()]
 
 
 def make_flat(outline: Sequence[Point], z: float, up: bool = True) -> Mesh:

@@ -318,11 +318,10 @@ class DerivedModel(Modelled):
                                                    "make it Modelled, with make_symbolic_model and get_facts")
                         numbers[after] = len(numbers)
                         queue.append(after)
-        none: frozenset[str] = frozenset()
         facts = {state: self._list_facts(state, number) for state, number in numbers.items()}
         operators = tuple(
-            Operator(f"press-{name}", name, "press", none, none, none, none, when=tuple(
-                Effect(facts[before] - {SOLVED}, none, facts[after] - facts[before], facts[before] - facts[after])
+            Operator(f"press-{name}", name, "press", when=tuple(
+                Effect(facts[before] - {SOLVED}, add=facts[after] - facts[before], delete=facts[before] - facts[after])
                 for before, after in changed))
             for name, changed in zip(self.target_names, changes, strict=True))
         propositions = (*(f"state({number})" for number in range(len(numbers))), SOLVED)

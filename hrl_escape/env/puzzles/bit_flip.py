@@ -75,12 +75,11 @@ class BitFlipPuzzle(Graphed, BitPuzzle):
     def make_symbolic_model(self) -> SymbolicModel:
         """Two operators a bit, to set and to clear it, applicable while all lower bits are on."""
         fact = [f"on({name})" for name in self.target_names]
-        none: frozenset[str] = frozenset()
         operators = []
         for i, name in enumerate(self.target_names):
             lower, this = frozenset(fact[:i]), frozenset({fact[i]})
-            operators.append(Operator(f"set-{name}", name, "press", lower, this, this, none))
-            operators.append(Operator(f"clear-{name}", name, "press", lower | this, none, none, this))
+            operators.append(Operator(f"set-{name}", name, "press", lower, this, this))
+            operators.append(Operator(f"clear-{name}", name, "press", lower | this, delete=this))
         return SymbolicModel(tuple(fact), tuple(operators), frozenset(fact))
 
 

@@ -98,5 +98,5 @@ class GraphPuzzle(Graphed, BitPuzzle):
         for i, name in enumerate(self.target_names):
             parents = frozenset(fact[parent] for parent, child in self.edge_list if child == i)
             own = frozenset({fact[i]})
-            operators.append(Operator(f"press-{name}", name, "press", parents, own, own, frozenset()))
+            operators.append(Operator(f"press-{name}", name, "press", parents, own, own))
         return SymbolicModel(tuple(fact), tuple(operators), frozenset({fact[self.goal]}))

@@ -211,13 +211,15 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
 
     @cached_property
     def _model(self) -> SymbolicModel:
-        none, hand, names = frozenset[str](), frozenset({"handempty"}), self.names
+        hand, names = frozenset({"handempty"}), self.names
         operators = list[Operator]()
         for name in names:
             held, lies = frozenset({f"holding({name})"}), {f"clear({name})", f"ontable({name})"}
             lies_here = hand | lies | {f"at({name},{name})"}
-            operators.append(Operator(f"pick-up-{name}", f"place-{name}", "grip", hand | lies, none, held, lies_here))
-            operators.append(Operator(f"put-down-{name}", f"place-{name}", "release", held, none, lies_here, held))
+            operators.append(Operator(f"pick-up-{name}", f"place-{name}", "grip", hand | lies, add=held,
+                                      delete=lies_here))
+            operators.append(Operator(f"put-down-{name}", f"place-{name}", "release", held, add=lies_here,
+                                      delete=held))
         for (name, other), base in itertools.product(itertools.permutations(names, 2), names):
             if name == base:
                 continue
@@ -225,16 +227,16 @@ class BlocksWorldPuzzle(Graphed, Depicted, Modelled, Puzzle):
             stands = hand | {f"clear({name})", f"on({name},{other})"}
             here, place = frozenset({f"at({name},{base})"}), frozenset({f"at({other},{base})"})
             operators.append(Operator(f"unstack-{name}-from-{other}-at-{base}", f"place-{base}", "grip",
-                                      stands | place, none, held | under, stands | here))
+                                      stands | place, add=held | under, delete=stands | here))
             operators.append(Operator(f"stack-{name}-on-{other}-at-{base}", f"place-{base}", "release",
-                                      held | under | place, none, stands | here, held | under))
+                                      held | under | place, add=stands | here, delete=held | under))
         pairs = [f"{word}({name},{other})" for word in ("on", "at") for name in names for other in names
                  if word == "at" or name != other]
         singles = [f"{word}({name})" for word in ("ontable", "clear", "holding") for name in names]
         goal = {f"ontable({names[block]})" if block == below else f"on({names[block]},{names[below]})"
                 for block, below in self.goal} | {f"clear({names[block]})" for block in self.clear}
         return SymbolicModel((*pairs, *singles, "handempty"), tuple(operators),
-                             frozenset(goal) | (hand if self.free_hand else none))
+                             frozenset(goal) | (hand if self.free_hand else frozenset()))
 
     def plan(self, state: int, place: int = -1) -> tuple[Operator, ...] | None:
         """The fewest operators, by search over towers."""

@@ -116,7 +116,7 @@ class CodeLockPuzzle(Modelled, CodePuzzle):
         """One operator a digit of the code: enter it next."""
         facts = [f"entered({i + 1})" for i in range(len(self.code))]
         operators = (Operator(f"enter-{i + 1}", self.target_names[digit], "press", frozenset(facts[:i]),
-                              frozenset(facts[i:]), frozenset({facts[i]}), frozenset())
+                              frozenset(facts[i:]), frozenset({facts[i]}))
                      for i, digit in enumerate(self.code))
         return SymbolicModel(tuple(facts), tuple(operators), frozenset(facts))
 

@@ -176,7 +176,6 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
 
     def make_symbolic_model(self) -> SymbolicModel:
         """One operator a factor, with a conditional effect for each setting of its parents and each value it turns."""
-        none: frozenset[str] = frozenset()
         operators = []
         for factor, name in enumerate(self.target_names):
             effects = []
@@ -185,9 +184,9 @@ class FactoredPuzzle(Graphed, Modelled, Puzzle):
             for then, values in zip(self.turns[factor], settings, strict=True):
                 if then != values[-1]:
                     facts = frozenset(map(self._name, read, values))
-                    effects.append(Effect(facts, none, frozenset({self._name(factor, then)}),
-                                          frozenset({self._name(factor, values[-1])})))
-            operators.append(Operator(f"press-{name}", name, "press", none, none, none, none, when=tuple(effects)))
+                    effects.append(Effect(facts, add=frozenset({self._name(factor, then)}),
+                                          delete=frozenset({self._name(factor, values[-1])})))
+            operators.append(Operator(f"press-{name}", name, "press", when=tuple(effects)))
         facts = tuple(self._name(factor, value) for factor in range(self.count) for value in range(self.arity))
         return SymbolicModel(facts, tuple(operators), self.get_facts(self.goal))
 

@@ -8,6 +8,7 @@ of worms. The state is three times the number of worms eaten plus the number of 
 from __future__ import annotations
 
 import dataclasses
+from itertools import pairwise
 from typing import Annotated, Any
 
 from hrl_escape.env.puzzles.base import Contacts, Puzzle, PuzzleConfig, register_puzzle
@@ -99,10 +100,9 @@ class ForagingPuzzle(Modelled, Puzzle):
 
     def make_symbolic_model(self) -> SymbolicModel:
         """For each corridor: eat there, upon which the next worm appears in the corridor after it."""
-        none: frozenset[str] = frozenset()
         worm = [frozenset({f"worm({name})"}) for name in self.target_names]
         eaten = [frozenset({f"eaten({number})"}) for number in range(self.worms + 1)]
-        counts = tuple(Effect(before, none, after, before) for before, after in zip(eaten, eaten[1:], strict=False))
+        counts = tuple(Effect(before, add=after, delete=before) for before, after in pairwise(eaten))
         operators = tuple(Operator(f"eat-in-{name}", name, "grip", worm[i], eaten[-1], worm[(i + 1) % CORRIDOR_COUNT],
                                    worm[i], when=counts) for i, name in enumerate(self.target_names))
         return SymbolicModel(tuple(fact for facts in (*worm, *eaten) for fact in facts), operators, eaten[-1])

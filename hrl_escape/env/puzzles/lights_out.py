@@ -155,8 +155,7 @@ class LightsOutPuzzle(Graphed, BitPuzzle):
     def make_symbolic_model(self) -> SymbolicModel:
         """One operator per light, applicable while the shortest solution presses it; other presses are useless."""
         fact = [f"settled({name})" for name in self.target_names]
-        none: frozenset[str] = frozenset()
-        operators = (Operator(f"press-{name}", name, "press", none, frozenset({fact[i]}), frozenset({fact[i]}), none)
+        operators = (Operator(f"press-{name}", name, "press", forbidden=frozenset({fact[i]}), add=frozenset({fact[i]}))
                      for i, name in enumerate(self.target_names))
         return SymbolicModel(tuple(fact), tuple(operators), frozenset(fact))
 

@@ -219,23 +219,24 @@ class MiniGridPuzzle(Mapped, Modelled, Puzzle):
 
     def make_symbolic_model(self) -> SymbolicModel:
         """Open each door, with a key in hand if it is locked; take things from their first places, put down keys."""
-        grid, names, none = self.grid, self.target_names, frozenset[str]()
+        grid, names = self.grid, self.target_names
         doors, keys = len(grid.doors), [f"held({name})" for name in names if name.startswith("key")]
         free, operators = frozenset({"free(hand)"}), []
         for number, (name, cell) in enumerate(zip(names, self.target_cells, strict=True)):
             way = frozenset(f"open({names[door]})" for door in grid.list_doors_before(cell))
             if number < doors:
                 opened = frozenset({f"open({name})", f"opened({name})"})
-                locks = frozenset({f"opened({name})"}) if grid.is_locked(number) else none
+                locks = frozenset({f"opened({name})"}) if grid.is_locked(number) else frozenset[str]()
                 operators.append(Operator(f"open-{name}", name, "use", way | locks, frozenset({f"open({name})"}),
-                                          opened, none))
-                operators += [Operator(f"unlock-{name}-by-{key[5:-1]}", name, "use", way | {key}, locks, opened, none)
+                                          opened))
+                operators += [Operator(f"unlock-{name}-by-{key[5:-1]}", name, "use", way | {key}, locks, opened)
                               for key in keys if locks]
             else:
                 held, lies = frozenset({f"held({name})"}), frozenset({f"lies({name})"})
-                operators.append(Operator(f"take-{name}", name, "grip", way | free | lies, none, held, free | lies))
+                operators.append(Operator(f"take-{name}", name, "grip", way | free | lies, add=held,
+                                          delete=free | lies))
                 if number - doors < min(grid.keys, len(grid.floor)):
-                    operators.append(Operator(f"put-down-{name}", name, "release", held, none, free, held))
+                    operators.append(Operator(f"put-down-{name}", name, "release", held, add=free, delete=held))
         facts = (*(f"{word}({name})" for name in names[:doors] for word in ("open", "opened")),
                  *(f"{word}({name})" for name in names[doors:] for word in ("held", "lies")), "free(hand)")
         balls = frozenset(f"held({name})" for name in names if name.startswith("ball"))

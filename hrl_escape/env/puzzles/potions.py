@@ -133,7 +133,6 @@ class PotionsPuzzle(Modelled, Puzzle):
 
     def make_symbolic_model(self) -> SymbolicModel:
         """One operator per potion, with a conditional effect for each possible rule; planners know the hidden rule."""
-        none: frozenset[str] = frozenset()
         on = [f"on(feature-{i + 1})" for i in range(self.features)]
         done = [frozenset({f"done({trials})"}) for trials in range(self.trials + 1)]
         operators, hidden = [], []
@@ -143,12 +142,11 @@ class PotionsPuzzle(Modelled, Puzzle):
                 off, gives = (frozenset({self._name(potion, feature, way)}) for way in (False, True))
                 hidden += [*off, *gives]
                 others = frozenset(on) - {on[feature]}
-                effects.append(Effect(off, none, none, frozenset({on[feature]})))
-                effects += [Effect(gives, frozenset({other}), frozenset({on[feature]}), none)
-                            for other in sorted(others)]
-                effects += [Effect(gives | others | before, none, after, before | others)
+                effects.append(Effect(off, delete=frozenset({on[feature]})))
+                effects += [Effect(gives, frozenset({other}), frozenset({on[feature]})) for other in sorted(others)]
+                effects += [Effect(gives | others | before, add=after, delete=before | others)
                             for before, after in zip(done, done[1:], strict=False)]
-            operators.append(Operator(f"press-{name}", name, "press", none, done[-1], none, none, when=tuple(effects)))
+            operators.append(Operator(f"press-{name}", name, "press", forbidden=done[-1], when=tuple(effects)))
         facts = (*on, *(fact for each in done for fact in each), *hidden)
         return SymbolicModel(facts, tuple(operators), done[-1])
 

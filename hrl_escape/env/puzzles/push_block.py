@@ -151,8 +151,8 @@ class PushBlockPuzzle(Propped, Modelled, Puzzle):
         operators = []
         for block, plate in self.pairs:
             fact = frozenset({f"on-plate({block.name})"})
-            operators.append(Operator(f"push-{block.name}-onto-{plate.name}", block.name, "push", frozenset(), fact,
-                                      fact, frozenset(), plate.name))
+            operators.append(Operator(f"push-{block.name}-onto-{plate.name}", block.name, "push",
+                                      forbidden=fact, add=fact, destination=plate.name))
         facts = tuple(f"on-plate({block.name})" for block, _ in self.pairs)
         return SymbolicModel(facts, tuple(operators), frozenset(facts))
 

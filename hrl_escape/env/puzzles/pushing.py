@@ -149,16 +149,14 @@ def find_fewest_shoves(rows: tuple[str, ...], player: int, boxes: frozenset[int]
 
 
 def _match(prices: list[list[float]]) -> float:
-    """Least sum of prices that gives each row a column of its own, over sets of columns taken."""
-    sums = {0: 0.0}
-    for row in prices:
-        after: dict[int, float] = {}
-        for taken, paid in sums.items():
-            for column, price in enumerate(row):
-                if not taken >> column & 1 and paid + price < after.get(taken | 1 << column, math.inf):
-                    after[taken | 1 << column] = paid + price
-        sums = after
-    return min(sums.values(), default=math.inf)
+    """Least sum of prices that gives each row a column of its own; infinity where there is none."""
+    from scipy.optimize import linear_sum_assignment  # only puzzles with boxes pay for this import
+
+    try:
+        rows, columns = linear_sum_assignment(prices)
+    except ValueError:  # no assignment is finite
+        return math.inf
+    return float(sum(prices[row][column] for row, column in zip(rows.tolist(), columns.tolist(), strict=True)))
 
 
 # --- levels --------------------------------------------------------------------------------

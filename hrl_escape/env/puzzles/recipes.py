@@ -177,17 +177,17 @@ class RecipesPuzzle(Graphed, Depicted, Modelled, Puzzle):
         """One operator a press; conditional effects count materials up and down."""
         operators = []
         for number, name in enumerate(NAMES):
-            recipe, none = RECIPES[name], frozenset[str]()
+            recipe = RECIPES[name]
             needs = [*((thing, 1) for thing in recipe.takes), *recipe.uses]
             most = MOST_KEPT if number < MATERIALS else 1
-            more = [Effect(frozenset({_name_fact(name, k - 1)}), none, frozenset({_name_fact(name, k)}), none)
+            more = [Effect(frozenset({_name_fact(name, k - 1)}), add=frozenset({_name_fact(name, k)}))
                     for k in range(2, most + 1)]
             less = [Effect(frozenset({_name_fact(material, k)}), frozenset({_name_fact(material, k + used)})
-                           if k + used <= MOST_KEPT else none, none, frozenset({_name_fact(material, k)}))
+                           if k + used <= MOST_KEPT else frozenset(), delete=frozenset({_name_fact(material, k)}))
                     for material, used in recipe.uses for k in range(1, MOST_KEPT + 1)]
             operators.append(Operator(
                 f"press-{name}", name, "press", frozenset(_name_fact(*need) for need in needs),
-                frozenset({_name_fact(name, most)}), frozenset({_name_fact(name, 1)}), none, when=(*more, *less)))
+                frozenset({_name_fact(name, most)}), frozenset({_name_fact(name, 1)}), when=(*more, *less)))
         facts = tuple(_name_fact(name, k) for number, name in enumerate(NAMES)
                       for k in range(1, (MOST_KEPT if number < MATERIALS else 1) + 1))
         return SymbolicModel(facts, tuple(operators), frozenset({_name_fact(self.goal, 1)}))

@@ -24,9 +24,9 @@ class Effect:
     """
 
     condition: frozenset[str]
-    forbidden: frozenset[str]
-    add: frozenset[str]
-    delete: frozenset[str]
+    forbidden: frozenset[str] = frozenset()
+    add: frozenset[str] = frozenset()
+    delete: frozenset[str] = frozenset()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,10 +53,10 @@ class Operator:
     name: str
     target: str
     action: str
-    preconditions: frozenset[str]
-    forbidden: frozenset[str]
-    add: frozenset[str]
-    delete: frozenset[str]
+    preconditions: frozenset[str] = frozenset()
+    forbidden: frozenset[str] = frozenset()
+    add: frozenset[str] = frozenset()
+    delete: frozenset[str] = frozenset()
     destination: str | None = None
     when: tuple[Effect, ...] = ()
     cost: float = 1.0

@@ -146,12 +146,12 @@ class TaxiPuzzle(Modelled, Puzzle):
     def make_symbolic_model(self) -> SymbolicModel:
         """For each depot: pick up there, and put down at the destination there."""
         operators = []
-        delivered, riding, none = frozenset({"delivered"}), frozenset({"riding"}), frozenset()
+        delivered, riding = frozenset({"delivered"}), frozenset({"riding"})
         for depot in DEPOTS:
             waits = frozenset({f"waits({depot})"})
             operators.append(Operator(f"pick-up-at-{depot}", depot, "grip", waits, delivered, riding, waits))
-            operators.append(Operator(f"put-down-at-{depot}", depot, "release", riding | {f"to({depot})"}, none,
-                                      waits | delivered, riding))
+            operators.append(Operator(f"put-down-at-{depot}", depot, "release", riding | {f"to({depot})"},
+                                      add=waits | delivered, delete=riding))
         facts = (*(f"waits({depot})" for depot in DEPOTS), *(f"to({depot})" for depot in DEPOTS), "riding", "delivered")
         return SymbolicModel(facts, tuple(operators), delivered)
 

@@ -18,7 +18,7 @@ from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.maps import GridMap
 from hrl_escape.env.puzzles.traits import Mapped, get_trait
 
-__all__ = ["Doorway", "Face", "Floorplan", "Rejected", "compute_cell", "sample_floorplan"]
+__all__ = ["Doorway", "Face", "Floorplan", "Rejected", "compute_cell", "is_whole_floor", "sample_floorplan"]
 
 
 class Rejected(Exception):
@@ -26,10 +26,7 @@ class Rejected(Exception):
 
 
 class Face(NamedTuple):
-    """A stretch of wall seen from inside: from (x, y), `length` along direction `yaw`.
-
-    The room lies to the left of the direction; `thickness` of wall is behind it.
-    """
+    """A stretch of wall seen from inside: from (x, y), `length` along direction `yaw`; the room lies to the left."""
 
     x: float
     y: float
@@ -55,15 +52,6 @@ class Floorplan(NamedTuple):
     doorways: tuple[Doorway, ...]
 
 
-class _Side(NamedTuple):
-    """An outer wall: the room is to the left when walking along `yaw` from (x, y)."""
-
-    x: float
-    y: float
-    yaw: float
-    length: float
-
-
 def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzle) -> Floorplan:
     """Sample walls and exit of a schematic.
 
@@ -77,10 +65,10 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzl
     """
     half_x, half_y = config.room.width / 2, config.room.depth / 2
     sides = (
-        _Side(-half_x, -half_y, 0.0, 2 * half_x),
-        _Side(half_x, -half_y, math.pi / 2, 2 * half_y),
-        _Side(half_x, half_y, math.pi, 2 * half_x),
-        _Side(-half_x, half_y, -math.pi / 2, 2 * half_y),
+        Face(-half_x, -half_y, 0.0, 2 * half_x),
+        Face(half_x, -half_y, math.pi / 2, 2 * half_y),
+        Face(half_x, half_y, math.pi, 2 * half_x),
+        Face(-half_x, half_y, -math.pi / 2, 2 * half_y),
     )
     gates: dict[int, tuple[float, float]] = {}
     alcove: list[Solid] = []
@@ -95,7 +83,7 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzl
         exit_area, door, alcove = _make_alcove(config, sides[side], at)
     elif config.exit.place == "fixed":
         exit_area = _rectangle(config.exit.x, config.exit.y, config.exit.width / 2, config.exit.depth / 2)
-        if exit_area.contains(half_x, half_y) and exit_area.contains(-half_x, -half_y):
+        if is_whole_floor(config, exit_area):
             exit_area = _rectangle(0.0, 0.0, half_x, half_y)  # an exit on the whole floor ends at the floor's edge
     else:
         exit_area = _place_exit(config, rng)
@@ -104,12 +92,18 @@ def sample_floorplan(config: RoomConfig, rng: np.random.Generator, puzzle: Puzzl
     for number, side in enumerate(sides):
         pieces = _cut(0.0, side.length, gates.get(number))
         for low, high in pieces:
-            solids.append(_wall_piece(config, side, low, high, corner=True))
+            solids.append(_wall_piece(config, side, low, high))
             faces.append(Face(*_along(side, low), side.yaw, high - low))
     inner, inner_faces, rooms, doors = _sample_interior(config, gates, sides, rng)
     given = (*_build_map(config, get_trait(puzzle, Mapped).map_rows or config.room.map), *_build_walls(config))
     doorways = tuple(Doorway(gap, _find_joined(gap, rooms)) for gap in doors)
     return Floorplan((*solids, *alcove, *inner, *given), door, (*faces, *inner_faces), exit_area, rooms, doorways)
+
+
+def is_whole_floor(config: RoomConfig, area: Rectangle) -> bool:
+    """Return whether an exit covers the whole floor."""
+    half_x, half_y = config.room.width / 2, config.room.depth / 2
+    return area.contains(half_x, half_y) and area.contains(-half_x, -half_y)
 
 
 def _find_joined(door: Solid, rooms: tuple[Rectangle, ...]) -> tuple[int, int]:
@@ -157,7 +151,7 @@ def _rectangle(x: float, y: float, half_x: float, half_y: float) -> Rectangle:
     return Rectangle(x - half_x, x + half_x, y - half_y, y + half_y)
 
 
-def _along(side: _Side, distance: float, inward: float = 0.0) -> tuple[float, float]:
+def _along(side: Face, distance: float, inward: float = 0.0) -> tuple[float, float]:
     cos, sin = round(math.cos(side.yaw), 15), round(math.sin(side.yaw), 15)
     return side.x + cos * distance - sin * inward, side.y + sin * distance + cos * inward
 
@@ -168,17 +162,17 @@ def _cut(low: float, high: float, gap: tuple[float, float] | None) -> list[tuple
     return [(a, b) for a, b in ((low, gap[0]), (gap[1], high)) if b - a > 1e-9]
 
 
-def _wall_piece(config: RoomConfig, side: _Side, low: float, high: float, corner: bool) -> Solid:
-    """A wall box behind the stretch [low, high] of a side; outer ones fill the corners too."""
+def _wall_piece(config: RoomConfig, side: Face, low: float, high: float) -> Solid:
+    """A wall box behind the stretch [low, high] of an outer wall; the last ones fill the corners, too."""
     thickness = config.room.wall_thickness
-    extra_low = thickness if corner and low <= 0.0 else 0.0
-    extra_high = thickness if corner and high >= side.length else 0.0
+    extra_low = thickness if low <= 0.0 else 0.0
+    extra_high = thickness if high >= side.length else 0.0
     x, y = _along(side, (low - extra_low + high + extra_high) / 2, -thickness / 2)
     half = (high - low + extra_low + extra_high) / 2
     return Solid("box", x, y, half, thickness / 2, side.yaw, config.room.wall_height, "wall")
 
 
-def _choose_gate(config: RoomConfig, sides: tuple[_Side, ...], rng: np.random.Generator) -> tuple[int, float]:
+def _choose_gate(config: RoomConfig, sides: tuple[Face, ...], rng: np.random.Generator) -> tuple[int, float]:
     """Outer wall and place along it where the exit door stands."""
     half = config.exit.width / 2
     if config.exit.place == "fixed":
@@ -195,7 +189,7 @@ def _choose_gate(config: RoomConfig, sides: tuple[_Side, ...], rng: np.random.Ge
     return side, at
 
 
-def _make_alcove(config: RoomConfig, side: _Side, at: float) -> tuple[Rectangle, Solid, list[Solid]]:
+def _make_alcove(config: RoomConfig, side: Face, at: float) -> tuple[Rectangle, Solid, list[Solid]]:
     """Exit rectangle behind the wall, the door in the wall, and the alcove's walls."""
     half, depth, thick = config.exit.width / 2, config.exit.depth, config.room.wall_thickness
     height = config.room.wall_height
@@ -229,7 +223,7 @@ def _place_exit(config: RoomConfig, rng: np.random.Generator) -> Rectangle:
     return _rectangle(float(x), float(y), wide, deep)
 
 
-def _sample_interior(config: RoomConfig, gates: dict[int, tuple[float, float]], sides: tuple[_Side, ...],
+def _sample_interior(config: RoomConfig, gates: dict[int, tuple[float, float]], sides: tuple[Face, ...],
                      rng: np.random.Generator
                      ) -> tuple[list[Solid], list[Face], tuple[Rectangle, ...], list[Solid]]:
     """Split the floor repeatedly, the largest room first, each time with one doorway.

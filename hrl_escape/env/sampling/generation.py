@@ -28,7 +28,7 @@ from hrl_escape.env.puzzles.maps import GridMap
 from hrl_escape.env.puzzles.traits import Mapped, Propped, get_trait
 from hrl_escape.env.sampling.certificate import Floors, find_unmet, has_arm_free, make_floors
 from hrl_escape.env.sampling.doors import DoorPlan, sample_doors
-from hrl_escape.env.sampling.floorplan import Face, Floorplan, Rejected, compute_cell, sample_floorplan
+from hrl_escape.env.sampling.floorplan import Face, Floorplan, Rejected, compute_cell, is_whole_floor, sample_floorplan
 from hrl_escape.env.sampling.free_space import FreeSpace
 from hrl_escape.env.sampling.primitive_proof import find_unproven
 from hrl_escape.env.sampling.ranges import make_frame, sample_puzzle
@@ -180,8 +180,7 @@ def _hang_anywhere(config: RoomConfig, panels: Panels, name: str, plan: Floorpla
         raise Rejected(f"{name} must fit onto a wall")
     room = np.array([f.length - panels.width + 1e-3 for f in faces])
     inset = panels.thickness / 2 if panels.inset is None else panels.inset
-    half_x, half_y = config.room.width / 2, config.room.depth / 2
-    is_everywhere = plan.exit.contains(half_x, half_y) and plan.exit.contains(-half_x, -half_y)
+    is_everywhere = is_whole_floor(config, plan.exit)
     for _ in range(200):
         face: Face = faces[int(rng.choice(len(faces), p=room / room.sum()))]
         along = panels.width / 2 + float(rng.uniform(0.0, face.length - panels.width))
@@ -213,7 +212,7 @@ def _lay_pads(config: RoomConfig, names: tuple[str, ...], plan: Floorplan, doors
     walls = stack_footprints([solid.footprint for solid in plan.solids])
     radius, body = math.hypot(pads.width, pads.depth) / 2, config.robot.inner_radius + PASSAGE_SLACK
     area = plan.exit
-    is_everywhere = area.contains(half_x, half_y) and area.contains(-half_x, -half_y)
+    is_everywhere = is_whole_floor(config, area)
     laid: list[Target] = []
     for name in names:
         for _ in range(300):

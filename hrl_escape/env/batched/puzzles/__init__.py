@@ -1,4 +1,4 @@
-"""Puzzles in tensors: one form for all puzzles with a table, and one file for each puzzle that needs its own.
+"""Puzzles in tensors: one form for all puzzles with a table, and forms of their own for those that need one.
 
 These have maps, watch every primitive, or have too many states for a table. Such a form repeats the rules of
 the puzzle's own file in `env/puzzles` without branches; conformance tests hold the two together. Importing this package
