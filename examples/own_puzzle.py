@@ -29,15 +29,8 @@ class LightRowConfig(PuzzleConfig):
     kind = "light-row"
     count: Annotated[int, Range(2, 12)] = 4
     """Number of lights, in a row."""
-
-    @property
-    def panels(self):
-        """The panels to press."""
-        return Panels(width=1.5)
-
-    def make_puzzle(self, rng):
-        """The rules; nothing about them is random."""
-        return LightRow(self.count)
+    buttons: Panels = Panels(width=1.5)
+    """The panels to press."""
 
 
 @dataclasses.dataclass(frozen=True)

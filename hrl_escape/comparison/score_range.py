@@ -72,7 +72,7 @@ def compute_score_range(starts: Sequence[tuple[RoomInstance, RoomState]], agent:
                    *((float(int(room.digest[:12], 16)),) if several else ())) for room, state in starts)
     if any(end is None for end in ends):
         reward = instance.reward
-        at_once = (reward.exit if reward.exit_replaces_step else reward.step + reward.exit,) * len(starts)
+        at_once = (reward.on_exit,) * len(starts)
         ones = (1,) * len(starts)
         return ScoreRange(worst, poses, at_once, at_once, ones, ones, CEILING)
     best, fewest, reachable, fewest_reachable = zip(*(end for end in ends if end), strict=True)

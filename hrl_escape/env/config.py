@@ -293,6 +293,11 @@ class RewardConfig(Schematic):
     exit_replaces_step: bool = False
     """The exiting primitive earns `exit` alone (the published 2019 code)."""
 
+    @property
+    def on_exit(self) -> float:
+        """Reward of the primitive that exits."""
+        return self.exit if self.exit_replaces_step else self.step + self.exit
+
 
 @dataclasses.dataclass(frozen=True)
 class DynamicsConfig(Schematic):

@@ -59,9 +59,7 @@ class Rules(RobotPoses):
         self._is_random = instance.puzzle.is_random and not is_still
         self._is_watching = instance.puzzle.is_watching
         self._exit = instance.exit
-        reward = instance.reward
-        self._step_reward = reward.step
-        self._exit_reward = reward.exit if reward.exit_replaces_step else reward.step + reward.exit
+        self._step_reward, self._exit_reward = instance.reward.step, instance.reward.on_exit
         self._horizon = instance.horizon
         self._by_hand = instance.dynamics.press_with == "hand"
         entries = [(i, t.footprint, instance.compute_press_reach(t), t) for i, t in enumerate(instance.targets)]

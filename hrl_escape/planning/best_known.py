@@ -212,7 +212,7 @@ def compute_escape_return(instance: RoomInstance, primitives: float) -> float:
     if primitives > instance.horizon:
         return compute_worst_return(instance)
     reward = instance.reward
-    bonus = reward.exit if reward.exit_replaces_step else reward.step + reward.exit
+    bonus = reward.on_exit
     return reward.step * (primitives - 1) + bonus
 
 

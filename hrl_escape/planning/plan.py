@@ -115,7 +115,7 @@ class Plan:
         escapes = self.instance.exit.contains(last.x, last.y) and self.instance.puzzle.is_solved(last.puzzle)
         if not escapes:
             return reward.step * self.cost
-        bonus = reward.exit if reward.exit_replaces_step else reward.step + reward.exit
+        bonus = reward.on_exit
         return reward.step * (self.cost - 1) + bonus
 
     def execute(self, env: gymnasium.Env) -> Execution:

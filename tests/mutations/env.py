@@ -103,9 +103,9 @@ MUTATIONS = [
     ),
     Mutation(
         "the exit's reward never replaces the step's",
-        "env/kinematics.py",
-        "reward.exit if reward.exit_replaces_step else reward.step + reward.exit",
-        "reward.step + reward.exit",
+        "env/config.py",
+        "return self.exit if self.exit_replaces_step else self.step + self.exit",
+        "return self.step + self.exit",
         "env/test_kinematics.py env/test_escape_room.py env/test_engines_agree.py",
     ),
     Mutation(

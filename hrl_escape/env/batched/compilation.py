@@ -19,7 +19,7 @@ from torch import Tensor
 from torch._inductor import standalone_compile
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from hrl_escape.env.batched.tables import map_tensors
+from hrl_escape.env.batched.tables import list_tensors, map_tensors
 from hrl_escape.errors import BatchError, UnsupportedError
 
 __all__ = ["CompiledStep", "check_compiler"]
@@ -69,10 +69,10 @@ class CompiledStep:
 
         The function raises `BatchError` for a tensor of another shape or dtype than in its first call.
         """
-        given = [tensor.contiguous() for tensor in _flatten(constants, [])]
+        given = [tensor.contiguous() for tensor in list_tensors(constants)]
 
         def run(*arguments: Any) -> Any:
-            tensors = [tensor.contiguous() for tensor in _flatten(arguments, [])]
+            tensors = [tensor.contiguous() for tensor in list_tensors(arguments)]
             kernel = self._kernel or self._compile((*constants, *arguments), given, tensors)
             for tensor, form in zip(tensors, self._forms, strict=True):
                 if (tensor.shape, tensor.dtype) != form:
@@ -111,16 +111,6 @@ class CompiledStep:
         self._kernel = standalone_compile(graph, examples, dynamic_shapes="from_example_inputs",
                                           options={"config_patches": self._options})
         return self._kernel
-
-
-def _flatten(tree: Any, into: list[Tensor]) -> list[Tensor]:
-    """Append the tensors in nested tuples and dicts to a list."""
-    if isinstance(tree, Tensor):
-        into.append(tree)
-    elif tree is not None:
-        for part in tree.values() if isinstance(tree, dict) else tree:
-            _flatten(part, into)
-    return into
 
 
 def _make_reader(tree: Any) -> Callable[[Sequence[Tensor]], Any]:

@@ -21,7 +21,15 @@ from hrl_escape.env.batched.poses import TensorState
 from hrl_escape.env.batched.puzzles.base import as_signed, get_tensor_puzzle, unpack_bits
 from hrl_escape.env.batched.rooms import Rooms, find_device
 from hrl_escape.env.batched.rules import begin, is_in_exit, restart, step
-from hrl_escape.env.batched.tables import Layout, Tables, make_layout, map_tensors, pick_rules, stack_instances
+from hrl_escape.env.batched.tables import (
+    Layout,
+    Tables,
+    list_tensors,
+    make_layout,
+    map_tensors,
+    pick_rules,
+    stack_instances,
+)
 from hrl_escape.env.kinematics import RoomState, Rules
 from hrl_escape.env.observations.base import BatchObservation, make_observer
 from hrl_escape.env.state_checks import check_state
@@ -348,6 +356,4 @@ def draw_seed() -> int:
 
 def list_shapes(tree: object) -> list[tuple[int, ...]]:
     """Shapes of all tensors in nested named tuples and dicts."""
-    shapes: list[tuple[int, ...]] = []
-    map_tensors(lambda table: shapes.append(tuple(table.shape)) or table, tree)
-    return shapes
+    return [tuple(table.shape) for table in list_tensors(tree)]

@@ -110,7 +110,7 @@ def stack_scenery(instances: Sequence[RoomInstance], layout: Layout, device: tor
     for k, instance in enumerate(instances):
         for n, area in enumerate(palette.compute_floors(instance)):
             floors[:, n, k] = area.x_min, area.x_max, area.y_min, area.y_max
-    sizes = [(i.reach_x, i.reach_y, i.wall_height, _choose_tile(i)) for i in instances]
+    sizes = [(i.reach_x, i.reach_y, i.wall_height, palette.choose_tile(i)) for i in instances]
 
     def floats(values: NDArray[np.float64]) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(values, np.float32)).to(device)
@@ -178,8 +178,3 @@ def _swing(instance: RoomInstance, door: Solid, angle: float) -> Footprint:
     yaw = door.yaw + math.copysign(angle, cos * (y - door.y) - sin * (x - door.x))
     return make_footprint(door.x + door.half_x * (math.cos(yaw) - cos), door.y + door.half_x * (math.sin(yaw) - sin),
                           door.half_x, 0.6 * door.half_y, yaw)
-
-
-def _choose_tile(instance: RoomInstance) -> float:
-    size = max(instance.half_width, instance.half_depth)
-    return 1.0 if size <= 15 else 2.0 if size <= 30 else 5.0

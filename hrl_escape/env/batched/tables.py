@@ -16,7 +16,7 @@ from torch import Tensor
 
 from hrl_escape.env.batched.arm import Arm, make_arm
 from hrl_escape.env.batched.puzzles.base import PuzzleTables, TensorPuzzle, as_signed, get_tensor_puzzle
-from hrl_escape.env.config import DynamicsConfig, RewardConfig, RobotConfig
+from hrl_escape.env.config import DynamicsConfig, RobotConfig
 from hrl_escape.env.instance import RoomInstance, Start
 from hrl_escape.env.kinematics import Rules
 from hrl_escape.env.primitives import ActionTable
@@ -30,6 +30,7 @@ __all__ = [
     "Layout",
     "RoomSolids",
     "Tables",
+    "list_tensors",
     "make_layout",
     "map_tensors",
     "pick",
@@ -170,6 +171,17 @@ def map_tensors(function: Callable[[Tensor], Any], tree: Any) -> Any:
     return tuple(parts) if type(tree) is tuple else type(tree)(*parts)
 
 
+def list_tensors(tree: Any, into: list[Tensor] | None = None) -> list[Tensor]:
+    """All tensors in nested tuples and dicts, in order; appended to a list if one is given."""
+    found: list[Tensor] = [] if into is None else into
+    if isinstance(tree, Tensor):
+        found.append(tree)
+    elif tree is not None:
+        for part in tree.values() if isinstance(tree, dict) else tree:
+            list_tensors(part, found)
+    return found
+
+
 def pick(layout: Layout, table: Any, instance: Tensor) -> Any:
     """Each room's column of tables: (..., instances) gives (..., rooms), or (..., 1) if all rooms share one."""
     return table if layout.is_shared else map_tensors(lambda column: column[..., instance], table)
@@ -304,7 +316,7 @@ def stack_instances(instances: Sequence[RoomInstance], layout: Layout, device: t
         is_panel=floats(columns([pad([t.kind == "panel" for t in i.targets]) for i in instances])) > 0.5,
         exits=floats(columns([(i.exit.x_min, i.exit.x_max, i.exit.y_min, i.exit.y_max) for i in instances])),
         half_sizes=floats(columns([(i.frame.reach_x, i.frame.reach_y) for i in instances]), torch.float32),
-        rewards=floats(columns([_list_rewards(i.reward) for i in instances]), torch.float32),
+        rewards=floats(columns([(i.reward.step, i.reward.on_exit) for i in instances]), torch.float32),
         horizons=integers([[i.horizon for i in instances]], torch.int32),
         starts=floats([[[getattr(row[k], name) for row in begins] for k in range(most)]
                        for name in ("x", "y", "heading_offset")]),
@@ -323,7 +335,3 @@ def _list_leaves(instances: Sequence[RoomInstance], most: int) -> Tensor:
     """Return true for inner doors proper, false for things in cells, bool (most, instances)."""
     roles = [[door.role for door in instance.inner_doors] for instance in instances]
     return torch.tensor([[number < len(row) and row[number] == "door" for row in roles] for number in range(most)])
-
-
-def _list_rewards(reward: RewardConfig) -> tuple[float, float]:
-    return reward.step, reward.exit if reward.exit_replaces_step else reward.step + reward.exit

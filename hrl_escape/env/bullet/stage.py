@@ -297,8 +297,7 @@ class Stage:
         self._add(merge(shadows), _SHADE)
         if puddles := get_trait(self._instance.puzzle, Depicted).puddles:
             self._add(make_puddles(puddles, 1.5 * _LAYER), palette.PUDDLE)
-        size = max(self._instance.half_width, self._instance.half_depth)
-        side = 1.0 if size <= 15 else 2.0 if size <= 30 else 5.0
+        side = palette.choose_tile(self._instance)
         for odd, colour in ((False, _TILE), (True, _OTHER_TILE)):
             self._add(make_tiles(floors, side, odd), colour)
 

@@ -16,8 +16,8 @@ from hrl_escape.env.instance import Rectangle, RoomInstance, Target
 from hrl_escape.env.puzzles.base import Puzzle
 from hrl_escape.env.puzzles.traits import Depicted, Graphed, get_trait
 
-__all__ = ["TargetLook", "compute_floors", "find_front", "get_inner_colour", "get_target_look", "name_target",
-           "to_rgb"]
+__all__ = ["TargetLook", "choose_tile", "compute_floors", "find_front", "get_inner_colour", "get_target_look",
+           "name_target", "to_rgb"]
 
 BACKGROUND = "#ffffff"
 FLOOR = "#f4f1ea"
@@ -86,6 +86,12 @@ def compute_floors(instance: RoomInstance) -> tuple[Rectangle, ...]:
         area.y_max + deep if high_y else -half_y if low_y else area.y_max,
     )
     return room, alcove
+
+
+def choose_tile(instance: RoomInstance) -> float:
+    """Side of the floor's tiles in pictures, m."""
+    size = max(instance.half_width, instance.half_depth)
+    return 1.0 if size <= 15 else 2.0 if size <= 30 else 5.0
 
 
 def find_front(instance: RoomInstance, target: Target) -> tuple[float, float]:

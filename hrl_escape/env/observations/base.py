@@ -147,7 +147,7 @@ class Observer(ABC):
         self._frame = rules.instance.frame
         self._puzzle_names = tuple(f"puzzle-{i + 1}" for i in range(len(self._frame.bounds)))
         self._joint_names = tuple(f"joint-{i + 1}" for i in range(rules.instance.robot.joints))
-
+        self._joint_limits = [max(abs(low), abs(high)) for low, high in rules.robot.limits]
         self._seen: dict[Any, tuple[float, ...]] = {}
 
     @abstractmethod

@@ -43,7 +43,6 @@ class EgocentricObserver(Observer):
         things = (*(placed.prop.name for placed in instance.props), "exit")
         per_thing = tuple(f"{name}-{word}" for name in things for word in ("range", "sin", "cos"))
         self.names = (*per_target, *per_thing, *self._joint_names, *(f"lidar-{i}" for i in range(LIDAR_RAYS)))
-        self._limits = [max(abs(low), abs(high)) for low, high in rules.robot.limits]
         self._diagonal = 2 * math.hypot(frame.reach_x, frame.reach_y)
         self._fixed = [(t.x, t.y) for t in instance.targets]
         self._standing = [(placed.x, placed.y) for placed in instance.props]
@@ -105,7 +104,7 @@ class EgocentricObserver(Observer):
                 numbers += (0.0,) * (4 if is_target else 3)
             if number == len(lit) - 1:
                 numbers += self._absent
-        numbers += map(clip, map(operator.truediv, self._rules.get_angles(state), self._limits))
+        numbers += map(clip, map(operator.truediv, self._rules.get_angles(state), self._joint_limits))
         seen = np.empty(len(self.names), dtype=np.float32)
         seen[:-LIDAR_RAYS] = numbers
         key = state.heading_steps if state.heading_offset == 0.0 else None

@@ -29,7 +29,6 @@ class FeatureObserver(Observer):
     def __init__(self, rules: Rules, renderer: Renderer | None = None) -> None:
         super().__init__(rules)
         self.names = ("x", "y", "sin-heading", "cos-heading", *self._joint_names, *self._puzzle_names)
-        self._limits = [max(abs(low), abs(high)) for low, high in rules.robot.limits]
         self._reach = self._frame.reach_x, self._frame.reach_y
         self.high = np.ones(len(self.names), dtype=np.float32)
         self.low = -self.high
@@ -38,7 +37,7 @@ class FeatureObserver(Observer):
         """Return a fresh float32 array, one number a name."""
         rules = self._rules
         cos, sin = rules.get_rotation(state.heading_steps, state.heading_offset)
-        joints = [clip(a / m) for a, m in zip(rules.get_angles(state), self._limits, strict=True)]
+        joints = [clip(a / m) for a, m in zip(rules.get_angles(state), self._joint_limits, strict=True)]
         x, y = clip(state.x / self._reach[0]), clip(state.y / self._reach[1])
         return np.array((x, y, sin, cos, *joints, *self._get_puzzle(state)), dtype=np.float32)
 

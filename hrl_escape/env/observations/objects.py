@@ -42,7 +42,6 @@ class ObjectObserver(Observer):
         self.rows = rows = (*frame.target_names, *(placed.prop.name for placed in props), "exit")
         self.names = (*(f"{row}-{word}" for row in rows for word in OBJECT_WORDS), *self._joint_names)
         self._diagonal = 2 * math.hypot(frame.reach_x, frame.reach_y)
-        self._limits = [max(abs(low), abs(high)) for low, high in rules.robot.limits]
         things = [(t.x, t.y, t.yaw, t.half_x, t.half_y, "target") for t in instance.targets]
         things += [(p.x, p.y, p.yaw, p.prop.half_size, p.prop.half_size, p.prop.kind) for p in props]
         things += [(*exit_.centre, 0.0, (exit_.x_max - exit_.x_min) / 2, (exit_.y_max - exit_.y_min) / 2, "exit")]
@@ -70,7 +69,7 @@ class ObjectObserver(Observer):
             thing_sin * cos - thing_cos * sin, thing_cos * cos + thing_sin * sin], axis=1)
         rows[: self._targets, 11] = self._puzzle.get_lit(state.puzzle)
         rows[-1, 11] = self._puzzle.is_solved(state.puzzle)
-        joints = np.array(self._rules.get_angles(state)) / self._limits if self._limits else ()
+        joints = np.array(self._rules.get_angles(state)) / self._joint_limits if self._joint_limits else ()
         return np.clip(np.concatenate([rows.ravel(), joints]), -1.0, 1.0).astype(np.float32)
 
     @staticmethod

@@ -17,7 +17,7 @@ import numpy as np
 from typing_extensions import Self
 
 from hrl_escape.env.puzzles.contacts import PUSH, USE, Contacts
-from hrl_escape.env.puzzles.places import Pads, Panels, Place, Prop
+from hrl_escape.env.puzzles.places import Pads, Panels, Place, Prop, check_places
 from hrl_escape.env.puzzles.symbolic import Effect, Modelled, Operator, SymbolicModel
 from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError, UnknownNameError, UnsupportedError
@@ -109,7 +109,7 @@ class PuzzleConfig(_OfKind):
         if self.panels is None or self.pads is None:
             for places in (self.panels, self.pads):
                 if places is not None:
-                    places.check_places(self.count_targets())
+                    check_places(places, self.count_targets())
 
     def count_targets(self) -> int:
         """Number of panels or pads: the field `count`, or that of the puzzle where nothing in it is random."""

@@ -10,7 +10,7 @@ from hrl_escape.env.schema import Schematic
 from hrl_escape.errors import ConfigError
 from hrl_escape.settings import Range
 
-__all__ = ["Capsule", "Pads", "Panels", "Place", "Prop"]
+__all__ = ["Capsule", "Pads", "Panels", "Place", "Prop", "check_places"]
 
 
 @dataclasses.dataclass(frozen=True)
@@ -54,16 +54,6 @@ class Panels(Schematic):
     gap: Annotated[float, Range(0, 50, "m")] = 0.0
     """Least gap between two random panels; twice the robot's reach ensures that it touches only one at a time."""
 
-    def check_places(self, count: int) -> None:
-        """Check that there are places for a number of panels.
-
-        Raises:
-            ConfigError: there are fewer.
-        """
-        if self.places == "paper" and count > 4:
-            raise ConfigError("puzzle.count", count, "at most 4 with panels.places = 'paper'")
-        _check_explicit("panels", self.places, count)
-
 
 @dataclasses.dataclass(frozen=True)
 class Pads(Schematic):
@@ -78,13 +68,18 @@ class Pads(Schematic):
     places: Literal["random"] | tuple[Place, ...] = "random"
     """Anywhere on the floor, parallel to the walls, or explicit ones."""
 
-    def check_places(self, count: int) -> None:
-        """Check that there are places for a number of pads.
 
-        Raises:
-            ConfigError: there are fewer.
-        """
-        _check_explicit("pads", self.places, count)
+def check_places(laid: Panels | Pads, count: int) -> None:
+    """Check that there are places for a number of panels or pads.
+
+    Raises:
+        ConfigError: there are fewer.
+    """
+    if laid.places == "paper" and count > 4:
+        raise ConfigError("puzzle.count", count, "at most 4 with panels.places = 'paper'")
+    if isinstance(laid.places, tuple) and len(laid.places) < count:
+        section = "panels" if isinstance(laid, Panels) else "pads"
+        raise ConfigError(f"{section}.places", len(laid.places), f"at least puzzle.count = {count} places")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -110,11 +105,6 @@ class Capsule(Schematic):
         share = min(max((to_x * along_x + to_y * along_y) / length, 0.0), 1.0) if length else 0.0
         off_x, off_y = to_x - share * along_x, to_y - share * along_y
         return max(self.radius - math.sqrt(off_x * off_x + off_y * off_y), 0.0)
-
-
-def _check_explicit(section: str, places: str | tuple[Place, ...], count: int) -> None:
-    if isinstance(places, tuple) and len(places) < count:
-        raise ConfigError(f"{section}.places", len(places), f"at least puzzle.count = {count} places")
 
 
 @dataclasses.dataclass(frozen=True)
