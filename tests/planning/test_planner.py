@@ -80,8 +80,7 @@ def test_solve_escapes_and_every_state_is_the_predicted_one(name, method):
     assert sum(run.rewards) == plan.compute_return()
     assert [part.start for part in plan.parts] == [0, *(part.stop for part in plan.parts[:-1])]
     assert plan.parts[-1].stop == plan.cost == len(run.rewards)
-    if method == "fields":
-        assert_legs_cost_at_least_their_bounds(plan, env.instance)
+    assert_legs_cost_at_least_their_bounds(plan, env.instance)
     env.close()
 
 

@@ -31,6 +31,7 @@ from hrl_escape.agents.hierarchy.task_graph import maxq
 from tests.agents.algorithms.test_tabular import GiveTrace
 from tests.agents.running import learn
 from tests.agents.small_envs import CutEnv, Outcome, SmdpEnv, make_random_smdp, solve, spread_options
+from tests.covering import cover
 
 GAMMA = 0.9
 EXACT = {"gamma": GAMMA, "learning_rate": 1.0, "epsilon_start": 1.0, "epsilon_end": 1.0}
@@ -78,8 +79,7 @@ READ = {
 }
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("agent_class", READ)
+@pytest.mark.parametrize(("agent_class", "seed"), cover(list(READ), SEEDS))
 def test_values_of_choices_are_exact(agent_class, seed):
     env = make_env(seed, shows_cuts=agent_class is MaxqQ)
     agent = teach(make(agent_class, env, MODELS.get(agent_class, EXACT)), GiveTrace(env))
@@ -196,8 +196,7 @@ def solve_graph(smdp):
     return inner[:, 1:], solve(whole, GAMMA)
 
 
-@pytest.mark.parametrize("seed", RETURNING)
-@pytest.mark.parametrize("name", GRAPH_MAKERS)
+@pytest.mark.parametrize(("name", "seed"), cover(list(GRAPH_MAKERS), RETURNING))
 def test_tasks_are_worth_what_they_earn_also_where_they_get_stuck(name, seed):
     """Learners of a stack bootstrap where a call is cut, in their own view, which is exact for the task below alone."""
     env = make_env(seed, longest=40, shows_cuts=True)

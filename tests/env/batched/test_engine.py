@@ -297,14 +297,14 @@ def test_the_door_is_shut_until_solved_but_never_on_the_robot():
 
 
 def test_compiled_rooms_do_what_eager_ones_do_and_never_recompile(monkeypatch):
-    seeds = list(range(33))
-    eager = play(make_rooms(33, observation="features"), seeds)
-    compiled = make_rooms(33, observation="features", compile=True)
+    seeds, config = list(range(33)), dataclasses.replace(NOISY, obstacles=ObstaclesConfig(count=1))
+    eager = play(make_rooms(33, config=config, observation="features"), seeds)
+    compiled = make_rooms(33, config=config, observation="features", compile=True)
     compiled.reset(torch.tensor(seeds))
     compiled.step(torch.zeros(33, dtype=torch.int64))
     monkeypatch.delattr(compilation, "standalone_compile")
     found = play(compiled, seeds)
-    play(make_rooms(33, observation="features", compile=True), seeds)  # another batch of the same shape
+    play(make_rooms(33, config=config, observation="features", compile=True), seeds)  # another batch of the same shape
     assert (found - eager).abs().max() < 1e-5
     assert torch.equal(found[:, :, -3:], eager[:, :, -3:])
     compiled.state = compiled.state._replace(x=compiled.state.x.to(torch.float32))

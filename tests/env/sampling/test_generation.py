@@ -27,7 +27,7 @@ QUICK = [name for name in NAMES if name not in ("largest", "four-rooms")]
 """Without those that take seconds a sample; they have tests of their own."""
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(st.sampled_from(QUICK), st.integers(0, 10_000))
 def test_generation_is_pure_and_certified(name, seed):
     config = all_schematics()[name]

@@ -349,9 +349,10 @@ def test_fine_joint_steps_that_no_list_can_hold_are_still_reached():
     RobotConfig(kind="kuka-iiwa", joints=7, body_radius=0.4, body_height=0.5),
     RobotConfig(kind="franka-panda", joints=7, body_radius=0.4, body_height=0.5),
 ], ids=lambda robot: f"{robot.kind}, {robot.joints} joints")
-def test_targets_of_generated_rooms_are_reached_on_the_lattice(robot: RobotConfig):
+@pytest.mark.parametrize("rooms", [1, pytest.param(8, marks=pytest.mark.slow)])
+def test_targets_of_generated_rooms_are_reached_on_the_lattice(robot: RobotConfig, rooms: int):
     config = dataclasses.replace(get_preset("arm-two-button"), robot=robot)
-    for seed in range(8):
+    for seed in range(rooms):
         room = generate(config, seed)
         reacher, home = Reacher(room), (0,) * robot.joints
         floor = CollisionMap(room, door_shut=False)

@@ -123,24 +123,23 @@ def test_time_optimal_motion_is_nearly_as_fast_as_its_limits_allow():
 @pytest.mark.parametrize("preset", ["deep-sea", "recipes", "factored"])
 def test_a_trajectory_that_would_lose_presses_of_its_plan_is_refused(preset):
     """The plan leaves a target and touches it again; the straight way in between stays on it."""
-    for seed in (0, 1):
-        with pytest.raises(UnsupportedError, match="would press .* where the plan presses"):
-            make_trajectory(make_plan(preset, seed))
+    plan = make_plan(preset, 0)
+    with pytest.raises(UnsupportedError, match="would press .* where the plan presses"):
+        make_trajectory(plan)
 
 
 def test_a_trajectory_may_press_what_is_lit_already():
-    for seed in (0, 1):
-        plan = make_plan("ten-button", seed)
-        trajectory = make_trajectory(plan)
-        puzzle, rules, touched = plan.instance.puzzle, Kinematics(plan.instance), plan.states[0].touching
-        state, number = plan.states[0].puzzle, 0
-        for x, y, heading in trajectory.evaluate(np.linspace(0, trajectory.duration, 40_000)).tolist():
-            touching = rules.compute_touching(x, y, 0, heading, (), ())
-            if begun := touching & ~touched:
-                number += 1
-                state = puzzle.update(state, Contacts(tuple(i for i in range(10) if begun >> i & 1)))
-            touched = touching
-        assert number >= 5 and state == plan.states[-1].puzzle
+    plan = make_plan("ten-button", 0)
+    trajectory = make_trajectory(plan)
+    puzzle, rules, touched = plan.instance.puzzle, Kinematics(plan.instance), plan.states[0].touching
+    state, number = plan.states[0].puzzle, 0
+    for x, y, heading in trajectory.evaluate(np.linspace(0, trajectory.duration, 40_000)).tolist():
+        touching = rules.compute_touching(x, y, 0, heading, (), ())
+        if begun := touching & ~touched:
+            number += 1
+            state = puzzle.update(state, Contacts(tuple(i for i in range(10) if begun >> i & 1)))
+        touched = touching
+    assert number >= 5 and state == plan.states[-1].puzzle
 
 
 def test_time_optimal_motion_is_faster_and_arms_can_have_it():

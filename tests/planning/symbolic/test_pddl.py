@@ -15,10 +15,11 @@ from hrl_escape.env.sampling.generation import generate
 from hrl_escape.errors import MissingExtraError, UnknownNameError
 from hrl_escape.planning.planner import RoomPlanner
 from hrl_escape.planning.symbolic.pddl import export_pddl, make_domain, make_problem, save_pddl, solve_pddl
+from tests.covering import thin
 from tests.env.rooms import make_ordered_chain
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", thin(list(PRESETS), 3))
 def test_an_independent_planner_solves_every_preset_by_what_is_exported(name):
     instance = generate(get_preset(name), 0)
     model = instance.puzzle.symbolic.make_symbolic_model()
