@@ -87,10 +87,13 @@ def test_of_two_solids_that_touch_the_one_that_truly_does_stops_the_body():
 
 
 def test_a_wall_that_the_body_leaves_does_not_hold_it():
-    """Nearly as far behind it as it moves, so that the contact is near the share that no solid limits."""
+    """Nearly as far behind it as it moves, so that the contact is near the share that no solid limits.
+
+    It is the first solid, which is the one whose contact is refined where none limits.
+    """
     wall = Solid(x=0, y=1, half_x=10, half_y=0.1)
     empty = generate(RoomConfig(), 0)
-    instance = dataclasses.replace(empty, solids=(*empty.solids, wall), starts=(Start(0.0, 5.0),))
+    instance = dataclasses.replace(empty, solids=(wall, *empty.solids), starts=(Start(0.0, 5.0),))
     scalar, room = Kinematics(instance), TensorRoom(Rooms(instance=instance))
     room.reset(torch.tensor([0]))
     away = round(math.radians(270) / scalar.turn_step)
